@@ -1,0 +1,62 @@
+"""Status conditions by the Kubernetes API conventions (type, status, reason, message, times)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from datetime import UTC, datetime
+from typing import Literal
+
+from pydantic import Field
+
+from understudy.api.base import Model
+
+Status = Literal["True", "False", "Unknown"]
+
+
+class Condition(Model):
+    """One aspect of an object's state, as ``kubectl describe`` and ``kubectl wait`` read it."""
+
+    type: str = Field(max_length=316, description="What is said, such as Ready or Protected.")
+    status: Status = Field(description="True, False or Unknown.")
+    reason: str = Field(
+        min_length=1,
+        max_length=1024,
+        pattern=r"^[A-Za-z]([A-Za-z0-9_,:]*[A-Za-z0-9_])?$",
+        description="Reason, one word.",
+    )
+    message: str = Field(default="", max_length=32768, description="What was found, and what would put it right.")
+    last_transition_time: str = Field(description="When the status last changed, RFC 3339.")
+    observed_generation: int | None = Field(
+        default=None, ge=0, description="Generation of the spec that this is about."
+    )
+
+
+def now() -> str:
+    """The present time as RFC 3339 with seconds, as Kubernetes writes it."""
+    return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+
+
+def condition(
+    type_: str, status: Status | bool, reason: str, message: str = "", *, generation: int | None = None
+) -> Condition:
+    """A condition as of now; :func:`merged` keeps the older transition time where the status is the same."""
+    text: Status = status if isinstance(status, str) else ("True" if status else "False")
+    return Condition(
+        type=type_,
+        status=text,
+        reason=reason,
+        message=message,
+        last_transition_time=now(),
+        observed_generation=generation,
+    )
+
+
+def merged(old: Iterable[Condition], new: Iterable[Condition]) -> list[Condition]:
+    """The new conditions, each with the old transition time unless its status changed."""
+    before = {c.type: c for c in old}
+    return [
+        c.model_copy(update={"last_transition_time": before[c.type].last_transition_time})
+        if c.type in before and before[c.type].status == c.status
+        else c
+        for c in new
+    ]

@@ -1,0 +1,124 @@
+"""Labels, annotations, ports and names of the objects that belong to a workload or a pool.
+
+One place, since the operator, the monitor, the agent, the admission policy of the chart and users' selectors
+must all mean the same.
+"""
+
+from __future__ import annotations
+
+from understudy.api.base import GROUP
+
+WORKLOAD = f"{GROUP}/workload"
+"""On every instance: the RobotWorkload whose robot it may drive. Both gate policies select by it."""
+
+INSTANCE = f"{GROUP}/instance"
+"""On every instance: its own pod name, so that the gate can select exactly one."""
+
+POOL = f"{GROUP}/pool"
+"""On pods that a FallbackPool made."""
+
+HELD = f"{GROUP}/held"
+"""On unclaimed pods of an Uninitialized pool (value ``true``): their processes wait and they may send nothing."""
+
+COMPONENT = f"{GROUP}/component"
+"""``monitor``, ``discovery`` or ``instance``."""
+
+MONITORED = f"{GROUP}/monitored"
+"""On monitor and discovery pods: the workload they serve. Not WORKLOAD, which would gate them."""
+
+TEMPLATE_HASH = f"{GROUP}/template-hash"
+"""On instances: hash of the template they were made from."""
+
+EPOCH = f"{GROUP}/epoch"
+"""Annotation of the gate: grows by one with every commit."""
+
+ACTIVE = f"{GROUP}/active"
+"""Annotation of the gate: name of the pod in control, empty while closed."""
+
+ACTIVE_UID = f"{GROUP}/active-uid"
+"""Annotation of the gate: UID of the pod in control, empty while closed."""
+
+RECOVERY = f"{GROUP}/recovery"
+"""Annotation of the gate: the recovery that committed it, as JSON, so that a new monitor can finish it."""
+
+CLAIM = f"{GROUP}/claim"
+"""Annotation of a pool's pod: ``<workload uid>/<recovery id>``, written once, by the claim."""
+
+GATE_CLOSED = "closed"
+"""Value of INSTANCE in the gate's selector when no pod may send. No pod is called that: ours are NAME-xxxxx."""
+
+GATE_PORTS = range(7950, 8149)
+"""UDP ports on the robot's side that gated readers listen on."""
+
+PROBE_PORT = 8149
+"""UDP port of the monitor inside the gated range, to see from packets when a gate is enforced."""
+
+GATE_RANGE = (7950, 8149)
+"""First and last gated UDP port."""
+
+AGENT_PORT = 8950
+"""TCP port of the agent's control channel."""
+
+AGENT_HEALTH_PORT = 8951
+"""TCP port of the agent's readiness probe."""
+
+METRICS_PORT = 9108
+"""TCP port of the monitor's and the operator's Prometheus metrics and health pages."""
+
+DISCOVERY_PORT = 11811
+"""UDP port of the managed ROS discovery server."""
+
+AGENT_CONTAINER = "understudy-agent"
+AGENT_VOLUME = "understudy"
+AGENT_DIR = "/understudy"
+SECRET_DIR = "/etc/understudy/agent"
+
+
+def gate(workload: str) -> str:
+    """The NetworkPolicy whose selector is the commit point."""
+    return f"{workload}-gate"
+
+
+def standby(workload: str) -> str:
+    """The NetworkPolicy under which every instance lives."""
+    return f"{workload}-standby"
+
+
+def monitor(workload: str) -> str:
+    """The monitor's Deployment, ServiceAccount, Role and RoleBinding."""
+    return f"{workload}-monitor"
+
+
+def discovery(workload: str) -> str:
+    """The managed discovery server's Deployment and Service."""
+    return f"{workload}-discovery"
+
+
+def robot_env(workload: str) -> str:
+    """ConfigMap with the environment for the robot's side (``envFrom``)."""
+    return f"{workload}-robot-env"
+
+
+def robot_profiles(workload: str) -> str:
+    """ConfigMap with ``profiles.xml`` for the robot's side (mounted at /etc/understudy)."""
+    return f"{workload}-robot-profiles"
+
+
+def settings(workload: str) -> str:
+    """ConfigMap with ``settings.json``: what the monitor needs to know that is not in the spec."""
+    return f"{workload}-settings"
+
+
+def agent_secret(workload: str) -> str:
+    """Secret with ``token`` for the agents of a workload's own instances."""
+    return f"{workload}-agent"
+
+
+def held(pool: str) -> str:
+    """NetworkPolicy of a pool's held pods."""
+    return f"{pool}-held"
+
+
+def pool_secret(pool: str) -> str:
+    """Secret with ``token`` for the agents of a pool's held pods."""
+    return f"{pool}-pool-agent"

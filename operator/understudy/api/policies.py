@@ -1,0 +1,81 @@
+"""FailurePolicy: what healthy means, and what is done when it isn't."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from pydantic import Field
+
+from understudy.api.base import Duration, LocalReference, Model, rules
+from understudy.api.conditions import Condition
+
+
+class Monitoring(Model):
+    """What healthy means, as a behaviour tree, and when its verdict counts."""
+
+    yaml: dict[str, Any] = Field(
+        description="The health tree in the short form: one node, such as parallel, sequence, selector or topic. See docs/trees.md.",
+        json_schema_extra={"x-kubernetes-preserve-unknown-fields": True},
+    )
+    debounce: Duration = Field(
+        default="0s",
+        description="The tree must fail for this long before it counts as a failure. Adds to the detection time.",
+    )
+    startup_grace: Duration = Field(
+        default="30s", description="A newly started instance has this long to become healthy for the first time."
+    )
+
+
+class Strategy(Model):
+    """One way to bring the workload back."""
+
+    model_config = Model.model_config | {
+        "json_schema_extra": rules(
+            ("self.type != 'Fallback' || has(self.poolRef)", "poolRef is required for a strategy of type Fallback"),
+            ("self.type == 'Fallback' || !has(self.poolRef)", "poolRef is only for a strategy of type Fallback"),
+        )
+    }
+
+    type: Literal["Fallback", "Restart"] = Field(
+        description="Fallback: an understudy from a pool takes over. Restart: the pod is deleted and a new one starts."
+    )
+    pool_ref: LocalReference | None = Field(
+        default=None, description="The FallbackPool that the understudy comes from."
+    )
+    verify_within: Duration = Field(
+        default="30s",
+        description="How long it may take until outputs are seen from the new instance and from no other; then the next strategy is tried.",
+    )
+
+
+class Limits(Model):
+    """Bounds on what is done automatically."""
+
+    cooldown: Duration = Field(
+        default="0s", description="Least time between the end of one recovery and the start of the next."
+    )
+
+
+class FailurePolicySpec(Model):
+    """What healthy means, and what is done when it isn't."""
+
+    monitoring: Monitoring = Field(description="What healthy means.")
+    strategies: list[Strategy] = Field(
+        min_length=1,
+        max_length=8,
+        description="Tried in order; the next one when one isn't available or doesn't verify in its time.",
+    )
+    limits: Limits = Field(default_factory=Limits, description="Bounds on what is done automatically.")
+
+
+class FailurePolicyStatus(Model):
+    """What is so."""
+
+    observed_generation: int | None = Field(default=None, description="Generation of the spec that was checked last.")
+    workloads: int | None = Field(default=None, description="How many RobotWorkloads use it.")
+    strategies: str | None = Field(default=None, description="The strategies in short, in order.")
+    conditions: list[Condition] | None = Field(
+        default=None,
+        description="Accepted.",
+        json_schema_extra={"x-kubernetes-list-type": "map", "x-kubernetes-list-map-keys": ["type"]},
+    )

@@ -1,0 +1,39 @@
+"""What the operator tells a workload's monitor, as ``settings.json`` in a ConfigMap that the monitor mounts.
+
+It holds what the monitor can't read from the three kinds: resolved addresses, gate ports, the process environment for a claim.
+"""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from understudy.api.base import Model
+from understudy.api.pools import Readiness
+
+
+class PoolChoice(Model):
+    """A pool that a strategy of the policy names and that serves this workload."""
+
+    name: str = Field(description="FallbackPool.")
+    readiness: Readiness = Field(description="Its readiness.")
+    template_hash: str = Field(
+        default="", description="Hash of the pool's present template; pods of another are not claimed."
+    )
+
+
+class WorkloadSettings(Model):
+    """The settings of one workload's monitor."""
+
+    workload: str = Field(description="RobotWorkload.")
+    namespace: str = Field(description="Its namespace.")
+    uid: str = Field(description="Its UID.")
+    source_kind: str = Field(description="ReplicaSet (template), Deployment or StatefulSet (workloadRef).")
+    source_name: str = Field(description="Name of the controller that replaces deleted pods.")
+    ros_environment: dict[str, str] = Field(default_factory=dict, description="ROS environment of this robot's graph.")
+    container_environment: dict[str, dict[str, str]] = Field(
+        default_factory=dict,
+        description="Per container of the template: the literal environment that a claimed pod is started with.",
+    )
+    pools: list[PoolChoice] = Field(
+        default_factory=list, description="Pools named by the policy that serve this workload."
+    )

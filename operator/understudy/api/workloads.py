@@ -1,0 +1,250 @@
+"""RobotWorkload: one application of one robot, what it sends to the robot and what protects it."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from pydantic import Field
+
+from understudy.api.base import LocalReference, Model, rules
+from understudy.api.conditions import Condition
+
+Health = Literal["Unknown", "Starting", "Healthy", "Failed", "Recovering"]
+
+ROS_TYPE_PATTERN = r"^[a-zA-Z][a-zA-Z0-9_]*/(msg|srv|action)/[A-Z][a-zA-Z0-9]*$"
+ROS_NAME_PATTERN = r"^/[a-zA-Z_][a-zA-Z0-9_]*(/[a-zA-Z_][a-zA-Z0-9_]*)*$"
+
+
+class Output(Model):
+    """One thing that reaches the robot: a topic it reads, or a service or action that joins it to the workload."""
+
+    model_config = Model.model_config | {
+        "json_schema_extra": rules(
+            (
+                "[has(self.topic), has(self.service), has(self.action)].filter(x, x).size() == 1",
+                "give exactly one of topic, service and action",
+            ),
+            (
+                "!has(self.topic) || self.type.contains('/msg/')",
+                "the type of a topic is package/msg/Name, such as geometry_msgs/msg/Twist",
+            ),
+            (
+                "!has(self.service) || self.type.contains('/srv/')",
+                "the type of a service is package/srv/Name, such as std_srvs/srv/Trigger",
+            ),
+            (
+                "!has(self.action) || self.type.contains('/action/')",
+                "the type of an action is package/action/Name, such as nav2_msgs/action/NavigateToPose",
+            ),
+        )
+    }
+
+    topic: str | None = Field(
+        default=None,
+        pattern=ROS_NAME_PATTERN,
+        max_length=256,
+        description="Topic that the robot subscribes to, fully qualified.",
+    )
+    service: str | None = Field(
+        default=None, pattern=ROS_NAME_PATTERN, max_length=256, description="Service, fully qualified."
+    )
+    action: str | None = Field(
+        default=None, pattern=ROS_NAME_PATTERN, max_length=256, description="Action, fully qualified."
+    )
+    type: str = Field(
+        pattern=ROS_TYPE_PATTERN, max_length=256, description="ROS type, such as geometry_msgs/msg/Twist."
+    )
+
+    @property
+    def name(self) -> str:
+        """The topic's, service's or action's name."""
+        return self.topic or self.service or self.action or ""
+
+
+class WorkloadReference(Model):
+    """An existing controller whose pods are protected. It is left untouched; its pods get labels."""
+
+    kind: Literal["Deployment", "StatefulSet"] = Field(
+        description="Deployment or StatefulSet (apps/v1), with one replica."
+    )
+    name: str = Field(min_length=1, max_length=253, description="Its name, in the same namespace.")
+
+
+class Discovery(Model):
+    """How the nodes of this robot's ROS graph find each other."""
+
+    model_config = Model.model_config | {
+        "json_schema_extra": rules(
+            ("self.mode != 'External' || has(self.server)", "server is required where mode is External"),
+            ("self.mode == 'External' || !has(self.server)", "server is only for mode External"),
+        )
+    }
+
+    mode: Literal["Managed", "External", "Multicast"] = Field(
+        default="Managed",
+        description="Managed: Understudy runs a Fast DDS discovery server for this robot. External: use the one named in "
+        "server. Multicast: DDS simple discovery; multicast doesn't cross most pod networks.",
+    )
+    server: str | None = Field(
+        default=None,
+        pattern=r"^[A-Za-z0-9.-]+:[0-9]{1,5}$",
+        max_length=261,
+        description="host:port of an existing discovery server.",
+    )
+
+
+class Ros(Model):
+    """The robot's ROS graph."""
+
+    domain_id: int = Field(default=0, ge=0, le=101, description="ROS_DOMAIN_ID of this robot's graph.")
+    discovery: Discovery = Field(default_factory=Discovery, description="How nodes find each other.")
+
+
+class Gate(Model):
+    """What decides whose outputs reach the robot."""
+
+    kind: Literal["NetworkPolicy"] = Field(
+        default="NetworkPolicy",
+        description="NetworkPolicy: policies open the robot's gated ports for one pod. The cluster's network must enforce them.",
+    )
+    robots: list[str] = Field(
+        default_factory=list,
+        max_length=16,
+        description="CIDRs of robots (and of other peers) outside the cluster. Must not contain pod addresses, or the gate leaks.",
+    )
+
+
+class MonitorSettings(Model):
+    """The workload's monitor pod."""
+
+    image: str | None = Field(
+        default=None,
+        max_length=512,
+        description="Image of the monitor, where the operator's default lacks your message types.",
+    )
+    resources: dict[str, Any] | None = Field(
+        default=None,
+        description="Resource requests and limits of the monitor, as in a pod.",
+        json_schema_extra={"x-kubernetes-preserve-unknown-fields": True},
+    )
+
+
+class RobotWorkloadSpec(Model):
+    """One application of one robot."""
+
+    model_config = Model.model_config | {
+        "json_schema_extra": rules(
+            (
+                "has(self.template) != has(self.workloadRef)",
+                "give exactly one of template (Understudy runs the pods) and workloadRef (an existing Deployment or StatefulSet)",
+            ),
+            (
+                "has(self.template) == has(oldSelf.template)",
+                "template and workloadRef can't be exchanged: delete the RobotWorkload and create it anew",
+            ),
+        )
+    }
+
+    template: dict[str, Any] | None = Field(
+        default=None,
+        description="Pod template (as in a Deployment): metadata.labels, metadata.annotations and spec.",
+        json_schema_extra={"x-kubernetes-preserve-unknown-fields": True},
+    )
+    workload_ref: WorkloadReference | None = Field(
+        default=None, description="Existing Deployment or StatefulSet to protect instead of a template."
+    )
+    ros: Ros = Field(default_factory=Ros, description="The robot's ROS graph.")
+    outputs: list[Output] = Field(
+        min_length=1,
+        max_length=24,
+        description="Everything that reaches the robot. All of it is gated: only the instance in control gets through.",
+    )
+    failure_policy_ref: LocalReference = Field(description="The FailurePolicy that protects it.")
+    gate: Gate = Field(default_factory=Gate, description="What decides whose outputs reach the robot.")
+    monitor: MonitorSettings = Field(default_factory=MonitorSettings, description="The workload's monitor.")
+
+
+class Parts(Model):
+    """The four parts of a recovery in seconds (equation 1 of the paper)."""
+
+    detection: float = Field(description="From the last healthy output to the failure's detection, in seconds.")
+    cluster: float = Field(description="Pods, claims and gate, in seconds.")
+    startup: float = Field(description="Start of the application's processes, in seconds.")
+    reinitialization: float = Field(description="From started to outputs ready, in seconds.")
+
+
+class Moments(Model):
+    """When each step of a recovery happened, RFC 3339 with microseconds. Absent where the step wasn't reached."""
+
+    last_healthy: str | None = Field(default=None, description="Last healthy output before the failure.")
+    detected: str | None = Field(default=None, description="The health tree failed.")
+    decided: str | None = Field(default=None, description="The strategy that verified was chosen.")
+    fenced: str | None = Field(default=None, description="The failed pod could no longer reach the robot.")
+    claimed: str | None = Field(default=None, description="The understudy was claimed.")
+    started: str | None = Field(default=None, description="The understudy's processes were up.")
+    ready: str | None = Field(default=None, description="The understudy's own outputs were flowing.")
+    routed: str | None = Field(default=None, description="The understudy could reach the robot.")
+    first_output: str | None = Field(default=None, description="First output of the understudy at the gated readers.")
+    verified: str | None = Field(default=None, description="Outputs seen from the understudy and from no other.")
+
+
+class Attempt(Model):
+    """One strategy that was tried in a recovery."""
+
+    strategy: str = Field(description="Fallback/Executing, Fallback/Uninitialized or Restart.")
+    pod: str = Field(default="", description="The understudy.")
+    result: Literal["Verified", "NotVerified", "NotAvailable"] = Field(description="How it ended.")
+    message: str = Field(default="", description="Why.")
+
+
+class Recovery(Model):
+    """One failure and what was done about it."""
+
+    id: str = Field(description="Identifies the recovery; the same over a restart of the monitor.")
+    number: int = Field(default=0, description="Counts the workload's recoveries from 1.")
+    reason: str = Field(description="What failed, as the health tree said it.")
+    result: Literal["Running", "Recovered", "Failed"] = Field(description="Running, Recovered or Failed.")
+    strategy: str = Field(default="", description="The strategy that recovered it.")
+    from_pod: str = Field(default="", description="The pod that failed.")
+    to_pod: str = Field(default="", description="The pod that took over.")
+    epoch: int = Field(default=0, description="Epoch of the gate after it.")
+    recovery_seconds: float | None = Field(default=None, description="Sum of the parts: last healthy output to routed.")
+    parts: Parts | None = Field(default=None, description="The four parts of the recovery time.")
+    moments: Moments = Field(default_factory=Moments, description="When each step happened.")
+    attempts: list[Attempt] = Field(default_factory=list, description="The strategies tried, in order.")
+    resumed: bool = Field(default=False, description="Whether a new monitor finished what an earlier one had begun.")
+
+
+class GateStatus(Model):
+    """Who may reach the robot."""
+
+    epoch: int = Field(default=0, description="Grows by one with every change of control.")
+    active: str = Field(default="", description="The pod in control; empty while none is.")
+
+
+class RobotWorkloadStatus(Model):
+    """What is so. The operator and the monitor each apply their own fields."""
+
+    observed_generation: int | None = Field(
+        default=None, description="Generation of the spec that was reconciled last."
+    )
+    active: str | None = Field(default=None, description="The pod in control of the robot.")
+    health: Health | None = Field(default=None, description="Unknown, Starting, Healthy, Failed or Recovering.")
+    standby: str | None = Field(
+        default=None, description="Readiness of the standby, and how many of how many are ready."
+    )
+    strategy: str | None = Field(default=None, description="The strategy that would be used if it failed now.")
+    recovery_count: int | None = Field(default=None, description="Recoveries since it was created.")
+    last_recovery_time: str | None = Field(default=None, description="When the last recovery ended.")
+    gate: GateStatus | None = Field(default=None, description="Who may reach the robot.")
+    recoveries: list[Recovery] | None = Field(
+        default=None,
+        max_length=10,
+        description="The last ten recoveries, newest first.",
+        json_schema_extra={"x-kubernetes-list-type": "atomic"},
+    )
+    conditions: list[Condition] | None = Field(
+        default=None,
+        description="Accepted, Reconciled, Protected, GateEnforced, Healthy, Recovering.",
+        json_schema_extra={"x-kubernetes-list-type": "map", "x-kubernetes-list-map-keys": ["type"]},
+    )

@@ -1,0 +1,326 @@
+"""A small asynchronous client of the Kubernetes API, for objects as plain dictionaries.
+
+The monitor and the agent live beside every robot, so their memory counts: importing the official client costs 14 MB for
+models of kinds that are never used here, and this costs nothing on top of aiohttp. It's also on the path of a failover:
+one persistent connection, one request, no model conversion.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import json
+import os
+import ssl
+import tempfile
+from collections.abc import AsyncIterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import aiohttp
+import yaml
+
+Object = dict[str, Any]
+
+SERVICE_ACCOUNT = Path("/var/run/secrets/kubernetes.io/serviceaccount")
+_TOKEN_LIFETIME = 60.0  # seconds between reads; the kubelet renews the file long before the token ends
+
+
+class ApiError(Exception):
+    """The API server refused: ``status`` is the HTTP status, ``reason`` Kubernetes' word for it."""
+
+    def __init__(self, status: int, reason: str, message: str) -> None:
+        super().__init__(f"{status} {reason}: {message}")
+        self.status = status
+        self.reason = reason
+        self.message = message
+
+    @property
+    def not_found(self) -> bool:
+        """Whether the object isn't there."""
+        return self.status == 404
+
+    @property
+    def conflict(self) -> bool:
+        """Whether another writer was first (or the object exists already)."""
+        return self.status == 409
+
+
+class Expired(Exception):
+    """The watch's resourceVersion is too old (410 Gone): list again."""
+
+
+@dataclass(frozen=True)
+class Resource:
+    """A resource's place in the API."""
+
+    group: str
+    version: str
+    plural: str
+
+    def path(self, namespace: str | None, name: str | None = None, subresource: str | None = None) -> str:
+        """The URL path of the collection, an object or its subresource."""
+        root = f"/apis/{self.group}/{self.version}" if self.group else f"/api/{self.version}"
+        parts = [root]
+        if namespace:
+            parts += ["namespaces", namespace]
+        parts.append(self.plural)
+        if name:
+            parts.append(name)
+        if subresource:
+            parts.append(subresource)
+        return "/".join(parts)
+
+
+PODS = Resource("", "v1", "pods")
+SERVICES = Resource("", "v1", "services")
+CONFIG_MAPS = Resource("", "v1", "configmaps")
+SECRETS = Resource("", "v1", "secrets")
+SERVICE_ACCOUNTS = Resource("", "v1", "serviceaccounts")
+EVENTS = Resource("", "v1", "events")
+NAMESPACES = Resource("", "v1", "namespaces")
+NODES = Resource("", "v1", "nodes")
+DEPLOYMENTS = Resource("apps", "v1", "deployments")
+REPLICA_SETS = Resource("apps", "v1", "replicasets")
+STATEFUL_SETS = Resource("apps", "v1", "statefulsets")
+NETWORK_POLICIES = Resource("networking.k8s.io", "v1", "networkpolicies")
+ROLES = Resource("rbac.authorization.k8s.io", "v1", "roles")
+ROLE_BINDINGS = Resource("rbac.authorization.k8s.io", "v1", "rolebindings")
+LEASES = Resource("coordination.k8s.io", "v1", "leases")
+CRDS = Resource("apiextensions.k8s.io", "v1", "customresourcedefinitions")
+WORKLOADS = Resource("understudy.dev", "v1alpha1", "robotworkloads")
+POLICIES = Resource("understudy.dev", "v1alpha1", "failurepolicies")
+POOLS = Resource("understudy.dev", "v1alpha1", "fallbackpools")
+
+MERGE = "application/merge-patch+json"
+JSON = "application/json-patch+json"
+STRATEGIC = "application/strategic-merge-patch+json"
+APPLY = "application/apply-patch+yaml"
+
+
+@dataclass
+class Access:
+    """Where the API server is and how to prove who asks."""
+
+    server: str
+    context: ssl.SSLContext
+    token: str | None = None
+    token_file: Path | None = None
+
+    @classmethod
+    def in_cluster(cls) -> Access:
+        """Access as the pod's ServiceAccount."""
+        host, port = os.environ["KUBERNETES_SERVICE_HOST"], os.environ["KUBERNETES_SERVICE_PORT"]
+        if ":" in host:
+            host = f"[{host}]"
+        context = ssl.create_default_context(cafile=str(SERVICE_ACCOUNT / "ca.crt"))
+        return cls(server=f"https://{host}:{port}", context=context, token_file=SERVICE_ACCOUNT / "token")
+
+    @classmethod
+    def from_kubeconfig(cls, path: str | None = None) -> Access:
+        """Access as a kubeconfig's current context: client certificates or a token.
+
+        Raises ValueError where the kubeconfig needs a credential plugin.
+        """
+        file = Path(path or os.environ.get("KUBECONFIG", "").split(":")[0] or Path.home() / ".kube" / "config")
+        config = yaml.safe_load(file.read_text())
+        context = next(c["context"] for c in config["contexts"] if c["name"] == config["current-context"])
+        cluster = next(c["cluster"] for c in config["clusters"] if c["name"] == context["cluster"])
+        user = next(u["user"] for u in config["users"] if u["name"] == context["user"])
+        if "exec" in user or "auth-provider" in user:
+            raise ValueError(f"{file}: user {context['user']} needs a credential plugin, which is not supported here")
+        ca = _data(cluster, "certificate-authority")
+        tls = ssl.create_default_context(cadata=ca.decode() if ca else None)
+        if cluster.get("insecure-skip-tls-verify"):
+            tls.check_hostname, tls.verify_mode = False, ssl.CERT_NONE
+        certificate, key = _data(user, "client-certificate"), _data(user, "client-key")
+        if certificate and key:
+            with tempfile.NamedTemporaryFile() as both:  # ssl loads chains from files only
+                both.write(certificate + b"\n" + key)
+                both.flush()
+                tls.load_cert_chain(both.name)
+        return cls(server=cluster["server"], context=tls, token=user.get("token"))
+
+    @classmethod
+    def default(cls) -> Access:
+        """In the cluster as the ServiceAccount, outside by the kubeconfig."""
+        return cls.in_cluster() if (SERVICE_ACCOUNT / "token").exists() else cls.from_kubeconfig()
+
+
+def _data(section: Mapping[str, Any], key: str) -> bytes | None:
+    if value := section.get(f"{key}-data"):
+        return base64.b64decode(value)
+    if file := section.get(key):
+        return Path(file).read_bytes()
+    return None
+
+
+class Client:
+    """Requests to one API server; use as an asynchronous context manager."""
+
+    def __init__(self, access: Access, *, timeout: float = 10.0) -> None:
+        self._access = access
+        self._timeout = aiohttp.ClientTimeout(total=timeout)
+        self._session: aiohttp.ClientSession | None = None
+        self._token = access.token
+        self._token_read = -_TOKEN_LIFETIME
+
+    async def __aenter__(self) -> Self:
+        connector = aiohttp.TCPConnector(ssl=self._access.context, keepalive_timeout=3600, limit=32)
+        self._session = aiohttp.ClientSession(connector=connector)
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._session is not None:
+            await self._session.close()
+
+    def _headers(self) -> dict[str, str]:
+        if self._access.token_file is not None:
+            time = asyncio.get_running_loop().time()
+            if time - self._token_read >= _TOKEN_LIFETIME:
+                self._token, self._token_read = self._access.token_file.read_text(), time
+        return {"Authorization": f"Bearer {self._token}"} if self._token else {}
+
+    async def request(
+        self,
+        method: str,
+        path: str,
+        *,
+        params: Mapping[str, str] | None = None,
+        body: Any = None,
+        content_type: str = "application/json",
+    ) -> Object:
+        """One request; the answer's object. Raises ApiError, aiohttp.ClientError or TimeoutError."""
+        assert self._session is not None, "use the client as an asynchronous context manager"
+        headers = self._headers()
+        data: bytes | None = None
+        if body is not None:
+            headers["Content-Type"] = content_type
+            data = json.dumps(body).encode()
+        async with self._session.request(
+            method, self._access.server + path, params=params, data=data, headers=headers, timeout=self._timeout
+        ) as response:
+            text = await response.text()
+            if response.status >= 400:
+                raise _error(response.status, text)
+            result: Object = json.loads(text)
+            return result
+
+    async def get(self, resource: Resource, namespace: str | None, name: str) -> Object:
+        """An object. Raises ApiError (404 where it isn't there)."""
+        return await self.request("GET", resource.path(namespace, name))
+
+    async def find(self, resource: Resource, namespace: str | None, name: str) -> Object | None:
+        """An object, or None where it isn't there."""
+        try:
+            return await self.get(resource, namespace, name)
+        except ApiError as error:
+            if error.not_found:
+                return None
+            raise
+
+    async def list(
+        self, resource: Resource, namespace: str | None = None, *, labels: str | None = None, fields: str | None = None
+    ) -> Object:
+        """A collection: ``items``, and ``metadata.resourceVersion`` to watch from."""
+        return await self.request("GET", resource.path(namespace), params=_selectors(labels, fields))
+
+    async def create(self, resource: Resource, namespace: str | None, body: Object, *, dry_run: bool = False) -> Object:
+        """Create an object, or with ``dry_run`` only let the API server judge it."""
+        params = {"dryRun": "All"} if dry_run else None
+        return await self.request("POST", resource.path(namespace), params=params, body=body)
+
+    async def patch(
+        self,
+        resource: Resource,
+        namespace: str | None,
+        name: str,
+        body: Any,
+        *,
+        kind: str = MERGE,
+        subresource: str | None = None,
+    ) -> Object:
+        """Patch an object. A ``metadata.resourceVersion`` in a merge patch makes it fail with 409 if another was first."""
+        return await self.request("PATCH", resource.path(namespace, name, subresource), body=body, content_type=kind)
+
+    async def apply(
+        self, resource: Resource, namespace: str | None, body: Object, *, manager: str, subresource: str | None = None
+    ) -> Object:
+        """Server-side apply (KEP-555) as the named field manager; takes over fields of others."""
+        path = resource.path(namespace, body["metadata"]["name"], subresource)
+        params = {"fieldManager": manager, "force": "true"}
+        return await self.request("PATCH", path, params=params, body=body, content_type=APPLY)
+
+    async def delete(
+        self,
+        resource: Resource,
+        namespace: str | None,
+        name: str,
+        *,
+        uid: str | None = None,
+        grace_seconds: int | None = None,
+    ) -> None:
+        """Delete an object, with ``uid`` only that very one. An object that's gone is no error."""
+        options: Object = {"kind": "DeleteOptions", "apiVersion": "v1", "propagationPolicy": "Background"}
+        if uid is not None:
+            options["preconditions"] = {"uid": uid}
+        if grace_seconds is not None:
+            options["gracePeriodSeconds"] = grace_seconds
+        try:
+            await self.request("DELETE", resource.path(namespace, name), body=options)
+        except ApiError as error:
+            if not error.not_found and not (error.conflict and uid is not None):
+                raise
+
+    async def watch(
+        self,
+        resource: Resource,
+        namespace: str | None = None,
+        *,
+        version: str,
+        labels: str | None = None,
+        fields: str | None = None,
+        lifetime: int = 300,
+    ) -> AsyncIterator[tuple[str, Object]]:
+        """Events ``(type, object)`` after a resourceVersion, bookmarks included, until the server ends the watch.
+
+        Raises Expired where the version is too old. ``lifetime`` is in seconds; a silent connection is given up soon after.
+        """
+        assert self._session is not None, "use the client as an asynchronous context manager"
+        params = _selectors(labels, fields) | {
+            "watch": "true",
+            "resourceVersion": version,
+            "allowWatchBookmarks": "true",
+            "timeoutSeconds": str(lifetime),
+        }
+        timeout = aiohttp.ClientTimeout(total=None, sock_connect=10, sock_read=lifetime + 15)
+        async with self._session.get(
+            self._access.server + resource.path(namespace), params=params, headers=self._headers(), timeout=timeout
+        ) as response:
+            if response.status >= 400:
+                raise Expired if response.status == 410 else _error(response.status, await response.text())
+            buffer = b""
+            async for chunk in response.content.iter_any():
+                *lines, buffer = (buffer + chunk).split(b"\n")
+                for line in lines:
+                    event = json.loads(line)
+                    if event["type"] == "ERROR":
+                        code = event["object"].get("code", 500)
+                        raise Expired if code == 410 else _error(code, json.dumps(event["object"]))
+                    yield event["type"], event["object"]
+
+
+def _selectors(labels: str | None, fields: str | None) -> dict[str, str]:
+    return ({"labelSelector": labels} if labels else {}) | ({"fieldSelector": fields} if fields else {})
+
+
+def _error(status: int, text: str) -> ApiError:
+    try:
+        answer = json.loads(text)
+        return ApiError(status, answer.get("reason") or "Error", answer.get("message") or text)
+    except (ValueError, AttributeError):
+        return ApiError(status, "Error", text[:500])
