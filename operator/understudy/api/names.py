@@ -26,6 +26,9 @@ COMPONENT = f"{GROUP}/component"
 MONITORED = f"{GROUP}/monitored"
 """On monitor and discovery pods: the workload they serve. Not WORKLOAD, which would gate them."""
 
+SOURCE = f"{GROUP}/source"
+"""On pods of the ReplicaSet that a template becomes: ``workload``."""
+
 TEMPLATE_HASH = f"{GROUP}/template-hash"
 """On instances: hash of the template they were made from."""
 
@@ -68,6 +71,8 @@ METRICS_PORT = 9108
 DISCOVERY_PORT = 11811
 """UDP port of the managed ROS discovery server."""
 
+MONITOR_ACCOUNT_ENDING = "-understudy-monitor"
+
 AGENT_CONTAINER = "understudy-agent"
 AGENT_VOLUME = "understudy"
 AGENT_DIR = "/understudy"
@@ -85,8 +90,13 @@ def standby(workload: str) -> str:
 
 
 def monitor(workload: str) -> str:
-    """The monitor's Deployment, ServiceAccount, Role and RoleBinding."""
+    """The monitor's Deployment, Role and RoleBinding."""
     return f"{workload}-monitor"
+
+
+def monitor_account(workload: str) -> str:
+    """The monitor's ServiceAccount; the chart's admission policy recognizes monitors by its ending."""
+    return f"{workload}{MONITOR_ACCOUNT_ENDING}"
 
 
 def discovery(workload: str) -> str:

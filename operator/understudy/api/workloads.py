@@ -96,7 +96,16 @@ class Discovery(Model):
 class Ros(Model):
     """The robot's ROS graph."""
 
-    domain_id: int = Field(default=0, ge=0, le=101, description="ROS_DOMAIN_ID of this robot's graph.")
+    model_config = Model.model_config | {
+        "json_schema_extra": rules(
+            (
+                "self.domainId != 2",
+                "domainId 2 can't be gated: its own ports (7900 to 8149) overlap the gated ones; take another",
+            ),
+        )
+    }
+
+    domain_id: int = Field(default=0, ge=0, le=101, description="ROS_DOMAIN_ID of this robot's graph; not 2.")
     discovery: Discovery = Field(default_factory=Discovery, description="How nodes find each other.")
 
 
