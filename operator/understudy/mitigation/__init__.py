@@ -1,0 +1,1 @@
+"""The failover protocol and its strategies, on interfaces: runs without ROS and without Kubernetes in tests."""

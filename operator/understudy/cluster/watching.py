@@ -1,0 +1,114 @@
+"""A local copy of a collection, kept by list and watch, so that the fast path never has to ask."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+from collections.abc import Callable
+
+import aiohttp
+
+from understudy.cluster.client import ApiError, Client, Expired, Object, Resource
+
+_logger = logging.getLogger(__name__)
+
+RETRY_FIRST, RETRY_MOST = 0.2, 5.0  # seconds
+
+
+class Reflector:
+    """Objects of one resource by name, as the API server last told."""
+
+    def __init__(
+        self,
+        client: Client,
+        resource: Resource,
+        namespace: str,
+        *,
+        labels: str | None = None,
+        fields: str | None = None,
+        on_change: Callable[[Object, bool], None] | None = None,
+    ) -> None:
+        """``on_change`` is called with each new or changed object, and with False when it is gone."""
+        self._client, self._resource, self._namespace = client, resource, namespace
+        self._labels, self._fields = labels, fields
+        self._on_change = on_change
+        self._changed = asyncio.Event()
+        self.items: dict[str, Object] = {}
+        self.synced = asyncio.Event()
+
+    async def run(self) -> None:
+        """List and watch until cancelled, through every error."""
+        retry = RETRY_FIRST
+        while True:
+            try:
+                version = await self._relist()
+                retry = RETRY_FIRST
+                while True:
+                    version = await self._follow(version)
+            except Expired:
+                continue
+            except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
+                level = logging.DEBUG if retry == RETRY_FIRST else logging.WARNING
+                _logger.log(level, "watching %s in %s: %s", self._resource.plural, self._namespace, error)
+                await asyncio.sleep(retry)
+                retry = min(retry * 2, RETRY_MOST)
+
+    async def _relist(self) -> str:
+        answer = await self._client.list(self._resource, self._namespace, labels=self._labels, fields=self._fields)
+        fresh = {item["metadata"]["name"]: item for item in answer.get("items") or []}
+        for name in [n for n in self.items if n not in fresh]:
+            self._set(name, None)
+        for name, item in fresh.items():
+            if (
+                self.items.get(name, {}).get("metadata", {}).get("resourceVersion")
+                != item["metadata"]["resourceVersion"]
+            ):
+                self._set(name, item)
+        self.synced.set()
+        self._notify()
+        version: str = answer["metadata"]["resourceVersion"]
+        return version
+
+    async def _follow(self, version: str) -> str:
+        events = self._client.watch(
+            self._resource, self._namespace, version=version, labels=self._labels, fields=self._fields
+        )
+        async with contextlib.aclosing(events):  # type: ignore[type-var]
+            async for kind, item in events:
+                version = item["metadata"]["resourceVersion"]
+                if kind == "BOOKMARK":
+                    continue
+                self._set(item["metadata"]["name"], None if kind == "DELETED" else item)
+                self._notify()
+        return version
+
+    def put(self, item: Object) -> None:
+        """Take in an object that a write of ours returned, unless the watch brought a newer one already."""
+        name = item["metadata"]["name"]
+        known = self.items.get(name)
+        if known is not None and _version(known) >= _version(item):
+            return
+        self._set(name, item)
+        self._notify()
+
+    def _set(self, name: str, item: Object | None) -> None:
+        old = self.items.pop(name, None)
+        if item is not None:
+            self.items[name] = item
+        if self._on_change is not None and (item is not None or old is not None):
+            self._on_change(item if item is not None else old or {}, item is not None)
+
+    def _notify(self) -> None:
+        self._changed.set()
+        self._changed = asyncio.Event()
+
+    async def changed(self) -> None:
+        """Wait for the next change."""
+        await self._changed.wait()
+
+
+def _version(item: Object) -> int:
+    """Comparable within one resource (KEP-5504); 0 where it isn't a number."""
+    text = item["metadata"].get("resourceVersion", "0")
+    return int(text) if text.isdigit() else 0

@@ -1,0 +1,120 @@
+"""One recovery from its first strategy to its record: choose, carry out, verify, escalate.
+
+It may be entered with the progress of an interrupted run; every step looks at what is so before it acts.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from understudy.api.workloads import Attempt
+from understudy.mitigation.interfaces import Instance, NotAvailable, NotVerified, Superseded
+from understudy.mitigation.progress import Progress
+from understudy.mitigation.strategies import Means, Strategy
+
+_logger = logging.getLogger(__name__)
+
+IN_FLIGHT = 0.010
+"""Seconds for which samples of the failed pod may still be under way after it was fenced."""
+
+QUIET = 0.200
+"""Seconds without a sample of any other instance before a leak counts as closed."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A strategy of the policy and the time it has."""
+
+    strategy: Strategy
+    verify_within: float
+
+
+async def recover(progress: Progress, choices: Sequence[Choice], means: Means) -> Progress:
+    """Put a healthy instance in control, by the first of the strategies that verifies.
+
+    Returns the progress with its result, Recovered or Failed.
+    Raises Superseded when another monitor commits to the gate.
+    """
+    for index in range(min(progress.index, len(choices)), len(choices)):
+        progress.index = index
+        choice = choices[index]
+        progress.moments["decided"] = means.clock()
+        progress.charge("cluster", progress.moments["decided"])
+        means.save(progress)
+        result, message = await _attempt(progress, choice, means)
+        pod = progress.target.name if progress.target else ""
+        progress.attempts.append(Attempt(strategy=choice.strategy.name, pod=pod, result=result, message=message))
+        _logger.info("strategy %s with %s: %s %s", choice.strategy.name, pod or "no pod", result, message)
+        if result == "Verified":
+            progress.result, progress.strategy = "Recovered", choice.strategy.name
+            break
+        progress.fail_target()
+        for moment in ("committing", "committed", "fenced", "claimed", "started", "ready", "routed", "first_output"):
+            progress.moments.pop(moment, None)
+    else:
+        progress.result = "Failed"
+    means.save(progress)
+    if progress.result == "Recovered":
+        await _retire(progress, means)
+    return progress
+
+
+async def _attempt(
+    progress: Progress, choice: Choice, means: Means
+) -> tuple[Literal["Verified", "NotVerified", "NotAvailable"], str]:
+    try:
+        async with asyncio.timeout(choice.verify_within):
+            target = await choice.strategy.prepare(progress, means, within=choice.verify_within)
+            await _verify(target, progress, means)
+    except NotAvailable as reason:
+        return "NotAvailable", str(reason)
+    except NotVerified as reason:
+        return "NotVerified", str(reason)
+    except TimeoutError:
+        return "NotVerified", f"not verified within {choice.verify_within:g} s: {_missing(progress)}"
+    progress.epoch = means.gate.state.epoch
+    return "Verified", ""
+
+
+def _missing(progress: Progress) -> str:
+    for moment, message in (
+        ("first_output", "outputs of another instance still arrived"),
+        ("routed", "no output of the understudy reached the gated readers"),
+        ("ready", "the gate could not be opened"),
+        ("started", "the understudy's outputs did not become healthy"),
+        ("claimed", "the understudy's processes did not come up"),
+    ):
+        if moment in progress.moments:
+            return message
+    return "no instance was running" if progress.target is None else "the understudy's processes did not come up"
+
+
+async def _verify(target: Instance, progress: Progress, means: Means) -> None:
+    """Outputs are seen to come from the new instance and from no other (DESIGN: the failover protocol, step 4)."""
+    since = progress.moments.get("committing", progress.cursor)
+    if means.outputs.expected:
+        progress.moments["first_output"] = await means.outputs.first_from(target, since=since)
+    fenced = progress.moments.get("fenced", since)
+    last, pod = means.outputs.last_from_others(target)
+    if last > fenced + IN_FLIGHT:
+        _logger.warning("outputs of %s still arrived %.0f ms after it was fenced", pod, (last - fenced) * 1000)
+        progress.moments["fenced"] = last
+        await _retire(progress, means)
+        while means.clock() - last < QUIET:
+            await asyncio.sleep(QUIET / 4)
+            last, pod = means.outputs.last_from_others(target)
+            progress.moments["fenced"] = max(progress.moments["fenced"], last)
+    if means.gate.state.active_uid != target.uid:
+        raise Superseded(f"the gate names {means.gate.state.active or 'no pod'}, not {target.name}")
+    progress.moments["verified"] = means.clock()
+
+
+async def _retire(progress: Progress, means: Means) -> None:
+    """Delete the pods that failed: a policy patch routes, it doesn't kill."""
+    for instance in means.instances.of_workload():
+        if progress.has_failed(instance.uid) and not instance.terminating:
+            await means.instances.retire(instance)

@@ -1,0 +1,148 @@
+"""What the failover protocol needs from the world.
+
+The monitor implements it with DDS and the Kubernetes API, tests without either.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from understudy.mitigation.progress import Progress
+
+
+class NotAvailable(Exception):
+    """A strategy's means aren't there, such as no ready pod in its pool. Nothing was changed."""
+
+
+class NotVerified(Exception):
+    """A strategy was carried out, but the robot wasn't seen to be driven by the new instance."""
+
+
+class Superseded(Exception):
+    """The gate was committed by somebody else at a newer epoch: whoever acts on an older one loses."""
+
+
+class ClaimLost(Exception):
+    """Another workload's claim on the pod was first."""
+
+
+@dataclass(frozen=True)
+class Instance:
+    """One pod that runs, or could run, the workload's application."""
+
+    name: str
+    uid: str
+    ip: str = ""
+    pool: str = ""
+    """FallbackPool that made it; empty for pods of the workload's own controller."""
+    running: bool = False
+    ready: bool = False
+    held: bool = False
+    terminating: bool = False
+    has_agent: bool = True
+    claim: str = ""
+    template_hash: str = ""
+    created: str = ""
+
+    @property
+    def from_source(self) -> bool:
+        """Whether the workload's own controller made it, and replaces it when it's deleted."""
+        return not self.pool
+
+    @property
+    def usable(self) -> bool:
+        """Whether it could drive the robot now or soon."""
+        return self.running and not self.terminating
+
+
+@dataclass(frozen=True)
+class GateState:
+    """Who may reach the robot, as last committed."""
+
+    epoch: int = 0
+    active: str = ""
+    active_uid: str = ""
+    recovery: Progress | None = field(default=None, compare=False)
+    """The recovery that made the last commit, if one did."""
+
+    @property
+    def closed(self) -> bool:
+        """Whether no pod may reach the robot."""
+        return not self.active
+
+
+class Gate(Protocol):
+    """The commit point."""
+
+    @property
+    def state(self) -> GateState:
+        """As last seen or committed."""
+
+    async def commit(self, target: Instance | None, progress: Progress | None) -> GateState:
+        """Open it for one instance, or close it: one atomic write at the next epoch. Retries while the API is away.
+
+        Raises Superseded.
+        """
+
+    async def enforced(self, target: Instance, *, since: float) -> float:
+        """Wait until packets of the instance get through the gate; when they first did, in unix seconds."""
+
+    def last_packet(self, name: str) -> float | None:
+        """When a packet of a pod last got through the gate, in unix seconds."""
+
+
+class Instances(Protocol):
+    """The workload's pods and the pools'."""
+
+    def of_workload(self) -> Sequence[Instance]:
+        """Every instance of this workload, terminating ones included."""
+
+    def unclaimed(self, pool: str) -> Sequence[Instance]:
+        """Pods of a shared pool that are ready at its present template and belong to nobody."""
+
+    async def claim(self, instance: Instance, claim: str) -> Instance:
+        """Make an unclaimed pod an instance of this workload. Raises ClaimLost."""
+
+    async def retire(self, instance: Instance) -> None:
+        """Delete a failed pod for good: its controller makes another only where that one is still needed."""
+
+    async def replace(self, failed: Sequence[Instance]) -> None:
+        """Delete failed pods and have the workload's own controller run a new one."""
+
+    async def wait(self, predicate: Callable[[Instance], bool]) -> Instance:
+        """The newest instance of this workload for which it holds, waiting for one."""
+
+
+class Agents(Protocol):
+    """The sidecars of the instances."""
+
+    async def probe(self, instance: Instance, duration: float) -> None:
+        """Have it send gate probes every millisecond for so many seconds; returns at once, and never fails."""
+
+    async def start(self, instance: Instance) -> None:
+        """Start the held processes of a claimed instance with this robot's settings. Harmless when repeated."""
+
+    async def up(self, instance: Instance) -> float:
+        """Wait until its processes are up; when they were, in unix seconds."""
+
+    async def ready(self, instance: Instance) -> float:
+        """Wait until the health tree holds on its own outputs; when it first did, in unix seconds."""
+
+    def is_ready(self, instance: Instance) -> tuple[bool, str]:
+        """Whether the health tree holds on its own outputs now, and else why not."""
+
+
+class Outputs(Protocol):
+    """What arrives at the gated readers, which is what the robot sees."""
+
+    @property
+    def expected(self) -> Sequence[str]:
+        """Gated topics that the health tree watches: each must be seen from an instance that counts as in control."""
+
+    async def first_from(self, instance: Instance, *, since: float) -> float:
+        """Wait for a sample of each expected topic from the instance, received after a time; when the first came."""
+
+    def last_from_others(self, instance: Instance) -> tuple[float, str]:
+        """When a sample of any other instance last got through, in unix seconds (0 if never), and from which pod."""

@@ -1,0 +1,100 @@
+"""How far a recovery has come: all that a new monitor needs to finish it, and what ends up in the status.
+
+It is written beside the gate with every commit and into the monitor's own journal in between, so that a monitor that is
+killed at any step completes the recovery or safely does it again (DESIGN: the failover protocol).
+"""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from typing import Literal
+
+from pydantic import Field
+
+from understudy.api.base import Model
+from understudy.api.workloads import Attempt, Moments, Parts, Recovery
+
+Part = Literal["detection", "cluster", "startup", "reinitialization"]
+
+
+class PodIdentity(Model):
+    """A pod, and not a later one of the same name."""
+
+    name: str
+    uid: str
+
+
+class Progress(Model):
+    """One recovery under way. Times are unix seconds."""
+
+    id: str = Field(default_factory=lambda: uuid.uuid4().hex[:12])
+    reason: str
+    failed: list[PodIdentity] = Field(default_factory=list)
+    """Pods that failed: the one that was in control, then every understudy that didn't verify."""
+    target: PodIdentity | None = None
+    index: int = 0
+    """The strategy being tried, an index into the policy's list."""
+    attempts: list[Attempt] = Field(default_factory=list)
+    epoch: int = 0
+    resumed: bool = False
+    result: Literal["Running", "Recovered", "Failed"] = "Running"
+    strategy: str = ""
+    cursor: float = 0.0
+    """Up to when the time is accounted for."""
+    parts: dict[Part, float] = Field(default_factory=dict)
+    moments: dict[str, float] = Field(default_factory=dict)
+
+    @classmethod
+    def begin(
+        cls, reason: str, *, last_healthy: float, detected: float, failed: Sequence[PodIdentity] = ()
+    ) -> Progress:
+        """A recovery from a failure that has just been detected."""
+        progress = cls(reason=reason, failed=list(failed), cursor=last_healthy)
+        progress.moments["last_healthy"] = last_healthy
+        progress.moments["detected"] = detected
+        progress.charge("detection", detected)
+        return progress
+
+    def charge(self, part: Part, until: float) -> None:
+        """Account the time since the last call to a part of the recovery time (equation 1 of the paper)."""
+        self.parts[part] = self.parts.get(part, 0.0) + max(0.0, until - self.cursor)
+        self.cursor = max(self.cursor, until)
+
+    def has_failed(self, uid: str) -> bool:
+        """Whether a pod is one of those that failed in this recovery."""
+        return any(pod.uid == uid for pod in self.failed)
+
+    def fail_target(self) -> None:
+        """Count the present target among the failed pods."""
+        if self.target is not None and not self.has_failed(self.target.uid):
+            self.failed.append(self.target)
+        self.target = None
+
+    def to_recovery(self, number: int) -> Recovery:
+        """As it stands in ``status.recoveries``."""
+        parts = Parts(**{name: round(self.parts.get(name, 0.0), 6) for name in _PARTS})
+        return Recovery(
+            id=self.id,
+            number=number,
+            reason=self.reason,
+            result=self.result,
+            strategy=self.strategy,
+            from_pod=self.failed[0].name if self.failed else "",
+            to_pod=self.target.name if self.target else "",
+            epoch=self.epoch,
+            recovery_seconds=round(sum(self.parts.values()), 6) if self.result == "Recovered" else None,
+            parts=parts,
+            moments=Moments(**{name: rfc3339(time) for name, time in self.moments.items()}),
+            attempts=self.attempts,
+            resumed=self.resumed,
+        )
+
+
+_PARTS: tuple[Part, ...] = ("detection", "cluster", "startup", "reinitialization")
+
+
+def rfc3339(time: float) -> str:
+    """Unix seconds as RFC 3339 with microseconds, in UTC."""
+    return datetime.fromtimestamp(time, UTC).isoformat(timespec="microseconds").replace("+00:00", "Z")

@@ -1,0 +1,233 @@
+"""The mitigation strategies: each knows how to put one understudy in control, and can be repeated from any step.
+
+Every strategy fences before it routes: either both in one commit (an executing standby), or the gate closes first, the
+understudy is brought up behind it, and the gate then opens for it (DESIGN: the failover protocol, step 4).
+"""
+
+from __future__ import annotations
+
+import asyncio
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from understudy.mitigation.interfaces import Agents, ClaimLost, Gate, Instance, Instances, NotAvailable, Outputs
+from understudy.mitigation.progress import PodIdentity, Progress
+
+ENFORCED_WITHIN = 1.0
+"""Seconds to wait for packets to prove that the gate is open, before going by what arrives at the gated readers."""
+
+PROBE_SECONDS = 2.0
+"""How long probes are asked for around a commit."""
+
+
+@dataclass(frozen=True)
+class Means:
+    """What a strategy works with."""
+
+    gate: Gate
+    instances: Instances
+    agents: Agents
+    outputs: Outputs
+    clock: Callable[[], float]
+    save: Callable[[Progress], None]
+    workload_uid: str
+
+
+class Strategy(ABC):
+    """One way to put an instance in control."""
+
+    name: str
+    pool: str = ""
+
+    @abstractmethod
+    async def prepare(self, progress: Progress, means: Means, *, within: float) -> Instance:
+        """Bring an understudy to where it can drive, and open the gate for it. Raises NotAvailable."""
+
+    @abstractmethod
+    def available(self, means: Means, progress: Progress | None = None) -> str | None:
+        """Why it couldn't be used now, or None if it could."""
+
+
+class ExecutingFallback(Strategy):
+    """A standby that runs in full, receives everything and whose outputs are gated: one patch puts it in control."""
+
+    name = "Fallback/Executing"
+
+    def __init__(self, pool: str) -> None:
+        self.pool = pool
+
+    def _candidates(self, means: Means, progress: Progress | None) -> list[Instance]:
+        active = means.gate.state.active_uid
+        return [
+            i
+            for i in means.instances.of_workload()
+            if i.usable
+            and i.has_agent
+            and not i.held
+            and i.uid != active
+            and not (progress and progress.has_failed(i.uid))
+            and means.agents.is_ready(i)[0]
+        ]
+
+    def available(self, means: Means, progress: Progress | None = None) -> str | None:
+        if self._candidates(means, progress):
+            return None
+        active = means.gate.state.active_uid
+        others = [i for i in means.instances.of_workload() if i.uid != active and not i.terminating]
+        if not others:
+            return f"pool {self.pool} has no standby for this workload"
+        return "; ".join(f"{i.name}: {means.agents.is_ready(i)[1] or 'not running'}" for i in others)
+
+    async def prepare(self, progress: Progress, means: Means, *, within: float) -> Instance:
+        target = _committed_target(progress, means)
+        if target is None:
+            candidates = self._candidates(means, progress)
+            if not candidates:
+                raise NotAvailable(self.available(means, progress) or "no standby is ready")
+            # One of the pool's own first: the workload's controller may be about to replace its pod.
+            target = min(candidates, key=lambda i: (i.pool != self.pool, i.created, i.name))
+            await _open(target, progress, means)
+        await _wait_enforced(target, progress, means)
+        return target
+
+
+class UninitializedFallback(Strategy):
+    """A pod whose processes wait for a robot: claimed, started with this robot's settings behind a closed gate, routed."""
+
+    name = "Fallback/Uninitialized"
+
+    def __init__(self, pool: str) -> None:
+        self.pool = pool
+
+    def available(self, means: Means, progress: Progress | None = None) -> str | None:
+        if any(not (progress and progress.has_failed(i.uid)) for i in means.instances.unclaimed(self.pool)):
+            return None
+        return f"pool {self.pool} has no unclaimed pod that is ready"
+
+    async def prepare(self, progress: Progress, means: Means, *, within: float) -> Instance:
+        target = _committed_target(progress, means)
+        if target is not None:
+            await _wait_enforced(target, progress, means)
+            return target
+        claim = f"{means.workload_uid}/{progress.id}"
+        target = await self._claimed_or_claim(claim, progress, means)
+        progress.moments["claimed"] = means.clock()
+        progress.target = PodIdentity(name=target.name, uid=target.uid)
+        progress.charge("cluster", means.clock())
+        means.save(progress)
+        await means.agents.start(target)
+        await _bring_up(target, progress, means, within=within)
+        return target
+
+    async def _claimed_or_claim(self, claim: str, progress: Progress, means: Means) -> Instance:
+        for instance in means.instances.of_workload():
+            if instance.claim == claim and instance.usable and not progress.has_failed(instance.uid):
+                await _close(progress, means)
+                return instance
+        if (reason := self.available(means, progress)) is not None:
+            raise NotAvailable(reason)
+        _, target = await asyncio.gather(_close(progress, means), self._claim(claim, progress, means))
+        return target
+
+    async def _claim(self, claim: str, progress: Progress, means: Means) -> Instance:
+        for candidate in means.instances.unclaimed(self.pool):
+            if progress.has_failed(candidate.uid):
+                continue
+            try:
+                return await means.instances.claim(candidate, claim)
+            except ClaimLost:
+                continue
+        raise NotAvailable(f"every ready pod of pool {self.pool} was claimed by another workload first")
+
+
+class Restart(Strategy):
+    """The pod is deleted and the workload's own controller starts another one."""
+
+    name = "Restart"
+
+    def available(self, means: Means, progress: Progress | None = None) -> str | None:
+        return None
+
+    async def prepare(self, progress: Progress, means: Means, *, within: float) -> Instance:
+        target = _committed_target(progress, means)
+        if target is not None:
+            await _wait_enforced(target, progress, means)
+            return target
+        await _close(progress, means)
+        await means.instances.replace([i for i in means.instances.of_workload() if progress.has_failed(i.uid)])
+        target = await means.instances.wait(lambda i: i.from_source and i.usable and not progress.has_failed(i.uid))
+        progress.target = PodIdentity(name=target.name, uid=target.uid)
+        progress.charge("cluster", means.clock())
+        means.save(progress)
+        await _bring_up(target, progress, means, within=within)
+        return target
+
+
+def _committed_target(progress: Progress, means: Means) -> Instance | None:
+    """The instance that an interrupted run of this very recovery already opened the gate for."""
+    state = means.gate.state
+    if (
+        state.recovery is None
+        or state.recovery.id != progress.id
+        or state.closed
+        or progress.has_failed(state.active_uid)
+    ):
+        return None
+    target = next((i for i in means.instances.of_workload() if i.uid == state.active_uid and i.usable), None)
+    if target is not None:
+        progress.target = PodIdentity(name=target.name, uid=target.uid)
+    return target
+
+
+async def _close(progress: Progress, means: Means) -> None:
+    if not means.gate.state.closed:
+        await means.gate.commit(None, progress)
+    progress.moments.setdefault("fenced", means.clock())
+
+
+async def _open(target: Instance, progress: Progress, means: Means) -> None:
+    progress.target = PodIdentity(name=target.name, uid=target.uid)
+    progress.moments["committing"] = means.clock()
+    means.save(progress)
+    await means.agents.probe(target, PROBE_SECONDS)
+    await means.gate.commit(target, progress)
+    progress.moments["committed"] = means.clock()
+
+
+async def _bring_up(target: Instance, progress: Progress, means: Means, *, within: float) -> None:
+    """Wait until a started instance can drive, and open the gate for it."""
+    if target.has_agent:
+        up = await means.agents.up(target)
+        progress.moments["started"] = up
+        progress.charge("startup", up)
+        try:
+            # An application may need an answer of the robot before its outputs flow: half the time for the other order.
+            async with asyncio.timeout(within / 2):
+                ready = await means.agents.ready(target)
+            progress.moments["ready"] = ready
+        except TimeoutError:
+            ready = means.clock()
+        progress.charge("reinitialization", ready)
+    await _open(target, progress, means)
+    await _wait_enforced(target, progress, means)
+
+
+async def _wait_enforced(target: Instance, progress: Progress, means: Means) -> None:
+    """Note when the gate was enforced: seen from probes, or, without an agent, taken from the commit."""
+    since = progress.moments.get("committing", progress.cursor)
+    routed = progress.moments.get("committed", means.clock())
+    if target.has_agent:
+        try:
+            async with asyncio.timeout(ENFORCED_WITHIN):
+                routed = await means.gate.enforced(target, since=since)
+        except TimeoutError:
+            routed = means.clock()
+    progress.moments["routed"] = routed
+    progress.charge("cluster", routed)
+    # In one commit the failed pod is fenced where the understudy is routed; its last packet says if it was later.
+    fenced = progress.moments.setdefault("fenced", routed)
+    for pod in progress.failed:
+        last = means.gate.last_packet(pod.name)
+        if last is not None and last > fenced:
+            progress.moments["fenced"] = last
