@@ -1,0 +1,1 @@
+"""Health trees: their notations, validation and exact deadlines. No Kubernetes calls, no ROS."""

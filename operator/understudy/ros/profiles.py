@@ -1,0 +1,93 @@
+"""The XML profile that gives each gated reader a UDP port of its own.
+
+A reader's port is what a NetworkPolicy can tell apart: with a fixed port per reader, all on the robot's side, a
+policy closes exactly the outputs of a standby and leaves discovery, acknowledgements and everything it receives open.
+Fast DDS picks a reader's profile by the name of its DDS topic, so no source is changed.
+
+Imports no ROS: the operator writes these profiles too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from xml.sax.saxutils import quoteattr
+
+from understudy.api import names
+from understudy.api.workloads import Output
+
+_ACTION_SERVICES = ("send_goal", "get_result", "cancel_goal")
+_ACTION_TOPICS = ("feedback", "status")
+
+
+def reader_profiles(output: Output) -> list[str]:
+    """The profile names of all readers that an output can have on the robot's side.
+
+    A service or an action may be served by the robot or called by it, so both directions are named: a request reader
+    (``rq/``) exists in a server, a reply reader (``rr/``) in a client. The names are the DDS topic names of
+    rmw_fastrtps without the ``rt`` prefix of topics; services have no leading slash.
+    """
+    if output.topic:
+        return [output.topic]
+    if output.service:
+        return _service_readers(output.service)
+    if output.action:
+        hidden = f"{output.action}/_action"
+        services = [reader for name in _ACTION_SERVICES for reader in _service_readers(f"{hidden}/{name}")]
+        return services + [f"{hidden}/{name}" for name in _ACTION_TOPICS]
+    raise ValueError("an output names neither a topic, nor a service, nor an action")
+
+
+def _service_readers(service: str) -> list[str]:
+    return [f"rq{service}Request", f"rr{service}Reply"]
+
+
+def gate_ports(outputs: Iterable[Output]) -> dict[str, int]:
+    """The UDP port of each gated reader by profile name, in the order of the outputs.
+
+    One port for each, never a shared one: of two readers in one network namespace with the same port, the second
+    receives nothing. The operator, the robot and the monitor must come to the same ports, so they follow from the
+    outputs alone.
+
+    Raises ValueError, naming the output, where the gated range (:data:`names.GATE_PORTS`) is used up.
+    """
+    ports: dict[str, int] = {}
+    free = iter(names.GATE_PORTS)
+    for output in outputs:
+        for profile in reader_profiles(output):
+            if profile in ports:
+                continue
+            port = next(free, None)
+            if port is None:
+                raise ValueError(
+                    f"spec.outputs: no gate port is left for {output.name}: the gated range has "
+                    f"{len(names.GATE_PORTS)} ports; a topic takes 1, a service 2, an action 8"
+                )
+            ports[profile] = port
+    return ports
+
+
+def profiles_xml(outputs: Iterable[Output]) -> str:
+    """The profile file for FASTRTPS_DEFAULT_PROFILES_FILE, for the robot's nodes and the monitor.
+
+    The locators name a port and no address, so that Fast DDS announces it for every interface. Only locators are set:
+    rmw_fastrtps overwrites the QoS it knows with what the node asked for.
+
+    Raises ValueError as :func:`gate_ports` does.
+    """
+    readers = "".join(_READER.format(name=quoteattr(name), port=port) for name, port in gate_ports(outputs).items())
+    return _FILE.format(readers=readers)
+
+
+_FILE = """\
+<?xml version="1.0" encoding="UTF-8"?>
+<dds xmlns="http://www.eprosima.com">
+  <profiles>
+{readers}  </profiles>
+</dds>
+"""
+
+_READER = """\
+    <data_reader profile_name={name}>
+      <unicastLocatorList><locator><udpv4><port>{port}</port></udpv4></locator></unicastLocatorList>
+    </data_reader>
+"""

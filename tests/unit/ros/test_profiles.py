@@ -1,0 +1,73 @@
+"""The profiles name every gated reader once, each with its own port in the gated range."""
+
+from xml.etree import ElementTree
+
+import pytest
+
+from understudy.api import names
+from understudy.api.workloads import Output
+from understudy.ros.profiles import gate_ports, profiles_xml
+
+CMD_VEL = Output(topic="/cmd_vel", type="geometry_msgs/msg/Twist")
+SNAP = Output(service="/snap", type="std_srvs/srv/Trigger")
+GOTO = Output(action="/robot/goto", type="test_msgs/action/Fibonacci")
+
+
+def test_topic_has_its_own_name_as_profile():
+    assert gate_ports([CMD_VEL]) == {"/cmd_vel": 7950}
+
+
+def test_service_is_gated_in_both_directions():
+    assert gate_ports([SNAP]) == {"rq/snapRequest": 7950, "rr/snapReply": 7951}
+
+
+def test_action_is_gated_in_both_directions():
+    assert list(gate_ports([GOTO])) == [
+        "rq/robot/goto/_action/send_goalRequest",
+        "rr/robot/goto/_action/send_goalReply",
+        "rq/robot/goto/_action/get_resultRequest",
+        "rr/robot/goto/_action/get_resultReply",
+        "rq/robot/goto/_action/cancel_goalRequest",
+        "rr/robot/goto/_action/cancel_goalReply",
+        "/robot/goto/_action/feedback",
+        "/robot/goto/_action/status",
+    ]
+
+
+def test_ports_follow_the_order_of_the_outputs_and_never_repeat():
+    ports = gate_ports([SNAP, CMD_VEL, GOTO])
+    assert list(ports.values()) == list(range(7950, 7950 + 11))
+
+
+def test_output_named_twice_takes_one_port():
+    assert gate_ports([CMD_VEL, CMD_VEL, SNAP])["rq/snapRequest"] == 7951
+
+
+def test_largest_workload_that_the_api_allows_fits():
+    outputs = [Output(action=f"/a{i}", type="test_msgs/action/Fibonacci") for i in range(24)]
+    ports = gate_ports(outputs)
+    assert len(ports) == 24 * 8
+    assert max(ports.values()) < names.PROBE_PORT
+
+
+def test_running_out_of_ports_names_the_output():
+    outputs = [Output(action=f"/a{i}", type="test_msgs/action/Fibonacci") for i in range(25)]
+    with pytest.raises(ValueError, match=r"spec\.outputs: no gate port is left for /a24.*199 ports"):
+        gate_ports(outputs)
+
+
+def test_file_has_one_reader_per_port():
+    outputs = [CMD_VEL, SNAP, GOTO]
+    root = ElementTree.fromstring(profiles_xml(outputs))
+    space = {"d": "http://www.eprosima.com"}
+    found = {
+        reader.attrib["profile_name"]: int(reader.findtext(".//d:udpv4/d:port", namespaces=space) or 0)
+        for reader in root.iterfind(".//d:data_reader", space)
+    }
+    assert found == gate_ports(outputs)
+
+
+def test_names_are_escaped():
+    odd = Output.model_construct(topic='/a"<b', service=None, action=None, type="std_msgs/msg/String")
+    root = ElementTree.fromstring(profiles_xml([odd]))
+    assert [r.attrib["profile_name"] for r in root.iter("{http://www.eprosima.com}data_reader")] == ['/a"<b']
