@@ -1,0 +1,4 @@
+"""The demo: a robot, three failures, and what the robot saw of each recovery.
+
+``robotview`` and ``timeline`` need nothing but the standard library; the end-to-end tests and the benches use them too.
+"""
