@@ -29,6 +29,10 @@ class WorkloadSettings(Model):
     uid: str = Field(description="Its UID.")
     source_kind: str = Field(description="ReplicaSet (template), Deployment or StatefulSet (workloadRef).")
     source_name: str = Field(description="Name of the controller that replaces deleted pods.")
+    source_selector: dict[str, str] = Field(
+        default_factory=dict,
+        description="For a workloadRef: matchLabels of its selector, so that the monitor sees new pods before they are labelled.",
+    )
     ros_environment: dict[str, str] = Field(default_factory=dict, description="ROS environment of this robot's graph.")
     container_environment: dict[str, dict[str, str]] = Field(
         default_factory=dict,

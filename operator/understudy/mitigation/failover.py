@@ -39,6 +39,9 @@ async def recover(progress: Progress, choices: Sequence[Choice], means: Means) -
     Returns the progress with its result, Recovered or Failed.
     Raises Superseded when another monitor commits to the gate.
     """
+    if progress.result == "Recovered":
+        await _retire(progress, means)
+        return progress
     for index in range(min(progress.index, len(choices)), len(choices)):
         progress.index = index
         choice = choices[index]

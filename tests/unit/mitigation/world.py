@@ -1,0 +1,200 @@
+"""A world for the failover protocol without ROS and without Kubernetes: pods, a gate and a robot that sees who drives it."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+from understudy.mitigation.interfaces import ClaimLost, GateState, Instance, Superseded
+from understudy.mitigation.progress import Progress
+from understudy.mitigation.strategies import Means
+
+PERIOD = 0.005  # seconds between commands of a live instance
+
+
+class Killed(BaseException):
+    """The monitor's process ends here, whatever it was about to catch."""
+
+
+@dataclass
+class Store:
+    """What survives the monitor: the cluster, the journal and the robot's memory."""
+
+    pods: dict[str, Instance] = field(default_factory=dict)
+    broken: set[str] = field(default_factory=set)
+    """Pods (by name) that never output anything."""
+    gate: GateState = field(default_factory=GateState)
+    journal: Progress | None = None
+    commits: list[str] = field(default_factory=list)
+    claims: dict[str, str] = field(default_factory=dict)
+    started: set[str] = field(default_factory=set)
+    deleted: list[str] = field(default_factory=list)
+    others_claim: set[str] = field(default_factory=set)
+    counter: itertools.count[int] = field(default_factory=lambda: itertools.count(1))
+    source_makes_broken: bool = False
+
+    def add(self, name: str, **values: object) -> Instance:
+        pod = replace(Instance(name=name, uid=f"uid-{name}", ip="10.0.0.1", running=True, ready=True), **values)  # type: ignore[arg-type]
+        self.pods[name] = pod
+        return pod
+
+    def drives(self, name: str) -> bool:
+        """Whether a pod's commands reach the robot now."""
+        pod = self.pods.get(name)
+        up = pod is not None and pod.running and (not pod.claim or name in self.started)
+        return up and name not in self.broken and self.gate.active == name
+
+
+class World:
+    """The means of one monitor process over a store; ``dies_after`` kills it after so many effects."""
+
+    def __init__(self, store: Store, *, dies_after: int | None = None) -> None:
+        self.store = store
+        self.effects = 0
+        self.dies_after = dies_after
+        self.start_time = asyncio.get_running_loop().time()
+
+    def clock(self) -> float:
+        return asyncio.get_running_loop().time()
+
+    def effect(self) -> None:
+        """Count a step at which the process may be killed: once before it takes effect, once after."""
+        self.effects += 1
+        if self.dies_after is not None and self.effects > self.dies_after:
+            raise Killed
+
+    def means(self) -> Means:
+        return Means(
+            gate=_Gate(self),
+            instances=_Instances(self),
+            agents=_Agents(self),
+            outputs=_Outputs(self),
+            clock=self.clock,
+            save=self._save,
+            workload_uid="uid-w",
+        )
+
+    def _save(self, progress: Progress) -> None:
+        self.effect()
+        self.store.journal = progress.model_copy(deep=True)
+
+
+class _Part:
+    def __init__(self, world: World) -> None:
+        self.world = world
+        self.store = world.store
+
+
+class _Gate(_Part):
+    def __init__(self, world: World) -> None:
+        super().__init__(world)
+        self._seen = world.store.gate
+
+    @property
+    def state(self) -> GateState:
+        return self._seen
+
+    async def commit(self, target: Instance | None, progress: Progress | None) -> GateState:
+        self.world.effect()
+        if self.store.gate.epoch != self._seen.epoch:
+            raise Superseded("another monitor was first")
+        self.store.gate = GateState(
+            epoch=self._seen.epoch + 1,
+            active=target.name if target else "",
+            active_uid=target.uid if target else "",
+            recovery=progress.model_copy(deep=True) if progress else None,
+        )
+        self.store.commits.append(target.name if target else "")
+        self._seen = self.store.gate
+        self.world.effect()
+        return self._seen
+
+    async def enforced(self, target: Instance, *, since: float) -> float:
+        await asyncio.sleep(0.001)
+        return self.world.clock()
+
+    def last_packet(self, name: str) -> float | None:
+        return None
+
+
+class _Instances(_Part):
+    def of_workload(self) -> Sequence[Instance]:
+        return [p for p in self.store.pods.values() if not p.held]
+
+    def unclaimed(self, pool: str) -> Sequence[Instance]:
+        return [p for p in self.store.pods.values() if p.held and p.pool == pool]
+
+    async def claim(self, instance: Instance, claim: str) -> Instance:
+        self.world.effect()
+        if instance.name in self.store.others_claim:
+            self.store.pods.pop(instance.name, None)
+            raise ClaimLost(instance.name)
+        assert instance.name not in self.store.claims, "a pod was claimed twice"
+        self.store.claims[instance.name] = claim
+        claimed = replace(instance, held=False, claim=claim)
+        self.store.pods[instance.name] = claimed
+        self.world.effect()
+        return claimed
+
+    async def retire(self, instance: Instance) -> None:
+        self.world.effect()
+        self.store.pods.pop(instance.name, None)
+        self.store.deleted.append(instance.name)
+        self.world.effect()
+
+    async def replace(self, failed: Sequence[Instance]) -> None:
+        for instance in failed:
+            await self.retire(instance)
+        if not any(p.from_source for p in self.store.pods.values()):
+            number = next(self.store.counter)
+            self.store.add(f"w-new{number}")
+            if self.store.source_makes_broken:
+                self.store.broken.add(f"w-new{number}")
+
+    async def wait(self, predicate: Callable[[Instance], bool]) -> Instance:
+        while True:
+            for pod in self.of_workload():
+                if predicate(pod):
+                    return pod
+            await asyncio.sleep(PERIOD)
+
+
+class _Agents(_Part):
+    async def probe(self, instance: Instance, duration: float) -> None:
+        return
+
+    async def start(self, instance: Instance) -> None:
+        self.world.effect()
+        assert self.store.gate.closed, "a process was started while the gate was open"
+        self.store.started.add(instance.name)
+        self.world.effect()
+
+    async def up(self, instance: Instance) -> float:
+        await asyncio.sleep(PERIOD)
+        return self.world.clock()
+
+    async def ready(self, instance: Instance) -> float:
+        while instance.name in self.store.broken:
+            await asyncio.sleep(PERIOD)
+        await asyncio.sleep(PERIOD)
+        return self.world.clock()
+
+    def is_ready(self, instance: Instance) -> tuple[bool, str]:
+        return instance.ready, "" if instance.ready else "no /cmd_vel for 500 ms"
+
+
+class _Outputs(_Part):
+    @property
+    def expected(self) -> Sequence[str]:
+        return ["/cmd_vel"]
+
+    async def first_from(self, instance: Instance, *, since: float) -> float:
+        while not self.store.drives(instance.name):
+            await asyncio.sleep(PERIOD)
+        await asyncio.sleep(PERIOD)
+        return self.world.clock()
+
+    def last_from_others(self, instance: Instance) -> tuple[float, str]:
+        return 0.0, ""
