@@ -1,0 +1,71 @@
+"""The command `scripts/cluster`."""
+
+import argparse
+import os
+import sys
+from collections.abc import Callable
+
+from testcluster.progress import Progress
+from testcluster.providers.base import ClusterError, Provider
+from testcluster.providers.local import LocalProvider
+
+_FAULTS: dict[str, tuple[str, Callable[[Provider, str], None]]] = {
+    "down": ("cut its power", lambda provider, node: provider.node_down(node)),
+    "up": ("switch it on again, thaw it, put its cable back", lambda provider, node: provider.node_up(node)),
+    "freeze": ("stop all its processes", lambda provider, node: provider.node_freeze(node, True)),
+    "thaw": ("let its processes go on", lambda provider, node: provider.node_freeze(node, False)),
+    "cut": ("pull its network cable", lambda provider, node: provider.node_link(node, False)),
+    "connect": ("put its network cable back", lambda provider, node: provider.node_link(node, True)),
+}
+
+
+def select(name: str | None, cluster: str | None, progress: Progress) -> Provider:
+    """The provider of a name, or the one that suits this machine."""
+    return LocalProvider(cluster, progress)
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    common = argparse.ArgumentParser(add_help=False)
+    common.add_argument("--provider", choices=["kind", "local", "current"], default=os.environ.get("UNDERSTUDY_CLUSTER_PROVIDER") or None)
+    common.add_argument("--name", default=os.environ.get("UNDERSTUDY_CLUSTER_NAME") or None)
+    top = argparse.ArgumentParser(prog="scripts/cluster", description="A real Kubernetes cluster for trying and testing.")
+    commands = top.add_subparsers(dest="command", required=True)
+    commands.add_parser("up", parents=[common], help="make the cluster, or what is missing of it")
+    commands.add_parser("down", parents=[common], help="remove all that up made")
+    commands.add_parser("status", parents=[common], help="how it is; exit code 0 when it can be used")
+    load = commands.add_parser("load-image", parents=[common], help="bring images to every node")
+    load.add_argument("image", nargs="+", help="an archive, or the name of an image that was built here")
+    commands.add_parser("kubeconfig", parents=[common], help="print the path of the kubeconfig")
+    node = commands.add_parser("node", parents=[common], help="a fault of a node: " + "; ".join(f"{name}: {text}" for name, (text, _) in _FAULTS.items()))
+    node.add_argument("action", choices=list(_FAULTS))
+    node.add_argument("node")
+    return top
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs the command; returns the exit code."""
+    options = parser().parse_args(arguments)
+    progress = Progress()
+    try:
+        provider = select(options.provider, options.name, progress)
+        if options.command == "up":
+            provider.up()
+        elif options.command == "down":
+            provider.down()
+        elif options.command == "load-image":
+            for image in options.image:
+                provider.load_image(image)
+                progress(f"{image}: loaded")
+        elif options.command == "kubeconfig":
+            print(provider.kubeconfig())
+        elif options.command == "node":
+            _FAULTS[options.action][1](provider, options.node)
+        else:
+            status = provider.status()
+            print("\n".join([status.summary, *(f"  {line}" for line in status.details)]))
+            return 0 if status.ready else 1
+    except (ClusterError, RuntimeError, TimeoutError, ValueError) as error:
+        print(f"scripts/cluster {options.command}: {error}", file=sys.stderr)
+        return 1
+    return 0

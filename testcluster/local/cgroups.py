@@ -1,0 +1,150 @@
+"""Control groups as the cluster's register of processes: whatever runs in its group is its own, and nothing else is.
+
+Both versions are handled. Version 1 has a tree per controller, so every operation is done in each; version 2 has one.
+"""
+
+import os
+import signal
+import time
+from functools import cache
+from pathlib import Path
+
+_SKIPPED = ("perf_event", "net_cls", "net_prio", "rdma", "misc")
+
+
+@cache
+def _trees() -> tuple[list[Path], Path | None]:
+    """The mount points of version 1 controllers, and that of version 2."""
+    first: list[Path] = []
+    second: Path | None = None
+    for line in Path("/proc/mounts").read_text().splitlines():
+        _, mount, kind, options, *_ = line.split()
+        if kind == "cgroup" and not any(name in options.split(",") for name in _SKIPPED):
+            first.append(Path(mount))
+        elif kind == "cgroup2":
+            second = Path(mount)
+    return first, second
+
+
+def _unified() -> bool:
+    """Whether version 2 has the controllers (on a hybrid machine it is mounted, and has none)."""
+    first, second = _trees()
+    return second is not None and not any((tree / "cpu.shares").exists() or (tree / "memory.limit_in_bytes").exists() for tree in first)
+
+
+def _mounts() -> list[Path]:
+    first, second = _trees()
+    if _unified():
+        assert second is not None
+        return [second]
+    return first
+
+
+def create(group: str) -> None:
+    """Makes a group (a path below the root) with all its parents, ready to hold processes with every controller."""
+    for tree in _mounts():
+        path = tree
+        for part in group.split("/"):
+            if _unified():
+                offered = (path / "cgroup.controllers").read_text().split()
+                for controller in offered:
+                    # One by one: a controller that cannot be delegated here (say, cpu beside real-time processes) spoils the whole write.
+                    try:
+                        (path / "cgroup.subtree_control").write_text(f"+{controller}")
+                    except OSError:
+                        continue
+            path = path / part
+            path.mkdir(exist_ok=True)
+            if (path / "cpuset.cpus").exists() and not _unified():
+                # A version 1 cpuset takes no process before its processors and memory nodes are named.
+                for name in ("cpuset.cpus", "cpuset.mems"):
+                    if not (path / name).read_text().strip():
+                        (path / name).write_text((path.parent / name).read_text())
+
+
+def join(group: str) -> None:
+    """Moves the calling process into a group. Meant to run between fork and exec, so it only opens and writes."""
+    me = str(os.getpid())
+    for tree in _mounts():
+        with open(tree / group / "cgroup.procs", "w") as procs:
+            procs.write(me)
+
+
+def _folders(group: str) -> list[Path]:
+    """The group's folders in every tree, and those of groups below it, the deepest first."""
+    first, second = _trees()
+    found = []
+    for tree in [*first, *([second] if second else [])]:
+        if (tree / group).is_dir():
+            found += [Path(path) for path, _, _ in os.walk(tree / group, topdown=False)]
+    return found
+
+
+def pids(group: str) -> set[int]:
+    """The processes in a group and in all groups below it."""
+    found: set[int] = set()
+    for path in _folders(group):
+        try:
+            found.update(int(line) for line in (path / "cgroup.procs").read_text().split())
+        except OSError:
+            continue
+    # A process of another process-id namespace than ours shows as 0; there is none below us, but killing 0 would hit ourselves.
+    return found - {0}
+
+
+def freeze(group: str, frozen: bool) -> None:
+    """Stops every process of a group and of those below it where it stands, or lets them go on. A missing group is no error."""
+    for tree in _mounts():
+        path = tree / group
+        if (path / "freezer.state").exists():
+            (path / "freezer.state").write_text("FROZEN" if frozen else "THAWED")
+        elif _unified() and (path / "cgroup.freeze").exists():
+            (path / "cgroup.freeze").write_text("1" if frozen else "0")
+
+
+def frozen(group: str) -> bool:
+    """Whether a group was frozen."""
+    for tree in _mounts():
+        path = tree / group
+        if (path / "freezer.state").exists():
+            return (path / "freezer.state").read_text().strip() != "THAWED"
+        if _unified() and (path / "cgroup.freeze").exists():
+            return (path / "cgroup.freeze").read_text().strip() == "1"
+    return False
+
+
+def kill(group: str, timeout: float = 20) -> None:
+    """Kills every process of a group and of those below it, and returns when all are gone.
+
+    Raises:
+        TimeoutError: some are still there after the given seconds.
+    """
+    freeze(group, False)
+    deadline = time.monotonic() + timeout
+    while left := pids(group):
+        for pid in left:
+            try:
+                os.kill(pid, signal.SIGKILL)
+            except ProcessLookupError:
+                continue
+        if time.monotonic() > deadline:
+            raise TimeoutError(f"control group {group}: processes {sorted(left)} outlive SIGKILL by {timeout:g} s")
+        time.sleep(0.05)
+
+
+def remove(group: str, timeout: float = 5) -> None:
+    """Removes a group and all below it, none of which may hold a process.
+
+    Raises:
+        TimeoutError: a folder is still busy after the given seconds.
+    """
+    deadline = time.monotonic() + timeout
+    while folders := _folders(group):
+        for path in folders:
+            try:
+                path.rmdir()
+            except OSError:
+                continue
+        if time.monotonic() > deadline and _folders(group):
+            raise TimeoutError(f"control group {group}: {_folders(group)[0]} cannot be removed; processes in it: {sorted(pids(group))}")
+        time.sleep(0.02)

@@ -1,0 +1,118 @@
+"""etcd and the Kubernetes control plane, in the network namespace of the cluster's switch."""
+
+from pathlib import Path
+
+from testcluster.local import network, processes
+from testcluster.local.layout import API_PORT, Layout
+from testcluster.local.programs import Programs
+from testcluster.progress import wait_until
+from testcluster.shell import run, succeeds
+
+_ETCD = "http://127.0.0.1:2379"
+_ETCD_PEER = "http://127.0.0.1:2380"
+
+
+def _etcd(layout: Layout) -> list[str]:
+    return [
+        "etcd",
+        f"--data-dir={layout.state}/etcd",
+        f"--listen-client-urls={_ETCD}",
+        f"--advertise-client-urls={_ETCD}",
+        f"--listen-peer-urls={_ETCD_PEER}",
+        f"--initial-advertise-peer-urls={_ETCD_PEER}",
+        f"--initial-cluster=default={_ETCD_PEER}",
+        # A test cluster begins afresh after a crash of the machine, so it need not pay for writes that survive one.
+        "--unsafe-no-fsync",
+        "--log-level=warn",
+    ]
+
+
+def _apiserver(layout: Layout, pki: Path) -> list[str]:
+    return [
+        "kube-apiserver",
+        f"--etcd-servers={_ETCD}",
+        f"--service-cluster-ip-range={layout.services}",
+        f"--advertise-address={layout.control_plane_ip}",
+        "--bind-address=0.0.0.0",
+        f"--secure-port={API_PORT}",
+        f"--tls-cert-file={pki}/apiserver.crt",
+        f"--tls-private-key-file={pki}/apiserver.key",
+        f"--client-ca-file={pki}/ca.crt",
+        f"--service-account-key-file={pki}/service-accounts.pub",
+        f"--service-account-signing-key-file={pki}/service-accounts.key",
+        "--service-account-issuer=https://kubernetes.default.svc.cluster.local",
+        "--authorization-mode=Node,RBAC",
+        "--enable-admission-plugins=NodeRestriction",
+        "--allow-privileged",
+        # Node names resolve nowhere; logs and exec go by address.
+        "--kubelet-preferred-address-types=InternalIP",
+        f"--kubelet-client-certificate={pki}/apiserver-kubelet-client.crt",
+        f"--kubelet-client-key={pki}/apiserver-kubelet-client.key",
+        f"--kubelet-certificate-authority={pki}/ca.crt",
+        # A robot cannot wait the usual five minutes for pods of a lost node.
+        "--default-not-ready-toleration-seconds=5",
+        "--default-unreachable-toleration-seconds=5",
+    ]
+
+
+def _controller_manager(pki: Path) -> list[str]:
+    return [
+        "kube-controller-manager",
+        f"--kubeconfig={pki}/controller-manager.conf",
+        f"--service-account-private-key-file={pki}/service-accounts.key",
+        f"--root-ca-file={pki}/ca.crt",
+        f"--cluster-signing-cert-file={pki}/ca.crt",
+        f"--cluster-signing-key-file={pki}/ca.key",
+        "--use-service-account-credentials",
+        "--leader-elect=false",
+        # A node is lost six seconds after its last sign of life (upstream: 50), and its pods are evicted at once.
+        "--node-monitor-period=1s",
+        "--node-monitor-grace-period=6s",
+        "--node-eviction-rate=10",
+        "--kube-api-qps=200",
+        "--kube-api-burst=400",
+    ]
+
+
+def _scheduler(pki: Path) -> list[str]:
+    return ["kube-scheduler", f"--kubeconfig={pki}/scheduler.conf", "--leader-elect=false"]
+
+
+def kubectl(layout: Layout, programs: Programs, *arguments: str, input: str | None = None) -> str:
+    """Runs kubectl as the cluster's administrator."""
+    return run(programs.hyperkube, "kubectl", f"--kubeconfig={layout.kubeconfig}", *arguments, input=input, timeout=120)
+
+
+def answers(layout: Layout, programs: Programs) -> bool:
+    """Whether the API server says that it is ready."""
+    return succeeds(
+        programs.hyperkube, "kubectl", f"--kubeconfig={layout.kubeconfig}", "--request-timeout=3s", "get", "--raw", "/readyz", timeout=8
+    )
+
+
+def running(layout: Layout) -> dict[str, bool]:
+    """Which programs of the control plane run."""
+    group = network.control_plane_group(layout)
+    names = ("etcd", "kube-apiserver", "kube-controller-manager", "kube-scheduler")
+    return {name: processes.find(group, name) is not None for name in names}
+
+
+def up(layout: Layout, programs: Programs, pki: Path, holder: int) -> None:
+    """Starts those programs that do not run, and returns when the API server answers.
+
+    Raises:
+        TimeoutError: it does not answer in time; its log is named.
+    """
+    group = network.control_plane_group(layout)
+    runs = running(layout)
+
+    def start(arguments: list[str]) -> None:
+        if not runs[arguments[0]]:
+            processes.start(group, [*network.inside(holder), programs.hyperkube, *arguments], layout.log / f"{arguments[0]}.log")
+
+    start(_etcd(layout))
+    start(_apiserver(layout, pki))
+    wait_until(lambda: answers(layout, programs), 90, f"the API server answers (its log: {layout.log}/kube-apiserver.log)")
+    start(_controller_manager(pki))
+    start(_scheduler(pki))
+    layout.api_ready.touch()

@@ -1,0 +1,208 @@
+"""Names, addresses and folders of one local cluster. Everything else is derived from what is decided here."""
+
+import ipaddress
+import json
+import os
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from testcluster.paths import cache
+from testcluster.shell import run
+
+DEFAULT_NAME = "understudy"
+# 198.18.0.0/15 is set aside for tests of network devices (RFC 2544, RFC 6890), so homes, companies and clouds do not use it.
+POOL = ipaddress.ip_network("198.18.0.0/15")
+# Of a cluster's /18, counted in /24: 0 nodes, 16-31 services, 32-63 pods of node 1-31.
+PREFIX = 18
+MAX_NODES = 31
+API_PORT = 6443
+
+
+class BadSetting(ValueError):
+    """A setting from the environment or the command line cannot be used."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """One cluster: its name, a small number that no other cluster of this machine has, its network and its number of nodes."""
+
+    name: str
+    slot: int
+    network: ipaddress.IPv4Network
+    node_count: int
+
+    def _subnet(self, index: int, prefix: int = 24) -> ipaddress.IPv4Network:
+        return ipaddress.IPv4Network((int(self.network.network_address) + (index << 8), prefix))
+
+    def _fabric(self, host: int) -> str:
+        return str(self._subnet(0)[host])
+
+    @property
+    def state(self) -> Path:
+        """The folder with everything that this cluster writes."""
+        return folder(self.name)
+
+    @property
+    def log(self) -> Path:
+        """The folder with the control plane's logs."""
+        return self.state / "log"
+
+    @property
+    def nodes(self) -> range:
+        """The nodes' numbers."""
+        return range(1, self.node_count + 1)
+
+    @property
+    def control_plane_ip(self) -> str:
+        """Address of the API server, which is also the nodes' router."""
+        return self._fabric(1)
+
+    @property
+    def host_ip(self) -> str:
+        """Address of this machine in the cluster's network."""
+        return self._fabric(254)
+
+    def node_ip(self, node: int) -> str:
+        """Address of a node."""
+        return self._fabric(10 + node)
+
+    def pod_network(self, node: int) -> ipaddress.IPv4Network:
+        """Addresses of a node's pods."""
+        return self._subnet(32 + node)
+
+    @property
+    def pods(self) -> ipaddress.IPv4Network:
+        """Addresses of all pods."""
+        return self._subnet(32, 19)
+
+    @property
+    def services(self) -> ipaddress.IPv4Network:
+        """Addresses of services."""
+        return self._subnet(16, 20)
+
+    @property
+    def kubernetes_ip(self) -> str:
+        """Address of the service in front of the API server."""
+        return str(self.services[1])
+
+    @property
+    def dns_ip(self) -> str:
+        """Address of the DNS service."""
+        return str(self.services[10])
+
+    @property
+    def api(self) -> str:
+        """URL of the API server."""
+        return f"https://{self.control_plane_ip}:{API_PORT}"
+
+    @property
+    def host_link(self) -> str:
+        """Name of this machine's end of its link into the cluster's network (15 characters at most)."""
+        return f"understudy{self.slot}"
+
+    @property
+    def cgroup(self) -> str:
+        """Name of the control group of every process of this cluster."""
+        return f"understudy-{self.name}"
+
+    @property
+    def kubeconfig(self) -> Path:
+        """The administrator's kubeconfig."""
+        return self.state / "pki" / "admin.conf"
+
+    @property
+    def api_ready(self) -> Path:
+        """A file that is there once the API server answers; nodes wait for it."""
+        return self.state / "api-ready"
+
+    def node_state(self, node: int) -> Path:
+        """The folder with everything that a node writes."""
+        return self.state / node_name(node)
+
+    def save(self) -> None:
+        """Writes the decisions down for later calls."""
+        self.state.mkdir(parents=True, exist_ok=True)
+        text = json.dumps({"slot": self.slot, "network": str(self.network), "nodes": self.node_count})
+        partial = self.state / "layout.json.partial"
+        partial.write_text(text + "\n")
+        partial.rename(self.state / "layout.json")
+
+
+def node_name(node: int) -> str:
+    """The Kubernetes name of a node, which is its host name too."""
+    return f"node{node}"
+
+
+def node_number(name: str, layout: Layout) -> int:
+    """The number of a node by its name.
+
+    Raises:
+        BadSetting: the cluster has no such node.
+    """
+    for node in layout.nodes:
+        if name == node_name(node):
+            return node
+    raise BadSetting(f"cluster {layout.name}: no node {name!r}; it has {', '.join(node_name(node) for node in layout.nodes)}")
+
+
+def folder(name: str) -> Path:
+    """The folder of a cluster by its name."""
+    return cache() / "clusters" / name
+
+
+def load(name: str) -> Layout | None:
+    """The layout of a cluster that was begun before, or None."""
+    try:
+        kept = json.loads((folder(name) / "layout.json").read_text())
+    except FileNotFoundError:
+        return None
+    return Layout(name, int(kept["slot"]), ipaddress.IPv4Network(kept["network"]), int(kept["nodes"]))
+
+
+def _others(name: str) -> list[Layout]:
+    names = [path.parent.name for path in (cache() / "clusters").glob("*/layout.json")]
+    return [found for found in (load(other) for other in names if other != name) if found]
+
+
+def _routed() -> list[ipaddress.IPv4Network]:
+    """What this machine already has a route to, apart from the default route."""
+    routes = json.loads(run("ip", "-j", "-4", "route", "show", "table", "all") or "[]")
+    destinations = (route["dst"] for route in routes if route["dst"] != "default")
+    return [ipaddress.IPv4Network(destination, strict=False) for destination in destinations]
+
+
+def _free_network(taken: Iterable[ipaddress.IPv4Network]) -> ipaddress.IPv4Network:
+    taken = list(taken)
+    for candidate in POOL.subnets(new_prefix=PREFIX):
+        if not any(candidate.overlaps(other) for other in taken):
+            return ipaddress.IPv4Network(candidate)
+    raise BadSetting(f"no /{PREFIX} of {POOL} is free on this machine; name another one in UNDERSTUDY_CLUSTER_NETWORK")
+
+
+def decide(name: str) -> Layout:
+    """The layout of a new cluster: a free slot and network, or the network that UNDERSTUDY_CLUSTER_NETWORK names.
+
+    Raises:
+        BadSetting: a setting is malformed or its addresses are in use.
+    """
+    others = _others(name)
+    slot = min(set(range(len(others) + 1)) - {other.slot for other in others})
+    taken = [other.network for other in others] + _routed()
+    wanted = os.environ.get("UNDERSTUDY_CLUSTER_NETWORK")
+    if wanted:
+        try:
+            network = ipaddress.IPv4Network(wanted)
+        except ValueError as error:
+            raise BadSetting(f"UNDERSTUDY_CLUSTER_NETWORK={wanted}: {error}; an IPv4 network such as 198.18.0.0/{PREFIX} is needed") from None
+        if network.prefixlen != PREFIX:
+            raise BadSetting(f"UNDERSTUDY_CLUSTER_NETWORK={wanted}: a /{PREFIX} is needed")
+        clash = [str(other) for other in taken if network.overlaps(other)]
+        if clash:
+            raise BadSetting(f"UNDERSTUDY_CLUSTER_NETWORK={wanted}: this machine already reaches {', '.join(clash)} in it")
+    else:
+        network = _free_network(taken)
+    asked = os.environ.get("UNDERSTUDY_CLUSTER_NODES", "3")
+    if not asked.isdigit() or not 1 <= int(asked) <= MAX_NODES:
+        raise BadSetting(f"UNDERSTUDY_CLUSTER_NODES={asked}: a number from 1 to {MAX_NODES} is needed")
+    return Layout(name, slot, network, int(asked))

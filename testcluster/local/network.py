@@ -1,0 +1,159 @@
+"""The cluster's network: a bridge that stands for the switch, a link to each node, and one to this machine.
+
+The bridge lives in a network namespace of its own, that of the control plane, so that this machine's packet filter never sees frames
+between nodes. Namespaces are held by processes, not by mounted files: nothing is left to unmount, and a node that loses power loses its
+packet filter and connection tracking too. `ip netns add` is never used: its first use mounts /run/netns over itself, and every
+container runtime on the machine then fails to remove its pods.
+"""
+
+import ipaddress
+import json
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from testcluster.local import cgroups, processes
+from testcluster.local.layout import Layout
+from testcluster.progress import wait_until
+from testcluster.shell import CommandFailed, run
+
+BRIDGE = "br0"
+HOLDER = ("sleep", "infinity")
+
+
+def inside(pid: int) -> list[str]:
+    """The words that run a command in the network namespace of a process."""
+    return ["nsenter", f"--net=/proc/{pid}/ns/net"]
+
+
+def _batch(commands: Sequence[str], pid: int | None = None) -> None:
+    """Runs `ip` commands in one process, in the namespace of the given process or in this machine's."""
+    run(*(inside(pid) if pid else []), "ip", "-batch", "-", input="\n".join(commands) + "\n")
+
+
+def _own_namespace(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/ns/net").readlink() != Path("/proc/self/ns/net").readlink()
+    except OSError:
+        return False
+
+
+def control_plane_group(layout: Layout) -> str:
+    """The control group of the control plane and of its network."""
+    return f"{layout.cgroup}/control-plane"
+
+
+def holder(layout: Layout) -> int | None:
+    """The process that keeps the control plane's network namespace, or None."""
+    pid = processes.find(control_plane_group(layout), *HOLDER)
+    return pid if pid and _own_namespace(pid) else None
+
+
+def _links(pid: int | None = None) -> dict[str, bool]:
+    """The names of links in a namespace, and whether each is up."""
+    listed = json.loads(run(*(inside(pid) if pid else []), "ip", "-j", "link") or "[]")
+    return {link["ifname"]: "UP" in link["flags"] for link in listed}
+
+
+def _node_link(node: int) -> str:
+    return f"node{node}"
+
+
+def up(layout: Layout) -> int:
+    """Makes the bridge and this machine's link to it, as far as they are missing; returns the process that holds the namespace."""
+    group = control_plane_group(layout)
+    cgroups.create(group)
+    pid = holder(layout)
+    if pid is None:
+        pid = processes.start(group, ["unshare", "--net", *HOLDER], layout.log / "network.log")
+        # `unshare` becomes the holder; until then its namespace is still this machine's.
+        wait_until(lambda: holder(layout) is not None, 10, "network namespace of the control plane")
+    links = _links(pid)
+    if BRIDGE not in links:
+        _batch(
+            [
+                "link set lo up",
+                f"link add {BRIDGE} type bridge",
+                f"addr add {layout.control_plane_ip}/24 dev {BRIDGE}",
+                f"link set {BRIDGE} up",
+            ],
+            pid,
+        )
+        run(*inside(pid), "sh", "-c", "echo 1 >/proc/sys/net/ipv4/ip_forward; "
+            "for f in /proc/sys/net/bridge/bridge-nf-call-*tables; do [ ! -e $f ] || echo 0 >$f; done")
+    if "host" not in links or layout.host_link not in _links():
+        remove_host_link(layout)
+        _batch([f"link add {layout.host_link} type veth peer name host netns {pid}"])
+        _batch([f"link set host master {BRIDGE} up"], pid)
+        _batch([
+            f"addr add {layout.host_ip}/24 dev {layout.host_link}",
+            f"link set {layout.host_link} up",
+            *(f"route replace {layout.pod_network(node)} via {layout.node_ip(node)}" for node in layout.nodes),
+        ])
+    routes = (f"route replace {layout.pod_network(node)} via {layout.node_ip(node)}" for node in layout.nodes)
+    _batch(list(routes), pid)
+    return pid
+
+
+def attach_node(layout: Layout, node: int, pid: int) -> None:
+    """Gives a node, whose first process is given, its link, address and routes. The node's script waits for the link."""
+    control_plane = holder(layout)
+    if control_plane is None:
+        raise RuntimeError(f"cluster {layout.name}: its network is not up; run `scripts/cluster up` first")
+    wait_until(lambda: _own_namespace(pid), 10, f"network namespace of node{node}")
+    detach_node(layout, node)
+    _batch([f"link add {_node_link(node)} type veth peer name eth0 netns {pid}"], control_plane)
+    _batch(
+        [
+            "link set lo up",
+            f"addr add {layout.node_ip(node)}/24 dev eth0",
+            "link set eth0 up",
+            f"route add default via {layout.control_plane_ip}",
+            *(f"route add {layout.pod_network(other)} via {layout.node_ip(other)}" for other in layout.nodes if other != node),
+        ],
+        pid,
+    )
+    run(*inside(pid), "sh", "-c", "echo 1 >/proc/sys/net/ipv4/ip_forward")
+    _batch([f"link set {_node_link(node)} master {BRIDGE} up"], control_plane)
+
+
+def detach_node(layout: Layout, node: int) -> None:
+    """Removes a node's link, if there is one."""
+    control_plane = holder(layout)
+    if control_plane is not None and _node_link(node) in _links(control_plane):
+        _batch([f"link del {_node_link(node)}"], control_plane)
+
+
+def set_node_link(layout: Layout, node: int, connected: bool) -> None:
+    """Pulls a node's cable, or puts it back.
+
+    Raises:
+        RuntimeError: the cluster or the node is not up.
+    """
+    control_plane = holder(layout)
+    if control_plane is None or _node_link(node) not in _links(control_plane):
+        raise RuntimeError(f"cluster {layout.name}: node{node} has no link; it is not up")
+    _batch([f"link set {_node_link(node)} {'up' if connected else 'down'}"], control_plane)
+
+
+def node_connected(layout: Layout, node: int) -> bool:
+    """Whether a node's cable is in."""
+    control_plane = holder(layout)
+    return control_plane is not None and _links(control_plane).get(_node_link(node), False)
+
+
+def remove_host_link(layout: Layout) -> None:
+    """Removes this machine's link into the cluster, and with it every route through it."""
+    for _ in range(50):
+        links = json.loads(run("ip", "-j", "-4", "addr", "show", check=False) or "[]")
+        ours = [link for link in links if link["ifname"] == layout.host_link]
+        if not ours:
+            return
+        addresses = [entry["local"] for entry in ours[0].get("addr_info", [])]
+        if any(ipaddress.IPv4Address(address) not in layout.network for address in addresses):
+            raise RuntimeError(f"link {layout.host_link} has {', '.join(addresses)}, outside {layout.network}: it is not ours to remove")
+        try:
+            run("ip", "link", "del", layout.host_link)
+        except CommandFailed:
+            # Its other end may be going away with a namespace at this moment, and takes it along.
+            time.sleep(0.1)

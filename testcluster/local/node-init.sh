@@ -1,0 +1,55 @@
+#!/bin/bash
+# The first process of a node: in its own network, mount, host name and process-id namespaces it makes the mounts of a machine of its own
+# and starts the node's programs. When it is killed the kernel kills every process of the node, as a loss of power would.
+#
+# usage: node-init.sh NODE STATE CACHE API_READY HYPERKUBE [NETPOL KUBECONFIG]
+set -u
+node=$1 state=$2 cache=$3 api_ready=$4 hyperkube=$5 netpol=${6:-} netpol_kubeconfig=${7:-}
+log=$state/log
+
+# Sockets, pod logs and plugin folders have fixed paths, so each node needs its own /run, /var/log and /var/lib. The machine's own mounts
+# below /run (other runtimes' network namespaces) are let go of here, or this node would keep them alive.
+mount --make-rprivate /
+umount --recursive --lazy /run 2>/dev/null
+mount -t tmpfs -o mode=755 node /run
+mkdir -p /run/understudy /run/netns /run/lock
+mount --bind "$cache" /run/understudy
+mount -t tmpfs -o mode=755 node /var/lib
+if [ ! -d "$state" ]; then
+    # The cache itself was below /run or /var/lib.
+    mkdir -p "$cache"
+    mount --bind /run/understudy "$cache"
+fi
+mount -t tmpfs -o mode=755 node /var/log
+mkdir -p /var/log/pods /var/log/containers /var/lib/cni /var/lib/kubelet
+mount --bind "$state/kubelet" /var/lib/kubelet
+hostname "$node"
+mount --bind "$state/etc/hosts" /etc/hosts
+# Volumes that containers mount have to be seen by the kubelet and the other way round.
+mount --make-rshared /
+
+# Runs a program again whenever it ends, as a machine's service manager does.
+keep() {
+    local name=$1
+    shift
+    while :; do
+        "$@" >>"$log/$name.log" 2>&1
+        echo "$name ended with $?; it is started again" >>"$log/$name.log"
+        sleep 1
+    done &
+}
+
+keep containerd containerd --config "$state/etc/containerd.toml"
+until ctr version >/dev/null 2>&1; do sleep 0.1; done
+# The kubelet doubles its pauses between attempts to register, so it is better not to begin too early.
+until [ -e "$api_ready" ] && [ -e /sys/class/net/eth0 ]; do sleep 0.1; done
+keep kubelet "$hyperkube" kubelet --config="$state/etc/kubelet.yaml" --kubeconfig="$state/etc/kubelet.conf" \
+    --hostname-override="$node" --node-ip="$(<"$state/etc/ip")"
+keep kube-proxy "$hyperkube" kube-proxy --config="$state/etc/kube-proxy.yaml"
+if [ -n "$netpol" ]; then
+    keep netpol "$netpol" --kubeconfig "$netpol_kubeconfig" --node "$node"
+fi
+
+trap 'exit 0' TERM
+# Orphans are handed to this process; waiting for them keeps them from staying as zombies.
+while :; do wait -n || sleep 1; done

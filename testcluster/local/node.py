@@ -1,0 +1,191 @@
+"""A node: its own namespaces, container runtime, kubelet and kube-proxy; and the faults it can have."""
+
+import shutil
+from pathlib import Path
+
+from testcluster.local import cgroups, golden, network, processes
+from testcluster.local.layout import Layout, node_name
+from testcluster.local.programs import Programs
+from testcluster.paths import cache
+from testcluster.shell import run
+
+_INIT = Path(__file__).resolve().parent / "node-init.sh"
+_MIB = 1024 * 1024
+
+
+def group(layout: Layout, node: int) -> str:
+    """The control group of a node: its programs in `system`, its pods in `pods`."""
+    return f"{layout.cgroup}/{node_name(node)}"
+
+
+def init(layout: Layout, node: int) -> int | None:
+    """The node's first process, or None when the node is off."""
+    return processes.init_of(f"{group(layout, node)}/system")
+
+
+def _reserved_memory(nodes: int) -> int:
+    """Memory (MiB) a node may not give to pods, for the nodes together to have no more than the machine: each reports all of it."""
+    for line in Path("/proc/meminfo").read_text().splitlines():
+        if line.startswith("MemTotal:"):
+            total = int(line.split()[1]) // 1024
+            rest = min(3072, total // 3)
+            return total - (total - rest) // nodes
+    raise RuntimeError("/proc/meminfo has no line MemTotal")
+
+
+def _containerd(state: Path) -> str:
+    return f"""version = 2
+root = "{state}/containerd"
+state = "/run/containerd"
+[grpc]
+  address = "/run/containerd/containerd.sock"
+[plugins."io.containerd.grpc.v1.cri"]
+  sandbox_image = "{golden.PAUSE_IMAGE}"
+  # Without the right to lower the score of an out-of-memory kill, containers would not start at all.
+  restrict_oom_score_adj = true
+  [plugins."io.containerd.grpc.v1.cri".cni]
+    bin_dir = "/usr/lib/cni"
+    conf_dir = "{state}/etc/cni"
+  [plugins."io.containerd.grpc.v1.cri".containerd]
+    snapshotter = "overlayfs"
+    [plugins."io.containerd.grpc.v1.cri".containerd.runtimes.runc]
+      runtime_type = "io.containerd.runc.v2"
+"""
+
+
+def _cni(layout: Layout, node: int) -> str:
+    return f"""{{
+  "cniVersion": "1.0.0",
+  "name": "pods",
+  "plugins": [
+    {{
+      "type": "ptp",
+      "ipMasq": false,
+      "ipam": {{
+        "type": "host-local",
+        "ranges": [[{{"subnet": "{layout.pod_network(node)}"}}]],
+        "routes": [{{"dst": "0.0.0.0/0"}}],
+        "dataDir": "/run/cni-addresses"
+      }}
+    }},
+    {{"type": "portmap", "capabilities": {{"portMappings": true}}}}
+  ]
+}}
+"""
+
+
+def _kubelet(layout: Layout, node: int) -> str:
+    pki = layout.state / "pki"
+    return f"""apiVersion: kubelet.config.k8s.io/v1beta1
+kind: KubeletConfiguration
+authentication: {{anonymous: {{enabled: false}}, x509: {{clientCAFile: {pki}/ca.crt}}, webhook: {{enabled: true}}}}
+authorization: {{mode: Webhook}}
+tlsCertFile: {pki}/{node_name(node)}.crt
+tlsPrivateKeyFile: {pki}/{node_name(node)}.key
+cgroupDriver: cgroupfs
+cgroupRoot: /{group(layout, node)}/pods
+failCgroupV1: false
+failSwapOn: false
+clusterDNS: [{layout.dns_ip}]
+clusterDomain: cluster.local
+resolvConf: {layout.node_state(node)}/etc/resolv.conf
+containerRuntimeEndpoint: unix:///run/containerd/containerd.sock
+# A lost node is noticed after seconds, so it has to say more often that it lives.
+nodeStatusUpdateFrequency: 2s
+nodeLeaseDurationSeconds: 4
+syncFrequency: 10s
+serializeImagePulls: false
+# Images are loaded by hand and could not be pulled again: never remove one.
+imageGCHighThresholdPercent: 100
+evictionHard: {{nodefs.available: "1%", imagefs.available: "1%", memory.available: 100Mi}}
+makeIPTablesUtilChains: false
+systemReserved: {{memory: {_reserved_memory(layout.node_count)}Mi}}
+"""
+
+
+def _kube_proxy(layout: Layout, node: int) -> str:
+    return f"""apiVersion: kubeproxy.config.k8s.io/v1alpha1
+kind: KubeProxyConfiguration
+clientConnection: {{kubeconfig: {layout.state}/pki/proxy.conf}}
+mode: nftables
+clusterCIDR: {layout.pods}
+hostnameOverride: {node_name(node)}
+nodePortAddresses: [primary]
+# The limits of connection tracking belong to the whole machine.
+conntrack: {{maxPerCore: 0, min: 0}}
+"""
+
+
+def _configure(layout: Layout, node: int) -> None:
+    state = layout.node_state(node)
+    etc = state / "etc"
+    (etc / "cni").mkdir(parents=True, exist_ok=True)
+    (state / "kubelet").mkdir(exist_ok=True)
+    (state / "log").mkdir(exist_ok=True)
+    hosts = ["127.0.0.1 localhost", *(f"{layout.node_ip(other)} {node_name(other)}" for other in layout.nodes)]
+    (etc / "hosts").write_text("\n".join(hosts) + "\n")
+    # For pods that take the node's resolver. There is none beyond the cluster: nothing outside can be reached.
+    (etc / "resolv.conf").write_text("nameserver 127.0.0.1\n")
+    (etc / "ip").write_text(layout.node_ip(node))
+    (etc / "containerd.toml").write_text(_containerd(state))
+    (etc / "cni" / "10-pods.conflist").write_text(_cni(layout, node))
+    (etc / "kubelet.yaml").write_text(_kubelet(layout, node))
+    (etc / "kube-proxy.yaml").write_text(_kube_proxy(layout, node))
+    shutil.copy2(layout.state / "pki" / f"{node_name(node)}.conf", etc / "kubelet.conf")
+    # A copy, because the shell reads a script while it runs it, and the original may be edited meanwhile.
+    shutil.copy2(_INIT, etc / "init.sh")
+
+
+def up(layout: Layout, node: int, programs: Programs) -> bool:
+    """Switches a node on unless it is; returns whether it had to be."""
+    running = init(layout, node)
+    if running is not None and network.node_connected(layout, node) and not cgroups.frozen(group(layout, node)):
+        return False
+    if running is not None and cgroups.frozen(group(layout, node)):
+        cgroups.freeze(group(layout, node), False)
+    if running is not None and not network.node_connected(layout, node):
+        # Cut off by a test, or its start was interrupted before it got its link: from here both look the same.
+        down(layout, node)
+        running = None
+    if running is None:
+        down(layout, node)
+        _configure(layout, node)
+        golden.clone(programs, layout.node_state(node) / "containerd")
+        for part in ("system", "pods"):
+            cgroups.create(f"{group(layout, node)}/{part}")
+        netpol = [programs.netpol, layout.state / "pki" / "netpol.conf"] if programs.netpol else []
+        pid = processes.start(
+            f"{group(layout, node)}/system",
+            [
+                "unshare", "--net", "--mount", "--uts", "--ipc", "--pid", "--fork", "--mount-proc", "--propagation", "private",
+                "bash", layout.node_state(node) / "etc" / "init.sh", node_name(node), layout.node_state(node), cache(), layout.api_ready, programs.hyperkube, *netpol,
+            ],
+            layout.node_state(node) / "log" / "init.log",
+        )
+        network.attach_node(layout, node, pid)
+    return True
+
+
+def down(layout: Layout, node: int) -> None:
+    """Cuts a node's power: everything in it dies at once, and nothing is told."""
+    first = init(layout, node)
+    if first is not None:
+        cgroups.freeze(group(layout, node), False)
+        run("kill", "-KILL", str(first), check=False)
+    # What an interrupted start left, and the parent of the first process.
+    cgroups.kill(group(layout, node))
+    # Left-over groups of containers would cost the next kubelet three seconds each.
+    cgroups.remove(group(layout, node))
+    network.detach_node(layout, node)
+
+
+def enter(layout: Layout, node: int) -> list[str]:
+    """The words that run a command inside a node.
+
+    Raises:
+        RuntimeError: the node is off.
+    """
+    pid = init(layout, node)
+    if pid is None:
+        raise RuntimeError(f"cluster {layout.name}: node{node} is off")
+    return ["nsenter", f"--target={pid}", "--mount", "--net", "--uts", "--ipc", "--pid"]

@@ -1,0 +1,56 @@
+"""Starting and finding the cluster's long-running programs.
+
+There are no pid files: a program is found by its control group and its command line, so what an interrupted run left behind is found
+too, and a number that the kernel gave to somebody else's process is never mistaken for ours.
+"""
+
+import os
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+
+from testcluster.local import cgroups
+
+
+def command_line(pid: int) -> list[str]:
+    """The words a process was started with; empty when it is gone."""
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_bytes().decode(errors="replace").rstrip("\0").split("\0")
+    except OSError:
+        return []
+
+
+def find(group: str, *words: str) -> int | None:
+    """The process of a group whose command line has these words in a row, or None."""
+    for pid in sorted(cgroups.pids(group)):
+        line = command_line(pid)
+        if any(line[start : start + len(words)] == list(words) for start in range(len(line))):
+            return pid
+    return None
+
+
+def init_of(group: str) -> int | None:
+    """The process of a group that is the first of a process-id namespace of its own, as a node's is, or None."""
+    for pid in sorted(cgroups.pids(group)):
+        try:
+            status = Path(f"/proc/{pid}/status").read_text()
+        except OSError:
+            continue
+        for line in status.splitlines():
+            if line.startswith("NSpid:") and line.split()[2:] == ["1"]:
+                return pid
+    return None
+
+
+def start(group: str, command: Sequence[str | Path], log: Path) -> int:
+    """Starts a program in a group, apart from this process, with its output added to a file; returns its process id."""
+    log.parent.mkdir(parents=True, exist_ok=True)
+
+    def enter() -> None:
+        cgroups.join(group)
+        os.setsid()
+
+    with log.open("ab") as out:
+        return subprocess.Popen(
+            [str(word) for word in command], stdin=subprocess.DEVNULL, stdout=out, stderr=out, preexec_fn=enter, cwd="/"
+        ).pid

@@ -1,0 +1,103 @@
+"""The programs a cluster is made of: what Debian packages bring, and what is built from Go modules."""
+
+import json
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from testcluster import golang, packages
+from testcluster.paths import cache
+from testcluster.progress import Progress
+
+_HERE = Path(__file__).resolve().parent
+_HELM = "helm.sh/helm/v3/cmd/helm"
+
+_DEBIAN = {
+    "containerd": "containerd",
+    "ctr": "containerd",
+    "runc": "runc",
+    "/usr/lib/cni/ptp": "containernetworking-plugins",
+    "/usr/lib/cni/portmap": "containernetworking-plugins",
+    "conntrack": "conntrack",
+    "nft": "nftables",
+    "iptables": "iptables",
+    "ip": "iproute2",
+    "unshare": "util-linux",
+    "openssl": "openssl",
+}
+
+
+@dataclass(frozen=True)
+class Programs:
+    """Paths of the programs that were built."""
+
+    hyperkube: Path
+    pause: Path
+    coredns: Path
+    helm: Path
+    netpol: Path | None
+
+
+def _required(module: str) -> str:
+    found = re.search(rf"^\s*(?:require )?{re.escape(module)} v(\S+)", (_HERE / "hyperkube" / "go.mod").read_text(), re.MULTILINE)
+    if not found:
+        raise ValueError(f"hyperkube/go.mod requires no {module}")
+    return found[1]
+
+
+def kubernetes_version() -> str:
+    """The version of Kubernetes that the sources name, without a leading v."""
+    return _required("k8s.io/kubernetes")
+
+
+def _version_flags() -> list[str]:
+    version = kubernetes_version()
+    major, minor, _ = version.split(".", 2)
+    values = {"gitVersion": f"v{version}", "gitMajor": major, "gitMinor": minor, "gitTreeState": "clean"}
+    named = [
+        f"-X {package}.{name}={value}"
+        for package in ("k8s.io/component-base/version", "k8s.io/client-go/pkg/version")
+        for name, value in values.items()
+    ]
+    named.append(f"-X helm.sh/helm/v3/internal/version.version=v{_required('helm.sh/helm/v3')}")
+    return [f"-ldflags=-s -w {' '.join(named)}"]
+
+
+def _link_tools(hyperkube: Path, helm: Path) -> None:
+    """Puts kubectl and helm at a path that stays the same over versions, for people and scripts."""
+    tools = tools_folder()
+    tools.mkdir(exist_ok=True)
+    wrapper = f'#!/bin/sh\nexec {json.dumps(str(hyperkube))} kubectl "$@"\n'
+    kubectl = tools / "kubectl"
+    if not kubectl.exists() or kubectl.read_text() != wrapper:
+        partial = tools / "kubectl.partial"
+        partial.write_text(wrapper)
+        partial.chmod(0o755)
+        partial.rename(kubectl)
+    link = tools / "helm.partial"
+    link.unlink(missing_ok=True)
+    link.symlink_to(helm)
+    link.rename(tools / "helm")
+
+
+def tools_folder() -> Path:
+    """The folder with kubectl and helm."""
+    return cache() / "tools"
+
+
+def ensure(progress: Progress) -> Programs:
+    """Installs and builds what is missing.
+
+    Raises:
+        CommandFailed, MissingPrograms: a package could not be installed or a program could not be built.
+    """
+    packages.ensure(_DEBIAN, progress)
+    built = golang.build(
+        "hyperkube", _HERE / "hyperkube", ["./cmd/...", _HELM], _version_flags(), progress,
+        "Kubernetes, etcd, CoreDNS, kubectl and Helm; 5 to 8 minutes on 2 cores, once",
+    )
+    netpol = None
+    if (_HERE / "netpol" / "main.go").exists():
+        netpol = golang.build("netpol", _HERE / "netpol", ["."], ["-ldflags=-s -w"], progress, "a minute, once") / "understudy-netpol"
+    _link_tools(built / "hyperkube", built / "helm")
+    return Programs(built / "hyperkube", built / "pause", built / "coredns", built / "helm", netpol)

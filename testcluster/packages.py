@@ -1,0 +1,52 @@
+"""Installing what is missing, with the distribution's own package manager."""
+
+import os
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+
+from testcluster.paths import cache
+from testcluster.progress import Progress
+from testcluster.shell import run_logged
+
+SBIN = "/usr/local/sbin:/usr/sbin:/sbin"
+
+
+class MissingPrograms(RuntimeError):
+    """Programs are missing and cannot be installed here."""
+
+
+def find(program: str) -> str | None:
+    """The path of a program; an absolute path stands for itself where it exists."""
+    if program.startswith("/"):
+        return program if Path(program).exists() else None
+    return shutil.which(program, path=os.environ.get("PATH", "") + ":" + SBIN)
+
+
+def ensure(programs: Mapping[str, str], progress: Progress) -> None:
+    """Installs the packages of those programs that are missing.
+
+    Looking for programs, not for packages, leaves alone what a machine has from elsewhere (say, Docker's containerd).
+
+    Args:
+        programs: the name of a program (or an absolute path), and the Debian package that brings it.
+
+    Raises:
+        MissingPrograms: apt-get is not there, this is not root, or the installation did not bring the program.
+    """
+    missing = {name: package for name, package in programs.items() if not find(name)}
+    if not missing:
+        return
+    packages = sorted(set(missing.values()))
+    if os.geteuid() != 0 or not find("apt-get"):
+        raise MissingPrograms(
+            f"these programs are missing: {', '.join(sorted(missing))}; on Debian, `apt-get install {' '.join(packages)}` as root brings them"
+        )
+    quiet = {"DEBIAN_FRONTEND": "noninteractive"}
+    with progress.step(f"installing {' '.join(packages)}"):
+        log = cache() / "log" / "apt.log"
+        run_logged(["apt-get", "update", "-q"], log, env=quiet)
+        run_logged(["apt-get", "install", "-q", "-y", "--no-install-recommends", *packages], log, env=quiet)
+    still = sorted(name for name in missing if not find(name))
+    if still:
+        raise MissingPrograms(f"apt-get installed {' '.join(packages)}, and these are still missing: {', '.join(still)}")

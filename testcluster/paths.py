@@ -1,0 +1,14 @@
+"""Where things are kept. Everything made at run time lives under one cache folder, so that it is easy to find and to remove."""
+
+import os
+from pathlib import Path
+
+REPOSITORY = Path(__file__).resolve().parent.parent
+
+
+def cache() -> Path:
+    """The project's cache folder, made if missing."""
+    base = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
+    path = Path(base).resolve() / "understudy"
+    path.mkdir(parents=True, exist_ok=True)
+    return path

@@ -1,0 +1,40 @@
+"""Progress lines for people: what is being done, and how long it has been going on, on standard error."""
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+
+class Progress:
+    """Prints lines that start with the seconds since this object was made."""
+
+    def __init__(self) -> None:
+        self._start = time.monotonic()
+
+    def __call__(self, text: str) -> None:
+        """Prints one line."""
+        print(f"[{time.monotonic() - self._start:6.1f} s] {text}", file=sys.stderr, flush=True)
+
+    @contextmanager
+    def step(self, text: str) -> Iterator[None]:
+        """Prints what begins and, when it took longer than a second, that it is done."""
+        self(text)
+        start = time.monotonic()
+        yield
+        took = time.monotonic() - start
+        if took > 1:
+            self(f"{text}: done in {took:.1f} s")
+
+
+def wait_until(condition: Callable[[], bool], seconds: float, what: str, interval: float = 0.1) -> None:
+    """Returns as soon as the condition holds.
+
+    Raises:
+        TimeoutError: it did not hold within the given seconds; the message names what was waited for.
+    """
+    deadline = time.monotonic() + seconds
+    while not condition():
+        if time.monotonic() > deadline:
+            raise TimeoutError(f"{what}: not so within {seconds:g} s")
+        time.sleep(interval)

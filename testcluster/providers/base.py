@@ -1,0 +1,84 @@
+"""What a provider of clusters can do."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+
+class ClusterError(RuntimeError):
+    """The cluster, or this machine, does not allow what was asked; the message says what would."""
+
+
+class NotSupported(ClusterError):
+    """This provider cannot do that at all."""
+
+
+@dataclass(frozen=True)
+class Status:
+    """How a cluster is.
+
+    Attributes:
+        ready: it can be used in full.
+        summary: one line for people.
+        details: further lines.
+    """
+
+    ready: bool
+    summary: str
+    details: Sequence[str] = field(default_factory=tuple)
+
+
+class Provider(ABC):
+    """A way to have a cluster. Every operation may be repeated, and may follow one that was interrupted."""
+
+    name: str
+
+    @abstractmethod
+    def up(self) -> None:
+        """Makes the cluster, or what is missing of it, and returns when it can be used."""
+
+    @abstractmethod
+    def down(self) -> None:
+        """Removes all that `up` made, and nothing else."""
+
+    @abstractmethod
+    def status(self) -> Status:
+        """How the cluster is, now."""
+
+    @abstractmethod
+    def load_image(self, image: str) -> None:
+        """Brings an image to every node.
+
+        Args:
+            image: the path of an archive (as `docker save` or an OCI tool writes it), or the name of an image that this machine's
+                image builder has.
+        """
+
+    @abstractmethod
+    def kubeconfig(self) -> Path:
+        """The path of a kubeconfig with an administrator's rights.
+
+        Raises:
+            ClusterError: there is no cluster.
+        """
+
+    def nodes(self) -> Sequence[str]:
+        """The names of nodes that the faults below can be done to."""
+        raise NotSupported(f"provider {self.name} cannot do faults to nodes")
+
+    def node_down(self, node: str) -> None:
+        """Cuts a node's power: everything on it is gone at once."""
+        raise NotSupported(f"provider {self.name} cannot cut a node's power")
+
+    def node_up(self, node: str) -> None:
+        """Switches a node on again; it becomes Ready later. Also ends a freeze and puts the cable back."""
+        raise NotSupported(f"provider {self.name} cannot switch a node on")
+
+    def node_freeze(self, node: str, frozen: bool) -> None:
+        """Stops every process of a node where it stands, or lets them go on."""
+        raise NotSupported(f"provider {self.name} cannot freeze a node")
+
+    def node_link(self, node: str, connected: bool) -> None:
+        """Pulls a node's network cable, or puts it back. Its pods go on running."""
+        raise NotSupported(f"provider {self.name} cannot cut a node off")

@@ -1,0 +1,168 @@
+"""Provider `local`: everything from source and packages, on this machine, without Docker. Linux and root only."""
+
+import fcntl
+import json
+import os
+import shutil
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from pathlib import Path
+
+from testcluster.local import cgroups, controlplane, golden, layout as layouts, network, node as nodes, pki, programs as tools, system
+from testcluster.local.layout import Layout, node_name, node_number
+from testcluster.paths import cache
+from testcluster.progress import Progress
+from testcluster.providers.base import ClusterError, Provider, Status
+from testcluster.shell import run
+
+
+class LocalProvider(Provider):
+    """A control plane and some nodes, each node in its own namespaces with its own container runtime and kubelet."""
+
+    name = "local"
+
+    def __init__(self, cluster: str | None, progress: Progress) -> None:
+        self._cluster = cluster or layouts.DEFAULT_NAME
+        if not self._cluster.replace("-", "").isalnum() or len(self._cluster) > 30:
+            raise ClusterError(f"cluster name {self._cluster!r}: letters, digits and dashes, 30 at most, are needed")
+        self._progress = progress
+
+    @staticmethod
+    def obstacle() -> str | None:
+        """Why this provider cannot be used here, or None."""
+        if os.uname().sysname != "Linux":
+            return "it needs Linux"
+        if os.geteuid() != 0:
+            return "it needs root"
+        return None
+
+    def _require_root(self) -> None:
+        obstacle = self.obstacle()
+        if obstacle:
+            raise ClusterError(f"provider local: {obstacle}; with Docker and kind installed, --provider kind works without")
+
+    @contextmanager
+    def _locked(self) -> Iterator[None]:
+        """One change at a time per machine: slots and networks are chosen by looking at what others have."""
+        path = cache() / "clusters" / "lock"
+        path.parent.mkdir(exist_ok=True)
+        with path.open("w") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                self._progress("waiting for another run of this program")
+                fcntl.flock(lock, fcntl.LOCK_EX)
+            yield
+
+    def _layout(self) -> Layout:
+        found = layouts.load(self._cluster)
+        if found is None:
+            raise ClusterError(f"cluster {self._cluster}: there is none; `scripts/cluster up` makes it")
+        return found
+
+    def up(self) -> None:
+        self._require_root()
+        with self._locked():
+            # Building comes before anything is made: it takes longest, and most likely fails for want of something on the machine.
+            programs = tools.ensure(self._progress)
+            golden.ensure(programs, self._progress)
+            found = layouts.load(self._cluster)
+            if found is not None and network.holder(found) is None and found.state.exists():
+                self._progress(f"cluster {self._cluster}: removing what is left of an earlier one")
+                self._remove(found)
+                found = None
+            layout = found or layouts.decide(self._cluster)
+            layout.save()
+            self._start(layout, programs)
+            self._progress(f"cluster {self._cluster} is ready: export KUBECONFIG={layout.kubeconfig}")
+
+    def _start(self, layout: Layout, programs: tools.Programs) -> None:
+        self._progress(f"cluster {layout.name}: control plane at {layout.api}")
+        certificates = pki.create(layout)
+        holder = network.up(layout)
+        started = [node for node in layout.nodes if nodes.up(layout, node, programs)]
+        controlplane.up(layout, programs, certificates, holder)
+        system.apply(layout, programs)
+        if started:
+            self._progress(f"cluster {layout.name}: waiting for {', '.join(node_name(node) for node in started)} and for DNS")
+        system.wait_ready(layout, programs)
+
+    def _remove(self, layout: Layout) -> None:
+        cgroups.kill(layout.cgroup)
+        cgroups.remove(layout.cgroup)
+        network.remove_host_link(layout)
+        # Last, so that an interrupted removal can be repeated.
+        shutil.rmtree(layout.state)
+
+    def down(self) -> None:
+        self._require_root()
+        with self._locked():
+            layout = layouts.load(self._cluster)
+            if layout is None:
+                shutil.rmtree(layouts.folder(self._cluster), ignore_errors=True)
+                self._progress(f"cluster {self._cluster}: there is none")
+                return
+            self._remove(layout)
+            self._progress(f"cluster {self._cluster} is gone; what was built stays in {cache()}")
+
+    def status(self) -> Status:
+        layout = layouts.load(self._cluster)
+        if layout is None:
+            return Status(False, f"cluster {self._cluster}: there is none")
+        programs = tools.ensure(self._progress)
+        details = [f"{name}: {'runs' if runs else 'does not run'}" for name, runs in controlplane.running(layout).items()]
+        answers = controlplane.answers(layout, programs)
+        ready = system.ready_nodes(layout, programs) if answers else set()
+        for node in layout.nodes:
+            power = "on" if nodes.init(layout, node) else "off"
+            cable = "" if network.node_connected(layout, node) else ", cable out"
+            frozen = ", frozen" if cgroups.frozen(nodes.group(layout, node)) else ""
+            details.append(f"{node_name(node)} ({layout.node_ip(node)}): {power}{cable}{frozen}, {'Ready' if node_name(node) in ready else 'not Ready'}")
+        whole = answers and len(ready) == layout.node_count
+        details.append(f"kubeconfig: {layout.kubeconfig}")
+        summary = f"cluster {layout.name}: Kubernetes {tools.kubernetes_version()} at {layout.api} {'is ready' if whole else 'is not ready'}"
+        return Status(whole, summary, details)
+
+    def load_image(self, image: str) -> None:
+        layout = self._layout()
+        archive = Path(image)
+        if not archive.is_file():
+            raise ClusterError(f"image {image}: no such archive")
+        wanted = [node for node in layout.nodes if nodes.init(layout, node)]
+
+        def load(node: int) -> None:
+            pid = nodes.init(layout, node)
+            # Only the node's mounts are entered; the archive's path has to hold in them, which it does below the cache.
+            run("nsenter", f"--target={pid}", "--mount", "ctr", "-n", "k8s.io", "images", "import", archive.resolve())
+
+        with ThreadPoolExecutor() as pool:
+            list(pool.map(load, wanted))
+
+    def kubeconfig(self) -> Path:
+        return self._layout().kubeconfig
+
+    def nodes(self) -> Sequence[str]:
+        return [node_name(node) for node in self._layout().nodes]
+
+    def node_down(self, node: str) -> None:
+        layout = self._layout()
+        with self._locked():
+            nodes.down(layout, node_number(node, layout))
+
+    def node_up(self, node: str) -> None:
+        layout = self._layout()
+        with self._locked():
+            number = node_number(node, layout)
+            cgroups.freeze(nodes.group(layout, number), False)
+            if nodes.init(layout, number) and not network.node_connected(layout, number):
+                network.set_node_link(layout, number, True)
+            nodes.up(layout, number, tools.ensure(self._progress))
+
+    def node_freeze(self, node: str, frozen: bool) -> None:
+        layout = self._layout()
+        cgroups.freeze(nodes.group(layout, node_number(node, layout)), frozen)
+
+    def node_link(self, node: str, connected: bool) -> None:
+        layout = self._layout()
+        network.set_node_link(layout, node_number(node, layout), connected)
