@@ -89,6 +89,11 @@ def standby(workload: str) -> str:
     return f"{workload}-standby"
 
 
+def standby_reference(workload: str) -> str:
+    """The same for the pods of a referred controller, which it selects by that controller's own selector."""
+    return f"{workload}-standby-ref"
+
+
 def monitor(workload: str) -> str:
     """The monitor's Deployment, Role and RoleBinding."""
     return f"{workload}-monitor"
