@@ -1,0 +1,103 @@
+"""How a container of a held pod waits for its robot: a few lines of POSIX sh around the user's own command.
+
+No binary goes into the user's image; ``sh`` is all it needs. The agent and the script meet in a shared emptyDir. The
+script opens its FIFO first and looks for the environment second, the agent writes the environment first and wakes the
+FIFO second: whichever comes first, the other one sees it. Nothing polls, so a held container costs no CPU.
+"""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Mapping, Sequence
+
+from understudy.api import names
+
+HOLD_SCRIPT = """\
+understudy_env=$1/env-$2 understudy_wake=$1/wake-$2 understudy_waiting=$1/waiting-$2
+shift 2
+trap 'exit 143' TERM INT
+while [ "$1" != -- ]; do
+  if [ ! -r "$understudy_env" ]; then
+    nice -n 19 find -H "$1" -xdev -type f -exec cat {} + >/dev/null 2>&1 &
+    wait "$!"
+  fi
+  shift
+done
+shift
+if [ ! -r "$understudy_env" ]; then
+  [ -p "$understudy_wake" ] || (umask 0; mkfifo "$understudy_wake") 2>/dev/null
+  until [ -p "$understudy_wake" ]; do sleep 0.1; done
+  exec 3<>"$understudy_wake"
+  : >"$understudy_waiting"
+  until [ -r "$understudy_env" ]; do read -r understudy_line <&3 || sleep 1; done
+  exec 3<&-
+fi
+. "$understudy_env"
+exec "$@"
+"""
+"""Arguments: directory, container, warm paths, ``--``, the command. Free of ``$(`` and ``$$``, which the kubelet expands.
+
+- PID 1 gets no signal that it doesn't trap, and a trap waits for a foreground child, so warming runs beside a ``wait``.
+- Warming is nice: other pods of the node drive robots. ``-xdev`` keeps it out of /proc. A path that isn't there is no error.
+- Opening the FIFO for reading and writing doesn't block and never sees the end of the file when the agent goes.
+- An image without ``mkfifo`` waits for the agent to make the FIFO.
+- Once the environment is there, a restart of the container goes straight on to the command.
+"""
+
+_IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+
+
+def held_command(
+    container: str,
+    command: Sequence[str],
+    args: Sequence[str],
+    warm_paths: Sequence[str],
+    *,
+    directory: str = names.AGENT_DIR,
+) -> list[str]:
+    """The ``command`` (with no ``args``) with which a container waits for its robot and then becomes the given command.
+
+    Raises ValueError where ``command`` is empty: what the image would run can't be known from outside.
+    """
+    if not command:
+        raise ValueError(
+            f"container {container}: command is missing; a held container must say its command, "
+            "since the image's own entry point can't be known"
+        )
+    return ["/bin/sh", "-c", HOLD_SCRIPT, "understudy-hold", directory, container, *warm_paths, "--", *command, *args]
+
+
+def env_name(container: str) -> str:
+    """File, written by the agent at the start: what the command's environment gets on top."""
+    return f"env-{container}"
+
+
+def wake_name(container: str) -> str:
+    """FIFO; a line through it makes the script look for the environment. It has a reader only while the script waits."""
+    return f"wake-{container}"
+
+
+def waiting_name(container: str) -> str:
+    """Empty file, written by the script once its warm paths are read and it waits."""
+    return f"waiting-{container}"
+
+
+def env_file(environment: Mapping[str, str]) -> str:
+    """The environment as a file that ``sh`` sources. Values are taken literally, whatever is in them.
+
+    Kubernetes allows variable names that no shell can export, such as ``my.setting``; those go through ``env``.
+
+    Raises ValueError, naming the variable, where a name is empty or has ``=``, or either has a zero byte.
+    """
+    exports, others = [], []
+    for name, value in environment.items():
+        if not name or "=" in name or "\0" in name + value:
+            raise ValueError(f"environment variable {name!r}: a name has no '=', and neither name nor value a zero byte")
+        if _IDENTIFIER.fullmatch(name):
+            exports.append(f"export {name}={shlex.quote(value)}\n")
+        else:
+            others.append(shlex.quote(f"{name}={value}"))
+    if others:
+        exports.append(f'set -- env {" ".join(others)} "$@"\n')
+    return "".join(exports)
