@@ -1,0 +1,108 @@
+"""The application: drives the robot round its waypoints, by /odom and /scan, once it has the map.
+
+An ordinary ROS 2 node. It knows nothing of Understudy, of the gate or of whether it is the one in control: a standby
+runs the same code and computes the same commands, and the network drops them. The sender's name travels in the
+command's frame, which the base has no other use for, so that the robot's log can tell the instances apart.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import socket
+import time
+
+import numpy as np
+import rclpy
+from geometry_msgs.msg import TwistStamped
+from nav_msgs.msg import OccupancyGrid, Odometry
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from sensor_msgs.msg import LaserScan
+
+from understudy_quickstart import STARTED
+from understudy_quickstart.kinematics import Pose
+from understudy_quickstart.pursuit import WAYPOINTS, Circuit, Pursuit, space_ahead
+
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+class Drive(Node):
+    """Follows the circuit at 20 commands a second."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__("drive")
+        self._name = name
+        self._pursuit = Pursuit(Circuit(WAYPOINTS))
+        self._pose: Pose | None = None
+        self._ahead: float | None = None
+        self._mapped = False
+        self._next: int | None = None
+        # Depth 1 as Nav2's controller has it: of a stream of commands only the latest one is worth sending again.
+        self._commands = self.create_publisher(TwistStamped, "/cmd_vel", 1)
+        self.create_subscription(Odometry, "/odom", self._moved, 1)
+        self.create_subscription(LaserScan, "/scan", self._scanned, qos_profile_sensor_data)
+        self.create_subscription(OccupancyGrid, "/map", self._charted, LATCHED)
+        self.create_timer(1 / 20, self._drive)
+        self._say(f"{name} is up after {_age():.2f} s")
+
+    def _say(self, text: str) -> None:
+        self.get_logger().info(text)
+
+    def _moved(self, message: Odometry) -> None:
+        turn = message.pose.pose.orientation
+        position = message.pose.pose.position
+        if self._pose is None:
+            self._say(f"odometry received after {_age():.2f} s")
+        self._pose = Pose(position.x, position.y, 2 * math.atan2(turn.z, turn.w))
+
+    def _scanned(self, message: LaserScan) -> None:
+        if self._ahead is None:
+            self._say(f"scan received after {_age():.2f} s")
+        self._ahead = space_ahead(message.ranges, message.angle_min, message.angle_increment)
+
+    def _charted(self, message: OccupancyGrid) -> None:
+        self._say(f"map received after {_age():.2f} s")
+        grid = np.asarray(message.data).reshape(message.info.height, message.info.width)
+        for number, (x, y) in enumerate(WAYPOINTS):
+            column, row = int(x / message.info.resolution), int(y / message.info.resolution)
+            if not (0 <= row < grid.shape[0] and 0 <= column < grid.shape[1]) or grid[row, column] != 0:
+                self.get_logger().error(f"waypoint {number} at {x}, {y} is not free in the map: not driving")
+                return
+        self._mapped = True
+
+    def _drive(self) -> None:
+        if self._pose is None or self._ahead is None or not self._mapped:
+            return
+        number = self._pursuit.circuit.waypoint_after(self._pursuit.circuit.nearest(self._pose.x, self._pose.y))
+        if number != self._next:
+            self._say(f"to waypoint {number}, from {self._pose.x:.2f}, {self._pose.y:.2f}")
+            self._next = number
+        linear, angular = self._pursuit.command(self._pose, self._ahead)
+        message = TwistStamped()
+        message.header.stamp = self.get_clock().now().to_msg()
+        message.header.frame_id = self._name
+        message.twist.linear.x = linear
+        message.twist.angular.z = angular
+        self._commands.publish(message)
+
+
+def _age() -> float:
+    return time.monotonic() - STARTED
+
+
+def main() -> None:
+    """Run the application until it is told to stop."""
+    rclpy.init()
+    drive = Drive(os.environ.get("HOSTNAME") or socket.gethostname())
+    try:
+        rclpy.spin(drive)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        drive.destroy_node()
+
+
+if __name__ == "__main__":
+    main()
