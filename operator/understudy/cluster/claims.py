@@ -4,14 +4,34 @@ from __future__ import annotations
 
 from understudy.api import names
 from understudy.api.base import API_VERSION
-from understudy.cluster.client import PODS, Client, Object
+from understudy.cluster.client import PODS, ApiError, Client, Object
 
 
 async def claim(client: Client, pod: Object, *, workload: str, workload_uid: str, claim: str) -> Object:
     """Make an unclaimed pod an instance of a workload, which from then on owns it.
 
-    Raises ApiError: 409 when the pod has changed since it was read, such as by another claim, 404 when it is gone.
+    A pod that has changed since it was read but is still unclaimed (the kubelet writes its status) is tried again.
+    Raises ApiError: 409 when another workload's claim was first, 404 when the pod is gone.
     """
+    while True:
+        try:
+            return await _write(client, pod, workload, workload_uid, claim)
+        except ApiError as error:
+            if not error.conflict:
+                raise
+            fresh = await client.get(PODS, pod["metadata"]["namespace"], pod["metadata"]["name"])
+            if not unclaimed(fresh) or fresh["metadata"]["uid"] != pod["metadata"]["uid"]:
+                raise
+            pod = fresh
+
+
+def unclaimed(pod: Object) -> bool:
+    """Whether a pod of a shared pool belongs to no workload and isn't being deleted."""
+    metadata = pod["metadata"]
+    return (metadata.get("labels") or {}).get(names.HELD) == "true" and not metadata.get("deletionTimestamp")
+
+
+async def _write(client: Client, pod: Object, workload: str, workload_uid: str, claim: str) -> Object:
     metadata = pod["metadata"]
     return await client.patch(
         PODS,

@@ -89,7 +89,7 @@ class Gate(Protocol):
     async def enforced(self, target: Instance, *, since: float) -> float:
         """Wait until packets of the instance get through the gate; when they first did, in unix seconds."""
 
-    def last_packet(self, name: str) -> float | None:
+    def last_packet(self, uid: str) -> float | None:
         """When a packet of a pod last got through the gate, in unix seconds."""
 
 

@@ -190,7 +190,9 @@ async def _open(target: Instance, progress: Progress, means: Means) -> None:
     progress.target = PodIdentity(name=target.name, uid=target.uid)
     progress.moments["committing"] = means.clock()
     means.save(progress)
-    await means.agents.probe(target, PROBE_SECONDS)
+    for instance in means.instances.of_workload():
+        if instance.uid == target.uid or progress.has_failed(instance.uid):
+            await means.agents.probe(instance, PROBE_SECONDS)
     await means.gate.commit(target, progress)
     progress.moments["committed"] = means.clock()
 
@@ -228,6 +230,6 @@ async def _wait_enforced(target: Instance, progress: Progress, means: Means) -> 
     # In one commit the failed pod is fenced where the understudy is routed; its last packet says if it was later.
     fenced = progress.moments.setdefault("fenced", routed)
     for pod in progress.failed:
-        last = means.gate.last_packet(pod.name)
+        last = means.gate.last_packet(pod.uid)
         if last is not None and last > fenced:
             progress.moments["fenced"] = last

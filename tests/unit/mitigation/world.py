@@ -115,7 +115,7 @@ class _Gate(_Part):
         await asyncio.sleep(0.001)
         return self.world.clock()
 
-    def last_packet(self, name: str) -> float | None:
+    def last_packet(self, uid: str) -> float | None:
         return None
 
 

@@ -1,0 +1,153 @@
+"""The workload's pods as instances, and what may be done to them: claim, retire, replace, label."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable, Sequence
+
+from understudy.api import names
+from understudy.api.settings import WorkloadSettings
+from understudy.cluster import claims
+from understudy.cluster.client import PODS, REPLICA_SETS, ApiError, Client, Object
+from understudy.mitigation.interfaces import ClaimLost, Instance
+from understudy.monitor.view import View
+
+_logger = logging.getLogger(__name__)
+
+STATEFUL_SET_GRACE = 1
+"""Seconds that a failed pod of a StatefulSet gets: its replacement has the same name and waits for it to be gone."""
+
+
+def instance_of(pod: Object) -> Instance:
+    """A pod as an instance."""
+    metadata, status = pod["metadata"], pod.get("status", {})
+    labels = metadata.get("labels") or {}
+    conditions = {c["type"]: c["status"] for c in status.get("conditions") or []}
+    return Instance(
+        name=metadata["name"],
+        uid=metadata["uid"],
+        ip=status.get("podIP", ""),
+        pool=labels.get(names.POOL, ""),
+        running=status.get("phase") == "Running",
+        ready=conditions.get("Ready") == "True",
+        held=labels.get(names.HELD) == "true",
+        terminating=bool(metadata.get("deletionTimestamp")),
+        has_agent=any(c["name"] == names.AGENT_CONTAINER for c in pod["spec"]["containers"]),
+        claim=(metadata.get("annotations") or {}).get(names.CLAIM, ""),
+        template_hash=(metadata.get("annotations") or labels).get(
+            names.TEMPLATE_HASH, labels.get(names.TEMPLATE_HASH, "")
+        ),
+        created=metadata.get("creationTimestamp", ""),
+    )
+
+
+class Fleet:
+    """Implements :class:`understudy.mitigation.interfaces.Instances` over the watched pods."""
+
+    def __init__(self, client: Client, view: View) -> None:
+        self._client, self._view = client, view
+
+    @property
+    def _settings(self) -> WorkloadSettings:
+        settings = self._view.settings
+        assert settings is not None, "the view waits for the settings"
+        return settings
+
+    def of_workload(self) -> Sequence[Instance]:
+        """Every instance of this workload, terminating ones included."""
+        return [instance_of(pod) for pod in self._view.all_pods()]
+
+    def find(self, uid: str) -> Instance | None:
+        """The instance of this workload with a UID."""
+        return next((i for i in self.of_workload() if i.uid == uid), None)
+
+    def unclaimed(self, pool: str) -> Sequence[Instance]:
+        """Pods of a shared pool that are ready at its present template and belong to nobody, oldest first."""
+        current = {choice.name: choice.template_hash for choice in self._settings.pools}
+        if pool not in current:
+            return []
+        held = (instance_of(pod) for pod in self._view.held_pods.items.values())
+        fitting = [
+            i
+            for i in held
+            if i.pool == pool
+            and i.held
+            and i.ready
+            and i.usable
+            and (not current[pool] or not i.template_hash or i.template_hash == current[pool])
+        ]
+        return sorted(fitting, key=lambda i: (i.created, i.name))
+
+    async def claim(self, instance: Instance, claim: str) -> Instance:
+        """Make an unclaimed pod an instance of this workload. Raises ClaimLost."""
+        pod = self._view.held_pods.items.get(instance.name)
+        if pod is None or pod["metadata"]["uid"] != instance.uid:
+            raise ClaimLost(instance.name)
+        try:
+            claimed = await claims.claim(
+                self._client, pod, workload=self._view.workload, workload_uid=self._settings.uid, claim=claim
+            )
+        except ApiError as error:
+            if error.status in (403, 404, 409, 422):
+                _logger.info("claim of %s lost: %s", instance.name, error.message)
+                raise ClaimLost(instance.name) from error
+            raise
+        self._view.pods.put(claimed)
+        return instance_of(claimed)
+
+    async def retire(self, instance: Instance) -> None:
+        """Delete a failed pod for good: its controller makes another only where that one is still needed."""
+        settings = self._settings
+        wanted = any(pool.readiness != "Uninitialized" for pool in settings.pools)
+        if instance.from_source and settings.source_kind == "ReplicaSet" and not wanted:
+            await self._scale(0)
+        else:
+            await self._delete(instance)
+
+    async def replace(self, failed: Sequence[Instance]) -> None:
+        """Delete failed pods and have the workload's own controller run a new one."""
+        left = [i for i in self.of_workload() if i.from_source and i.usable and i.uid not in {f.uid for f in failed}]
+        if self._settings.source_kind == "ReplicaSet" and not left:
+            await self._scale(1)
+        for instance in failed:
+            if not instance.terminating:
+                await self._delete(instance)
+
+    async def wait(self, predicate: Callable[[Instance], bool]) -> Instance:
+        """The newest instance of this workload for which it holds, waiting for one."""
+        while True:
+            fitting = [i for i in self.of_workload() if predicate(i)]
+            if fitting:
+                return max(fitting, key=lambda i: (i.created, i.name))
+            sources = [self._view.pods] + ([self._view.source_pods] if self._view.source_pods else [])
+            waits = [asyncio.ensure_future(source.changed()) for source in sources]
+            try:
+                await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)
+            finally:
+                for task in waits:
+                    task.cancel()
+
+    async def label(self, instance: Instance) -> None:
+        """Give a pod of the workload's own controller the labels by which the gate can name it."""
+        pod = next((p for p in self._view.all_pods() if p["metadata"]["uid"] == instance.uid), None)
+        if pod is None:
+            return
+        wanted = {names.WORKLOAD: self._view.workload, names.INSTANCE: instance.name}
+        labels = pod["metadata"].get("labels") or {}
+        if any(labels.get(key) != value for key, value in wanted.items()):
+            body = {"metadata": {"uid": instance.uid, "labels": wanted}}
+            self._view.pods.put(await self._client.patch(PODS, self._view.namespace, instance.name, body))
+
+    async def _delete(self, instance: Instance) -> None:
+        grace = STATEFUL_SET_GRACE if self._settings.source_kind == "StatefulSet" else None
+        await self._client.delete(PODS, self._view.namespace, instance.name, uid=instance.uid, grace_seconds=grace)
+
+    async def _scale(self, replicas: int) -> None:
+        await self._client.patch(
+            REPLICA_SETS,
+            self._view.namespace,
+            self._settings.source_name,
+            {"spec": {"replicas": replicas}},
+            subresource="scale",
+        )

@@ -1,0 +1,111 @@
+"""The gate as the failover protocol sees it: commits over the last known epoch, and packets as the proof."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+
+import aiohttp
+from pydantic import ValidationError
+
+from understudy.api import names
+from understudy.cluster import gates
+from understudy.cluster.client import NETWORK_POLICIES, ApiError, Client
+from understudy.cluster.probes import ProbeReceiver
+from understudy.mitigation.interfaces import GateState, Instance, Superseded
+from understudy.mitigation.progress import Progress
+from understudy.monitor.fleet import Fleet
+from understudy.monitor.view import View
+
+_logger = logging.getLogger(__name__)
+
+RETRY_FIRST, RETRY_MOST = 0.05, 1.0  # seconds
+
+
+class PolicyGate:
+    """Implements :class:`understudy.mitigation.interfaces.Gate` with the workload's NetworkPolicy."""
+
+    def __init__(self, client: Client, view: View, fleet: Fleet, probes: ProbeReceiver) -> None:
+        self._client, self._view, self._fleet, self._probes = client, view, fleet, probes
+
+    @property
+    def _record(self) -> gates.GateRecord | None:
+        policy = self._view.gates.items.get(names.gate(self._view.workload))
+        return gates.read(policy) if policy else None
+
+    @property
+    def exists(self) -> bool:
+        """Whether the operator has made it (and nobody has deleted it)."""
+        return self._record is not None
+
+    @property
+    def state(self) -> GateState:
+        """As last seen or committed."""
+        record = self._record
+        if record is None:
+            return GateState()
+        recovery = None
+        if record.recovery:
+            try:
+                recovery = Progress.model_validate_json(record.recovery)
+            except ValidationError as error:
+                _logger.warning("the gate's recovery annotation can't be read: %s", error)
+        return GateState(epoch=record.epoch, active=record.active, active_uid=record.active_uid, recovery=recovery)
+
+    async def commit(self, target: Instance | None, progress: Progress | None) -> GateState:
+        """Open it for one instance, or close it, at the next epoch. Raises Superseded."""
+        begun = self._record
+        if begun is None:
+            raise Superseded(f"NetworkPolicy {names.gate(self._view.workload)} is gone")
+        if target is not None:
+            await self._fleet.label(target)
+        record, retry = begun, RETRY_FIRST
+        name, uid = (target.name, target.uid) if target else ("", "")
+        recovery = progress.model_copy(update={"epoch": begun.epoch + 1}).model_dump_json() if progress else ""
+        while True:
+            try:
+                policy = await gates.commit(
+                    self._client,
+                    self._view.namespace,
+                    self._view.workload,
+                    over=record,
+                    active=name,
+                    active_uid=uid,
+                    recovery=recovery,
+                )
+                break
+            except ApiError as error:
+                if error.status < 500 and error.status not in (409, 429):
+                    raise
+                _logger.warning("committing the gate: %s", error)
+            except (aiohttp.ClientError, TimeoutError, OSError) as error:
+                _logger.warning("committing the gate, the API server is away: %r", error)
+                await asyncio.sleep(retry)
+                retry = min(2 * retry, RETRY_MOST)
+            record = await self._reread(begun, uid, recovery) or record
+            if record.epoch > begun.epoch:
+                return self.state
+        self._view.gates.put(policy)
+        return self.state
+
+    async def _reread(self, begun: gates.GateRecord, uid: str, recovery: str) -> gates.GateRecord | None:
+        """The gate as it is, after a refused or unanswered commit; our own commit may have been carried out."""
+        try:
+            policy = await self._client.get(NETWORK_POLICIES, self._view.namespace, names.gate(self._view.workload))
+        except (ApiError, aiohttp.ClientError, TimeoutError, OSError):
+            return None
+        record = gates.read(policy)
+        ours = record.epoch == begun.epoch + 1 and record.active_uid == uid and record.recovery == recovery
+        if record.epoch != begun.epoch and not ours:
+            self._view.gates.put(policy)
+            raise Superseded(f"the gate is at epoch {record.epoch} by another writer, this monitor knew {begun.epoch}")
+        self._view.gates.put(policy)
+        return record
+
+    async def enforced(self, target: Instance, *, since: float) -> float:
+        """Wait until a probe of the instance gets through; when the first one did, in unix seconds."""
+        return await self._probes.wait(target.uid, since)
+
+    def last_packet(self, uid: str) -> float | None:
+        """When a probe of a pod last got through, in unix seconds."""
+        return self._probes.last(uid)

@@ -1,0 +1,49 @@
+"""Prometheus metrics of the monitor."""
+
+from __future__ import annotations
+
+from typing import get_args
+
+from prometheus_client import Counter, Gauge, Histogram
+
+from understudy.api.workloads import Health, Recovery
+
+_RECOVERIES = Counter("understudy_recoveries", "Recoveries of this workload.", ["strategy", "result"])
+_PARTS = Histogram(
+    "understudy_recovery_part_seconds",
+    "Parts of the recovery time (equation 1 of the paper).",
+    ["strategy", "part"],
+    buckets=(0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 60),
+)
+_HEALTH = Gauge("understudy_health", "1 for the present health of this workload.", ["health"])
+_EPOCH = Gauge("understudy_gate_epoch", "Epoch of the gate.")
+_LATENESS = Histogram(
+    "understudy_detection_lateness_seconds",
+    "How long after its deadline a failure was detected.",
+    buckets=(0.0005, 0.001, 0.002, 0.005, 0.01, 0.015, 0.05, 0.1, 0.5),
+)
+
+
+def health(value: Health) -> None:
+    """Set the present health."""
+    for each in get_args(Health):
+        _HEALTH.labels(health=each).set(1.0 if each == value else 0.0)
+
+
+def epoch(value: int) -> None:
+    """Set the gate's epoch."""
+    _EPOCH.set(value)
+
+
+def lateness(seconds: float) -> None:
+    """Note how late a detection was."""
+    _LATENESS.observe(max(0.0, seconds))
+
+
+def recovered(recovery: Recovery) -> None:
+    """Count a finished recovery and its parts."""
+    strategy = recovery.strategy or "none"
+    _RECOVERIES.labels(strategy=strategy, result=recovery.result).inc()
+    if recovery.parts is not None and recovery.result == "Recovered":
+        for part, seconds in recovery.parts.model_dump().items():
+            _PARTS.labels(strategy=strategy, part=part).observe(seconds)

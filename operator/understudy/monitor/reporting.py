@@ -1,0 +1,185 @@
+"""What the monitor says: its part of the RobotWorkload's status, Events, metrics. Never on the path of a failover."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+
+import aiohttp
+
+from understudy.api.base import API_VERSION
+from understudy.api.conditions import Condition, condition, merged
+from understudy.api.workloads import GateStatus, Health, Recovery, RobotWorkloadStatus
+from understudy.cluster.client import WORKLOADS, ApiError, Client, Object
+from understudy.cluster.events import Recorder
+from understudy.mitigation.progress import Progress, rfc3339
+from understudy.monitor import metrics
+
+_logger = logging.getLogger(__name__)
+
+MANAGER = "understudy-monitor"
+KEPT = 10
+"""Recoveries in the status."""
+
+QUIET = 0.25
+"""Seconds that a change waits for others, so that a failover in milliseconds costs one write and not three."""
+
+RETRY = 2.0  # seconds
+
+
+class Reporter:
+    """Collects what is to be said and applies it when it has changed: a healthy workload costs no writes."""
+
+    def __init__(self, client: Client, namespace: str, workload: str, recorder: Recorder) -> None:
+        self._client, self._namespace, self._workload = client, namespace, workload
+        self._recorder = recorder
+        self._changed = asyncio.Event()
+        self._applied = ""
+        self._conditions: dict[str, Condition] = {}
+        self._recoveries: list[Recovery] = []
+        self._count = 0
+        self._last_time: str | None = None
+        self.active = ""
+        self.health: Health = "Unknown"
+        self.strategy = ""
+        self.gate = GateStatus()
+        self.generation: int | None = None
+        self.reference: Object = {}
+
+    def adopt(self, item: Object) -> None:
+        """Take over from the object's status what an earlier monitor had recorded."""
+        status = RobotWorkloadStatus.model_validate(item.get("status") or {})
+        self._recoveries = list(status.recoveries or [])
+        self._count = status.recovery_count or 0
+        self._last_time = status.last_recovery_time
+        ours = {"Healthy", "Monitored", "GateEnforced", "Recovering"}
+        self._conditions = {c.type: c for c in status.conditions or [] if c.type in ours}
+        self.reference = {
+            "apiVersion": API_VERSION,
+            "kind": "RobotWorkload",
+            "metadata": {
+                "name": item["metadata"]["name"],
+                "namespace": item["metadata"]["namespace"],
+                "uid": item["metadata"]["uid"],
+                "resourceVersion": item["metadata"].get("resourceVersion", ""),
+            },
+        }
+
+    @property
+    def recorded(self) -> set[str]:
+        """Ids of the recoveries in the status."""
+        return {r.id for r in self._recoveries}
+
+    def set(
+        self,
+        *,
+        active: str | None = None,
+        health: Health | None = None,
+        strategy: str | None = None,
+        gate: GateStatus | None = None,
+    ) -> None:
+        """Say what is so now; what is not given stays."""
+        before = (self.active, self.health, self.strategy, self.gate)
+        self.active = self.active if active is None else active
+        self.health = self.health if health is None else health
+        self.strategy = self.strategy if strategy is None else strategy
+        self.gate = self.gate if gate is None else gate
+        if (self.active, self.health, self.strategy, self.gate) != before:
+            metrics.health(self.health)
+            metrics.epoch(self.gate.epoch)
+            self._changed.set()
+
+    def condition(self, type_: str, status: str, reason: str, message: str = "") -> bool:
+        """Say a condition; whether its status or reason changed."""
+        old = self._conditions.get(type_)
+        if old and (old.status, old.reason, old.message) == (status, reason, message):
+            return False
+        fresh = condition(type_, status, reason, message, generation=self.generation)  # type: ignore[arg-type]
+        self._conditions[type_] = merged([old] if old else [], [fresh])[0]
+        self._changed.set()
+        return old is None or (old.status, old.reason) != (status, reason)
+
+    def record(self, progress: Progress) -> Recovery:
+        """Add a finished recovery. One that failed like the last is told once, with its latest times."""
+        again = (
+            progress.result == "Failed"
+            and bool(self._recoveries)
+            and (self._recoveries[0].result, self._recoveries[0].from_pod)
+            == ("Failed", progress.to_recovery(0).from_pod)
+        )
+        if again:
+            self._recoveries.pop(0)
+        else:
+            self._count += 1
+        recovery = progress.to_recovery(self._count)
+        self._recoveries = [recovery, *self._recoveries][:KEPT]
+        if progress.result == "Recovered":
+            self._last_time = rfc3339(progress.moments.get("verified", progress.cursor))[:19] + "Z"
+        metrics.recovered(recovery)
+        self._changed.set()
+        return recovery
+
+    def event(self, kind: str, reason: str, message: str) -> None:
+        """An Event on the RobotWorkload, written in the background."""
+        if self.reference:
+            tell = self._recorder.warning if kind == "Warning" else self._recorder.normal
+            task = asyncio.ensure_future(tell(self.reference, reason, message))
+            _background.add(task)
+            task.add_done_callback(_background.discard)
+
+    def _body(self) -> Object:
+        status = RobotWorkloadStatus(
+            active=self.active,
+            health=self.health,
+            strategy=self.strategy,
+            gate=self.gate,
+            recovery_count=self._count,
+            last_recovery_time=self._last_time,
+            recoveries=self._recoveries,
+            conditions=sorted(self._conditions.values(), key=lambda c: c.type),
+        )
+        return {
+            "apiVersion": API_VERSION,
+            "kind": "RobotWorkload",
+            "metadata": {"name": self._workload, "namespace": self._namespace},
+            "status": status.to_wire(),
+        }
+
+    async def run(self) -> None:
+        """Apply the status when it has changed, until cancelled."""
+        while True:
+            await self._changed.wait()
+            await asyncio.sleep(QUIET)
+            self._changed.clear()
+            try:
+                await self.flush()
+            except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
+                if isinstance(error, ApiError) and error.not_found:
+                    _logger.info("RobotWorkload %s is gone", self._workload)
+                else:
+                    _logger.warning("status not written: %s", error)
+                self._changed.set()
+                await asyncio.sleep(RETRY)
+
+    async def flush(self) -> None:
+        """Apply the status now, if it isn't what was applied last."""
+        body = self._body()
+        text = json.dumps(body, sort_keys=True)
+        if text != self._applied:
+            await self._client.apply(WORKLOADS, self._namespace, body, manager=MANAGER, subresource="status")
+            self._applied = text
+
+
+_background: set[asyncio.Future[None]] = set()
+
+
+def describe(recovery: Recovery) -> str:
+    """A finished recovery in one line, for Events and logs."""
+    tried = "; ".join(f"{a.strategy}: {a.result}{f' ({a.message})' if a.message else ''}" for a in recovery.attempts)
+    if recovery.result != "Recovered" or recovery.recovery_seconds is None:
+        return f"{recovery.reason}. Nothing verified: {tried}"
+    return (
+        f"{recovery.reason}. {recovery.to_pod} took over from {recovery.from_pod or 'no pod'} by {recovery.strategy} in "
+        f"{recovery.recovery_seconds:.3f} s, epoch {recovery.epoch}"
+    )

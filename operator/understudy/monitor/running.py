@@ -1,0 +1,118 @@
+"""The monitor's process: puts its parts together and ends them on SIGTERM."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import logging
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+
+from prometheus_client import REGISTRY, generate_latest
+
+from understudy.api import names
+from understudy.cluster.client import Access, Client
+from understudy.cluster.events import Recorder
+from understudy.cluster.pages import serve
+from understudy.cluster.probes import ProbeReceiver
+from understudy.mitigation.journal import Journal
+from understudy.monitor.fleet import Fleet
+from understudy.monitor.gating import PolicyGate
+from understudy.monitor.reporting import Reporter
+from understudy.monitor.sidecars import Sidecars
+from understudy.monitor.sight import Sight
+from understudy.monitor.supervising import Parts, Supervisor
+from understudy.monitor.view import View
+
+_logger = logging.getLogger(__name__)
+
+STATE = Path("/var/lib/understudy")
+
+
+class JsonFormatter(logging.Formatter):
+    """One JSON object a line."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """The record as JSON."""
+        line = {
+            "time": round(record.created, 6),
+            "level": record.levelname.lower(),
+            "logger": record.name,
+            "message": record.getMessage(),
+        }
+        if record.exc_info:
+            line["exception"] = self.formatException(record.exc_info)
+        return json.dumps(line)
+
+
+def main(argv: list[str]) -> int:
+    """Run until SIGTERM or SIGINT. The workload is named by UNDERSTUDY_WORKLOAD and UNDERSTUDY_NAMESPACE."""
+    handler = logging.StreamHandler(sys.stdout)
+    handler.setFormatter(JsonFormatter())
+    logging.basicConfig(level=os.environ.get("UNDERSTUDY_LOG_LEVEL", "INFO"), handlers=[handler])
+    workload, namespace = os.environ.get("UNDERSTUDY_WORKLOAD"), os.environ.get("UNDERSTUDY_NAMESPACE")
+    if not workload or not namespace:
+        print("understudy monitor: set UNDERSTUDY_WORKLOAD and UNDERSTUDY_NAMESPACE", file=sys.stderr)
+        return 2
+    asyncio.run(_run(workload, namespace))
+    return 0
+
+
+async def _run(workload: str, namespace: str) -> None:
+    loop = asyncio.get_running_loop()
+    running = asyncio.ensure_future(_protect(workload, namespace))
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, running.cancel)
+    with contextlib.suppress(asyncio.CancelledError):
+        await running
+    _logger.info("ended")
+
+
+async def _protect(workload: str, namespace: str) -> None:
+    state = Path(os.environ.get("UNDERSTUDY_STATE", STATE))
+    state.mkdir(parents=True, exist_ok=True)
+    alive = {"ready": 0.0}
+    async with Client(Access.default()) as client, asyncio.TaskGroup() as group:
+        watchers: list[Supervisor] = []
+        view = View(
+            client, namespace, workload, on_pod=lambda pod, here: [w.on_pod(pod, here) for w in watchers] and None
+        )
+        pages = {
+            "/healthz": lambda: (200, "ok\n"),
+            "/ready": lambda: (200, "ok\n") if alive["ready"] else (503, "starting\n"),
+            "/metrics": lambda: (200, generate_latest(REGISTRY).decode()),
+        }
+        await serve(pages, names.METRICS_PORT)
+        probes = ProbeReceiver()
+        await probes.open(names.PROBE_PORT)
+        await view.run(group)
+        fleet = Fleet(client, view)
+        gate = PolicyGate(client, view, fleet, probes)
+        recorder = Recorder(client, "understudy-monitor", os.environ.get("HOSTNAME", "monitor"))
+        reporter = Reporter(client, namespace, workload, recorder)
+        item = view.object
+        if item is not None:
+            reporter.adopt(item)
+        sidecars = Sidecars(client, view)
+        sight = Sight(workload)
+        parts = Parts(
+            view=view,
+            fleet=fleet,
+            gate=gate,
+            sidecars=sidecars,
+            sight=sight,
+            probes=probes,
+            reporter=reporter,
+            journal=Journal(state / "recovery.json"),
+        )
+        supervisor = Supervisor(parts)
+        watchers.append(supervisor)
+        sidecars.on_status = supervisor.wake.set
+        group.create_task(reporter.run())
+        alive["ready"] = time.time()
+        _logger.info("watching %s in %s", workload, namespace)
+        await supervisor.run()

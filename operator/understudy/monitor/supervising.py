@@ -1,0 +1,342 @@
+"""The monitor's loop: watch until the workload fails, recover, report, watch again.
+
+It wakes at deadlines, not at the next tick: a 500 ms gap is noticed 500 ms after the last sample was received.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import time
+from dataclasses import dataclass
+
+import aiohttp
+
+from understudy.api.base import seconds
+from understudy.api.policies import FailurePolicySpec
+from understudy.api.workloads import GateStatus
+from understudy.cluster.client import ApiError, Object
+from understudy.cluster.probes import ProbeReceiver
+from understudy.mitigation.failover import Choice, recover
+from understudy.mitigation.interfaces import Instance, Superseded
+from understudy.mitigation.journal import Journal
+from understudy.mitigation.progress import PodIdentity, Progress
+from understudy.mitigation.strategies import Means
+from understudy.monitor import enforcement, metrics
+from understudy.monitor.choosing import choices
+from understudy.monitor.fleet import Fleet
+from understudy.monitor.gating import PolicyGate
+from understudy.monitor.reporting import Reporter, describe
+from understudy.monitor.sidecars import Sidecars
+from understudy.monitor.sight import Sight
+from understudy.monitor.view import View
+from understudy.trees.health import Verdict
+
+_logger = logging.getLogger(__name__)
+
+TICK = 0.05
+"""Longest time between two looks, in seconds; what arrives in between waits in the middleware's queue."""
+
+WAKE_LATE = 0.0005
+"""Seconds after a deadline at which it is looked at, so that the clock has surely passed it."""
+
+KNOWN_GRACE = 3.0
+"""Seconds that a new monitor waits for the first samples of an instance that its agent knows was healthy before."""
+
+BACKOFF_FIRST, BACKOFF_MOST = 2.0, 60.0
+"""Seconds before everything is tried again after no strategy verified."""
+
+SLOW = 1.0
+"""Seconds between looks at what isn't urgent: labels, whether the gate is enforced."""
+
+
+@dataclass(frozen=True)
+class Failure:
+    """What failed and since when; times are unix seconds."""
+
+    reason: str
+    onset: float
+    detected: float
+
+
+@dataclass
+class Parts:
+    """What the supervisor works with."""
+
+    view: View
+    fleet: Fleet
+    gate: PolicyGate
+    sidecars: Sidecars
+    sight: Sight
+    probes: ProbeReceiver
+    reporter: Reporter
+    journal: Journal
+
+
+class Supervisor:
+    """Protects one workload."""
+
+    def __init__(self, parts: Parts) -> None:
+        self._parts = parts
+        self._view, self._fleet, self._gate = parts.view, parts.fleet, parts.gate
+        self._sidecars, self._sight, self._reporter = parts.sidecars, parts.sight, parts.reporter
+        self.wake = asyncio.Event()
+        self._since = time.time()
+        self._started = self._since
+        self._failing_since: float | None = None
+        self._not_before = 0.0
+        self._backoff = BACKOFF_FIRST
+        self._next_slow = 0.0
+        self._gate_changed = self._since
+        self._active_uid = ""
+        self._cooldown_told = False
+
+    def on_pod(self, pod: Object, present: bool) -> None:
+        """A pod of the workload changed: look at once."""
+        self.wake.set()
+
+    async def run(self) -> None:
+        """Watch and recover until cancelled."""
+        interrupted = self._interrupted()
+        if interrupted is not None:
+            _logger.warning("finishing recovery %s, begun before this monitor started", interrupted.id)
+            await self._carry_out(interrupted)
+        while True:
+            failure = await self._watch()
+            active = self._fleet.find(self._gate.state.active_uid)
+            state = self._gate.state
+            failed = [PodIdentity(name=state.active, uid=state.active_uid)] if not state.closed else []
+            metrics.lateness(time.time() - failure.detected)
+            _logger.warning("failure of %s: %s", active.name if active else state.active, failure.reason)
+            await self._carry_out(
+                Progress.begin(failure.reason, last_healthy=failure.onset, detected=failure.detected, failed=failed)
+            )
+
+    # -- watching ---------------------------------------------------------------------------------------------------
+
+    async def _watch(self) -> Failure:
+        """Look at every deadline until the workload has failed."""
+        while True:
+            self.wake.clear()
+            now = time.time()
+            next_look = now + TICK
+            policy = self._view.policy
+            if policy is None or self._retired():
+                self._reporter.set(health="Unknown")
+                next_look = now + SLOW
+            else:
+                self._sight.follow(policy, self._view.spec)
+                self._sight.drain(self._fleet.of_workload(), self._gate.state.active)
+                failure, deadline = await self._look(policy, now)
+                if failure is not None:
+                    return failure
+                if deadline is not None:
+                    next_look = min(next_look, deadline + WAKE_LATE)
+            if now >= self._next_slow:
+                self._next_slow = now + SLOW
+                await self._housekeeping()
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(max(0.0, next_look - time.time())):
+                    await self.wake.wait()
+
+    def _retired(self) -> bool:
+        """Whether the workload is being deleted: then nothing is recovered."""
+        item = self._view.object
+        return item is None or bool(item["metadata"].get("deletionTimestamp"))
+
+    async def _look(self, policy: FailurePolicySpec, now: float) -> tuple[Failure | None, float | None]:
+        """What is so at this moment: a failure that counts, and else the time to look again at the latest."""
+        state = self._gate.state
+        if not self._gate.exists:
+            self._reporter.set(health="Unknown")
+            return None, None
+        if state.active_uid != self._active_uid:
+            self._active_uid = state.active_uid
+            self._gate_changed = now
+        if state.closed:
+            await self._bootstrap(policy, now)
+            return None, None
+        active = self._fleet.find(state.active_uid)
+        if active is None or active.terminating or not active.running:
+            gone = "is gone" if active is None else "is being deleted" if active.terminating else "has stopped running"
+            return self._counted(Failure(f"pod {state.active} {gone}", self._onset(state.active, now), now), now), None
+        verdict = self._verdict(active, policy, now)
+        self._say(verdict)
+        if verdict.state != "Failed":
+            self._failing_since = None
+            if verdict.state == "Healthy":
+                self._backoff = BACKOFF_FIRST
+            return None, self._sight.deadline(now=now, since=self._since)
+        detected = time.time()
+        if self._failing_since is None:
+            self._failing_since = detected
+        debounce = seconds(policy.monitoring.debounce)
+        if detected < self._failing_since + debounce:
+            return None, self._failing_since + debounce
+        onset = verdict.onset if verdict.onset is not None else self._onset(active.name, now)
+        return self._counted(Failure(verdict.reason, onset, detected), now), None
+
+    def _verdict(self, active: Instance, policy: FailurePolicySpec, now: float) -> Verdict:
+        verdict = self._sight.verdict(now=now, since=self._since)
+        if verdict.state == "Starting" and now - self._since > KNOWN_GRACE:
+            # This monitor is new, its instance isn't: what its own agent says counts, not the grace for a start.
+            status = self._sidecars.status(active)
+            if status is not None and status.ready_at is not None and not status.ready:
+                return Verdict("Failed", status.reason, verdict.leaf, status.ready_at)
+        return verdict
+
+    def _onset(self, pod: str, now: float) -> float:
+        last = self._sight.last_from(pod)
+        return last if last is not None and last <= now else now
+
+    def _counted(self, failure: Failure, now: float) -> Failure | None:
+        """The failure, unless the limits say not now."""
+        self._reporter.set(health="Failed")
+        if now >= self._not_before:
+            self._cooldown_told = False
+            return failure
+        if not self._cooldown_told:
+            self._cooldown_told = True
+            wait = self._not_before - now
+            self._reporter.condition(
+                "Recovering", "False", "Waiting", f"{failure.reason}; tried again in {wait:.0f} s."
+            )
+            self._reporter.event("Warning", "RecoveryPostponed", f"{failure.reason}; tried again in {wait:.0f} s")
+        return None
+
+    def _say(self, verdict: Verdict) -> None:
+        state = self._gate.state
+        self._reporter.set(
+            active=state.active,
+            health=verdict.state,
+            gate=GateStatus(epoch=state.epoch, active=state.active),
+        )
+        status = {"Healthy": "True", "Failed": "False", "Starting": "Unknown"}[verdict.state]
+        self._reporter.condition("Healthy", status, verdict.state, verdict.reason)
+
+    async def _bootstrap(self, policy: FailurePolicySpec, now: float) -> None:
+        """No pod is in control and none is being recovered: open the gate for one that runs, its controller's first."""
+        running = [i for i in self._fleet.of_workload() if i.usable and not i.held]
+        self._reporter.set(
+            active="", health="Starting" if running else "Unknown", gate=GateStatus(epoch=self._gate.state.epoch)
+        )
+        ready = [i for i in running if not i.has_agent or self._sidecars.is_ready(i)[0]]
+        # An application may need an answer of the robot before its outputs flow, so it isn't waited for beyond the grace.
+        if not ready and now - self._started > seconds(policy.monitoring.startup_grace) / 2:
+            ready = running
+        if not ready:
+            return
+        first = min(ready, key=lambda i: (not i.from_source, i.created, i.name))
+        try:
+            await self._gate.commit(first, None)
+        except (Superseded, ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
+            _logger.warning("opening the gate for %s: %s", first.name, error)
+            await asyncio.sleep(1)
+            return
+        _logger.info("gate opened for %s, epoch %d", first.name, self._gate.state.epoch)
+        self._reporter.event("Normal", "InControl", f"{first.name} is in control, epoch {self._gate.state.epoch}")
+        self._since = time.time()
+
+    async def _housekeeping(self) -> None:
+        """What has time: labels on new pods, links to agents, whether the gate is enforced, what would be done now."""
+        instances = self._fleet.of_workload()
+        for instance in instances:
+            if not instance.terminating:
+                with contextlib.suppress(ApiError, aiohttp.ClientError, TimeoutError, OSError):
+                    await self._fleet.label(instance)
+        self._sidecars.follow(instances)
+        policy, settings = self._view.policy, self._view.settings
+        if policy is None or settings is None:
+            return
+        means = self._means()
+        reasons = [(c.strategy, c.strategy.available(means)) for c in choices(policy, settings)]
+        usable = next((s.name.split("/")[-1] for s, reason in reasons if reason is None), "None")
+        item = self._view.object
+        self._reporter.generation = item["metadata"].get("generation") if item else None
+        self._reporter.set(strategy=usable)
+        missing = self._sight.problems
+        if missing:
+            if self._reporter.condition("Monitored", "False", "TypeNotInstalled", " ".join(missing)):
+                self._reporter.event("Warning", "TypeNotInstalled", " ".join(missing))
+        else:
+            self._reporter.condition("Monitored", "True", "Watching", self._sight.summary)
+        active_uid = self._gate.state.active_uid
+        last = {i.uid: found for i in instances if (found := self._parts.probes.last(i.uid)) is not None}
+        judged = enforcement.judge(instances, active_uid, last, now=time.time(), since=self._gate_changed)
+        if judged[1] != "Settling" and self._reporter.condition("GateEnforced", *judged) and judged[0] == "False":
+            self._reporter.event("Warning", f"Gate{judged[1]}", judged[2])
+
+    # -- recovering -------------------------------------------------------------------------------------------------
+
+    def _means(self) -> Means:
+        settings = self._view.settings
+        assert settings is not None, "the view waits for the settings"
+        return Means(
+            gate=self._gate,
+            instances=self._fleet,
+            agents=self._sidecars,
+            outputs=self._sight.outputs(self._fleet, self._gate),
+            clock=time.time,
+            save=self._parts.journal.save,
+            workload_uid=settings.uid,
+        )
+
+    def _interrupted(self) -> Progress | None:
+        """The recovery that an earlier monitor had begun and not recorded, if there is one."""
+        kept = [p for p in (self._parts.journal.load(), self._gate.state.recovery) if p is not None]
+        open_ones = [p for p in kept if p.id not in self._reporter.recorded and p.result != "Failed"]
+        if not open_ones:
+            return None
+        progress = open_ones[0]
+        committed = self._gate.state.recovery
+        if committed is not None and committed.id != progress.id and committed in open_ones:
+            progress = committed  # the journal is of an older one: the gate knows better
+        return progress.model_copy(update={"resumed": True}, deep=True)
+
+    async def _carry_out(self, progress: Progress) -> None:
+        policy, settings = self._view.policy, self._view.settings
+        if policy is None or settings is None or self._retired():
+            return
+        self._sight.follow(policy, self._view.spec)
+        self._sidecars.follow(self._fleet.of_workload())
+        self._reporter.set(health="Recovering")
+        self._reporter.condition("Recovering", "True", "FailureDetected", progress.reason)
+        try:
+            done = await recover(progress, choices(policy, settings), self._means())
+        except Superseded as reason:
+            _logger.warning("recovery %s given up: %s", progress.id, reason)
+            self._reporter.condition("Recovering", "False", "Superseded", str(reason))
+            self._reporter.event("Warning", "RecoverySuperseded", f"{progress.reason}: {reason}")
+            self._after(0.0)
+            return
+        except (ApiError, aiohttp.ClientError, OSError) as error:
+            _logger.exception("recovery %s stopped", progress.id)
+            self._reporter.condition("Recovering", "False", "Error", f"{progress.reason}: {error}")
+            self._reporter.event("Warning", "RecoveryError", f"{progress.reason}: {error}")
+            self._after(BACKOFF_FIRST)
+            return
+        recovery = self._reporter.record(done)
+        state = self._gate.state
+        self._reporter.set(active=state.active, gate=GateStatus(epoch=state.epoch, active=state.active))
+        text = describe(recovery)
+        _logger.warning("recovery %d: %s", recovery.number, text)
+        if done.result == "Recovered":
+            self._reporter.condition("Recovering", "False", "Recovered", text)
+            self._reporter.event("Normal", "Recovered", text)
+            self._reporter.set(health="Healthy")
+            self._after(seconds(policy.limits.cooldown))
+            # Its samples count from the commit, so that an understudy that fails at once is noticed in the usual time.
+            self._since = done.moments.get("committing", self._since)
+        else:
+            self._reporter.set(health="Failed")
+            self._reporter.condition("Recovering", "False", "NothingVerified", text)
+            self._reporter.event("Warning", "RecoveryFailed", text)
+            self._after(self._backoff)
+            self._backoff = min(2 * self._backoff, BACKOFF_MOST)
+
+    def _after(self, wait: float) -> None:
+        now = time.time()
+        self._since, self._failing_since = now, None
+        self._not_before = now + wait
+        self._cooldown_told = False

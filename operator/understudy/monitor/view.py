@@ -1,0 +1,100 @@
+"""What the monitor knows of the cluster: its workload, policy, settings, gate and pods, kept by watches."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+from collections.abc import Callable
+
+from pydantic import ValidationError
+
+from understudy.api import names
+from understudy.api.policies import FailurePolicySpec
+from understudy.api.settings import WorkloadSettings
+from understudy.api.workloads import RobotWorkloadSpec
+from understudy.cluster.client import CONFIG_MAPS, NETWORK_POLICIES, PODS, POLICIES, WORKLOADS, Client, Object
+from understudy.cluster.watching import Reflector
+
+_logger = logging.getLogger(__name__)
+
+
+class View:
+    """Local copies of everything the monitor decides by."""
+
+    def __init__(
+        self, client: Client, namespace: str, workload: str, *, on_pod: Callable[[Object, bool], None]
+    ) -> None:
+        """``on_pod`` is called with each pod of the workload that changes, and with False when it is gone."""
+        self.client, self.namespace, self.workload = client, namespace, workload
+        self._on_pod = on_pod
+
+        def only(name: str) -> str:
+            return f"metadata.name={name}"
+
+        self.workloads = Reflector(client, WORKLOADS, namespace, fields=only(workload))
+        self.policies = Reflector(client, POLICIES, namespace)
+        self.settings_maps = Reflector(client, CONFIG_MAPS, namespace, fields=only(names.settings(workload)))
+        self.gates = Reflector(client, NETWORK_POLICIES, namespace, fields=only(names.gate(workload)))
+        self.pods = Reflector(client, PODS, namespace, labels=f"{names.WORKLOAD}={workload}", on_change=on_pod)
+        self.held_pods = Reflector(client, PODS, namespace, labels=f"{names.HELD}=true")
+        self.source_pods: Reflector | None = None
+        self._policy: FailurePolicySpec | None = None
+        self._policy_version = ""
+
+    async def run(self, group: asyncio.TaskGroup) -> None:
+        """Start the watches and wait until the first copies are there."""
+        watches = [self.workloads, self.policies, self.settings_maps, self.gates, self.pods, self.held_pods]
+        for watch in watches:
+            group.create_task(watch.run())
+        for watch in watches:
+            await watch.synced.wait()
+        while self.settings is None:
+            _logger.info("waiting for ConfigMap %s", names.settings(self.workload))
+            await self.settings_maps.changed()
+        if self.settings.source_selector:
+            labels = ",".join(f"{key}={value}" for key, value in self.settings.source_selector.items())
+            self.source_pods = Reflector(self.client, PODS, self.namespace, labels=labels, on_change=self._on_pod)
+            group.create_task(self.source_pods.run())
+            await self.source_pods.synced.wait()
+
+    @property
+    def object(self) -> Object | None:
+        """The RobotWorkload itself, or None when it is gone."""
+        return self.workloads.items.get(self.workload)
+
+    @property
+    def spec(self) -> RobotWorkloadSpec | None:
+        """The workload's spec."""
+        item = self.object
+        return RobotWorkloadSpec.model_validate(item["spec"]) if item else None
+
+    @property
+    def settings(self) -> WorkloadSettings | None:
+        """What the operator resolved for this monitor."""
+        item = self.settings_maps.items.get(names.settings(self.workload))
+        if item is None:
+            return None
+        return WorkloadSettings.model_validate(json.loads(item.get("data", {}).get("settings.json", "{}")))
+
+    @property
+    def policy(self) -> FailurePolicySpec | None:
+        """The policy in force: the one referred to, or, while that is missing or can't be read, the last good one."""
+        spec = self.spec
+        item = self.policies.items.get(spec.failure_policy_ref.name) if spec else None
+        if item is not None and (version := item["metadata"]["uid"] + item["metadata"]["resourceVersion"]) != (
+            self._policy_version
+        ):
+            self._policy_version = version
+            try:
+                self._policy = FailurePolicySpec.model_validate(item["spec"])
+            except ValidationError as error:
+                _logger.error(
+                    "FailurePolicy %s can't be read, keeping the last one: %s", item["metadata"]["name"], error
+                )
+        return self._policy
+
+    def all_pods(self) -> list[Object]:
+        """The pods of this workload, those that its referred controller just made included."""
+        pods = dict(self.source_pods.items) if self.source_pods else {}
+        return list((pods | self.pods.items).values())

@@ -1,0 +1,97 @@
+"""The two writes that ownership of a robot depends on, under contention, on a real API server."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import uuid
+from collections.abc import AsyncIterator
+
+import pytest
+
+from understudy.api import names
+from understudy.cluster import claims, gates
+from understudy.cluster.client import NAMESPACES, NETWORK_POLICIES, PODS, Access, ApiError, Client
+
+pytestmark = pytest.mark.cluster
+
+CONTENDERS = 12
+
+
+@pytest.fixture
+async def client() -> AsyncIterator[Client]:
+    async with Client(Access.from_kubeconfig(os.environ.get("KUBECONFIG"))) as client:
+        yield client
+
+
+@pytest.fixture
+async def space(client: Client) -> AsyncIterator[str]:
+    name = f"claims-{uuid.uuid4().hex[:6]}"
+    await client.create(NAMESPACES, None, {"apiVersion": "v1", "kind": "Namespace", "metadata": {"name": name}})
+    yield name
+    await client.delete(NAMESPACES, None, name)
+
+
+async def test_of_many_claims_on_one_pod_exactly_one_wins(client: Client, space: str) -> None:
+    pod = await client.create(
+        PODS,
+        space,
+        {
+            "apiVersion": "v1",
+            "kind": "Pod",
+            "metadata": {"name": "spare", "labels": {names.POOL: "p", names.HELD: "true"}},
+            "spec": {"containers": [{"name": "c", "image": "none.invalid/none"}], "nodeSelector": {"no": "node"}},
+        },
+    )
+    pod = await client.get(PODS, space, "spare")
+    outcomes = await asyncio.gather(
+        *(
+            claims.claim(client, pod, workload=f"robot-{i}", workload_uid=f"uid-{i}", claim=f"uid-{i}/r")
+            for i in range(CONTENDERS)
+        ),
+        return_exceptions=True,
+    )
+    won = [o for o in outcomes if isinstance(o, dict)]
+    lost = [o for o in outcomes if isinstance(o, ApiError)]
+    assert len(won) == 1
+    assert len(lost) == CONTENDERS - 1
+    assert all(error.conflict for error in lost)
+    labels = won[0]["metadata"]["labels"]
+    assert names.HELD not in labels
+    assert [owner["name"] for owner in won[0]["metadata"]["ownerReferences"]] == [labels[names.WORKLOAD]]
+
+
+async def test_of_many_commits_at_one_epoch_exactly_one_wins(client: Client, space: str) -> None:
+    workload = "robot"
+    policy = await client.create(
+        NETWORK_POLICIES,
+        space,
+        {
+            "apiVersion": "networking.k8s.io/v1",
+            "kind": "NetworkPolicy",
+            "metadata": {"name": names.gate(workload), "annotations": {names.EPOCH: "0"}},
+            "spec": {
+                "podSelector": {"matchLabels": {names.WORKLOAD: workload, names.INSTANCE: names.GATE_CLOSED}},
+                "policyTypes": ["Egress"],
+                "egress": [{}],
+            },
+        },
+    )
+    for epoch in range(5):
+        record = gates.read(policy)
+        assert record.epoch == epoch
+        outcomes = await asyncio.gather(
+            *(
+                gates.commit(
+                    client, space, workload, over=record, active=f"robot-{i}", active_uid=f"uid-{i}", recovery=""
+                )
+                for i in range(CONTENDERS)
+            ),
+            return_exceptions=True,
+        )
+        won = [o for o in outcomes if isinstance(o, dict)]
+        assert len(won) == 1
+        policy = await client.get(NETWORK_POLICIES, space, names.gate(workload))
+        after = gates.read(policy)
+        assert after.epoch == epoch + 1
+        assert gates.selected(policy) == after.active == gates.read(won[0]).active, "selector and record say the same"

@@ -1,0 +1,54 @@
+"""Whether the gate is enforced is judged from packets, not from what the API answered."""
+
+from __future__ import annotations
+
+from understudy.mitigation.interfaces import Instance
+from understudy.monitor.enforcement import SETTLE, SILENT, judge
+
+NOW = 1000.0
+SINCE = NOW - 60
+
+
+def instance(name: str, **values: object) -> Instance:
+    return Instance(name=name, uid=f"uid-{name}", running=True, **values)  # type: ignore[arg-type]
+
+
+ACTIVE, STANDBY = instance("w-1"), instance("w-2", pool="hot")
+
+
+def test_it_is_true_when_only_the_active_pods_packets_get_through() -> None:
+    assert judge([ACTIVE, STANDBY], "uid-w-1", {"uid-w-1": NOW - 0.5}, now=NOW, since=SINCE)[:2] == (
+        "True",
+        "SeenFromPackets",
+    )
+
+
+def test_a_standbys_packet_means_that_the_network_does_not_enforce() -> None:
+    status, reason, message = judge(
+        [ACTIVE, STANDBY], "uid-w-1", {"uid-w-1": NOW, "uid-w-2": NOW - 1}, now=NOW, since=SINCE
+    )
+    assert (status, reason) == ("False", "NotEnforced")
+    assert "w-2" in message
+
+
+def test_packets_from_before_the_switch_are_no_leak() -> None:
+    last = {"uid-w-1": NOW, "uid-w-2": SINCE + SETTLE - 1}
+    assert judge([ACTIVE, STANDBY], "uid-w-1", last, now=NOW, since=SINCE)[0] == "True"
+
+
+def test_an_active_pod_that_does_not_get_through_is_blocked() -> None:
+    last = {"uid-w-1": NOW - SILENT - 1}
+    assert judge([ACTIVE, STANDBY], "uid-w-1", last, now=NOW, since=SINCE)[:2] == ("False", "Blocked")
+
+
+def test_just_after_a_commit_nothing_is_said() -> None:
+    assert judge([ACTIVE, STANDBY], "uid-w-1", {"uid-w-2": NOW}, now=NOW, since=NOW - 1)[0] == "Unknown"
+
+
+def test_a_pod_without_an_agent_is_not_judged() -> None:
+    foreign = instance("d-1", has_agent=False)
+    assert judge([foreign, STANDBY], "uid-d-1", {}, now=NOW, since=SINCE)[:2] == ("Unknown", "NoProbe")
+
+
+def test_without_a_standby_holding_back_is_not_claimed() -> None:
+    assert judge([ACTIVE], "uid-w-1", {"uid-w-1": NOW}, now=NOW, since=SINCE)[:2] == ("Unknown", "NoStandby")
