@@ -1,0 +1,34 @@
+"""Composites whose three-valued result differs from py_trees' own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from py_trees.behaviour import Behaviour
+from py_trees.common import Status
+from py_trees.composites import Composite
+
+
+class AnyOf(Composite):
+    """Succeeds as soon as any child does, whatever the others say.
+
+    py_trees' Selector stops at the first child that runs, so a child that is still starting would hide a healthy one
+    behind it. Here all children are asked: one success is success, else one running is running, else it is failure.
+    """
+
+    def __init__(self, name: str, children: list[Behaviour]) -> None:
+        super().__init__(name, children)
+
+    def tick(self) -> Iterator[Behaviour]:
+        """Ask every child; the best answer is the result."""
+        results = []
+        for child in self.children:
+            yield from child.tick()
+            results.append(child.status)
+        if Status.SUCCESS in results:
+            self.status = Status.SUCCESS
+        elif Status.RUNNING in results:
+            self.status = Status.RUNNING
+        else:
+            self.status = Status.FAILURE
+        yield self

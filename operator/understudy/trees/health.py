@@ -1,0 +1,129 @@
+"""A health tree: its verdict now, and the exact moment at which that can get worse by itself.
+
+Detection is not bound to a tick. After each look at the topics, ask :meth:`HealthTree.deadline` and wake up then: a
+500 ms gap is found 500 ms after the last message's receipt, however slow the ticks are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from py_trees.behaviour import Behaviour
+from py_trees.common import Status
+from py_trees.composites import Parallel, Sequence
+from py_trees.decorators import Inverter
+
+from understudy.trees.composites import AnyOf
+from understudy.trees.leaves import STATE, Glance, State, TopicLeaf
+from understudy.trees.observations import Observations
+
+BADNESS: dict[State, int] = {"Healthy": 0, "Starting": 1, "Failed": 2}
+"""How bad a state is; a verdict gets worse when this grows."""
+
+
+@dataclass(frozen=True)
+class WatchedTopic:
+    """A topic that a tree needs, with what its subscription must be able to hold."""
+
+    name: str
+    type: str | None
+    """``package/msg/Name``; None where the tree leaves it to the ROS graph."""
+    window: float
+    """Seconds of arrivals that are looked at; 0 where only the last one is."""
+    rate: float | None
+    """Messages per second to be ready for; None where the tree doesn't say."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What the tree says of an instance."""
+
+    state: State
+    """Starting, Healthy or Failed."""
+    reason: str
+    """Why, in plain words with figures; empty while healthy. The figure of a failing rate changes between verdicts."""
+    leaf: str
+    """Path of the leaf that decided it, such as ``sensors/scan``; empty while healthy."""
+    onset: float | None
+    """When the last good sample was received (Unix seconds), of a failure; None where there never was one."""
+
+
+class HealthTree:
+    """What healthy means, over py_trees behaviours.
+
+    One tree judges one instance at a time: it remembers, for the present ``since``, which rates have held once.
+    All times are Unix seconds.
+    """
+
+    def __init__(self, root: Behaviour, glance: Glance, topics: list[WatchedTopic]) -> None:
+        self.root = root
+        """The behaviours, with the states of the last evaluation."""
+        self.topics = topics
+        """What to subscribe to, each topic once."""
+        self._glance = glance
+        self._leaves = [node for node in root.iterate() if isinstance(node, TopicLeaf)]
+
+    @property
+    def grace(self) -> float:
+        """Seconds that an instance has to become healthy for the first time."""
+        return self._glance.grace
+
+    def evaluate(self, observations: Observations, *, now: float, since: float) -> Verdict:
+        """The verdict at ``now`` on the instance that has been in control since ``since`` (or was first seen then).
+
+        Look at the topics first, then take ``now``: what has arrived but wasn't noted counts as missing.
+        """
+        state = self._tick(observations, now, since)
+        if state == "Healthy":
+            return Verdict(state, "", "", None)
+        leaves = _decisive(self.root)
+        onset = _onset(self.root) if state == "Failed" else None
+        return Verdict(state, "; ".join(reason for _, reason in leaves), leaves[0][0].name, onset)
+
+    def deadline(self, observations: Observations, *, now: float, since: float) -> float | None:
+        """The first moment at which :meth:`evaluate` would be worse than now if nothing more arrives; None for never.
+
+        Holds until the next message or evaluation; then ask again.
+        """
+        worst = BADNESS["Failed"]
+        present = BADNESS[self._tick(observations, now, since)]
+        if present == worst:
+            return None
+        for moment in sorted({moment for leaf in self._leaves for moment in leaf.changes()}):
+            if BADNESS[self._tick(observations, moment, since, real=False)] > present:
+                return moment
+        return None
+
+    def _tick(self, observations: Observations, now: float, since: float, *, real: bool = True) -> State:
+        glance = self._glance
+        glance.observations, glance.now, glance.since, glance.real = observations, now, since, real
+        for _ in self.root.tick():
+            pass
+        return STATE[self.root.status]
+
+
+def _decisive(node: Behaviour, *, inverted: bool = False) -> list[tuple[TopicLeaf, str]]:
+    """The leaves that gave a node its status, with their reasons, in the tree's order."""
+    if isinstance(node, TopicLeaf):
+        reason = node.reason(STATE[node.status])
+        return [(node, f"{reason}, which must not be" if inverted and node.status != Status.RUNNING else reason)]
+    if isinstance(node, Inverter):
+        return _decisive(node.decorated, inverted=not inverted)
+    return [found for child in _deciding(node) for found in _decisive(child, inverted=inverted)]
+
+
+def _deciding(node: Behaviour) -> list[Behaviour]:
+    return [child for child in node.children if child.status == node.status]
+
+
+def _onset(node: Behaviour) -> float | None:
+    """When a failed node was last seen to be good."""
+    if isinstance(node, TopicLeaf):
+        return node.last()
+    if not isinstance(node, Parallel | Sequence | AnyOf):
+        return None  # An inverter fails by a message, and the last good moment was no message's.
+    onsets = [onset for child in _deciding(node) if (onset := _onset(child)) is not None]
+    if not onsets:
+        return None
+    # What must hold altogether was good until the first was lost, an alternative until the last was.
+    return max(onsets) if isinstance(node, AnyOf) else min(onsets)

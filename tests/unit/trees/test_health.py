@@ -1,0 +1,301 @@
+"""What a tree says, when, and why; and that its deadline is the exact moment at which it says worse."""
+
+import math
+from typing import Any
+
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from understudy.trees.health import BADNESS, HealthTree, Verdict
+from understudy.trees.loading import load
+from understudy.trees.observations import Recorded, TopicRecord
+
+START = 1.7e9
+
+
+def gap(topic: str, length: str = "500ms", **node: Any) -> dict[str, Any]:
+    return {"topic": {"name": topic, "gap": length}, **node}
+
+
+def rate(topic: str, band: str = "> 8 Hz", window: str = "2s", **node: Any) -> dict[str, Any]:
+    return {"topic": {"name": topic, "rate": band, "window": window}, **node}
+
+
+class World:
+    """A tree with topics that arrive when the test says; times are seconds since START."""
+
+    def __init__(self, tree: dict[str, Any], *, grace: float = 30.0, since: float = 0.0) -> None:
+        self.tree: HealthTree = load(tree, grace=grace)
+        self.since = START + since
+        self.records = {topic.name: TopicRecord(topic.window) for topic in self.tree.topics}
+
+    def arrive(self, topic: str, *times: float) -> "World":
+        for time in times:
+            self.records[topic].add(START + time)
+        return self
+
+    def at(self, now: float) -> Verdict:
+        return self.tree.evaluate(Recorded(self.records), now=START + now, since=self.since)
+
+    def deadline(self, now: float) -> float | None:
+        moment = self.tree.deadline(Recorded(self.records), now=START + now, since=self.since)
+        return None if moment is None else round(moment - START, 6)
+
+
+def steady(hertz: float, start: float, end: float) -> list[float]:
+    return [start + i / hertz for i in range(int((end - start) * hertz))]
+
+
+def test_gap_fails_exactly_when_the_last_sample_is_that_old():
+    world = World(gap("/cmd_vel")).arrive("/cmd_vel", 1.0)
+    assert world.at(1.499999).state == "Healthy"
+    assert world.at(1.5) == Verdict("Failed", "no /cmd_vel for 500 ms", "cmd_vel", START + 1.0)
+
+
+def test_before_the_first_sample_it_is_starting_until_the_grace_is_over():
+    world = World(gap("/cmd_vel"), grace=10)
+    assert world.at(9.999) == Verdict("Starting", "waiting for the first /cmd_vel, for up to 10 s", "cmd_vel", None)
+    assert world.deadline(5) == 10
+    assert world.at(10) == Verdict("Failed", "no /cmd_vel within 10 s of the start", "cmd_vel", None)
+
+
+def test_samples_from_before_the_instance_took_control_are_not_its_own():
+    world = World(gap("/cmd_vel"), since=5).arrive("/cmd_vel", 4.9)
+    assert world.at(5.1).state == "Starting"
+    assert world.arrive("/cmd_vel", 5.2).at(5.3).state == "Healthy"
+
+
+def test_topic_that_is_not_watched_yet_is_starting():
+    tree = load(gap("/cmd_vel"))
+    assert tree.evaluate(Recorded({}), now=START, since=START).state == "Starting"
+
+
+def test_rate_below_the_band_says_the_rate():
+    world = World(rate("/scan")).arrive("/scan", *steady(10, 0, 4))
+    assert world.at(4).state == "Healthy"
+    world.arrive("/scan", 4.2, 4.4, 4.6, 4.8, 5.0)
+    assert world.at(5.0).reason == "/scan at 7 Hz, below 8 Hz over 2 s"
+
+
+def test_rate_that_only_meets_a_strict_bound_does_not_hold():
+    world = World(rate("/scan", "> 8 Hz"), grace=0).arrive("/scan", *steady(8, 0, 4))
+    assert world.at(3.9).reason == "/scan at 8 Hz, not above 8 Hz over 2 s"
+
+
+def test_rate_fails_at_the_moment_at_which_the_count_falls_below_the_band():
+    world = World(rate("/scan")).arrive("/scan", *steady(10, 0, 4))
+    assert world.at(3.95).state == "Healthy"
+    # 17 samples are needed in 2 s: those since 2.3; the sample of 2.3 leaves at 4.3.
+    assert world.deadline(3.95) == pytest.approx(4.3)
+    assert world.at(4.2999).state == "Healthy"
+    assert world.at(4.3).state == "Failed"
+
+
+def test_rate_above_the_band_fails_and_gets_better_by_itself():
+    world = World(rate("/scan", "9 to 11 Hz", "1s"), grace=0).arrive("/scan", *steady(10, 0, 3), 2.95, 2.96)
+    assert world.at(2.97).reason == "/scan at 12 Hz, above 11 Hz over 1 s"
+    assert world.deadline(2.97) is None
+    assert world.at(3.1).state == "Healthy"
+
+
+def test_rate_is_starting_until_a_window_has_passed_since_the_first_sample():
+    world = World(rate("/scan"), grace=1).arrive("/scan", *steady(10, 0.95, 2.9))
+    assert world.at(2.9).state == "Starting"
+    world.arrive("/scan", 2.95)
+    assert world.at(2.96).state == "Healthy"
+
+
+def test_rate_that_has_never_held_has_the_grace_to_reach_the_band():
+    world = World(rate("/scan"), grace=10).arrive("/scan", *steady(5, 0, 10))
+    assert world.at(6) == Verdict("Starting", "/scan has not been at > 8 Hz for 2 s yet", "scan", None)
+    assert world.deadline(6) == 10
+    assert world.at(10).state == "Failed"
+
+
+def test_rate_that_has_held_once_has_no_more_grace():
+    world = World(rate("/scan"), grace=30).arrive("/scan", *steady(10, 0, 3))
+    assert world.at(2.95).state == "Healthy"
+    assert world.at(3.5).state == "Failed"
+
+
+def test_the_next_instance_has_its_own_grace():
+    world = World(rate("/scan"), grace=30).arrive("/scan", *steady(10, 0, 3))
+    assert world.at(2.95).state == "Healthy"
+    world.since = START + 3.5
+    assert world.at(3.6).state == "Starting"
+    world.arrive("/scan", *steady(5, 4, 8))
+    assert world.at(8).state == "Starting"
+
+
+def test_upper_bound_alone_is_met_by_silence():
+    world = World(rate("/scan", "< 20 Hz"), grace=5)
+    assert world.at(4).state == "Starting"
+    assert world.at(5).state == "Healthy"
+
+
+def test_gap_and_rate_of_one_topic_must_both_hold():
+    tree = {"topic": {"name": "/scan", "gap": "300ms", "rate": "> 5 Hz", "window": "2s"}}
+    world = World(tree).arrive("/scan", *steady(10, 0, 4))
+    assert world.at(3.95).state == "Healthy"
+    assert world.deadline(3.95) == pytest.approx(4.2)
+    assert world.at(4.2).reason == "no /scan for 300 ms"
+
+
+@pytest.mark.parametrize(
+    ("kind", "first", "second", "expected"),
+    [
+        ("parallel", "Healthy", "Healthy", "Healthy"),
+        ("parallel", "Healthy", "Starting", "Starting"),
+        ("parallel", "Starting", "Failed", "Failed"),
+        ("parallel", "Failed", "Starting", "Failed"),
+        ("parallel", "Failed", "Healthy", "Failed"),
+        ("selector", "Starting", "Healthy", "Healthy"),
+        ("selector", "Healthy", "Failed", "Healthy"),
+        ("selector", "Failed", "Healthy", "Healthy"),
+        ("selector", "Failed", "Starting", "Starting"),
+        ("selector", "Starting", "Failed", "Starting"),
+        ("selector", "Failed", "Failed", "Failed"),
+        ("sequence", "Healthy", "Healthy", "Healthy"),
+        ("sequence", "Healthy", "Failed", "Failed"),
+        ("sequence", "Failed", "Healthy", "Failed"),
+        ("sequence", "Starting", "Failed", "Starting"),
+        ("sequence", "Healthy", "Starting", "Starting"),
+    ],
+)
+def test_composites(kind, first, second, expected):
+    samples = {"Healthy": [9.8], "Failed": [1.0], "Starting": []}
+    world = World({kind: [gap("/a"), gap("/b")]}).arrive("/a", *samples[first]).arrive("/b", *samples[second])
+    for _ in range(3):  # no state of an earlier tick may tell
+        assert world.at(10).state == expected
+
+
+def test_inverter_fails_while_the_topic_is_received():
+    world = World({"inverter": gap("/e_stop", "1s")}, grace=2)
+    assert world.at(1).state == "Starting"
+    assert world.at(2).state == "Healthy"
+    world.arrive("/e_stop", 3.0)
+    assert world.at(3.5) == Verdict("Failed", "/e_stop is received, which must not be", "e_stop", None)
+    assert world.at(4.0).state == "Healthy"
+
+
+def test_verdict_names_the_leaf_and_everything_that_failed():
+    tree = {"parallel": [{"parallel": [gap("/scan"), gap("/odom")], "name": "sensors"}, gap("/cmd_vel")]}
+    world = World(tree).arrive("/scan", 2.0).arrive("/odom", 2.3).arrive("/cmd_vel", 2.6)
+    assert world.at(2.5) == Verdict("Failed", "no /scan for 500 ms", "sensors/scan", START + 2.0)
+    verdict = world.at(2.9)
+    assert (verdict.reason, verdict.leaf) == ("no /scan for 500 ms; no /odom for 500 ms", "sensors/scan")
+
+
+def test_onset_of_alternatives_is_when_the_last_one_was_lost():
+    world = World({"selector": [gap("/gps"), gap("/odom")]}).arrive("/gps", 1.0).arrive("/odom", 4.0)
+    assert world.at(4.5).onset == START + 4.0
+
+
+def test_onset_of_what_must_hold_altogether_is_when_the_first_was_lost():
+    world = World({"parallel": [gap("/odom"), gap("/gps")]}).arrive("/gps", 1.0).arrive("/odom", 4.0)
+    assert world.at(4.5).onset == START + 1.0
+
+
+def test_deadline_passes_over_what_does_not_matter():
+    world = World({"selector": [gap("/a", "200ms"), gap("/b", "900ms")]}).arrive("/a", 1.0).arrive("/b", 1.0)
+    assert world.deadline(1.1) == pytest.approx(1.9)
+
+
+def test_trying_out_the_deadline_leaves_no_trace():
+    world = World(rate("/scan"), grace=30).arrive("/scan", *steady(10, 0, 1.95))
+    assert world.at(1.9).state == "Starting"
+    world.deadline(1.9)  # looks at 2.0, where the window is full and the band holds for a moment
+    assert world.at(3.5).state == "Starting"
+
+
+def test_feedback_of_the_behaviours_says_why():
+    world = World({"parallel": [gap("/scan"), gap("/odom")]}).arrive("/scan", 1.0)
+    world.at(1.2)
+    leaves = [node for node in world.tree.root.iterate() if not node.children]
+    assert [leaf.feedback_message for leaf in leaves] == [
+        "/scan is received",
+        "waiting for the first /odom, for up to 30 s",
+    ]
+
+
+TOPICS = ["/a", "/b", "/c"]
+
+LEAVES = st.one_of(
+    st.builds(gap, st.sampled_from(TOPICS), st.sampled_from(["100ms", "250ms", "1s", "3s"])),
+    st.builds(
+        rate, st.sampled_from(TOPICS), st.sampled_from(["> 4 Hz", ">= 2 Hz", "< 9 Hz", "2 to 8 Hz"]), st.just("1s")
+    ),
+)
+TREES = st.recursive(
+    LEAVES,
+    lambda nodes: st.one_of(
+        st.builds(
+            lambda kind, children: {kind: children},
+            st.sampled_from(["parallel", "sequence", "selector"]),
+            st.lists(nodes, min_size=1, max_size=3),
+        ),
+        st.builds(lambda child: {"inverter": child}, nodes),
+    ),
+    max_leaves=5,
+)
+ARRIVALS = st.dictionaries(
+    st.sampled_from(TOPICS), st.lists(st.floats(0.0, 6.0), max_size=40).map(sorted), max_size=len(TOPICS)
+)
+
+
+def numbered(tree: dict[str, Any], count: list[int]) -> dict[str, Any]:
+    """The tree with a name of its own for each leaf."""
+    for kind in ("parallel", "sequence", "selector"):
+        if kind in tree:
+            return {kind: [numbered(child, count) for child in tree[kind]]}
+    if "inverter" in tree:
+        return {"inverter": numbered(tree["inverter"], count)}
+    count[0] += 1
+    return {**tree, "name": f"leaf{count[0]}"}
+
+
+@settings(max_examples=400, deadline=None)
+@given(
+    tree=TREES,
+    arrivals=ARRIVALS,
+    grace=st.sampled_from([0.0, 0.7, 4.0, 30.0]),
+    since=st.floats(0.0, 5.0),
+    wait=st.floats(0.0, 2.0),
+    between=st.floats(0.0, 1.0),
+)
+def test_just_before_the_deadline_nothing_is_worse_and_at_it_something_is(tree, arrivals, grace, since, wait, between):
+    world = World(numbered(tree, [0]), grace=grace, since=since)
+    for topic in world.records:
+        world.arrive(topic, *arrivals.get(topic, []))
+    seen = Recorded(world.records)
+    now = START + max([since, *(record.last - START for record in world.records.values() if record.last)]) + wait
+
+    def badness(moment: float) -> int:
+        return BADNESS[world.tree.evaluate(seen, now=moment, since=world.since).state]
+
+    present = badness(now)
+    moment = world.tree.deadline(seen, now=now, since=world.since)
+    if moment is None:
+        later = now
+        for step in (0.01, 0.5, 1.0, 5.0, 40.0):
+            later += step
+            # By time alone only: the memory that a rate has held may be fresh from the moment before.
+            fresh = load(numbered(tree, [0]), grace=grace)
+            fresh.evaluate(seen, now=now, since=world.since)
+            assert BADNESS[fresh.evaluate(seen, now=later, since=world.since).state] <= present
+        return
+    assert moment > now
+    middle = now + between * (moment - now)
+    fresh = load(numbered(tree, [0]), grace=grace)
+    fresh.evaluate(seen, now=now, since=world.since)
+    if middle < moment:
+        assert BADNESS[fresh.evaluate(seen, now=middle, since=world.since).state] <= present
+    before = math.nextafter(moment, 0)
+    fresh = load(numbered(tree, [0]), grace=grace)
+    fresh.evaluate(seen, now=now, since=world.since)
+    assume(before > now)
+    assert BADNESS[fresh.evaluate(seen, now=before, since=world.since).state] <= present
+    fresh = load(numbered(tree, [0]), grace=grace)
+    fresh.evaluate(seen, now=now, since=world.since)
+    assert BADNESS[fresh.evaluate(seen, now=moment, since=world.since).state] > present

@@ -1,0 +1,197 @@
+"""Good trees load; of bad ones every problem is named, with its place and what would be right."""
+
+import pytest
+
+from understudy.trees.loading import Problem, TreeError, load
+
+ROOT = "spec.monitoring.yaml"
+KINDS = "parallel, sequence, selector, inverter, topic"
+RATES = "'> 8 Hz', '>= 8 Hz', '< 20 Hz', '<= 20 Hz' or '9 to 11 Hz'"
+
+SCAN = {"topic": {"name": "/scan", "rate": "> 8 Hz"}}
+CMD_VEL = {"topic": {"name": "/cmd_vel", "type": "geometry_msgs/msg/Twist", "gap": "500ms"}}
+
+
+def problems(tree: object) -> list[str]:
+    with pytest.raises(TreeError) as caught:
+        load(tree)  # type: ignore[arg-type]
+    return [str(problem) for problem in caught.value.problems]
+
+
+def test_topics_carry_what_their_subscription_needs():
+    tree = load({"parallel": [SCAN, CMD_VEL]})
+    scan, cmd_vel = tree.topics
+    assert (scan.name, scan.type, scan.window, scan.rate) == ("/scan", None, 2.0, 16.0)
+    assert (cmd_vel.name, cmd_vel.type, cmd_vel.window, cmd_vel.rate) == (
+        "/cmd_vel",
+        "geometry_msgs/msg/Twist",
+        0.0,
+        None,
+    )
+
+
+def test_topic_of_two_leaves_is_watched_once_with_the_needs_of_both():
+    slow = {
+        "topic": {"name": "/scan", "type": "sensor_msgs/msg/LaserScan", "rate": "< 40 Hz", "window": "5s"},
+        "name": "slow",
+    }
+    (topic,) = load({"sequence": [SCAN, slow]}).topics
+    assert (topic.type, topic.window, topic.rate) == ("sensor_msgs/msg/LaserScan", 5.0, 40.0)
+
+
+def test_leaf_paths_are_the_names_of_named_nodes():
+    tree = load(
+        {"parallel": [{"selector": [SCAN], "name": "sensors"}, {"inverter": CMD_VEL}, {**SCAN, "name": "again"}]}
+    )
+    leaves = [node.name for node in tree.root.iterate() if not node.children]
+    assert leaves == ["sensors/scan", "cmd_vel", "again"]
+
+
+@pytest.mark.parametrize(
+    ("tree", "place", "expected"),
+    [
+        ([], "", f"found a list; a node is a mapping with one of {KINDS}"),
+        ({}, "", f"the node says nothing; give one of {KINDS}"),
+        ({"paralel": [SCAN]}, ".paralel", "unknown key 'paralel', did you mean 'parallel'?"),
+        ({"parallel": []}, ".parallel", "the list is empty; parallel needs at least one node"),
+        ({"parallel": SCAN}, ".parallel", "found a mapping; parallel has a list of nodes"),
+        ({"parallel": [None]}, ".parallel[0]", f"found nothing; a node is a mapping with one of {KINDS}"),
+        ({"parallel": [SCAN], **CMD_VEL}, "", "found parallel and topic in one node; give each a node of its own"),
+        ({**SCAN, "gap": "1s"}, ".gap", "unknown key; gap belongs inside topic"),
+        ({**SCAN, "name": "a/b"}, ".name", "found 'a/b'; a node's name is 1 to 63 letters, digits, '_', '-' and '.'"),
+        ({"topic": "/scan"}, ".topic", "found '/scan'; topic is a mapping with name and with gap or rate"),
+        ({"topic": {"gap": "1s"}}, ".topic.name", "missing; give the topic's fully qualified name, such as /cmd_vel"),
+        ({"topic": {"name": "scan", "gap": "1s"}}, ".topic.name", "found 'scan'; did you mean '/scan'?"),
+        (
+            {"topic": {"name": 7, "gap": "1s"}},
+            ".topic.name",
+            "found 7; give a fully qualified topic name such as /cmd_vel",
+        ),
+        (
+            {"topic": {"name": "/scan"}},
+            ".topic",
+            "neither gap nor rate is given; give gap, such as 500ms, or rate, such as '> 8 Hz'",
+        ),
+        (
+            {"topic": {"name": "/scan", "gpa": "1s", "gap": "1s"}},
+            ".topic.gpa",
+            "unknown key 'gpa', did you mean 'gap'?",
+        ),
+        (
+            {"topic": {"name": "/scan", "gap": 500}},
+            ".topic.gap",
+            "found 500, which has no unit; write it with ms, s, m or h, such as 500ms",
+        ),
+        (
+            {"topic": {"name": "/scan", "gap": "500us"}},
+            ".topic.gap",
+            "'500us' is not a duration: write a number with ms, s, m or h, such as 500ms or 1m30s",
+        ),
+        ({"topic": {"name": "/scan", "gap": "0s"}}, ".topic.gap", "found '0s'; it must be longer than 0"),
+        ({"topic": {"name": "/scan", "gap": "25h"}}, ".topic.gap", "found '25h'; it must be at most 24h"),
+        (
+            {"topic": {"name": "/scan", "gap": "1s", "window": "2s"}},
+            ".topic.window",
+            "a window is only for a rate; give rate, or leave window out",
+        ),
+        ({"topic": {"name": "/scan", "rate": "> 8"}}, ".topic.rate", f"'> 8' is not a rate: write {RATES}"),
+        ({"topic": {"name": "/scan", "rate": 8}}, ".topic.rate", f"found 8; write {RATES}"),
+        (
+            {"topic": {"name": "/scan", "rate": "11 to 9 Hz"}},
+            ".topic.rate",
+            "'11 to 9 Hz' holds no rate: the lower bound comes first, such as '9 to 11 Hz'",
+        ),
+        (
+            {"topic": {"name": "/scan", "rate": "> 0 Hz"}},
+            ".topic.rate",
+            "'> 0 Hz' bounds nothing: a bound is above 0 Hz",
+        ),
+        (
+            {"topic": {"name": "/scan", "rate": "> 1000000 Hz"}},
+            ".topic.rate",
+            "'> 1000000 Hz' is too fast to be watched: a bound is at most 10000 Hz",
+        ),
+        (
+            {"topic": {"name": "/scan", "rate": "> 8 Hz", "window": "100ms"}},
+            ".topic.window",
+            "100 ms is too short to tell whether a rate is > 8 Hz: a window counts whole messages; "
+            "give at least 250 ms",
+        ),
+        (
+            {"topic": {"name": "/scan", "rate": "9 to 11 Hz", "window": "500ms"}},
+            ".topic.window",
+            "500 ms is too short to tell whether a rate is 9 to 11 Hz: a window counts whole messages; "
+            "give at least 1 s",
+        ),
+        (
+            {"topic": {"name": "/scan", "type": "sensor_msgs/LaserScan", "gap": "1s"}},
+            ".topic.type",
+            "found 'sensor_msgs/LaserScan'; give package/msg/Name",
+        ),
+        (
+            {"topic": {"name": "/scan", "type": "std_srvs/srv/Trigger", "gap": "1s"}},
+            ".topic.type",
+            "found 'std_srvs/srv/Trigger'; give package/msg/Name",
+        ),
+        (
+            {"parallel": [SCAN, SCAN]},
+            ".parallel[1].topic",
+            "'scan' is already the name of spec.monitoring.yaml.parallel[0].topic; give one of them another name",
+        ),
+        (
+            {
+                "parallel": [
+                    CMD_VEL,
+                    {"topic": {"name": "/cmd_vel", "type": "std_msgs/msg/String", "gap": "1s"}, "name": "b"},
+                ]
+            },
+            ".parallel[1].topic.type",
+            f"found std_msgs/msg/String, but {ROOT}.parallel[0].topic.type says geometry_msgs/msg/Twist "
+            "of the same topic /cmd_vel",
+        ),
+    ],
+)
+def test_a_problem_says_where_and_what_would_be_right(tree, place, expected):
+    assert problems(tree) == [f"{ROOT}{place}: {expected}"]
+
+
+def test_all_problems_are_named_at_once():
+    found = problems(
+        {
+            "parallel": [
+                {"topic": {"name": "/scan", "gap": "-1s", "rate": "fast"}},
+                {"sequence": []},
+                {"inverter": {"topik": {}}},
+            ]
+        }
+    )
+    assert [line.split(": ")[0] for line in found] == [
+        "spec.monitoring.yaml.parallel[0].topic.gap",
+        "spec.monitoring.yaml.parallel[0].topic.rate",
+        "spec.monitoring.yaml.parallel[1].sequence",
+        "spec.monitoring.yaml.parallel[2].inverter.topik",
+    ]
+
+
+def test_path_is_the_callers():
+    with pytest.raises(TreeError) as caught:
+        load({"inverter": 1}, path="configure.tree")  # type: ignore[dict-item]
+    assert caught.value.problems == [
+        Problem(
+            "configure.tree.inverter",
+            f"found 1; a node is a mapping with one of {KINDS}",
+        )
+    ]
+
+
+def test_tree_too_deep_is_refused_and_not_recursed_into():
+    tree: dict = SCAN
+    for _ in range(5000):
+        tree = {"inverter": tree}
+    (problem,) = problems(tree)
+    assert problem.endswith("the tree is more than 32 levels deep")
+
+
+def test_tree_too_large_is_refused_once():
+    leaves = [{**SCAN, "name": f"leaf{i}"} for i in range(600)]
+    assert problems({"parallel": leaves}) == ["spec.monitoring.yaml.parallel[511]: the tree has more than 512 nodes"]
