@@ -12,11 +12,43 @@ GROUP = "understudy.dev"
 VERSION = "v1alpha1"
 API_VERSION = f"{GROUP}/{VERSION}"
 
+
+def rules(*entries: tuple[str, str] | tuple[str, str, str]) -> dict[str, Any]:
+    """``json_schema_extra`` with CEL validation rules (KEP-2876): each a rule, a message and, where the rule is about one field
+    of the object, that field's path such as ``.poolRef``, under which the API server then reports it.
+    """
+    return {
+        "x-kubernetes-validations": [
+            {"rule": rule, "message": message} | ({"fieldPath": path[0]} if path else {})
+            for rule, message, *path in entries
+        ]
+    }
+
+
+def matching(pattern: str, message: str) -> dict[str, Any]:
+    """``json_schema_extra`` for a text with a pattern that says what was found and what would be right.
+
+    A schema's own ``pattern`` is refused with the bare expression; CRD generation leaves it out in favour of this rule.
+    """
+    rule = {
+        "rule": f"self.matches(r'{pattern}')",
+        "message": message,
+        "messageExpression": f"""'"' + self + '": {message}'""",
+    }
+    return {"x-kubernetes-validations": [rule]}
+
+
 DURATION_PATTERN = r"^([0-9]+(\.[0-9]+)?(ms|s|m|h))+$"
+DURATION_MESSAGE = "write a duration as a number with ms, s, m or h, such as 500ms, 1.5s or 1m30s"
 _DURATION_PART = re.compile(r"([0-9]+(?:\.[0-9]+)?)(ms|s|m|h)")
 _UNIT_SECONDS = {"ms": 0.001, "s": 1.0, "m": 60.0, "h": 3600.0}
 
-Duration = Annotated[str, Field(pattern=DURATION_PATTERN, max_length=32)]
+Duration = Annotated[
+    str,
+    Field(
+        pattern=DURATION_PATTERN, max_length=32, json_schema_extra=matching(DURATION_PATTERN, DURATION_MESSAGE)
+    ),
+]
 """A length of time such as ``500ms``, ``1.5s`` or ``1m30s``."""
 
 
@@ -44,12 +76,22 @@ class Model(BaseModel):
         return self.model_dump(by_alias=True, exclude_none=True, mode="json")
 
 
-def rules(*pairs: tuple[str, str]) -> dict[str, Any]:
-    """``json_schema_extra`` with CEL validation rules, each a pair of rule and message (KEP-2876)."""
-    return {"x-kubernetes-validations": [{"rule": rule, "message": message} for rule, message in pairs]}
+OBJECT_NAME_PATTERN = r"^[a-z0-9]([-a-z0-9.]*[a-z0-9])?$"
+OBJECT_NAME_MESSAGE = "names of objects have lower-case letters, digits, dashes and dots only, and begin and end with a letter or digit"
+
+ObjectName = Annotated[
+    str,
+    Field(
+        pattern=OBJECT_NAME_PATTERN,
+        min_length=1,
+        max_length=253,
+        json_schema_extra=matching(OBJECT_NAME_PATTERN, OBJECT_NAME_MESSAGE),
+    ),
+]
+"""The name of a Kubernetes object (a DNS subdomain)."""
 
 
 class LocalReference(Model):
     """The name of another object in the same namespace."""
 
-    name: str = Field(min_length=1, max_length=253, description="Name of the object, in the same namespace.")
+    name: ObjectName = Field(description="Name of the object, in the same namespace.")

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from datetime import UTC, datetime
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
 from understudy.api.base import Model
 
 Status = Literal["True", "False", "Unknown"]
+
+Time = Annotated[str, Field(json_schema_extra={"format": "date-time"})]
+"""A moment as RFC 3339, with any number of digits for the fraction of a second."""
 
 
 class Condition(Model):
@@ -25,7 +28,7 @@ class Condition(Model):
         description="Reason, one word.",
     )
     message: str = Field(default="", max_length=32768, description="What was found, and what would put it right.")
-    last_transition_time: str = Field(description="When the status last changed, RFC 3339.")
+    last_transition_time: Time = Field(description="When the status last changed, RFC 3339.")
     observed_generation: int | None = Field(
         default=None, ge=0, description="Generation of the spec that this is about."
     )

@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from understudy.api.base import Duration, LocalReference, Model, rules
+from understudy.api.base import DURATION_PATTERN, Duration, LocalReference, Model, rules
 from understudy.api.conditions import Condition
 
 
@@ -14,6 +14,7 @@ class Monitoring(Model):
     """What healthy means, as a behaviour tree, and when its verdict counts."""
 
     yaml: dict[str, Any] = Field(
+        min_length=1,
         description="The health tree in the short form: one node, such as parallel, sequence, selector or topic. See docs/trees.md.",
         json_schema_extra={"x-kubernetes-preserve-unknown-fields": True},
     )
@@ -31,8 +32,21 @@ class Strategy(Model):
 
     model_config = Model.model_config | {
         "json_schema_extra": rules(
-            ("self.type != 'Fallback' || has(self.poolRef)", "poolRef is required for a strategy of type Fallback"),
-            ("self.type == 'Fallback' || !has(self.poolRef)", "poolRef is only for a strategy of type Fallback"),
+            (
+                "self.type != 'Fallback' || has(self.poolRef)",
+                "poolRef is required for a strategy of type Fallback",
+                ".poolRef",
+            ),
+            (
+                "self.type == 'Fallback' || !has(self.poolRef)",
+                "poolRef is only for a strategy of type Fallback",
+                ".poolRef",
+            ),
+            (
+                f"!self.verifyWithin.matches(r'{DURATION_PATTERN}') || duration(self.verifyWithin) >= duration('100ms')",
+                "verifyWithin is at least 100ms",
+                ".verifyWithin",
+            ),
         )
     }
 

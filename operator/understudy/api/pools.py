@@ -2,22 +2,49 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from understudy.api.base import LocalReference, Model, rules
+from understudy.api.base import Model, ObjectName, matching, rules
 from understudy.api.conditions import Condition
+from understudy.api.templates import pod_template
 
 Readiness = Literal["Uninitialized", "Initialized", "Executing"]
+
+WARM_PATH_PATTERN = r"^/[^\x00-\x1f]+$"
+
+WarmPath = Annotated[
+    str,
+    Field(
+        pattern=WARM_PATH_PATTERN,
+        max_length=1024,
+        json_schema_extra=matching(WARM_PATH_PATTERN, "write an absolute path of a file or folder, such as /opt/app"),
+    ),
+]
+"""A file or folder in the containers."""
 
 
 class LabelSelectorRequirement(Model):
     """One expression of a label selector."""
 
-    key: str = Field(description="Label key.")
-    operator: Literal["In", "NotIn", "Exists", "DoesNotExist"] = Field(description="How the values are compared.")
-    values: list[str] | None = Field(default=None, description="Values for In and NotIn.")
+    model_config = Model.model_config | {
+        "json_schema_extra": rules(
+            (
+                "self.operator in ['In', 'NotIn'] ? has(self.values) && size(self.values) > 0 : !has(self.values) || size(self.values) == 0",
+                "values are required for the operators In and NotIn, and only for them",
+                ".values",
+            ),
+        )
+    }
+
+    key: str = Field(min_length=1, max_length=317, description="Label key.")
+    operator: Literal["In", "NotIn", "Exists", "DoesNotExist"] = Field(
+        description="In, NotIn, Exists or DoesNotExist."
+    )
+    values: list[Annotated[str, Field(max_length=63)]] | None = Field(
+        default=None, max_length=64, description="Values for In and NotIn."
+    )
 
 
 class LabelSelector(Model):
@@ -25,14 +52,14 @@ class LabelSelector(Model):
 
     match_labels: dict[str, str] | None = Field(default=None, description="Labels that must all be there.")
     match_expressions: list[LabelSelectorRequirement] | None = Field(
-        default=None, description="Expressions that must all hold."
+        default=None, max_length=16, description="Expressions that must all hold."
     )
 
 
 class TemplateSource(Model):
     """Where the pool's pod template is taken from."""
 
-    workload: str = Field(min_length=1, max_length=253, description="RobotWorkload whose template is used.")
+    workload: ObjectName = Field(description="RobotWorkload whose template is used.")
 
 
 class FallbackPoolSpec(Model):
@@ -52,7 +79,7 @@ class FallbackPoolSpec(Model):
                 "an Uninitialized pool has exactly one of template and templateFrom; an Initialized or Executing one has "
                 "neither (it uses each workload's own)",
             ),
-            ("self.readiness == oldSelf.readiness", "readiness is immutable: create another pool"),
+            ("self.readiness == oldSelf.readiness", "readiness is immutable: create another pool", ".readiness"),
         )
     }
 
@@ -69,12 +96,18 @@ class FallbackPoolSpec(Model):
     template: dict[str, Any] | None = Field(
         default=None,
         description="Pod template of an Uninitialized pool. Containers need a command, since it is held until the claim.",
-        json_schema_extra={"x-kubernetes-preserve-unknown-fields": True},
+        json_schema_extra=pod_template(
+            (
+                "has(self.command) && size(self.command) > 0",
+                "command is required in a pool's template: the container is held until the claim and then runs it",
+                ".command",
+            )
+        ),
     )
     template_from: TemplateSource | None = Field(
         default=None, description="Take the template from a RobotWorkload instead."
     )
-    warm_paths: list[str] = Field(
+    warm_paths: list[WarmPath] = Field(
         default_factory=list,
         max_length=16,
         description="Files and folders in the containers to read once while they are held, so that they are in the page cache.",

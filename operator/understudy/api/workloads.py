@@ -2,17 +2,39 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from understudy.api.base import LocalReference, Model, rules
-from understudy.api.conditions import Condition
+from understudy.api.base import LocalReference, Model, ObjectName, matching, rules
+from understudy.api.conditions import Condition, Time
+from understudy.api.templates import pod_template
 
 Health = Literal["Unknown", "Starting", "Healthy", "Failed", "Recovering"]
 
 ROS_TYPE_PATTERN = r"^[a-zA-Z][a-zA-Z0-9_]*/(msg|srv|action)/[A-Z][a-zA-Z0-9]*$"
 ROS_NAME_PATTERN = r"^/[a-zA-Z_][a-zA-Z0-9_]*(/[a-zA-Z_][a-zA-Z0-9_]*)*$"
+ROS_NAME_MESSAGE = "write the full name, such as /cmd_vel: a slash, then letters, digits and underscores"
+ROS_TYPE_MESSAGE = "write the full ROS type, such as geometry_msgs/msg/Twist, std_srvs/srv/Trigger or nav2_msgs/action/NavigateToPose"
+
+RosName = Annotated[
+    str,
+    Field(
+        pattern=ROS_NAME_PATTERN, max_length=256, json_schema_extra=matching(ROS_NAME_PATTERN, ROS_NAME_MESSAGE)
+    ),
+]
+"""A fully qualified name of a topic, service or action."""
+
+_BYTE = r"(25[0-5]|2[0-4][0-9]|1[0-9][0-9]|[1-9]?[0-9])"
+CIDR_PATTERN = (
+    rf"^(({_BYTE}\.){{3}}{_BYTE}/([1-9]|[12][0-9]|3[0-2])|[0-9a-fA-F:]*:[0-9a-fA-F:]*/([1-9]|[1-9][0-9]|1[01][0-9]|12[0-8]))$"
+)
+CIDR_MESSAGE = "write addresses as a CIDR, such as 192.168.10.0/24 or 192.168.10.7/32; /0 would contain the pods too"
+
+Cidr = Annotated[
+    str, Field(pattern=CIDR_PATTERN, max_length=43, json_schema_extra=matching(CIDR_PATTERN, CIDR_MESSAGE))
+]
+"""A range of IP addresses outside the cluster."""
 
 
 class Output(Model):
@@ -27,32 +49,33 @@ class Output(Model):
             (
                 "!has(self.topic) || self.type.contains('/msg/')",
                 "the type of a topic is package/msg/Name, such as geometry_msgs/msg/Twist",
+                ".type",
             ),
             (
                 "!has(self.service) || self.type.contains('/srv/')",
                 "the type of a service is package/srv/Name, such as std_srvs/srv/Trigger",
+                ".type",
             ),
             (
                 "!has(self.action) || self.type.contains('/action/')",
                 "the type of an action is package/action/Name, such as nav2_msgs/action/NavigateToPose",
+                ".type",
             ),
         )
     }
 
-    topic: str | None = Field(
-        default=None,
-        pattern=ROS_NAME_PATTERN,
-        max_length=256,
-        description="Topic that the robot subscribes to, fully qualified.",
+    topic: RosName | None = Field(default=None, description="Topic that the robot subscribes to, fully qualified.")
+    service: RosName | None = Field(
+        default=None, description="Service between the workload and the robot, whichever of them serves it."
     )
-    service: str | None = Field(
-        default=None, pattern=ROS_NAME_PATTERN, max_length=256, description="Service, fully qualified."
-    )
-    action: str | None = Field(
-        default=None, pattern=ROS_NAME_PATTERN, max_length=256, description="Action, fully qualified."
+    action: RosName | None = Field(
+        default=None, description="Action between the workload and the robot, whichever of them serves it."
     )
     type: str = Field(
-        pattern=ROS_TYPE_PATTERN, max_length=256, description="ROS type, such as geometry_msgs/msg/Twist."
+        pattern=ROS_TYPE_PATTERN,
+        max_length=256,
+        description="ROS type, such as geometry_msgs/msg/Twist.",
+        json_schema_extra=matching(ROS_TYPE_PATTERN, ROS_TYPE_MESSAGE),
     )
 
     @property
@@ -67,7 +90,10 @@ class WorkloadReference(Model):
     kind: Literal["Deployment", "StatefulSet"] = Field(
         description="Deployment or StatefulSet (apps/v1), with one replica."
     )
-    name: str = Field(min_length=1, max_length=253, description="Its name, in the same namespace.")
+    name: ObjectName = Field(description="Its name, in the same namespace.")
+
+
+SERVER_PATTERN = r"^[A-Za-z0-9]([-A-Za-z0-9.]*[A-Za-z0-9])?:[1-9][0-9]{0,4}$"
 
 
 class Discovery(Model):
@@ -75,8 +101,8 @@ class Discovery(Model):
 
     model_config = Model.model_config | {
         "json_schema_extra": rules(
-            ("self.mode != 'External' || has(self.server)", "server is required where mode is External"),
-            ("self.mode == 'External' || !has(self.server)", "server is only for mode External"),
+            ("self.mode != 'External' || has(self.server)", "server is required where mode is External", ".server"),
+            ("self.mode == 'External' || !has(self.server)", "server is only for mode External", ".server"),
         )
     }
 
@@ -87,9 +113,10 @@ class Discovery(Model):
     )
     server: str | None = Field(
         default=None,
-        pattern=r"^[A-Za-z0-9.-]+:[0-9]{1,5}$",
+        pattern=SERVER_PATTERN,
         max_length=261,
         description="host:port of an existing discovery server.",
+        json_schema_extra=matching(SERVER_PATTERN, "write host:port, such as 10.0.0.7:11811"),
     )
 
 
@@ -101,6 +128,7 @@ class Ros(Model):
             (
                 "self.domainId != 2",
                 "domainId 2 can't be gated: its own ports (7900 to 8149) overlap the gated ones; take another",
+                ".domainId",
             ),
         )
     }
@@ -116,7 +144,7 @@ class Gate(Model):
         default="NetworkPolicy",
         description="NetworkPolicy: policies open the robot's gated ports for one pod. The cluster's network must enforce them.",
     )
-    robots: list[str] = Field(
+    robots: list[Cidr] = Field(
         default_factory=list,
         max_length=16,
         description="CIDRs of robots (and of other peers) outside the cluster. Must not contain pod addresses, or the gate leaks.",
@@ -128,6 +156,7 @@ class MonitorSettings(Model):
 
     image: str | None = Field(
         default=None,
+        min_length=1,
         max_length=512,
         description="Image of the monitor, where the operator's default lacks your message types.",
     )
@@ -151,13 +180,21 @@ class RobotWorkloadSpec(Model):
                 "has(self.template) == has(oldSelf.template)",
                 "template and workloadRef can't be exchanged: delete the RobotWorkload and create it anew",
             ),
+            *(
+                (
+                    f"self.outputs.all(a, !has(a.{kind}) || self.outputs.exists_one(b, has(b.{kind}) && b.{kind} == a.{kind}))",
+                    f"outputs has the same {kind} twice",
+                    ".outputs",
+                )
+                for kind in ("topic", "service", "action")
+            ),
         )
     }
 
     template: dict[str, Any] | None = Field(
         default=None,
         description="Pod template (as in a Deployment): metadata.labels, metadata.annotations and spec.",
-        json_schema_extra={"x-kubernetes-preserve-unknown-fields": True},
+        json_schema_extra=pod_template(),
     )
     workload_ref: WorkloadReference | None = Field(
         default=None, description="Existing Deployment or StatefulSet to protect instead of a template."
@@ -185,16 +222,16 @@ class Parts(Model):
 class Moments(Model):
     """When each step of a recovery happened, RFC 3339 with microseconds. Absent where the step wasn't reached."""
 
-    last_healthy: str | None = Field(default=None, description="Last healthy output before the failure.")
-    detected: str | None = Field(default=None, description="The health tree failed.")
-    decided: str | None = Field(default=None, description="The strategy that verified was chosen.")
-    fenced: str | None = Field(default=None, description="The failed pod could no longer reach the robot.")
-    claimed: str | None = Field(default=None, description="The understudy was claimed.")
-    started: str | None = Field(default=None, description="The understudy's processes were up.")
-    ready: str | None = Field(default=None, description="The understudy's own outputs were flowing.")
-    routed: str | None = Field(default=None, description="The understudy could reach the robot.")
-    first_output: str | None = Field(default=None, description="First output of the understudy at the gated readers.")
-    verified: str | None = Field(default=None, description="Outputs seen from the understudy and from no other.")
+    last_healthy: Time | None = Field(default=None, description="Last healthy output before the failure.")
+    detected: Time | None = Field(default=None, description="The health tree failed.")
+    decided: Time | None = Field(default=None, description="The strategy that verified was chosen.")
+    fenced: Time | None = Field(default=None, description="The failed pod could no longer reach the robot.")
+    claimed: Time | None = Field(default=None, description="The understudy was claimed.")
+    started: Time | None = Field(default=None, description="The understudy's processes were up.")
+    ready: Time | None = Field(default=None, description="The understudy's own outputs were flowing.")
+    routed: Time | None = Field(default=None, description="The understudy could reach the robot.")
+    first_output: Time | None = Field(default=None, description="First output of the understudy at the gated readers.")
+    verified: Time | None = Field(default=None, description="Outputs seen from the understudy and from no other.")
 
 
 class Attempt(Model):
@@ -244,7 +281,7 @@ class RobotWorkloadStatus(Model):
     )
     strategy: str | None = Field(default=None, description="The strategy that would be used if it failed now.")
     recovery_count: int | None = Field(default=None, description="Recoveries since it was created.")
-    last_recovery_time: str | None = Field(default=None, description="When the last recovery ended.")
+    last_recovery_time: Time | None = Field(default=None, description="When the last recovery ended.")
     gate: GateStatus | None = Field(default=None, description="Who may reach the robot.")
     recoveries: list[Recovery] | None = Field(
         default=None,

@@ -1,0 +1,49 @@
+"""What ``scripts/generate`` writes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from scripts.generation import reference, values
+from understudy.api.crds import definitions
+
+CHART = Path("charts/understudy")
+
+
+class _Dumper(yaml.SafeDumper):
+    """YAML as people write it: no anchors, lists indented under their key."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        """Never write an anchor."""
+        return True
+
+    def increase_indent(self, flow: bool = False, indentless: bool = False) -> None:
+        """Indent lists too."""
+        super().increase_indent(flow, False)
+
+
+def to_yaml(data: Mapping[str, Any]) -> str:
+    """Data as YAML, in its own order."""
+    return yaml.dump(dict(data), Dumper=_Dumper, sort_keys=False, width=120)
+
+
+def outputs(root: Path) -> dict[Path, str]:
+    """The text of every generated file by its path in the project.
+
+    ``root`` is where the hand-written parts are read from: the chart's values and its README around the table.
+    """
+    header = "# Written by scripts/generate from the models in operator/understudy/api: change those.\n"
+    result: dict[Path, str] = {}
+    for name, definition in definitions().items():
+        text = header + to_yaml(definition)
+        result[Path("crds") / name] = text
+        result[CHART / "files" / "crds" / name] = text
+    result[Path("docs/reference/api.md")] = reference.page()
+    readme = CHART / "README.md"
+    table = values.table((root / CHART / "values.yaml").read_text())
+    result[readme] = values.between_markers((root / readme).read_text(), table)
+    return result
