@@ -1,0 +1,139 @@
+"""Recoveries as text: a bar to scale for each part, the moments, and what the robot saw."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import datetime
+
+from understudy_demo.recovery import PARTS, Recovered
+from understudy_demo.robotview import Handover
+
+NAMES = {"detection": "detection", "cluster": "cluster", "startup": "start-up", "reinitialization": "re-init"}
+_GLYPHS = {"detection": "░", "cluster": "█", "startup": "▓", "reinitialization": "▒"}
+_EIGHTHS = " ▏▎▍▌▋▊▉"
+_MOMENTS = (
+    ("detected", "detected"),
+    ("claimed", "claimed"),
+    ("fenced", "fenced"),
+    ("started", "started"),
+    ("ready", "ready"),
+    ("routed", "routed"),
+    ("firstOutput", "first command seen"),
+    ("verified", "recovered"),
+)
+_LABEL = 13
+
+
+def length(seconds: float) -> str:
+    """A length of time with the digits that matter: 0, 0.4 ms, 6 ms, 503 ms, 2.91 s."""
+    milli = seconds * 1000
+    if abs(milli) < 0.05:
+        return "0"
+    if abs(milli) < 9.95:
+        return f"{milli:.1f} ms".replace(".0 ms", " ms")
+    return f"{milli:.0f} ms" if abs(milli) < 999.5 else f"{seconds:.2f} s"
+
+
+def bar(start: float, seconds: float, scale: float) -> str:
+    """A bar from ``start`` for ``seconds``, with ``scale`` seconds to a character; to an eighth of one.
+
+    The beginning is rounded to a whole character, so that bars under each other begin where the last one ended.
+    """
+    if seconds <= 0:
+        return ""
+    lead = int(start / scale)
+    eighths = max(1, round((start + seconds) / scale * 8) - lead * 8)
+    if start / scale - lead > 0.5 and eighths <= 8:
+        lead, eighths = lead + 1, max(1, eighths - 8)
+    full, rest = divmod(eighths, 8)
+    return " " * lead + "█" * full + (_EIGHTHS[rest] if rest else "")
+
+
+def short(pods: Sequence[str]) -> dict[str, str]:
+    """Pod names by their endings, such as ``…-7k2xq``; whole where those don't tell them apart."""
+    endings = {pod: pod.rpartition("-")[2] for pod in pods}
+    told = len(set(endings.values())) == len(endings) and all(len(ending) >= 5 for ending in endings.values())
+    return {pod: f"…-{ending}" if told and ending != pod else pod for pod, ending in endings.items()}
+
+
+def render(recovered: Recovered, handover: Handover | None, *, width: int = 46) -> str:
+    """One recovery as lines of text. ``width`` is that of its longest bar."""
+    names = short([recovered.old, recovered.new])
+    old, new = names[recovered.old] or "no pod", names[recovered.new] or "no pod"
+    lines = [_heading(recovered)]
+    total = sum(recovered.parts.values())
+    notes = {"detection": recovered.reason, "cluster": f"gate epoch {recovered.epoch}: {old} → {new}"}
+    begin = 0.0
+    for part in PARTS:
+        if part not in recovered.parts:
+            continue
+        seconds = recovered.parts[part]
+        drawn = bar(begin, seconds, total / width) if total > 0 else ""
+        lines.append(
+            f"    {NAMES[part]:{_LABEL}}{drawn:{width + 1}} {length(seconds):>8}  {notes.get(part, '')}".rstrip()
+        )
+        begin += seconds
+    if recovered.start is not None:
+        at = [
+            f"{text} +{length(recovered.moments[name] - recovered.start)}"
+            for name, text in _MOMENTS
+            if name in recovered.moments
+        ]
+        lines.append(f"    {'moments':{_LABEL}}{' · '.join(at)}")
+    if handover is not None:
+        lines += [
+            f"    {label:{_LABEL}}{text}"
+            for label, text in zip(("robot", ""), _robot(recovered, handover, old, new), strict=False)
+        ]
+    return "\n".join(lines)
+
+
+def _heading(recovered: Recovered) -> str:
+    start = recovered.start
+    clock = datetime.fromtimestamp(start).strftime("%H:%M:%S") if start is not None else "--:--:--"
+    if recovered.result != "Recovered":
+        return f"#{recovered.number}  {clock}  {recovered.result}: {recovered.reason}"
+    seconds = sum(recovered.parts.values()) if recovered.seconds is None else recovered.seconds
+    return f"#{recovered.number}  {clock}  recovered in {length(seconds)} by {recovered.strategy}"
+
+
+def _robot(recovered: Recovered, handover: Handover, old: str, new: str) -> list[str]:
+    start = recovered.start
+    if start is None or handover.first_new is None:
+        return [f"no command of {new} arrived"]
+    routed = recovered.moments.get("routed")
+    since = ""
+    if routed is not None:
+        after = handover.first_new - routed
+        since = f", {length(abs(after))} {'after' if after >= 0 else 'before'} the switch was seen to be done"
+    last = "none ever" if handover.last_old is None else f"last at {_signed(handover.last_old - start)}"
+    gap = "" if handover.gap is None else f"{length(handover.gap)} without commands: "
+    late = f"{len(handover.late)} over {length(handover.overlap)}" if handover.late else "none"
+    early = str(len(handover.early)) if handover.early else "none"
+    return [
+        f"{gap}{old} {last}, {new} first at {_signed(handover.first_new - start)}{since}",
+        f"{late} of {old} after the first of {new}, {early} of {new} before the switch",
+    ]
+
+
+def _signed(seconds: float) -> str:
+    return f"+{length(seconds)}" if seconds >= 0 else f"-{length(-seconds)}"
+
+
+def compare(recoveries: Sequence[Recovered], *, width: int = 60) -> str:
+    """The recoveries under each other, all to one scale, each bar in its four parts."""
+    longest = max((sum(r.parts.values()) for r in recoveries), default=0.0)
+    if longest <= 0:
+        return ""
+    lines = []
+    label = max(len(r.strategy) for r in recoveries) + 2
+    for recovered in recoveries:
+        drawn, end, cells = "", 0.0, 0
+        for part in PARTS:
+            end += recovered.parts.get(part, 0.0)
+            upto = round(end / longest * width)
+            drawn += _GLYPHS[part] * (upto - cells)
+            cells = upto
+        lines.append(f"    {recovered.strategy:{label}}{drawn:{width}}  {length(end):>8}")
+    legend = "   ".join(f"{_GLYPHS[part]} {NAMES[part]}" for part in PARTS)
+    return "\n".join([*lines, f"    {'':{label}}{legend}"])
