@@ -36,10 +36,10 @@ fi
 . "$understudy_env"
 exec "$@"
 """
-"""Arguments: directory, container, warm paths, ``--``, the command. Free of ``$(`` and ``$$``, which the kubelet expands.
+"""Arguments: directory, container, warm paths, ``--``, the command. No ``$(`` and ``$$``: the kubelet expands those.
 
-- PID 1 gets no signal that it doesn't trap, and a trap waits for a foreground child, so warming runs beside a ``wait``.
-- Warming is nice: other pods of the node drive robots. ``-xdev`` keeps it out of /proc. A path that isn't there is no error.
+- PID 1 gets no signal that it doesn't trap, and a trap waits for a foreground child, so warming runs beside ``wait``.
+- Warming is nice: other pods of the node drive robots. ``-xdev`` keeps it out of /proc. A missing path is no error.
 - Opening the FIFO for reading and writing doesn't block and never sees the end of the file when the agent goes.
 - An image without ``mkfifo`` waits for the agent to make the FIFO.
 - Once the environment is there, a restart of the container goes straight on to the command.
@@ -74,7 +74,7 @@ def env_name(container: str) -> str:
 
 
 def wake_name(container: str) -> str:
-    """FIFO; a line through it makes the script look for the environment. It has a reader only while the script waits."""
+    """FIFO; a line through it makes the script look for the environment. It has a reader only while it is waited on."""
     return f"wake-{container}"
 
 
@@ -93,7 +93,9 @@ def env_file(environment: Mapping[str, str]) -> str:
     exports, others = [], []
     for name, value in environment.items():
         if not name or "=" in name or "\0" in name + value:
-            raise ValueError(f"environment variable {name!r}: a name has no '=', and neither name nor value a zero byte")
+            raise ValueError(
+                f"environment variable {name!r}: a name has no '=', and neither name nor value has a zero byte"
+            )
         if _IDENTIFIER.fullmatch(name):
             exports.append(f"export {name}={shlex.quote(value)}\n")
         else:

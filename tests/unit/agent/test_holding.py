@@ -1,0 +1,252 @@
+"""The hold script under real shells."""
+
+import os
+import shutil
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+from understudy.api import holding
+
+SHELLS = [
+    pytest.param(
+        [shutil.which(name), *arguments],
+        id=name,
+        marks=pytest.mark.skipif(not shutil.which(name), reason="not installed"),
+    )
+    for name, *arguments in (["dash"], ["busybox", "sh"], ["bash"])
+]
+DEADLINE = 5.0  # seconds
+
+
+@pytest.fixture(params=SHELLS)
+def shell(request):
+    return request.param
+
+
+@pytest.fixture
+def hold(shell, tmp_path):
+    """Start a held command; what it prints is in the file ``out``."""
+    processes = []
+
+    def start(command, args=(), warm_paths=(), env=None):
+        _, *rest = holding.held_command("app", command, args, warm_paths, directory=str(tmp_path))
+        with (tmp_path / "out").open("a") as out:
+            process = subprocess.Popen([*shell, *rest], stdout=out, stderr=subprocess.STDOUT, env=env)
+        processes.append(process)
+        return process
+
+    yield start
+    for process in processes:
+        process.kill()
+        process.wait()
+
+
+def wait_until(condition, within=DEADLINE):
+    end = time.monotonic() + within
+    while not condition():
+        assert time.monotonic() < end, "not in time"
+        time.sleep(0.005)
+
+
+def write_env(folder: Path, environment) -> None:
+    (folder / ".env").write_text(holding.env_file(environment))
+    (folder / ".env").rename(folder / holding.env_name("app"))
+
+
+def wake(folder: Path) -> bool:
+    """As the agent does it: says whether somebody was waiting."""
+    try:
+        fd = os.open(folder / holding.wake_name("app"), os.O_WRONLY | os.O_NONBLOCK)
+    except OSError:
+        return False
+    os.write(fd, b"\n")
+    os.close(fd)
+    return True
+
+
+def cpu_ticks(pid: int) -> int:
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return int(fields[11]) + int(fields[12])
+
+
+def test_waits_and_becomes_the_command(hold, tmp_path):
+    process = hold(["sh", "-c", 'echo "$GREETING $*"; echo $$', "name"], ["one", "two words"])
+    wait_until((tmp_path / "waiting-app").exists)
+    assert process.poll() is None
+    write_env(tmp_path, {"GREETING": "hello"})
+    assert wake(tmp_path)
+    assert process.wait(DEADLINE) == 0
+    assert (tmp_path / "out").read_text() == f"hello one two words\n{process.pid}\n"
+
+
+def test_start_is_quick(hold, tmp_path):
+    process = hold(["true"])
+    wait_until((tmp_path / "waiting-app").exists)
+    write_env(tmp_path, {})
+    begun = time.monotonic()
+    wake(tmp_path)
+    process.wait(DEADLINE)
+    assert time.monotonic() - begun < 0.5
+
+
+def test_waiting_costs_nothing(hold, tmp_path):
+    process = hold(["true"])
+    wait_until((tmp_path / "waiting-app").exists)
+    before = cpu_ticks(process.pid)
+    switches = Path(f"/proc/{process.pid}/status").read_text().split("nonvoluntary")[0].rpartition(":")[2]
+    time.sleep(0.5)
+    assert cpu_ticks(process.pid) == before
+    assert Path(f"/proc/{process.pid}/status").read_text().split("nonvoluntary")[0].rpartition(":")[2] == switches
+
+
+@pytest.mark.parametrize("delay", [0, 0.001, 0.002, 0.004, 0.008, 0.016])
+def test_a_start_at_any_moment_is_seen(hold, tmp_path, delay):
+    for _ in range(5):
+        process = hold(["true"])
+        time.sleep(delay)
+        write_env(tmp_path, {})
+        wake(tmp_path)
+        assert process.wait(DEADLINE) == 0
+        for name in ("env-app", "waiting-app", "wake-app"):
+            (tmp_path / name).unlink(missing_ok=True)
+
+
+def test_environment_before_the_container_needs_no_waking(hold, tmp_path):
+    write_env(tmp_path, {"A": "1"})
+    assert hold(["sh", "-c", "echo $A"]).wait(DEADLINE) == 0
+    assert (tmp_path / "out").read_text() == "1\n"
+    assert not (tmp_path / "waiting-app").exists()
+
+
+def test_a_wake_without_environment_is_no_start(hold, tmp_path):
+    process = hold(["true"])
+    wait_until((tmp_path / "waiting-app").exists)
+    assert wake(tmp_path)
+    assert wake(tmp_path)
+    time.sleep(0.2)
+    assert process.poll() is None
+
+
+def test_an_agent_that_comes_and_goes_wakes_nobody(hold, tmp_path):
+    process = hold(["true"])
+    wait_until((tmp_path / "waiting-app").exists)
+    before = cpu_ticks(process.pid)
+    for _ in range(20):
+        os.close(os.open(tmp_path / "wake-app", os.O_WRONLY | os.O_NONBLOCK))
+    time.sleep(0.2)
+    assert process.poll() is None
+    assert cpu_ticks(process.pid) == before
+
+
+def test_fifo_has_no_reader_once_started(hold, tmp_path):
+    hold(["sleep", "60"])
+    wait_until((tmp_path / "waiting-app").exists)
+    write_env(tmp_path, {})
+    assert wake(tmp_path)
+    wait_until(lambda: not wake(tmp_path))
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_held_container_stops_when_told(hold, tmp_path, number):
+    process = hold(["true"])
+    wait_until((tmp_path / "waiting-app").exists)
+    time.sleep(0.05)
+    process.send_signal(number)
+    assert process.wait(DEADLINE) == 143
+
+
+def test_a_warming_container_stops_when_told(hold, tmp_path):
+    slow = tmp_path / "bin"
+    slow.mkdir()
+    (slow / "find").write_text("#!/bin/sh\nexec sleep 5\n")
+    (slow / "find").chmod(0o755)
+    process = hold(["true"], warm_paths=["/etc"], env={"PATH": f"{slow}:{os.environ['PATH']}"})
+    time.sleep(0.2)
+    assert not (tmp_path / "waiting-app").exists()
+    process.terminate()
+    assert process.wait(2) == 143
+
+
+def test_the_command_gets_its_signals_back(hold, tmp_path):
+    process = hold(["sleep", "60"])
+    wait_until((tmp_path / "waiting-app").exists)
+    write_env(tmp_path, {})
+    wake(tmp_path)
+    wait_until(lambda: b"sleep\x0060" in Path(f"/proc/{process.pid}/cmdline").read_bytes()[:9])
+    process.terminate()
+    assert process.wait(DEADLINE) == -signal.SIGTERM
+
+
+def test_reads_warm_paths_and_passes_over_missing_ones(hold, tmp_path):
+    warm = tmp_path / "with space"
+    (warm / "deep").mkdir(parents=True)
+    (warm / "deep" / "file").write_bytes(b"x" * 100_000)
+    os.utime(warm / "deep" / "file", (0, 0))
+    process = hold(["true"], warm_paths=["/not/there", str(warm), str(warm / "deep" / "file")])
+    wait_until((tmp_path / "waiting-app").exists)
+    # Reading is seen by the access time, where the mount keeps it (relatime does, for one older than the change).
+    if "noatime" not in Path("/proc/mounts").read_text():
+        assert (warm / "deep" / "file").stat().st_atime > 0
+    write_env(tmp_path, {})
+    wake(tmp_path)
+    assert process.wait(DEADLINE) == 0
+    assert (tmp_path / "out").read_text() == ""
+
+
+def test_an_image_without_mkfifo_waits_for_the_agents_fifo(hold, tmp_path):
+    poor = tmp_path / "bin"
+    poor.mkdir()
+    for tool in ("sleep", "nice", "find", "cat", "true"):
+        (poor / tool).symlink_to(shutil.which(tool))
+    (poor / "mkfifo").write_text("#!/bin/false\n")
+    (poor / "mkfifo").chmod(0o755)
+    process = hold(["true"], env={"PATH": str(poor)})
+    time.sleep(0.3)
+    if not (tmp_path / "wake-app").exists():  # busybox has mkfifo built in
+        os.mkfifo(tmp_path / "wake-app")
+    wait_until((tmp_path / "waiting-app").exists)
+    write_env(tmp_path, {})
+    wake(tmp_path)
+    assert process.wait(DEADLINE) == 0
+
+
+def test_values_are_taken_literally(hold, tmp_path):
+    environment = {
+        "QUOTES": "it's \"so\"",
+        "SHELL_WORDS": "$HOME `date` $(date) \\ * ; & |",
+        "LINES": "one\ntwo\n",
+        "EMPTY": "",
+        "UNICODE": "größe",
+        "my.setting-x": "it's $HOME",
+    }
+    write_env(tmp_path, environment)
+    assert hold(["/usr/bin/env", "-0"]).wait(DEADLINE) == 0
+    got = dict(entry.split("=", 1) for entry in (tmp_path / "out").read_text().split("\0") if entry)
+    assert environment.items() <= got.items()
+    assert not [name for name in got if name.startswith("understudy_")]
+
+
+def test_arguments_may_look_like_anything(hold, tmp_path):
+    write_env(tmp_path, {})
+    assert hold(["printf", "%s\n"], ["--", "-x", "$HOME", "", "a b"], ["/etc/hostname"]).wait(DEADLINE) == 0
+    assert (tmp_path / "out").read_text() == "--\n-x\n$HOME\n\na b\n"
+
+
+def test_the_script_has_nothing_that_the_kubelet_expands():
+    assert "$(" not in holding.HOLD_SCRIPT
+    assert "$$" not in holding.HOLD_SCRIPT
+
+
+def test_a_container_without_a_command_is_refused():
+    with pytest.raises(ValueError, match="container app: command is missing"):
+        holding.held_command("app", [], ["--flag"], [])
+
+
+@pytest.mark.parametrize(("name", "value"), [("", "x"), ("A=B", "x"), ("A", "x\0y")])
+def test_impossible_variables_are_refused(name, value):
+    with pytest.raises(ValueError, match="environment variable"):
+        holding.env_file({name: value})
