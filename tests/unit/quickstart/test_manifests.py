@@ -1,0 +1,107 @@
+"""The quickstart's manifests agree with each other, with the API's models and with the names that the operator gives."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from understudy.api import names
+from understudy.api.policies import FailurePolicySpec
+from understudy.api.pools import FallbackPoolSpec
+from understudy.api.workloads import RobotWorkloadSpec
+
+QUICKSTART = Path(__file__).parents[3] / "examples" / "quickstart"
+MANIFESTS = QUICKSTART / "manifests"
+FILES = sorted(MANIFESTS.rglob("*.yaml"))
+MODELS = {
+    "RobotWorkload": RobotWorkloadSpec,
+    "FailurePolicy": FailurePolicySpec,
+    "FallbackPool": FallbackPoolSpec,
+}
+
+
+def load(file: str | Path) -> list[dict[str, Any]]:
+    return list(yaml.safe_load_all((MANIFESTS / file).read_text()))
+
+
+def of_kind(kind: str) -> list[dict[str, Any]]:
+    return [m for file in FILES for m in load(file) if m["kind"] == kind]
+
+
+def test_every_file_is_known_here() -> None:
+    assert [str(f.relative_to(MANIFESTS)) for f in FILES] == [
+        "robot.yaml",
+        "robotworkload.yaml",
+        "strategies/executing.yaml",
+        "strategies/restart.yaml",
+        "strategies/uninitialized.yaml",
+        "workload-ref/deployment.yaml",
+        "workload-ref/robotworkload.yaml",
+    ]
+
+
+@pytest.mark.parametrize("file", FILES, ids=lambda f: f.name)
+def test_manifests_can_be_applied_in_any_namespace(file: Path) -> None:
+    assert all("namespace" not in m["metadata"] for m in load(file))
+
+
+@pytest.mark.parametrize("manifest", [m for kind in MODELS for m in of_kind(kind)], ids=lambda m: m["metadata"]["name"])
+def test_specs_are_what_the_models_say(manifest: dict[str, Any]) -> None:
+    spec = MODELS[manifest["kind"]].model_validate(manifest["spec"]).to_wire()
+    # The models ignore unknown fields; whatever was written must come back.
+    assert covers(spec, manifest["spec"])
+
+
+def covers(read: Any, written: Any) -> bool:
+    if isinstance(written, dict):
+        return isinstance(read, dict) and all(k in read and covers(read[k], v) for k, v in written.items())
+    if isinstance(written, list):
+        return isinstance(read, list) and len(read) == len(written) and all(map(covers, read, written))
+    return bool(read == written)
+
+
+def test_references_lead_somewhere() -> None:
+    policies = {m["metadata"]["name"]: m["spec"] for m in of_kind("FailurePolicy")}
+    pools = {m["metadata"]["name"]: m["spec"] for m in of_kind("FallbackPool")}
+    workloads = of_kind("RobotWorkload")
+    assert {w["spec"]["failurePolicyRef"]["name"] for w in workloads} <= set(policies)
+    assert {s["poolRef"]["name"] for p in policies.values() for s in p["strategies"] if "poolRef" in s} == set(pools)
+    for pool in pools.values():
+        wanted = pool["workloadSelector"]["matchLabels"]
+        assert all(wanted.items() <= w["metadata"]["labels"].items() for w in workloads)
+        if "templateFrom" in pool:
+            assert pool["templateFrom"]["workload"] in {
+                w["metadata"]["name"] for w in workloads if "template" in w["spec"]
+            }
+
+
+@pytest.mark.parametrize("file", ["robot.yaml", "workload-ref/deployment.yaml"])
+def test_configuration_comes_from_what_the_operator_writes(file: str) -> None:
+    (workload,) = {w["metadata"]["name"] for w in of_kind("RobotWorkload")}
+    text = (MANIFESTS / file).read_text()
+    written = {names.robot_env(workload), names.robot_profiles(workload)}
+    used = {word.strip("{},") for word in text.split() if word.startswith(f"{workload}-")}
+    assert used
+    assert used <= written
+
+
+def test_the_robot_mounts_its_profile_where_the_environment_says() -> None:
+    pod = load("robot.yaml")[0]["spec"]["template"]["spec"]
+    mounts = {m["name"]: m["mountPath"] for m in pod["containers"][0]["volumeMounts"]}
+    assert mounts["profiles"] == "/etc/understudy"
+
+
+@pytest.mark.parametrize("kind", ["Deployment", "RobotWorkload"])
+def test_commands_name_modules_that_are_in_the_image(kind: str) -> None:
+    for manifest in of_kind(kind):
+        template = manifest["spec"].get("template")
+        if template is None:
+            continue
+        (container,) = template["spec"]["containers"]
+        assert container["command"][:2] == ["python3", "-m"]
+        module = container["command"][2].replace(".", "/")
+        assert (QUICKSTART / "src" / f"{module}.py").is_file()
+        assert container["imagePullPolicy"] == "IfNotPresent"
