@@ -1,0 +1,196 @@
+package enforcer
+
+import (
+	"context"
+	"errors"
+	"fmt"
+	"log/slog"
+	"os"
+	"slices"
+	"time"
+
+	corev1 "k8s.io/api/core/v1"
+	networkingv1 "k8s.io/api/networking/v1"
+
+	"understudy/testcluster/understudy-netpol/internal/nft"
+	"understudy/testcluster/understudy-netpol/internal/policy"
+	"understudy/testcluster/understudy-netpol/internal/ruleset"
+)
+
+// Options of an Engine.
+type Options struct {
+	Node          string
+	PodInterfaces string        // prefix of the names of the host ends of pods' interfaces; see ruleset.NewRenderer
+	CNIResults    string        // libcni's directory of results; empty: addresses come from status.podIPs alone
+	Reconcile     time.Duration // how often the kernel's table is compared with what it should be
+	Netns         *os.File      // nil: the process' own
+}
+
+// Engine applies what the sources bring to the kernel, from one goroutine.
+type Engine struct {
+	options Options
+	queue   *queue
+	sources []*source
+	index   *policy.Index
+	render  *ruleset.Renderer
+	conn    *nft.Conn
+	applied *nft.Ruleset // what the kernel holds; nil when that is not known
+	report  *Report
+
+	// what is not yet in the kernel
+	pending []change
+}
+
+// New makes an engine; it does nothing before Run.
+func New(options Options, report *Report) *Engine {
+	q := newQueue()
+	return &Engine{
+		options: options,
+		queue:   q,
+		sources: []*source{podSource(q), namespaceSource(q), policySource(q)},
+		index:   policy.NewIndex(options.Node),
+		render:  ruleset.NewRenderer(options.PodInterfaces),
+		report:  report,
+	}
+}
+
+// Cleanup removes the table from the network namespace.
+func Cleanup(netns *os.File) error {
+	conn, err := nft.Open(netns)
+	if err != nil {
+		return err
+	}
+	defer conn.Close()
+	return conn.Commit(nft.Remove(ruleset.Table))
+}
+
+// Run enforces until the context ends. The rules stay when it returns. Until all objects have been listed once nothing is
+// touched: on a node where no enforcer ran before, pods are open until then; rules that an earlier one has left stay.
+func (g *Engine) Run(ctx context.Context, clients Clients) error {
+	conn, err := nft.Open(g.options.Netns)
+	if err != nil {
+		return err
+	}
+	defer conn.Close()
+	g.conn = conn
+	if g.options.CNIResults != "" {
+		watch := &sandboxes{g.options.CNIResults, g.queue}
+		if err := watch.start(ctx); err != nil {
+			return err
+		}
+	}
+	go g.sources[0].run(ctx, clients.pods(), &corev1.Pod{})
+	go g.sources[1].run(ctx, clients.namespaces(), &corev1.Namespace{})
+	go g.sources[2].run(ctx, clients.policies(), &networkingv1.NetworkPolicy{})
+
+	reconcile := time.NewTicker(g.options.Reconcile)
+	defer reconcile.Stop()
+	const firstRetry, lastRetry = 50 * time.Millisecond, 5 * time.Second
+	retryIn := firstRetry
+	var retry <-chan time.Time
+	for {
+		var err error
+		select {
+		case <-ctx.Done():
+			return nil
+		case <-g.queue.ready:
+			g.absorb()
+			if retry != nil || !g.synced() {
+				continue // the retry will take these along
+			}
+			err = g.apply()
+		case <-retry:
+			g.absorb()
+			err = g.apply()
+		case <-reconcile.C:
+			if g.applied == nil || !g.synced() {
+				continue
+			}
+			err = g.compare()
+		}
+		retry = nil
+		if err == nil {
+			retryIn = firstRetry
+			continue
+		}
+		// Whatever the kernel holds now, a full replacement puts it right.
+		g.applied = nil
+		g.report.failure(err)
+		slog.Error("transaction failed, replacing the whole table next", "error", err.Error(), "retryIn", retryIn.String())
+		retry, retryIn = time.After(retryIn), min(2*retryIn, lastRetry)
+	}
+}
+
+func (g *Engine) synced() bool {
+	for _, source := range g.sources {
+		if !source.synced.Load() {
+			return false
+		}
+	}
+	return true
+}
+
+// absorb brings what is waiting into the index.
+func (g *Engine) absorb() {
+	for _, change := range g.queue.take() {
+		matters, problems := change.apply(g.index)
+		for _, problem := range problems {
+			slog.Error(problem.Error())
+		}
+		// A policy that was written without an effect on the model is reported as well: who waits for its resource version
+		// to be enforced must not wait for ever.
+		if matters || (change.cause.Kind == "NetworkPolicy" && change.cause.Event != "list") {
+			g.pending = append(g.pending, change)
+		}
+	}
+}
+
+// apply brings the kernel to the model, in one transaction.
+func (g *Engine) apply() error {
+	if len(g.pending) == 0 && g.applied != nil {
+		return nil
+	}
+	started := time.Now()
+	want := g.render.Render(g.index.Model())
+	var batch *nft.Batch
+	if g.applied == nil {
+		batch = nft.Replace(ruleset.Table, want)
+	} else {
+		batch = nft.Update(ruleset.Table, g.applied, want)
+	}
+	built := time.Now()
+	if err := g.conn.Commit(batch); err != nil {
+		return err
+	}
+	committed := time.Now()
+	g.applied = want
+	if !batch.Empty() || slices.ContainsFunc(g.pending, func(c change) bool { return c.cause.Kind == "NetworkPolicy" }) {
+		g.report.commit(newCommit(g.pending, batch.Changes, started, built, committed))
+	}
+	g.pending = nil
+	return nil
+}
+
+// compare reads the table back and repairs it when someone else has changed it.
+func (g *Engine) compare() error {
+	found, err := g.conn.Dump(ruleset.Table)
+	if errors.Is(err, nft.ErrChanging) {
+		slog.Info("rules changed while they were compared; next time")
+		return nil
+	}
+	if err != nil {
+		return fmt.Errorf("comparing the table: %w", err)
+	}
+	g.report.compared()
+	if found == nil {
+		found = nft.NewRuleset()
+	}
+	difference := nft.Update(ruleset.Table, found, g.applied)
+	if difference.Empty() {
+		return nil
+	}
+	slog.Warn("the table is not what it should be, replacing it", "difference", difference.Changes)
+	g.pending = append(g.pending, change{cause: Cause{Kind: "Table", Name: ruleset.Table, Event: "repair"}, received: time.Now()})
+	g.applied = nil
+	return g.apply()
+}

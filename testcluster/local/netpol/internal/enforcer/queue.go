@@ -1,0 +1,53 @@
+// Package enforcer keeps a node's nftables table in step with the cluster.
+package enforcer
+
+import (
+	"sync"
+	"time"
+
+	"understudy/testcluster/understudy-netpol/internal/policy"
+)
+
+// Cause is an object whose change led to a transaction.
+type Cause struct {
+	Kind            string `json:"kind"`
+	Namespace       string `json:"namespace,omitempty"`
+	Name            string `json:"name"`
+	ResourceVersion string `json:"resourceVersion,omitempty"`
+	Event           string `json:"event"` // set, delete or list
+}
+
+// change is one thing that happened, and what it does to the index; apply tells whether it matters.
+type change struct {
+	cause    Cause
+	received time.Time
+	apply    func(*policy.Index) (bool, []error)
+}
+
+// queue hands changes over in order. The taker gets all that are waiting, so a burst becomes one transaction, and a single
+// change does not wait for others.
+type queue struct {
+	mu      sync.Mutex
+	waiting []change
+	ready   chan struct{}
+}
+
+func newQueue() *queue { return &queue{ready: make(chan struct{}, 1)} }
+
+func (q *queue) put(c change) {
+	q.mu.Lock()
+	q.waiting = append(q.waiting, c)
+	q.mu.Unlock()
+	select {
+	case q.ready <- struct{}{}:
+	default: // the taker has already been told
+	}
+}
+
+func (q *queue) take() []change {
+	q.mu.Lock()
+	defer q.mu.Unlock()
+	list := q.waiting
+	q.waiting = nil
+	return list
+}

@@ -1,0 +1,170 @@
+package enforcer
+
+import (
+	"context"
+	"encoding/binary"
+	"encoding/json"
+	"fmt"
+	"io/fs"
+	"log/slog"
+	"net/netip"
+	"os"
+	"path/filepath"
+	"strings"
+	"time"
+
+	"golang.org/x/sys/unix"
+
+	"understudy/testcluster/understudy-netpol/internal/policy"
+)
+
+// sandboxes watches the directory where libcni keeps the result of every ADD until the DEL (/var/lib/cni/results). A pod's
+// address is there before its first container starts, while status.podIPs follows about a second later; what is not known
+// is dropped, so without this a new pod would be cut off for that second.
+type sandboxes struct {
+	directory string
+	queue     *queue
+}
+
+// cniResult is the part that matters of libcni's cache file (kind cniCacheV1).
+type cniResult struct {
+	IfName  string      `json:"ifName"`
+	CNIArgs [][2]string `json:"cniArgs"`
+	Result  struct {
+		IPs []struct {
+			Address string `json:"address"`
+		} `json:"ips"`
+	} `json:"result"`
+}
+
+// start reads what is there and begins to watch.
+func (s *sandboxes) start(ctx context.Context) error {
+	if err := os.MkdirAll(s.directory, 0o700); err != nil {
+		return fmt.Errorf("directory of CNI results: %w", err)
+	}
+	fd, err := unix.InotifyInit1(unix.IN_CLOEXEC | unix.IN_NONBLOCK)
+	if err != nil {
+		return fmt.Errorf("inotify: %w", err)
+	}
+	if _, err := unix.InotifyAddWatch(fd, s.directory, unix.IN_CLOSE_WRITE|unix.IN_MOVED_TO|unix.IN_DELETE|unix.IN_MOVED_FROM); err != nil {
+		unix.Close(fd)
+		return fmt.Errorf("watching %s: %w", s.directory, err)
+	}
+	file := os.NewFile(uintptr(fd), "inotify") // non-blocking, so that closing it ends a read
+	known := map[string]bool{}
+	if err := s.list(known); err != nil {
+		file.Close()
+		return err
+	}
+	context.AfterFunc(ctx, func() { file.Close() })
+	go s.follow(file, known)
+	return nil
+}
+
+// list puts all that is there, and takes back what was known and is not.
+func (s *sandboxes) list(known map[string]bool) error {
+	entries, err := os.ReadDir(s.directory)
+	if err != nil {
+		return fmt.Errorf("directory of CNI results: %w", err)
+	}
+	present := map[string]bool{}
+	for _, entry := range entries {
+		present[entry.Name()] = true
+		s.read(entry.Name(), known)
+	}
+	for name := range known {
+		if !present[name] {
+			s.forget(name, known)
+		}
+	}
+	return nil
+}
+
+func (s *sandboxes) follow(file *os.File, known map[string]bool) {
+	buffer := make([]byte, 64<<10)
+	for {
+		n, err := file.Read(buffer)
+		if err != nil {
+			return // closed
+		}
+		for data := buffer[:n]; len(data) >= unix.SizeofInotifyEvent; {
+			mask := binary.NativeEndian.Uint32(data[4:])
+			length := unix.SizeofInotifyEvent + int(binary.NativeEndian.Uint32(data[12:]))
+			name := strings.TrimRight(string(data[unix.SizeofInotifyEvent:length]), "\x00")
+			data = data[length:]
+			switch {
+			case mask&unix.IN_Q_OVERFLOW != 0:
+				if err := s.list(known); err != nil {
+					slog.Error("reading CNI results anew", "error", err.Error())
+				}
+			case mask&(unix.IN_DELETE|unix.IN_MOVED_FROM) != 0:
+				s.forget(name, known)
+			default:
+				s.read(name, known)
+			}
+		}
+	}
+}
+
+func (s *sandboxes) forget(name string, known map[string]bool) {
+	if !known[name] {
+		return
+	}
+	delete(known, name)
+	s.queue.put(change{Cause{Kind: "Sandbox", Name: name, Event: "delete"}, time.Now(),
+		func(x *policy.Index) (bool, []error) { return x.DeleteSandbox(name), nil }})
+}
+
+func (s *sandboxes) read(name string, known map[string]bool) {
+	received := time.Now()
+	path := filepath.Join(s.directory, name)
+	data, err := os.ReadFile(path)
+	if err != nil {
+		if !os.IsNotExist(err) { // it may be gone already
+			slog.Warn("reading a CNI result", "file", path, "error", err.Error())
+		}
+		return
+	}
+	sandbox, ok := parseSandbox(data)
+	if !ok {
+		return
+	}
+	sandbox.Created = modified(path, received)
+	known[name] = true
+	s.queue.put(change{Cause{Kind: "Sandbox", Namespace: sandbox.Pod.Namespace, Name: sandbox.Pod.Name, Event: "set"}, received,
+		func(x *policy.Index) (bool, []error) { x.SetSandbox(name, sandbox); return true, nil }})
+}
+
+func modified(path string, otherwise time.Time) time.Time {
+	var info fs.FileInfo
+	var err error
+	if info, err = os.Stat(path); err != nil {
+		return otherwise
+	}
+	return info.ModTime()
+}
+
+// parseSandbox returns false for what is no pod's network: the loopback's result, or a file that is not yet whole.
+func parseSandbox(data []byte) (policy.Sandbox, bool) {
+	var result cniResult
+	if json.Unmarshal(data, &result) != nil {
+		return policy.Sandbox{}, false
+	}
+	var sandbox policy.Sandbox
+	for _, arg := range result.CNIArgs {
+		switch arg[0] {
+		case "K8S_POD_NAMESPACE":
+			sandbox.Pod.Namespace = arg[1]
+		case "K8S_POD_NAME":
+			sandbox.Pod.Name = arg[1]
+		case "K8S_POD_UID":
+			sandbox.UID = arg[1]
+		}
+	}
+	for _, ip := range result.Result.IPs {
+		if prefix, err := netip.ParsePrefix(ip.Address); err == nil && !prefix.Addr().IsLoopback() {
+			sandbox.Addrs = append(sandbox.Addrs, prefix.Addr().Unmap())
+		}
+	}
+	return sandbox, sandbox.Pod.Name != "" && len(sandbox.Addrs) > 0
+}

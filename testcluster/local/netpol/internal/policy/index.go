@@ -1,0 +1,394 @@
+package policy
+
+import (
+	"maps"
+	"net/netip"
+	"slices"
+
+	networkingv1 "k8s.io/api/networking/v1"
+	"k8s.io/apimachinery/pkg/labels"
+)
+
+// Index keeps what is known of the cluster such that one change costs little: a changed pod is held against all selectors,
+// a changed selector against all pods, and nothing else is computed again. It is not for concurrent use.
+type Index struct {
+	node       string
+	pods       map[Key]*tracked
+	sandboxes  map[string]Sandbox
+	byPod      map[Key]map[string]bool // ids of a pod's sandboxes
+	claims     map[netip.Addr]map[Key]bool
+	owners     map[netip.Addr]*tracked
+	namespaces map[string]labels.Set
+	policies   map[Key]*compiled
+	inSpace    map[string]map[Key]*compiled // policies by namespace
+	peers      map[PeerID]*peerSet
+	names      map[PortName]*nameSet
+	endpoints  map[netip.Addr]*Endpoint
+}
+
+type tracked struct {
+	*Pod
+	addrs    []netip.Addr
+	endpoint *Endpoint // nil until computed; only for pods of this node
+}
+
+type peerSet struct {
+	*peerSelector
+	uses   int
+	set    *collection[netip.Addr]
+	latest *Addresses
+}
+
+type nameSet struct {
+	uses   int
+	set    *collection[Target]
+	latest *Targets
+}
+
+// NewIndex returns an empty index for the node of that name.
+func NewIndex(node string) *Index {
+	return &Index{
+		node: node, pods: map[Key]*tracked{}, sandboxes: map[string]Sandbox{}, byPod: map[Key]map[string]bool{},
+		claims: map[netip.Addr]map[Key]bool{}, owners: map[netip.Addr]*tracked{}, namespaces: map[string]labels.Set{},
+		policies: map[Key]*compiled{}, inSpace: map[string]map[Key]*compiled{}, peers: map[PeerID]*peerSet{},
+		names: map[PortName]*nameSet{}, endpoints: map[netip.Addr]*Endpoint{},
+	}
+}
+
+// SetPod takes a new or changed pod; false when nothing that matters has changed.
+func (x *Index) SetPod(pod *Pod) bool {
+	if old := x.pods[pod.Key]; old != nil && old.same(pod) {
+		return false
+	}
+	x.replacePod(pod.Key, &tracked{Pod: pod})
+	return true
+}
+
+// DeletePod forgets a pod; false when it was not known.
+func (x *Index) DeletePod(key Key) bool {
+	if x.pods[key] == nil {
+		return false
+	}
+	x.replacePod(key, nil)
+	return true
+}
+
+// SetSandbox takes what the node's CNI has set up for a pod, by an id of the caller's choice.
+func (x *Index) SetSandbox(id string, sandbox Sandbox) {
+	x.DeleteSandbox(id)
+	x.sandboxes[id] = sandbox
+	if x.byPod[sandbox.Pod] == nil {
+		x.byPod[sandbox.Pod] = map[string]bool{}
+	}
+	x.byPod[sandbox.Pod][id] = true
+	x.again(sandbox.Pod)
+}
+
+// DeleteSandbox forgets one; false when it was not known.
+func (x *Index) DeleteSandbox(id string) bool {
+	sandbox, known := x.sandboxes[id]
+	if !known {
+		return false
+	}
+	delete(x.sandboxes, id)
+	delete(x.byPod[sandbox.Pod], id)
+	if len(x.byPod[sandbox.Pod]) == 0 {
+		delete(x.byPod, sandbox.Pod)
+	}
+	x.again(sandbox.Pod)
+	return true
+}
+
+func (x *Index) again(key Key) {
+	if old := x.pods[key]; old != nil {
+		x.replacePod(key, &tracked{Pod: old.Pod})
+	}
+}
+
+func (x *Index) replacePod(key Key, pod *tracked) {
+	var affected []netip.Addr
+	if old := x.pods[key]; old != nil {
+		affected = old.addrs
+		for _, addr := range old.addrs {
+			if delete(x.claims[addr], key); len(x.claims[addr]) == 0 {
+				delete(x.claims, addr)
+			}
+		}
+		delete(x.pods, key)
+	}
+	if pod != nil {
+		x.pods[key] = pod
+		pod.addrs = x.addressesOf(pod.Pod)
+		for _, addr := range pod.addrs {
+			if x.claims[addr] == nil {
+				x.claims[addr] = map[Key]bool{}
+			}
+			x.claims[addr][key] = true
+		}
+		affected = slices.Concat(affected, pod.addrs)
+	}
+	for _, addr := range affected {
+		x.refresh(addr)
+	}
+}
+
+// addressesOf prefers what the CNI says over what the kubelet has reported, which may be about a sandbox that is gone.
+func (x *Index) addressesOf(pod *Pod) []netip.Addr {
+	if pod.HostNetwork || pod.Ended {
+		return nil
+	}
+	if pod.Node == x.node {
+		var list []netip.Addr
+		for id := range x.byPod[pod.Key] {
+			if sandbox := x.sandboxes[id]; sandbox.UID == "" || sandbox.UID == pod.UID {
+				list = append(list, sandbox.Addrs...)
+			}
+		}
+		if len(list) > 0 {
+			return list
+		}
+	}
+	return pod.Reported
+}
+
+// refresh works out whose address this is and puts it into, or takes it out of, all sets.
+func (x *Index) refresh(addr netip.Addr) {
+	owner := x.owner(addr)
+	previous := x.owners[addr]
+	if owner == nil {
+		delete(x.owners, addr)
+	} else {
+		x.owners[addr] = owner
+	}
+	for _, peer := range x.peers {
+		peer.set.put(addr, owner != nil && x.matches(peer.peerSelector, owner.Pod))
+	}
+	for name, ports := range x.names {
+		for _, pod := range []*tracked{previous, owner} {
+			if pod == nil {
+				continue
+			}
+			for _, port := range pod.Ports {
+				if port.PortName == name {
+					ports.set.put(Target{addr, port.Number}, pod == owner)
+				}
+			}
+		}
+	}
+	if owner != nil && owner.Node == x.node {
+		x.endpoints[addr] = x.endpoint(owner)
+	} else {
+		delete(x.endpoints, addr)
+	}
+}
+
+// owner decides between pods that claim the same address, which happens for a moment when one is reused: a pod of whose
+// sandbox we know has it for certain; else the younger one.
+func (x *Index) owner(addr netip.Addr) *tracked {
+	var best *tracked
+	for key := range x.claims[addr] {
+		pod := x.pods[key]
+		if best == nil || x.stronger(pod, best, addr) {
+			best = pod
+		}
+	}
+	return best
+}
+
+func (x *Index) stronger(a, b *tracked, addr netip.Addr) bool {
+	sinceA, sinceB := x.sandboxSince(a, addr), x.sandboxSince(b, addr)
+	switch {
+	case sinceA != sinceB:
+		return sinceA > sinceB
+	case !a.Created.Equal(b.Created):
+		return a.Created.After(b.Created)
+	}
+	return a.UID > b.UID // any order will do, as long as it is always the same
+}
+
+func (x *Index) sandboxSince(pod *tracked, addr netip.Addr) int64 {
+	latest := int64(0)
+	for id := range x.byPod[pod.Key] {
+		if sandbox := x.sandboxes[id]; slices.Contains(sandbox.Addrs, addr) {
+			latest = max(latest, sandbox.Created.UnixNano())
+		}
+	}
+	return latest
+}
+
+func (x *Index) matches(selector *peerSelector, pod *Pod) bool {
+	if selector.namespaces == nil {
+		return pod.Namespace == selector.namespace && selector.pods.Matches(pod.Labels)
+	}
+	space, known := x.namespaces[pod.Namespace]
+	return known && selector.namespaces.Matches(space) && selector.pods.Matches(pod.Labels)
+}
+
+// SetNamespace takes a new or changed namespace; false when nothing that matters has changed.
+func (x *Index) SetNamespace(name string, set labels.Set) bool {
+	if old, known := x.namespaces[name]; known && labels.Equals(old, set) {
+		return false
+	}
+	x.namespaces[name] = set
+	x.rematchNamespace(name)
+	return true
+}
+
+// DeleteNamespace forgets a namespace; false when it was not known.
+func (x *Index) DeleteNamespace(name string) bool {
+	if _, known := x.namespaces[name]; !known {
+		return false
+	}
+	delete(x.namespaces, name)
+	x.rematchNamespace(name)
+	return true
+}
+
+func (x *Index) rematchNamespace(name string) {
+	for addr, owner := range x.owners {
+		if owner.Namespace != name {
+			continue
+		}
+		for _, peer := range x.peers {
+			peer.set.put(addr, x.matches(peer.peerSelector, owner.Pod))
+		}
+	}
+}
+
+// SetPolicy takes a new or changed policy; false when nothing that matters has changed. The errors name what the policy
+// says that cannot be understood.
+func (x *Index) SetPolicy(object *networkingv1.NetworkPolicy) (bool, []error) {
+	policy, problems := compile(object)
+	if old := x.policies[policy.key]; old != nil && old.fingerprint == policy.fingerprint {
+		return false, problems
+	}
+	x.replacePolicy(policy.key, policy)
+	return true, problems
+}
+
+// DeletePolicy forgets a policy; false when it was not known.
+func (x *Index) DeletePolicy(key Key) bool {
+	if x.policies[key] == nil {
+		return false
+	}
+	x.replacePolicy(key, nil)
+	return true
+}
+
+func (x *Index) replacePolicy(key Key, policy *compiled) {
+	old := x.policies[key]
+	if policy != nil {
+		x.policies[key] = policy
+		if x.inSpace[key.Namespace] == nil {
+			x.inSpace[key.Namespace] = map[Key]*compiled{}
+		}
+		x.inSpace[key.Namespace][key] = policy
+		for id, selector := range policy.peers {
+			x.usePeer(id, selector)
+		}
+		for name := range policy.names {
+			x.useName(name)
+		}
+	} else {
+		delete(x.policies, key)
+		delete(x.inSpace[key.Namespace], key)
+	}
+	if old != nil { // after the new one's, so that what both use is kept
+		for id := range old.peers {
+			if x.peers[id].uses--; x.peers[id].uses == 0 {
+				delete(x.peers, id)
+			}
+		}
+		for name := range old.names {
+			if x.names[name].uses--; x.names[name].uses == 0 {
+				delete(x.names, name)
+			}
+		}
+	}
+	for addr, endpoint := range x.endpoints {
+		owner := x.owners[addr]
+		if owner.Namespace != key.Namespace {
+			continue
+		}
+		if (old != nil && old.selects.Matches(owner.Labels)) || (policy != nil && policy.selects.Matches(owner.Labels)) {
+			if owner.endpoint == endpoint {
+				owner.endpoint = nil // not yet computed again for another address of the same pod
+			}
+			x.endpoints[addr] = x.endpoint(owner)
+		}
+	}
+}
+
+func (x *Index) usePeer(id PeerID, selector *peerSelector) {
+	if x.peers[id] == nil {
+		peer := &peerSet{peerSelector: selector, set: newCollection(netip.Addr.Compare)}
+		for addr, owner := range x.owners {
+			peer.set.put(addr, x.matches(selector, owner.Pod))
+		}
+		x.peers[id] = peer
+	}
+	x.peers[id].uses++
+}
+
+func (x *Index) useName(name PortName) {
+	if x.names[name] == nil {
+		ports := &nameSet{set: newCollection(compareTargets)}
+		for addr, owner := range x.owners {
+			for _, port := range owner.Ports {
+				if port.PortName == name {
+					ports.set.put(Target{addr, port.Number}, true)
+				}
+			}
+		}
+		x.names[name] = ports
+	}
+	x.names[name].uses++
+}
+
+func (x *Index) endpoint(pod *tracked) *Endpoint {
+	if pod.endpoint != nil {
+		return pod.endpoint
+	}
+	endpoint := &Endpoint{Pod: pod.Key}
+	policies := slices.SortedFunc(maps.Values(x.inSpace[pod.Namespace]), func(a, b *compiled) int { return compareKeys(a.key, b.key) })
+	for _, policy := range policies {
+		if policy.selects.Matches(pod.Labels) {
+			endpoint.Ingress.add(policy.ingress)
+			endpoint.Egress.add(policy.egress)
+		}
+	}
+	pod.endpoint = endpoint
+	return endpoint
+}
+
+func (i *Isolation) add(rules *Rules) {
+	if rules == nil {
+		return
+	}
+	i.Isolated = true
+	if len(rules.Rules) > 0 {
+		i.Rules = append(i.Rules, rules)
+	}
+}
+
+// Model returns what the node has to enforce now.
+func (x *Index) Model() *Model {
+	m := &Model{
+		Endpoints: maps.Clone(x.endpoints),
+		Peers:     make(map[PeerID]*Addresses, len(x.peers)),
+		Names:     make(map[PortName]*Targets, len(x.names)),
+	}
+	for id, peer := range x.peers {
+		if list, other := peer.set.sorted(); other || peer.latest == nil {
+			peer.latest = &Addresses{list}
+		}
+		m.Peers[id] = peer.latest
+	}
+	for name, ports := range x.names {
+		if list, other := ports.set.sorted(); other || ports.latest == nil {
+			ports.latest = &Targets{list}
+		}
+		m.Names[name] = ports.latest
+	}
+	return m
+}

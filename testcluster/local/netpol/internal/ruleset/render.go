@@ -1,0 +1,360 @@
+// Package ruleset lays a policy model out as nftables chains, sets and maps. It does no input or output.
+//
+// Every packet that is forwarded is judged, whatever the state of its connection, and always in the terms of the
+// connection's first packet: who opened it (source of the original tuple), who really answers (source of the reply tuple,
+// so after service translation) and on which port (source port of the reply tuple). So a reply needs no rule of its own,
+// an ICMP error goes with the connection it is about, and an established flow ends with the first packet after its
+// permission.
+//
+//	base chain egress   who opened it is a pod of this node?   -> its policies -> accept, or drop
+//	base chain ingress  who answers is a pod of this node?     -> its policies -> accept, or drop
+//
+// Two base chains, because an accept ends only the chain it is said in. What a pod may do hangs on one element of a map
+// (address -> the chain of its policies), chains never change their content (their name has a digest of it), and
+// selectors are sets of addresses: so the usual change, another selector or another label, touches a few elements and
+// no rule.
+package ruleset
+
+import (
+	"cmp"
+	"crypto/sha256"
+	"encoding/binary"
+	"encoding/hex"
+	"fmt"
+	"net/netip"
+	"slices"
+	"strings"
+
+	"golang.org/x/sys/unix"
+
+	"understudy/testcluster/understudy-netpol/internal/nft"
+	"understudy/testcluster/understudy-netpol/internal/policy"
+)
+
+// Table is the name of the one table, of family inet, that all of this lives in.
+const Table = "understudy_netpol"
+
+// Names of the objects that are always there; those of one family end in 4 or 6.
+const (
+	localSet    = "local"    // addresses of all pods of this node
+	isolatedSet = "isolated" // those a policy selects, in any direction
+	selfSet     = "self"     // (a, a) for each of them: a pod can always reach itself
+)
+
+// Renderer turns models into rulesets. It remembers what it has rendered, since parts of a model stay the same.
+type Renderer struct {
+	podInterfaces string
+	peers         map[peerKey]*nft.Set
+	names         map[nameKey]*nft.Set
+	chains        map[string]*nft.Chain
+}
+
+type peerKey struct {
+	set    *policy.Addresses
+	family nft.Family
+}
+
+type nameKey struct {
+	set    *policy.Targets
+	family nft.Family
+}
+
+// NewRenderer takes the prefix of the names of the interfaces that pods are behind. What passes such an interface without
+// being from or to a known pod is dropped: a pod that has just got its network, or one whose object was deleted by force
+// while its processes live on. With an empty prefix such packets pass.
+func NewRenderer(podInterfaces string) *Renderer {
+	return &Renderer{podInterfaces: podInterfaces}
+}
+
+// Render lays the model out. The ruleset shares unchanged parts with the one rendered before.
+func (r *Renderer) Render(model *policy.Model) *nft.Ruleset {
+	p := &pass{Renderer: r, model: model, out: nft.NewRuleset(),
+		peers: map[peerKey]*nft.Set{}, names: map[nameKey]*nft.Set{}, chains: map[string]*nft.Chain{}}
+	p.base()
+	for _, f := range families {
+		p.family(f)
+	}
+	r.peers, r.names, r.chains = p.peers, p.names, p.chains
+	return p.out
+}
+
+type family struct {
+	nft.Family
+	suffix  string
+	address nft.Type
+	second  nft.Register // the one after an address in R0
+	third   nft.Register
+}
+
+var families = []family{
+	{nft.IPv4, "4", nft.TypeAddress4, nft.R1, nft.R2},
+	{nft.IPv6, "6", nft.TypeAddress6, nft.R4, nft.R5},
+}
+
+func (f family) of(addr netip.Addr) bool { return addr.Is4() == (f.Family == nft.IPv4) }
+
+// side is one of the two directions a policy speaks about.
+type side struct {
+	name        string
+	priority    int32
+	subject     nft.Direction // the tuple whose source is the selected pod
+	peer        nft.Direction
+	isolationOf func(*policy.Endpoint) policy.Isolation
+}
+
+var sides = []side{
+	{"egress", 0, nft.Original, nft.Reply, func(e *policy.Endpoint) policy.Isolation { return e.Egress }},
+	{"ingress", 1, nft.Reply, nft.Original, func(e *policy.Endpoint) policy.Isolation { return e.Ingress }},
+}
+
+// pass is one rendering.
+type pass struct {
+	*Renderer
+	model  *policy.Model
+	out    *nft.Ruleset
+	peers  map[peerKey]*nft.Set
+	names  map[nameKey]*nft.Set
+	chains map[string]*nft.Chain
+}
+
+func rule(comment string, exprs ...[]nft.Expr) nft.Rule {
+	return nft.Rule{Exprs: slices.Concat(exprs...), Comment: comment}
+}
+
+func e(exprs ...nft.Expr) []nft.Expr { return exprs }
+
+// base writes what does not depend on the model.
+func (p *pass) base() {
+	for i, side := range sides {
+		chain := &nft.Chain{Hook: &nft.Hook{Number: unix.NF_INET_FORWARD, Priority: side.priority}}
+		if i == 0 {
+			chain.Rules = append(chain.Rules, rule("", e(nft.CtState(nft.R0)),
+				nft.AnyBit(nft.R0, nft.StateInvalid|nft.StateUntracked), e(nft.Do(nft.Jump("stateless")))))
+			if p.podInterfaces != "" {
+				name := []byte(p.podInterfaces)
+				chain.Rules = append(chain.Rules,
+					rule("", e(nft.InputInterface(nft.R0), nft.Equal(nft.R0, name), nft.Do(nft.Jump("from_pods")))),
+					rule("", e(nft.OutputInterface(nft.R0), nft.Equal(nft.R0, name), nft.Do(nft.Jump("to_pods")))))
+			}
+		}
+		for _, f := range families {
+			chain.Rules = append(chain.Rules, rule("", e(nft.CtSource(f.Family, side.subject, nft.R0),
+				nft.In(localSet+f.suffix, nft.R0), nft.Do(nft.Goto(side.name+f.suffix)))))
+		}
+		p.out.Chains[side.name] = chain
+	}
+	stateless, from, to := &nft.Chain{}, &nft.Chain{}, &nft.Chain{}
+	for _, f := range families {
+		// Without a connection nobody can say who opened it, so an isolated pod has no part in it.
+		for _, load := range []nft.Expr{nft.PacketSource(f.Family, nft.R0), nft.PacketDestination(f.Family, nft.R0)} {
+			stateless.Rules = append(stateless.Rules, rule("no connection", nft.IsFamily(f.Family),
+				e(load, nft.In(isolatedSet+f.suffix, nft.R0), nft.Counter(), nft.Do(nft.Drop))))
+		}
+		from.Rules = append(from.Rules, rule("unknown pod", nft.IsFamily(f.Family),
+			e(nft.PacketSource(f.Family, nft.R0), nft.NotIn(localSet+f.suffix, nft.R0), nft.Counter(), nft.Do(nft.Drop))))
+		to.Rules = append(to.Rules, rule("unknown pod", nft.IsFamily(f.Family),
+			e(nft.PacketDestination(f.Family, nft.R0), nft.NotIn(localSet+f.suffix, nft.R0), nft.Counter(), nft.Do(nft.Drop))))
+	}
+	p.out.Chains["stateless"] = stateless
+	if p.podInterfaces != "" {
+		p.out.Chains["from_pods"], p.out.Chains["to_pods"] = from, to
+	}
+}
+
+func (p *pass) family(f family) {
+	local, isolated, self := p.fixedSets(f)
+	maps := make([]*nft.Set, len(sides))
+	for i, side := range sides {
+		name := side.name + f.suffix
+		maps[i] = &nft.Set{Key: []nft.Type{f.address}, Map: true}
+		p.out.Sets[name] = maps[i]
+		p.out.Chains[name] = &nft.Chain{Rules: []nft.Rule{
+			// An address that is missing here falls through to the drop: should ever a map and a set disagree, nothing leaks.
+			rule("", e(nft.CtSource(f.Family, side.subject, nft.R0), nft.Dispatch(name, nft.R0))),
+			rule("itself", e(nft.CtSource(f.Family, nft.Original, nft.R0), nft.CtSource(f.Family, nft.Reply, f.second),
+				nft.In(selfSet+f.suffix, nft.R0), nft.Do(nft.Accept))),
+			rule("isolated", e(nft.Counter(), nft.Do(nft.Drop))),
+		}}
+	}
+	for addr, endpoint := range p.model.Endpoints {
+		if !f.of(addr) {
+			continue
+		}
+		key := string(addr.AsSlice())
+		local.Elements = append(local.Elements, nft.Element{Key: key})
+		alone := false
+		for i, side := range sides {
+			isolation := side.isolationOf(endpoint)
+			action := nft.Accept
+			if isolation.Isolated {
+				alone = true
+				action = p.profile(f, side, isolation.Rules)
+			}
+			maps[i].Elements = append(maps[i].Elements, nft.Element{Key: key, Action: action})
+		}
+		if alone {
+			isolated.Elements = append(isolated.Elements, nft.Element{Key: key})
+			self.Elements = append(self.Elements, nft.Element{Key: key + key})
+		}
+	}
+	for _, set := range append(maps, local, isolated, self) {
+		slices.SortFunc(set.Elements, func(a, b nft.Element) int { return strings.Compare(a.Key, b.Key) })
+	}
+}
+
+func (p *pass) fixedSets(f family) (local, isolated, self *nft.Set) {
+	local = &nft.Set{Key: []nft.Type{f.address}}
+	isolated = &nft.Set{Key: []nft.Type{f.address}}
+	self = &nft.Set{Key: []nft.Type{f.address, f.address}}
+	p.out.Sets[localSet+f.suffix], p.out.Sets[isolatedSet+f.suffix], p.out.Sets[selfSet+f.suffix] = local, isolated, self
+	return local, isolated, self
+}
+
+// profile is the chain of all pods that the same policies select.
+func (p *pass) profile(f family, side side, rules []*policy.Rules) nft.Action {
+	if len(rules) == 0 {
+		return nft.Continue // to the drop
+	}
+	var content strings.Builder
+	for _, r := range rules {
+		content.WriteString(r.ID + " ")
+	}
+	name := fmt.Sprintf("pods_%s%s_%s", side.name, f.suffix, digest(content.String()))
+	p.chain(name, func() *nft.Chain {
+		chain := &nft.Chain{}
+		for _, r := range rules {
+			chain.Rules = append(chain.Rules, rule("", e(nft.Do(nft.Jump(p.policyChain(f, side, r))))))
+		}
+		return chain
+	})
+	for _, r := range rules { // also when the profile itself was remembered
+		p.policyChain(f, side, r)
+	}
+	return nft.Jump(name)
+}
+
+// chain puts a chain into the ruleset, the one rendered earlier where there is one: its name says its content.
+func (p *pass) chain(name string, make func() *nft.Chain) {
+	if p.out.Chains[name] != nil {
+		return
+	}
+	chain := p.Renderer.chains[name]
+	if chain == nil {
+		chain = make()
+	}
+	p.out.Chains[name], p.chains[name] = chain, chain
+}
+
+func (p *pass) policyChain(f family, side side, rules *policy.Rules) string {
+	name := fmt.Sprintf("%s%s_%s", side.name, f.suffix, rules.ID)
+	if p.out.Chains[name] != nil {
+		return name
+	}
+	for _, r := range rules.Rules { // sets and ports change, or must stay, when the chain is remembered
+		for _, id := range r.Peers {
+			p.peerSet(f, id)
+		}
+		p.portChain(f, r)
+	}
+	p.chain(name, func() *nft.Chain {
+		chain := &nft.Chain{}
+		for i, r := range rules.Rules {
+			comment := fmt.Sprintf("%s %s[%d]", rules.Policy, side.name, i)
+			verdict := nft.Do(nft.Accept)
+			if !r.AllPorts {
+				verdict = nft.Do(nft.Jump(p.portChain(f, r)))
+			}
+			if r.AllPeers {
+				chain.Rules = append(chain.Rules, rule(comment, e(verdict)))
+			}
+			load := nft.CtSource(f.Family, side.peer, nft.R0)
+			for _, id := range r.Peers {
+				chain.Rules = append(chain.Rules, rule(comment, e(load, nft.In(p.peerSet(f, id), nft.R0), verdict)))
+			}
+			for _, block := range r.Blocks {
+				if f.of(block.From) {
+					chain.Rules = append(chain.Rules, rule(comment, e(load, nft.Between(nft.R0, block.From.AsSlice(), block.To.AsSlice()), verdict)))
+				}
+			}
+		}
+		return chain
+	})
+	return name
+}
+
+// portChain accepts the ports of a rule; empty for a rule about all ports.
+func (p *pass) portChain(f family, r policy.Rule) string {
+	if r.AllPorts {
+		return ""
+	}
+	names := make([]string, len(r.Names))
+	for i, name := range r.Names {
+		names[i] = p.nameSet(f, name)
+	}
+	name := fmt.Sprintf("ports%s_%s", f.suffix, digest(fmt.Sprintf("%v %v", r.Ports, names)))
+	p.chain(name, func() *nft.Chain {
+		chain := &nft.Chain{}
+		for _, ports := range r.Ports {
+			exprs := e(nft.CtProtocol(nft.R0), nft.Equal(nft.R0, []byte{byte(ports.Protocol)}))
+			if ports.From == ports.To {
+				exprs = append(exprs, nft.CtSourcePort(nft.Reply, nft.R0), nft.Equal(nft.R0, port(ports.From)))
+			} else if ports.From > 0 || ports.To < 65535 {
+				exprs = append(exprs, nft.CtSourcePort(nft.Reply, nft.R0), nft.Between(nft.R0, port(ports.From), port(ports.To)))
+			}
+			chain.Rules = append(chain.Rules, rule("", exprs, e(nft.Do(nft.Accept))))
+		}
+		for _, set := range names {
+			chain.Rules = append(chain.Rules, rule("", e(nft.CtSource(f.Family, nft.Reply, nft.R0), nft.CtProtocol(f.second),
+				nft.CtSourcePort(nft.Reply, f.third), nft.In(set, nft.R0), nft.Do(nft.Accept))))
+		}
+		return chain
+	})
+	return name
+}
+
+func (p *pass) peerSet(f family, id policy.PeerID) string {
+	name := fmt.Sprintf("peers%s_%s", f.suffix, digest(string(id)))
+	if p.out.Sets[name] != nil {
+		return name
+	}
+	key := peerKey{p.model.Peers[id], f.Family}
+	set := p.Renderer.peers[key]
+	if set == nil {
+		set = &nft.Set{Key: []nft.Type{f.address}}
+		for _, addr := range key.set.List {
+			if f.of(addr) {
+				set.Elements = append(set.Elements, nft.Element{Key: string(addr.AsSlice())})
+			}
+		}
+	}
+	p.out.Sets[name], p.peers[key] = set, set
+	return name
+}
+
+func (p *pass) nameSet(f family, name policy.PortName) string {
+	text := fmt.Sprintf("named%s_%s_%s", f.suffix, name.Protocol, name.Name)
+	if p.out.Sets[text] != nil {
+		return text
+	}
+	key := nameKey{p.model.Names[name], f.Family}
+	set := p.Renderer.names[key]
+	if set == nil {
+		set = &nft.Set{Key: []nft.Type{f.address, nft.TypeProtocol, nft.TypePort}}
+		for _, target := range key.set.List {
+			if f.of(target.Addr) {
+				set.Elements = append(set.Elements, nft.Element{Key: string(target.Addr.AsSlice()) +
+					string([]byte{byte(name.Protocol), 0, 0, 0}) + string(port(target.Port)) + "\x00\x00"})
+			}
+		}
+		slices.SortFunc(set.Elements, func(a, b nft.Element) int { return cmp.Compare(a.Key, b.Key) })
+	}
+	p.out.Sets[text], p.names[key] = set, set
+	return text
+}
+
+func port(number uint16) []byte { return binary.BigEndian.AppendUint16(nil, number) }
+
+func digest(text string) string {
+	sum := sha256.Sum256([]byte(text))
+	return hex.EncodeToString(sum[:6])
+}

@@ -1,0 +1,120 @@
+// Command understudy-netpol enforces NetworkPolicies for the pods of one node. Run it in the node's network namespace.
+package main
+
+import (
+	"context"
+	"errors"
+	"flag"
+	"fmt"
+	"log/slog"
+	"net/http"
+	"os"
+	"os/signal"
+	"strconv"
+	"syscall"
+	"time"
+
+	coreclient "k8s.io/client-go/kubernetes/typed/core/v1"
+	networkingclient "k8s.io/client-go/kubernetes/typed/networking/v1"
+	"k8s.io/client-go/tools/clientcmd"
+
+	"understudy/testcluster/understudy-netpol/internal/enforcer"
+)
+
+func main() {
+	kubeconfig := flag.String("kubeconfig", "", "kubeconfig `FILE` of a user who may get, list and watch pods, namespaces and networkpolicies")
+	node := flag.String("node", "", "`NAME` of the node whose pods are enforced")
+	metrics := flag.String("metrics", "", "`ADDRESS` (host:port) to serve /metrics and /readyz at")
+	interfaces := flag.String("pod-interfaces", "veth", "`PREFIX` of the host's interfaces to pods; traffic of unknown pods through them is dropped; empty: it passes")
+	results := flag.String("cni-results", "/var/lib/cni/results", "`DIRECTORY` where libcni keeps results; empty: pods' addresses come from their status alone")
+	reconcile := flag.Duration("reconcile", 30*time.Second, "how often the kernel's table is compared and repaired")
+	priority := flag.Int("nice", -10, "scheduling priority of this process")
+	cleanup := flag.Bool("cleanup", false, "remove the rules and exit")
+	flag.Parse()
+	slog.SetDefault(slog.New(slog.NewJSONHandler(os.Stderr, nil)))
+
+	err := func() error {
+		if *cleanup {
+			return enforcer.Cleanup(nil)
+		}
+		if *kubeconfig == "" || *node == "" || flag.NArg() > 0 {
+			return errors.New("usage: understudy-netpol --kubeconfig FILE --node NAME [--metrics ADDRESS], or --cleanup; see --help")
+		}
+		if err := renice(*priority); err != nil {
+			slog.Warn("keeping the usual scheduling priority", "error", err.Error())
+		}
+		clients, err := connect(*kubeconfig)
+		if err != nil {
+			return err
+		}
+		return run(clients, *metrics, enforcer.Options{Node: *node, PodInterfaces: *interfaces, CNIResults: *results, Reconcile: *reconcile})
+	}()
+	if err != nil {
+		slog.Error(err.Error())
+		os.Exit(1)
+	}
+}
+
+func run(clients enforcer.Clients, metrics string, options enforcer.Options) error {
+	ctx, stop := signal.NotifyContext(context.Background(), syscall.SIGTERM, syscall.SIGINT)
+	defer stop()
+	report := enforcer.NewReport()
+	if metrics != "" {
+		mux := http.NewServeMux()
+		mux.Handle("/metrics", report)
+		mux.Handle("/readyz", http.HandlerFunc(report.Ready))
+		server := &http.Server{Addr: metrics, Handler: mux, ReadHeaderTimeout: 5 * time.Second}
+		go func() {
+			if err := server.ListenAndServe(); !errors.Is(err, http.ErrServerClosed) {
+				slog.Error("metrics are not served", "error", err.Error())
+			}
+		}()
+		defer server.Close()
+	}
+	slog.Info("starting; rules of an earlier run stay in force until all objects are listed", "node", options.Node)
+	err := enforcer.New(options, report).Run(ctx, clients)
+	slog.Info("stopped; the rules stay in force, --cleanup removes them")
+	return err
+}
+
+func connect(kubeconfig string) (enforcer.Clients, error) {
+	// A connection whose other end has silently gone (a node's link cut) must not stay quiet for 45 seconds.
+	for name, seconds := range map[string]string{"HTTP2_READ_IDLE_TIMEOUT_SECONDS": "3", "HTTP2_PING_TIMEOUT_SECONDS": "2"} {
+		if os.Getenv(name) == "" {
+			os.Setenv(name, seconds)
+		}
+	}
+	config, err := clientcmd.BuildConfigFromFlags("", kubeconfig)
+	if err != nil {
+		return enforcer.Clients{}, fmt.Errorf("kubeconfig %s: %w", kubeconfig, err)
+	}
+	config.ContentType = "application/vnd.kubernetes.protobuf"
+	config.UserAgent = "understudy-netpol"
+	core, err := coreclient.NewForConfig(config)
+	if err != nil {
+		return enforcer.Clients{}, fmt.Errorf("kubeconfig %s: %w", kubeconfig, err)
+	}
+	networking, err := networkingclient.NewForConfig(config)
+	if err != nil {
+		return enforcer.Clients{}, fmt.Errorf("kubeconfig %s: %w", kubeconfig, err)
+	}
+	return enforcer.Clients{Core: core, Networking: networking}, nil
+}
+
+// renice sets the priority of every thread there is; threads to come inherit it.
+func renice(priority int) error {
+	threads, err := os.ReadDir("/proc/self/task")
+	if err != nil {
+		return err
+	}
+	for _, thread := range threads {
+		id, err := strconv.Atoi(thread.Name())
+		if err != nil {
+			return err
+		}
+		if err := syscall.Setpriority(syscall.PRIO_PROCESS, id, priority); err != nil && !errors.Is(err, syscall.ESRCH) {
+			return fmt.Errorf("priority %d: %w", priority, err)
+		}
+	}
+	return nil
+}

@@ -1,0 +1,75 @@
+package packettest
+
+import (
+	"fmt"
+	"os"
+	"os/exec"
+	"path/filepath"
+	"runtime"
+	"strings"
+	"testing"
+
+	"golang.org/x/sys/unix"
+)
+
+// namespace is a network namespace, held by a file. Never a named one of `ip netns`: that mounts over /run/netns, which
+// breaks every container runtime of the machine that has its own mounts there.
+type namespace struct {
+	path string
+	file *os.File
+}
+
+func newNamespace(t testing.TB, directory, name string) *namespace {
+	t.Helper()
+	path := filepath.Join(directory, name)
+	if err := os.WriteFile(path, nil, 0o600); err != nil {
+		t.Fatal(err)
+	}
+	if out, err := exec.Command("unshare", "--net="+path, "true").CombinedOutput(); err != nil {
+		t.Fatalf("unshare --net=%s: %v %s", path, err, out)
+	}
+	t.Cleanup(func() { unix.Unmount(path, unix.MNT_DETACH) })
+	file, err := os.Open(path)
+	if err != nil {
+		t.Fatal(err)
+	}
+	t.Cleanup(func() { file.Close() })
+	return &namespace{path, file}
+}
+
+// run runs a command in the namespace, with a text on its input.
+func (n *namespace) run(t testing.TB, input string, command ...string) string {
+	t.Helper()
+	cmd := exec.Command("nsenter", append([]string{"--net=" + n.path}, command...)...)
+	cmd.Stdin = strings.NewReader(input)
+	out, err := cmd.CombinedOutput()
+	if err != nil {
+		t.Fatalf("%s: %v\n%s", strings.Join(command, " "), err, out)
+	}
+	return string(out)
+}
+
+// ip runs lines of ip commands.
+func (n *namespace) ip(t testing.TB, lines ...string) {
+	t.Helper()
+	n.run(t, strings.Join(lines, "\n")+"\n", "ip", "-batch", "-")
+}
+
+func (n *namespace) sysctl(t testing.TB, values ...string) {
+	t.Helper()
+	n.run(t, "", append([]string{"sysctl", "-qw"}, values...)...)
+}
+
+// do calls f on a thread inside the namespace. Sockets that f opens stay there.
+func (n *namespace) do(f func() error) error {
+	done := make(chan error)
+	go func() {
+		runtime.LockOSThread() // never unlocked: the thread ends with the goroutine
+		if err := unix.Setns(int(n.file.Fd()), unix.CLONE_NEWNET); err != nil {
+			done <- fmt.Errorf("entering %s: %w", n.path, err)
+			return
+		}
+		done <- f()
+	}()
+	return <-done
+}
