@@ -186,7 +186,7 @@ class ProbeReceiver:
         self._socket: socket.socket | None = None
         self._changed = asyncio.Event()
 
-    async def open(self, port: int = names.PROBE_PORT, *, host: str = "0.0.0.0") -> int:
+    async def listen(self, *, port: int = names.PROBE_PORT, host: str = "0.0.0.0") -> int:
         """Receive from now on; the port, which is the kernel's choice where 0 is given. Raises OSError."""
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         sock = socket.socket(family, socket.SOCK_DGRAM)
