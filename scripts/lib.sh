@@ -1,0 +1,104 @@
+# Shared by the scripts in this folder: source it from bash. Everything that is made goes to the cache, nothing into the repository.
+# shellcheck shell=bash
+
+REPOSITORY=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
+CACHE=${XDG_CACHE_HOME:-$HOME/.cache}/understudy
+mkdir -p "$CACHE/log"
+
+# kubectl and helm, where the machine has none of its own or an older one.
+export PATH=$CACHE/tools:$PATH
+# The package is used from here and never installed: an environment is shared by all clones that need the same packages.
+export PYTHONPATH=$REPOSITORY/operator${PYTHONPATH:+:$PYTHONPATH}
+export PYTHONDONTWRITEBYTECODE=1
+# The ROS wheels set these once per process tree; a child with another environment would load the wrong libraries.
+unset _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH
+export RMW_IMPLEMENTATION=rmw_fastrtps_cpp
+
+_started=$(date +%s)
+
+# say TEXT: a line for people, with the seconds since the start.
+say() {
+    printf '[%5d s] %s\n' $(($(date +%s) - _started)) "$*"
+}
+
+# fail TEXT: say what is wrong and end.
+fail() {
+    printf '%s: %s\n' "$(basename "$0")" "$*" >&2
+    exit 1
+}
+
+# quietly NAME COMMAND...: run a command with its output in a log, which is shown when it fails.
+quietly() {
+    local log=$CACHE/log/$1.log
+    shift
+    "$@" >"$log" 2>&1 || {
+        tail -n 40 "$log" >&2
+        printf '%s failed; all of its output: %s\n' "$*" "$log" >&2
+        return 1
+    }
+}
+
+# debian_packages PACKAGE...: install those that are missing.
+debian_packages() {
+    local missing=() package
+    for package in "$@"; do
+        [ "$(dpkg-query -W -f '${Status}' "$package" 2>/dev/null)" = "install ok installed" ] || missing+=("$package")
+    done
+    [ ${#missing[@]} -eq 0 ] && return
+    local root=()
+    if [ "$(id -u)" -ne 0 ]; then
+        command -v sudo >/dev/null || fail "these packages are missing: ${missing[*]}; install them as root: apt-get install ${missing[*]}"
+        root=(sudo)
+    fi
+    say "installing ${missing[*]}"
+    quietly apt-update "${root[@]}" apt-get update -q
+    quietly apt-install "${root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get install -q -y --no-install-recommends "${missing[@]}"
+}
+
+# python_environment: makes, once for each set of packages, the Python environment for development, and sets PYTHON to its interpreter.
+python_environment() {
+    local base=/usr/bin/python3 wanted folder
+    [ -x "$base" ] || { command -v apt-get >/dev/null && debian_packages python3; }
+    [ -x "$base" ] || base=$(command -v python3) || fail "there is no python3: install Python 3.11 or newer"
+    "$base" -c 'import sys; sys.exit(sys.version_info < (3, 11))' ||
+        fail "$("$base" --version) is too old: Python 3.11 or newer is needed"
+    wanted=$(cat "$REPOSITORY/pyproject.toml" "$REPOSITORY/constraints.txt" <("$base" --version) | sha256sum | cut -c 1-12)
+    folder=$CACHE/venv-$wanted
+    PYTHON=$folder/bin/python
+    export PYTHON
+    [ -e "$folder/.complete" ] && return
+    "$base" -c 'import ensurepip, venv' 2>/dev/null || debian_packages python3-venv
+    # Another run may be making the same one.
+    exec 9>"$folder.lock"
+    flock 9
+    if [ ! -e "$folder/.complete" ]; then
+        say "making a Python environment in $folder (two minutes, once)"
+        rm -rf "$folder"
+        "$base" -m venv "$folder"
+        "$base" "$REPOSITORY/docker/requirements.py" "$REPOSITORY/pyproject.toml" ros dev >"$folder/requirements.txt"
+        quietly pip "$folder/bin/pip" install --disable-pip-version-check \
+            --constraint "$REPOSITORY/constraints.txt" --requirement "$folder/requirements.txt"
+        touch "$folder/.complete"
+    fi
+    exec 9>&-
+}
+
+# helm_program: makes sure that there is a helm; `scripts/cluster up` brings one too.
+helm_program() {
+    command -v helm >/dev/null && return
+    say "building helm, since there is none (one to three minutes, once)"
+    (cd "$REPOSITORY" && "$PYTHON" - "$CACHE/tools") <<'PYTHON'
+import sys
+from pathlib import Path
+
+from testcluster import golang
+from testcluster.progress import Progress
+
+source = Path("testcluster/local/hyperkube")
+built = golang.build("helm", source.resolve(), ["helm.sh/helm/v3/cmd/helm"], ["-ldflags=-s -w"], Progress(), "one to three minutes, once")
+tools = Path(sys.argv[1])
+tools.mkdir(exist_ok=True)
+(tools / "helm").unlink(missing_ok=True)
+(tools / "helm").symlink_to(built / "helm")
+PYTHON
+}
