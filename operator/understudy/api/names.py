@@ -1,12 +1,12 @@
 """Labels, annotations, ports and names of the objects that belong to a workload or a pool.
 
 One place, since the operator, the monitor, the agent, the admission policy of the chart and users' selectors
-must all mean the same.
+must all mean the same. Imports nothing, since the agent, of which there is one in every pod, needs it too.
 """
 
 from __future__ import annotations
 
-from understudy.api.base import GROUP
+GROUP = "understudy.dev"
 
 WORKLOAD = f"{GROUP}/workload"
 """On every instance: the RobotWorkload whose robot it may drive. Both gate policies select by it."""
