@@ -1,0 +1,228 @@
+"""The play: a robot that is driven, its application killed, and what was seen of the recovery."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from understudy_demo.kubectl import CommandFailed, Kubectl
+from understudy_demo.recovery import Recovered
+from understudy_demo.robotview import Handover, RobotLog, parse
+from understudy_demo.stage import REPOSITORY, Say
+
+MANIFESTS = REPOSITORY / "examples" / "quickstart" / "manifests"
+NAMESPACE = "understudy-demo"
+WORKLOAD = "robot-1-drive"
+ROBOT = "deploy/robot-1"
+LOG = "/var/log/robot/robot.jsonl"
+
+STRATEGIES = {
+    "executing": "Fallback/Executing",
+    "uninitialized": "Fallback/Uninitialized",
+    "restart": "Restart",
+}
+"""The strategies by the name of their manifest, and as a recovery names them."""
+
+_BEFORE = 4.0  # seconds of driving before each failure, so that the picture has a before
+_AFTER = 3.0  # and after
+
+
+class NotSo(Exception):
+    """Something that was waited for did not come about; the message says what was found."""
+
+
+@dataclass
+class Failure:
+    """One failure of the play."""
+
+    strategy: str
+    pod: str
+    killed: float
+    """When the pod's deletion was asked for, unix seconds."""
+    entry: dict[str, Any]
+    recovered: Recovered
+    handover: Handover
+    problems: list[str] = field(default_factory=list)
+
+    def to_json(self) -> dict[str, Any]:
+        """For the report."""
+        return {
+            "strategy": self.strategy,
+            "pod": self.pod,
+            "killed": self.killed,
+            "recovery": self.entry,
+            "robot": self.handover.to_json(),
+            "problems": self.problems,
+        }
+
+
+class Play:
+    """The quickstart in the demo's namespace."""
+
+    def __init__(self, kubectl: Kubectl, say: Say) -> None:
+        self._kubectl = kubectl
+        self._say = say
+
+    def clear(self) -> None:
+        """Remove the namespace, of this demo or of an earlier one."""
+        if self._kubectl.get("namespace", NAMESPACE):
+            self._say(f"removing namespace {NAMESPACE}")
+            self._kubectl("delete", "namespace", NAMESPACE, "--timeout=120s", timeout=150)
+
+    def begin(self, strategy: str) -> None:
+        """The robot, its application and the strategy's policy; until the robot is driven."""
+        self._kubectl("create", "namespace", NAMESPACE)
+        self._apply(f"strategies/{strategy}.yaml")
+        workload = (MANIFESTS / "robotworkload.yaml").read_text()
+        self._kubectl("apply", "-f", "-", stdin=_with_policy(workload, strategy))
+        self._apply("robot.yaml")
+        self._until("the robot is driven", self._driven, within=180)
+
+    def prepare(self, strategy: str) -> None:
+        """Let this strategy protect the workload, and only what it needs be there."""
+        self._apply(f"strategies/{strategy}.yaml")
+        patch = f'{{"spec":{{"failurePolicyRef":{{"name":"quickstart-{strategy}"}}}}}}'
+        self._kubectl("patch", "robotworkload", WORKLOAD, "--type=merge", "-p", patch)
+        for other in STRATEGIES:
+            if other != strategy:
+                self._kubectl("delete", "fallbackpool", f"quickstart-{other}", "--ignore-not-found")
+        self._until(f"{strategy} stands ready", lambda: self._ready(strategy), within=180)
+        self._until("the robot is driven", self._driven, within=60)
+        time.sleep(_BEFORE)
+
+    def fail(self, strategy: str) -> Failure:
+        """Kill the pod that drives the robot, as the paper does, and wait for the recovery."""
+        before = self._workload().get("status", {})
+        pod = before["active"]
+        number = max((int(r.get("number", 0)) for r in before.get("recoveries") or []), default=0)
+        self._say(f"{strategy}: kubectl delete pod {pod} --grace-period=0 --force")
+        killed = time.time()
+        self._kubectl("delete", "pod", pod, "--grace-period=0", "--force", "--wait=false")
+        entry = self._recovery_after(number)
+        time.sleep(_AFTER)
+        recovered = Recovered.read(entry)
+        handover = recovered.handover(self.log())
+        problems = recovered.problems(handover, strategy=STRATEGIES[strategy])
+        return Failure(strategy, pod, killed, entry, recovered, handover, problems)
+
+    def log(self) -> RobotLog:
+        """What the robot has written down."""
+        return parse(self.raw_log())
+
+    def raw_log(self) -> str:
+        """The robot's log as text, with the part that was rotated out."""
+        return self._kubectl("exec", ROBOT, "--", "sh", "-c", f"cat {LOG}.1 {LOG} 2>/dev/null || cat {LOG}")
+
+    def _apply(self, file: str) -> None:
+        self._kubectl("apply", "-f", str(MANIFESTS / file))
+
+    def _workload(self) -> dict[str, Any]:
+        return self._kubectl.get("robotworkload", WORKLOAD)
+
+    def _recovery_after(self, number: int) -> dict[str, Any]:
+        latest: dict[str, Any] = {}
+
+        def recorded() -> tuple[bool, str]:
+            status = self._workload().get("status", {})
+            newer = [r for r in status.get("recoveries") or [] if int(r.get("number", 0)) > number]
+            if not newer:
+                return False, f"health {status.get('health')}, no recovery yet"
+            latest.clear()
+            latest.update(newer[0])
+            return latest["result"] != "Running", f"{latest['result']}: {latest.get('reason')}"
+
+        # The first look comes late on purpose: a kubectl costs as much CPU as what is being timed.
+        time.sleep(1.5)
+        self._until("the recovery is recorded", recorded, within=120)
+        return latest
+
+    def _driven(self) -> tuple[bool, str]:
+        """Whether the robot has had steady commands over the last second."""
+        pods = self._kubectl.get("pods", "-l", "app=robot-1").get("items", [])
+        if not any(pod.get("status", {}).get("phase") == "Running" for pod in pods):
+            return False, f"robot's pod: {_why(pods)}"
+        try:
+            commands = self.log().commands
+        except CommandFailed as error:
+            return False, str(error)
+        now = time.time()
+        recent = [c for c in commands if c.received > now - 1.0]
+        return len(recent) >= 12, f"{len(recent)} commands at the robot in the last second"
+
+    def _ready(self, strategy: str) -> tuple[bool, str]:
+        """Whether the workload is healthy and the strategy is the one that would be used now."""
+        status = self._workload().get("status", {})
+        conditions = {c["type"]: c for c in status.get("conditions") or []}
+        bad = "; ".join(
+            f"{name}: {conditions[name]['message']}"
+            for name in ("Accepted", "Reconciled", "Protected", "GateEnforced")
+            if conditions.get(name, {}).get("status") == "False"
+        )
+        state = (
+            f"health {status.get('health')}, strategy {status.get('strategy')}, standby {status.get('standby')} {bad}"
+        )
+        if status.get("health") != "Healthy" or status.get("strategy") not in (
+            STRATEGIES[strategy],
+            STRATEGIES[strategy].rpartition("/")[2],
+        ):
+            return False, state
+        if strategy == "restart":
+            return True, state
+        counts = re.search(r"\((\d+)/(\d+)\)", status.get("standby") or "")
+        return counts is not None and int(counts[1]) >= max(1, int(counts[2])), state
+
+    def _until(self, what: str, condition: Callable[[], tuple[bool, str]], *, within: float) -> None:
+        self._say(f"waiting until {what}")
+        end = time.monotonic() + within
+        shown = time.monotonic()
+        while True:
+            done, state = condition()
+            if done:
+                return
+            now = time.monotonic()
+            if now > end:
+                raise NotSo(f"not within {within:.0f} s: {what}. Last seen: {state}")
+            if now - shown > 15:
+                self._say(f"  still waiting: {state}")
+                shown = now
+            time.sleep(1.0)
+
+    def scene(self) -> str:
+        """The state of everything in the namespace, for someone who has to find out what went wrong."""
+        parts = []
+        for title, arguments in (
+            ("pods", ("get", "pods", "-o", "wide")),
+            ("workload", ("describe", "robotworkload", WORKLOAD)),
+            ("events", ("get", "events", "--sort-by=.lastTimestamp")),
+        ):
+            try:
+                text = self._kubectl(*arguments)
+            except CommandFailed as error:
+                text = str(error)
+            parts.append(f"--- {title}\n" + "\n".join(text.splitlines()[-45:]))
+        return "\n".join(parts)
+
+
+def _with_policy(workload: str, strategy: str) -> str:
+    """The workload's manifest with another policy."""
+    changed, count = re.subn(
+        r"failurePolicyRef: \{name: [^}]*\}", f"failurePolicyRef: {{name: quickstart-{strategy}}}", workload
+    )
+    if count != 1:
+        raise ValueError(f"robotworkload.yaml: expected one failurePolicyRef: {{name: ...}}, found {count}")
+    return changed
+
+
+def _why(pods: list[dict[str, Any]]) -> str:
+    """Why pods aren't running, in one line."""
+    if not pods:
+        return "not there"
+    for pod in pods:
+        for container in pod.get("status", {}).get("containerStatuses") or []:
+            waiting = container.get("state", {}).get("waiting")
+            if waiting:
+                return f"{waiting.get('reason')} {waiting.get('message', '')}".strip()
+    return ", ".join(str(pod.get("status", {}).get("phase")) for pod in pods)
