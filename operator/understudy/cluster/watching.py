@@ -27,14 +27,16 @@ class Reflector:
         *,
         labels: str | None = None,
         fields: str | None = None,
-        on_change: Callable[[Object, bool], None] | None = None,
+        on_change: Callable[[], None] | None = None,
     ) -> None:
-        """``on_change`` is called with each new or changed object, and with False when it is gone."""
+        """``on_change`` is called whenever an object is new, changed or gone."""
         self._client, self._resource, self._namespace = client, resource, namespace
         self._labels, self._fields = labels, fields
         self._on_change = on_change
         self._changed = asyncio.Event()
         self.items: dict[str, Object] = {}
+        self.revision = 0
+        """Grows with every change, for caches of what is made of the objects."""
         self.synced = asyncio.Event()
 
     async def run(self) -> None:
@@ -96,8 +98,11 @@ class Reflector:
         old = self.items.pop(name, None)
         if item is not None:
             self.items[name] = item
-        if self._on_change is not None and (item is not None or old is not None):
-            self._on_change(item if item is not None else old or {}, item is not None)
+        if item is None and old is None:
+            return
+        self.revision += 1
+        if self._on_change is not None:
+            self._on_change()
 
     def _notify(self) -> None:
         self._changed.set()

@@ -1,4 +1,4 @@
-"""Whether the cluster's network enforces the gate, judged from the probes that get through (see api.names.PROBE_PORT)."""
+"""Whether the cluster's network enforces the gate, judged from the probes that get through (api.names.PROBE_PORT)."""
 
 from __future__ import annotations
 
@@ -31,8 +31,9 @@ def judge(
         return (
             "False",
             "NotEnforced",
-            f"Packets of {', '.join(leaking)} reach gated ports although the gate doesn't name it: the cluster's network doesn't "
-            "enforce NetworkPolicies for UDP with endPort. Two instances could drive the robot. Use a network plugin that does.",
+            f"Packets of {', '.join(leaking)} reach gated ports although the gate doesn't name it: the cluster's "
+            "network doesn't enforce NetworkPolicies for UDP with endPort. Two instances could drive the robot. Use a network "
+            "plugin that does.",
         )
     active = next((i for i in probing if i.uid == active_uid), None)
     if active is None:
@@ -41,8 +42,8 @@ def judge(
         return (
             "False",
             "Blocked",
-            f"Packets of {active.name} don't reach gated ports although the gate names it: look for other NetworkPolicies "
-            "that select it, or for a network that doesn't carry its traffic.",
+            f"Packets of {active.name} don't reach gated ports although the gate names it: look for other "
+            "NetworkPolicies that select it, or for a network that doesn't carry its traffic.",
         )
     if len(probing) == 1:
         return "Unknown", "NoStandby", "Packets of the pod in control get through; there's no standby to see held back."

@@ -11,6 +11,7 @@ from understudy.api.settings import WorkloadSettings
 from understudy.cluster import claims
 from understudy.cluster.client import PODS, REPLICA_SETS, ApiError, Client, Object
 from understudy.mitigation.interfaces import ClaimLost, Instance
+from understudy.monitor.faults import CrashPoints
 from understudy.monitor.view import View
 
 _logger = logging.getLogger(__name__)
@@ -35,9 +36,7 @@ def instance_of(pod: Object) -> Instance:
         terminating=bool(metadata.get("deletionTimestamp")),
         has_agent=any(c["name"] == names.AGENT_CONTAINER for c in pod["spec"]["containers"]),
         claim=(metadata.get("annotations") or {}).get(names.CLAIM, ""),
-        template_hash=(metadata.get("annotations") or labels).get(
-            names.TEMPLATE_HASH, labels.get(names.TEMPLATE_HASH, "")
-        ),
+        template_hash=labels.get(names.TEMPLATE_HASH, ""),
         created=metadata.get("creationTimestamp", ""),
     )
 
@@ -45,8 +44,10 @@ def instance_of(pod: Object) -> Instance:
 class Fleet:
     """Implements :class:`understudy.mitigation.interfaces.Instances` over the watched pods."""
 
-    def __init__(self, client: Client, view: View) -> None:
-        self._client, self._view = client, view
+    def __init__(self, client: Client, view: View, crash_points: CrashPoints) -> None:
+        self._client, self._view, self._crash_points = client, view, crash_points
+        self._instances: list[Instance] = []
+        self._revision: tuple[int, int] | None = None
 
     @property
     def _settings(self) -> WorkloadSettings:
@@ -56,7 +57,10 @@ class Fleet:
 
     def of_workload(self) -> Sequence[Instance]:
         """Every instance of this workload, terminating ones included."""
-        return [instance_of(pod) for pod in self._view.all_pods()]
+        if self._revision != self._view.pods_revision:
+            self._revision = self._view.pods_revision
+            self._instances = [instance_of(pod) for pod in self._view.all_pods()]
+        return self._instances
 
     def find(self, uid: str) -> Instance | None:
         """The instance of this workload with a UID."""
@@ -84,6 +88,7 @@ class Fleet:
         pod = self._view.held_pods.items.get(instance.name)
         if pod is None or pod["metadata"]["uid"] != instance.uid:
             raise ClaimLost(instance.name)
+        self._crash_points.step("before claim")
         try:
             claimed = await claims.claim(
                 self._client, pod, workload=self._view.workload, workload_uid=self._settings.uid, claim=claim
@@ -94,10 +99,12 @@ class Fleet:
                 raise ClaimLost(instance.name) from error
             raise
         self._view.pods.put(claimed)
+        self._crash_points.step("after claim")
         return instance_of(claimed)
 
     async def retire(self, instance: Instance) -> None:
         """Delete a failed pod for good: its controller makes another only where that one is still needed."""
+        self._crash_points.step("before retire")
         settings = self._settings
         wanted = any(pool.readiness != "Uninitialized" for pool in settings.pools)
         if instance.from_source and settings.source_kind == "ReplicaSet" and not wanted:
@@ -107,12 +114,14 @@ class Fleet:
 
     async def replace(self, failed: Sequence[Instance]) -> None:
         """Delete failed pods and have the workload's own controller run a new one."""
+        self._crash_points.step("before replace")
         left = [i for i in self.of_workload() if i.from_source and i.usable and i.uid not in {f.uid for f in failed}]
         if self._settings.source_kind == "ReplicaSet" and not left:
             await self._scale(1)
         for instance in failed:
             if not instance.terminating:
                 await self._delete(instance)
+        self._crash_points.step("after replace")
 
     async def wait(self, predicate: Callable[[Instance], bool]) -> Instance:
         """The newest instance of this workload for which it holds, waiting for one."""

@@ -14,6 +14,7 @@ from understudy.cluster.client import NETWORK_POLICIES, ApiError, Client
 from understudy.cluster.probes import ProbeReceiver
 from understudy.mitigation.interfaces import GateState, Instance, Superseded
 from understudy.mitigation.progress import Progress
+from understudy.monitor.faults import CrashPoints
 from understudy.monitor.fleet import Fleet
 from understudy.monitor.view import View
 
@@ -25,8 +26,12 @@ RETRY_FIRST, RETRY_MOST = 0.05, 1.0  # seconds
 class PolicyGate:
     """Implements :class:`understudy.mitigation.interfaces.Gate` with the workload's NetworkPolicy."""
 
-    def __init__(self, client: Client, view: View, fleet: Fleet, probes: ProbeReceiver) -> None:
+    def __init__(
+        self, client: Client, view: View, fleet: Fleet, probes: ProbeReceiver, crash_points: CrashPoints
+    ) -> None:
         self._client, self._view, self._fleet, self._probes = client, view, fleet, probes
+        self._crash_points = crash_points
+        self._cached: tuple[int, GateState] = (-1, GateState())
 
     @property
     def _record(self) -> gates.GateRecord | None:
@@ -41,6 +46,11 @@ class PolicyGate:
     @property
     def state(self) -> GateState:
         """As last seen or committed."""
+        if self._cached[0] != self._view.gates.revision:
+            self._cached = (self._view.gates.revision, self._read())
+        return self._cached[1]
+
+    def _read(self) -> GateState:
         record = self._record
         if record is None:
             return GateState()
@@ -61,6 +71,7 @@ class PolicyGate:
             await self._fleet.label(target)
         record, retry = begun, RETRY_FIRST
         name, uid = (target.name, target.uid) if target else ("", "")
+        self._crash_points.step("before commit")
         recovery = progress.model_copy(update={"epoch": begun.epoch + 1}).model_dump_json() if progress else ""
         while True:
             try:
@@ -86,6 +97,7 @@ class PolicyGate:
             if record.epoch > begun.epoch:
                 return self.state
         self._view.gates.put(policy)
+        self._crash_points.step("after commit")
         return self.state
 
     async def _reread(self, begun: gates.GateRecord, uid: str, recovery: str) -> gates.GateRecord | None:

@@ -180,6 +180,6 @@ def describe(recovery: Recovery) -> str:
     if recovery.result != "Recovered" or recovery.recovery_seconds is None:
         return f"{recovery.reason}. Nothing verified: {tried}"
     return (
-        f"{recovery.reason}. {recovery.to_pod} took over from {recovery.from_pod or 'no pod'} by {recovery.strategy} in "
-        f"{recovery.recovery_seconds:.3f} s, epoch {recovery.epoch}"
+        f"{recovery.reason}. {recovery.to_pod} took over from {recovery.from_pod or 'no pod'} by {recovery.strategy} "
+        f"in {recovery.recovery_seconds:.3f} s, epoch {recovery.epoch}"
     )

@@ -20,6 +20,7 @@ from understudy.cluster.events import Recorder
 from understudy.cluster.pages import serve
 from understudy.cluster.probes import ProbeReceiver
 from understudy.mitigation.journal import Journal
+from understudy.monitor.faults import CrashPoints
 from understudy.monitor.fleet import Fleet
 from understudy.monitor.gating import PolicyGate
 from understudy.monitor.reporting import Reporter
@@ -58,13 +59,15 @@ def main(argv: list[str]) -> int:
     if not workload or not namespace:
         print("understudy monitor: set UNDERSTUDY_WORKLOAD and UNDERSTUDY_NAMESPACE", file=sys.stderr)
         return 2
-    asyncio.run(_run(workload, namespace))
+    state = Path(os.environ.get("UNDERSTUDY_STATE", STATE))
+    state.mkdir(parents=True, exist_ok=True)
+    asyncio.run(_run(workload, namespace, state))
     return 0
 
 
-async def _run(workload: str, namespace: str) -> None:
+async def _run(workload: str, namespace: str, state: Path) -> None:
     loop = asyncio.get_running_loop()
-    running = asyncio.ensure_future(_protect(workload, namespace))
+    running = asyncio.ensure_future(_protect(workload, namespace, state))
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, running.cancel)
     with contextlib.suppress(asyncio.CancelledError):
@@ -72,15 +75,16 @@ async def _run(workload: str, namespace: str) -> None:
     _logger.info("ended")
 
 
-async def _protect(workload: str, namespace: str) -> None:
-    state = Path(os.environ.get("UNDERSTUDY_STATE", STATE))
-    state.mkdir(parents=True, exist_ok=True)
+async def _protect(workload: str, namespace: str, state: Path) -> None:
     alive = {"ready": 0.0}
     async with Client(Access.default()) as client, asyncio.TaskGroup() as group:
         watchers: list[Supervisor] = []
-        view = View(
-            client, namespace, workload, on_pod=lambda pod, here: [w.on_pod(pod, here) for w in watchers] and None
-        )
+
+        def on_pod() -> None:
+            for watcher in watchers:
+                watcher.wake.set()
+
+        view = View(client, namespace, workload, on_pod=on_pod)
         pages = {
             "/healthz": lambda: (200, "ok\n"),
             "/ready": lambda: (200, "ok\n") if alive["ready"] else (503, "starting\n"),
@@ -88,17 +92,18 @@ async def _protect(workload: str, namespace: str) -> None:
         }
         await serve(pages, names.METRICS_PORT)
         probes = ProbeReceiver()
-        await probes.open(names.PROBE_PORT)
+        await probes.listen(port=names.PROBE_PORT)
         await view.run(group)
-        fleet = Fleet(client, view)
-        gate = PolicyGate(client, view, fleet, probes)
+        crash_points = CrashPoints(state)
+        fleet = Fleet(client, view, crash_points)
+        gate = PolicyGate(client, view, fleet, probes, crash_points)
         recorder = Recorder(client, "understudy-monitor", os.environ.get("HOSTNAME", "monitor"))
         reporter = Reporter(client, namespace, workload, recorder)
         item = view.object
         if item is not None:
             reporter.adopt(item)
-        sidecars = Sidecars(client, view)
-        sight = Sight(workload)
+        sidecars = Sidecars(client, view, os.environ.get("UNDERSTUDY_POD_IP", "127.0.0.1"), crash_points)
+        sight = Sight()
         parts = Parts(
             view=view,
             fleet=fleet,
@@ -108,6 +113,7 @@ async def _protect(workload: str, namespace: str) -> None:
             probes=probes,
             reporter=reporter,
             journal=Journal(state / "recovery.json"),
+            crash_points=crash_points,
         )
         supervisor = Supervisor(parts)
         watchers.append(supervisor)

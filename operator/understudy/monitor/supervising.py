@@ -16,15 +16,16 @@ import aiohttp
 from understudy.api.base import seconds
 from understudy.api.policies import FailurePolicySpec
 from understudy.api.workloads import GateStatus
-from understudy.cluster.client import ApiError, Object
+from understudy.cluster.client import ApiError
 from understudy.cluster.probes import ProbeReceiver
-from understudy.mitigation.failover import Choice, recover
+from understudy.mitigation.failover import recover
 from understudy.mitigation.interfaces import Instance, Superseded
 from understudy.mitigation.journal import Journal
 from understudy.mitigation.progress import PodIdentity, Progress
 from understudy.mitigation.strategies import Means
 from understudy.monitor import enforcement, metrics
 from understudy.monitor.choosing import choices
+from understudy.monitor.faults import CrashPoints
 from understudy.monitor.fleet import Fleet
 from understudy.monitor.gating import PolicyGate
 from understudy.monitor.reporting import Reporter, describe
@@ -46,6 +47,9 @@ KNOWN_GRACE = 3.0
 
 BACKOFF_FIRST, BACKOFF_MOST = 2.0, 60.0
 """Seconds before everything is tried again after no strategy verified."""
+
+DEAD_AFTER = 0.1
+"""Seconds without an output after which a pod whose object is gone counts as dead."""
 
 SLOW = 1.0
 """Seconds between looks at what isn't urgent: labels, whether the gate is enforced."""
@@ -72,6 +76,7 @@ class Parts:
     probes: ProbeReceiver
     reporter: Reporter
     journal: Journal
+    crash_points: CrashPoints
 
 
 class Supervisor:
@@ -82,6 +87,7 @@ class Supervisor:
         self._view, self._fleet, self._gate = parts.view, parts.fleet, parts.gate
         self._sidecars, self._sight, self._reporter = parts.sidecars, parts.sight, parts.reporter
         self.wake = asyncio.Event()
+        """Set to have it look at once, such as when a pod of the workload changed."""
         self._since = time.time()
         self._started = self._since
         self._failing_since: float | None = None
@@ -91,10 +97,6 @@ class Supervisor:
         self._gate_changed = self._since
         self._active_uid = ""
         self._cooldown_told = False
-
-    def on_pod(self, pod: Object, present: bool) -> None:
-        """A pod of the workload changed: look at once."""
-        self.wake.set()
 
     async def run(self) -> None:
         """Watch and recover until cancelled."""
@@ -158,9 +160,10 @@ class Supervisor:
             await self._bootstrap(policy, now)
             return None, None
         active = self._fleet.find(state.active_uid)
-        if active is None or active.terminating or not active.running:
-            gone = "is gone" if active is None else "is being deleted" if active.terminating else "has stopped running"
-            return self._counted(Failure(f"pod {state.active} {gone}", self._onset(state.active, now), now), now), None
+        if (loss := self._lost(active, now)) is not None:
+            failure, look = loss
+            return (self._counted(failure, now) if failure else None), look
+        assert active is not None
         verdict = self._verdict(active, policy, now)
         self._say(verdict)
         if verdict.state != "Failed":
@@ -176,6 +179,22 @@ class Supervisor:
             return None, self._failing_since + debounce
         onset = verdict.onset if verdict.onset is not None else self._onset(active.name, now)
         return self._counted(Failure(verdict.reason, onset, detected), now), None
+
+    def _lost(self, active: Instance | None, now: float) -> tuple[Failure | None, float | None] | None:
+        """Whether the pod in control is lost, which needs no health tree: a failure, or when to look again.
+
+        A pod that is being deleted still has its labels, so the gate can fence it at once. One whose object is gone
+        (deleted by force) has none, and its process may run on for a moment: fencing it isn't possible, so the switch
+        waits until it is silent.
+        """
+        name = self._gate.state.active
+        if active is not None and not active.terminating and active.running:
+            return None
+        onset = self._onset(name, now)
+        if active is None and (silent := self._sight.last_from(name)) is not None and now - silent < DEAD_AFTER:
+            return None, silent + DEAD_AFTER
+        gone = "is gone" if active is None else "is being deleted" if active.terminating else "has stopped running"
+        return Failure(f"pod {name} {gone}", onset, time.time()), None
 
     def _verdict(self, active: Instance, policy: FailurePolicySpec, now: float) -> Verdict:
         verdict = self._sight.verdict(now=now, since=self._since)
@@ -222,7 +241,7 @@ class Supervisor:
             active="", health="Starting" if running else "Unknown", gate=GateStatus(epoch=self._gate.state.epoch)
         )
         ready = [i for i in running if not i.has_agent or self._sidecars.is_ready(i)[0]]
-        # An application may need an answer of the robot before its outputs flow, so it isn't waited for beyond the grace.
+        # An application may need an answer of the robot before its outputs flow: it isn't waited for too long.
         if not ready and now - self._started > seconds(policy.monitoring.startup_grace) / 2:
             ready = running
         if not ready:
@@ -278,9 +297,13 @@ class Supervisor:
             agents=self._sidecars,
             outputs=self._sight.outputs(self._fleet, self._gate),
             clock=time.time,
-            save=self._parts.journal.save,
+            save=self._save,
             workload_uid=settings.uid,
         )
+
+    def _save(self, progress: Progress) -> None:
+        self._parts.crash_points.step("before save")
+        self._parts.journal.save(progress)
 
     def _interrupted(self) -> Progress | None:
         """The recovery that an earlier monitor had begun and not recorded, if there is one."""
@@ -316,6 +339,7 @@ class Supervisor:
             self._reporter.event("Warning", "RecoveryError", f"{progress.reason}: {error}")
             self._after(BACKOFF_FIRST)
             return
+        self._parts.crash_points.step("before record")
         recovery = self._reporter.record(done)
         state = self._gate.state
         self._reporter.set(active=state.active, gate=GateStatus(epoch=state.epoch, active=state.active))

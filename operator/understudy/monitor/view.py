@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import logging
 from collections.abc import Callable
 
@@ -22,10 +21,8 @@ _logger = logging.getLogger(__name__)
 class View:
     """Local copies of everything the monitor decides by."""
 
-    def __init__(
-        self, client: Client, namespace: str, workload: str, *, on_pod: Callable[[Object, bool], None]
-    ) -> None:
-        """``on_pod`` is called with each pod of the workload that changes, and with False when it is gone."""
+    def __init__(self, client: Client, namespace: str, workload: str, *, on_pod: Callable[[], None]) -> None:
+        """``on_pod`` is called whenever a pod of the workload changes."""
         self.client, self.namespace, self.workload = client, namespace, workload
         self._on_pod = on_pod
 
@@ -41,6 +38,8 @@ class View:
         self.source_pods: Reflector | None = None
         self._policy: FailurePolicySpec | None = None
         self._policy_version = ""
+        self._spec: tuple[int, RobotWorkloadSpec | None] = (-1, None)
+        self._settings: tuple[int, WorkloadSettings | None] = (-1, None)
 
     async def run(self, group: asyncio.TaskGroup) -> None:
         """Start the watches and wait until the first copies are there."""
@@ -59,6 +58,11 @@ class View:
             await self.source_pods.synced.wait()
 
     @property
+    def pods_revision(self) -> tuple[int, int]:
+        """Changes whenever one of the workload's pods does."""
+        return self.pods.revision, self.source_pods.revision if self.source_pods else 0
+
+    @property
     def object(self) -> Object | None:
         """The RobotWorkload itself, or None when it is gone."""
         return self.workloads.items.get(self.workload)
@@ -66,16 +70,20 @@ class View:
     @property
     def spec(self) -> RobotWorkloadSpec | None:
         """The workload's spec."""
-        item = self.object
-        return RobotWorkloadSpec.model_validate(item["spec"]) if item else None
+        if self._spec[0] != self.workloads.revision:
+            item = self.object
+            spec = RobotWorkloadSpec.model_validate(item["spec"]) if item else None
+            self._spec = (self.workloads.revision, spec)
+        return self._spec[1]
 
     @property
     def settings(self) -> WorkloadSettings | None:
         """What the operator resolved for this monitor."""
-        item = self.settings_maps.items.get(names.settings(self.workload))
-        if item is None:
-            return None
-        return WorkloadSettings.model_validate(json.loads(item.get("data", {}).get("settings.json", "{}")))
+        if self._settings[0] != self.settings_maps.revision:
+            item = self.settings_maps.items.get(names.settings(self.workload))
+            found = WorkloadSettings.model_validate_json(item["data"]["settings.json"]) if item else None
+            self._settings = (self.settings_maps.revision, found)
+        return self._settings[1]
 
     @property
     def policy(self) -> FailurePolicySpec | None:

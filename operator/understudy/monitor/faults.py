@@ -1,0 +1,34 @@
+"""Crash points: lets a test kill the monitor at a chosen step of a recovery.
+
+A file ``crash-after`` in the state directory holds a number of steps; the monitor kills itself at the step after them
+and removes the file first, so that the next monitor runs on. Without the file a step costs one failed ``open``.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+from pathlib import Path
+
+_logger = logging.getLogger(__name__)
+
+
+class CrashPoints:
+    """Counts the steps of recoveries while a test asks for it."""
+
+    def __init__(self, state: Path) -> None:
+        self._file = state / "crash-after"
+
+    def step(self, name: str) -> None:
+        """A step of a recovery is about to be taken, or was just taken."""
+        try:
+            left = int(self._file.read_text() or 0)
+        except (OSError, ValueError):
+            return
+        if left > 0:
+            self._file.write_text(str(left - 1))
+            return
+        self._file.unlink()
+        _logger.critical("killed at step %r, as asked by %s", name, self._file)
+        os.kill(os.getpid(), signal.SIGKILL)

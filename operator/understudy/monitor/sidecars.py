@@ -1,0 +1,190 @@
+"""The agents of the workload's instances: a connection to each, kept up, with the present policy's health tree."""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import logging
+from collections.abc import Callable, Coroutine, Sequence
+from typing import Any
+
+import aiohttp
+
+from understudy.api import names
+from understudy.api.agents import AgentStatus
+from understudy.api.base import seconds
+from understudy.cluster.agents import AgentGone, AgentLink, AgentRefused
+from understudy.cluster.client import SECRETS, ApiError, Client
+from understudy.mitigation.interfaces import Instance
+from understudy.monitor.faults import CrashPoints
+from understudy.monitor.view import View
+
+_logger = logging.getLogger(__name__)
+
+PROBE_INTERVAL = 0.001
+"""Seconds between probes around a commit."""
+
+RETRY = 0.05
+"""Seconds before an unanswered request is sent again; requests can be repeated."""
+
+
+class Sidecars:
+    """Implements :class:`understudy.mitigation.interfaces.Agents` over :class:`AgentLink`."""
+
+    def __init__(self, client: Client, view: View, address: str, crash_points: CrashPoints) -> None:
+        """``address`` is where the agents' probes go: this pod's IP."""
+        self._client, self._view, self._address = client, view, address
+        self._crash_points = crash_points
+        self._links: dict[str, AgentLink] = {}
+        self._connecting: dict[str, asyncio.Task[AgentLink | None]] = {}
+        self._tokens: dict[str, bytes] = {}
+        self._configured: dict[str, object] = {}
+        self._tasks: set[asyncio.Task[Any]] = set()
+        self.on_status: Callable[[], None] = lambda: None
+
+    def follow(self, instances: Sequence[Instance]) -> None:
+        """Have a connection to each instance that has an agent, and to no other."""
+        wanted = {i.uid: i for i in instances if i.has_agent and i.ip and not i.held and not i.terminating}
+        for uid in [uid for uid in self._links if uid not in wanted]:
+            self._configured.pop(uid, None)
+            self._spawn(self._links.pop(uid).close())
+        for uid, instance in wanted.items():
+            if uid not in self._links:
+                self._connect(instance)
+            else:
+                self._configure(uid)
+
+    def _spawn(self, work: Coroutine[Any, Any, Any]) -> asyncio.Task[Any]:
+        task = asyncio.create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+        return task
+
+    def _connect(self, instance: Instance) -> asyncio.Task[AgentLink | None]:
+        if instance.uid not in self._connecting:
+            task = self._spawn(self._link(instance))
+            self._connecting[instance.uid] = task
+            task.add_done_callback(lambda _: self._connecting.pop(instance.uid, None))
+        return self._connecting[instance.uid]
+
+    async def _link(self, instance: Instance) -> AgentLink | None:
+        secret = names.pool_secret(instance.pool) if instance.claim else names.agent_secret(self._view.workload)
+        token = await self._token(secret)
+        if token is None:
+            return None
+        if instance.uid not in self._links:
+            self._links[instance.uid] = AgentLink(
+                instance.ip,
+                names.AGENT_PORT,
+                token,
+                self._view.workload,
+                instance.claim,
+                on_change=lambda link: self._changed(instance.uid, link),
+            )
+        return self._links[instance.uid]
+
+    async def _token(self, secret: str) -> bytes | None:
+        if secret not in self._tokens:
+            try:
+                item = await self._client.get(SECRETS, self._view.namespace, secret)
+                self._tokens[secret] = base64.b64decode(item["data"]["token"])
+            except (ApiError, aiohttp.ClientError, TimeoutError, OSError, KeyError) as error:
+                _logger.warning("Secret %s can't be read: %r", secret, error)
+                return None
+        return self._tokens[secret]
+
+    def _changed(self, uid: str, link: AgentLink) -> None:
+        if link.connected:
+            self._configure(uid)
+        else:
+            self._configured.pop(uid, None)
+        self.on_status()
+
+    def _configure(self, uid: str) -> None:
+        """Give an agent the present policy's tree, once for each connection and each policy."""
+        link, policy, spec = self._links[uid], self._view.policy, self._view.spec
+        if not link.connected or policy is None or spec is None:
+            return
+        if self._configured.get(uid) == (policy.monitoring, spec.outputs):
+            return
+        self._configured[uid] = (policy.monitoring, spec.outputs)
+        outputs = [output.to_wire() for output in spec.outputs]
+        grace = seconds(policy.monitoring.startup_grace)
+
+        async def configure() -> None:
+            try:
+                await link.configure(policy.monitoring.yaml, outputs, grace, probe=(self._address, names.PROBE_PORT))
+            except (AgentGone, AgentRefused) as error:
+                _logger.warning("agent of %s not configured: %s", link.pod, error)
+                self._configured.pop(uid, None)
+
+        self._spawn(configure())
+
+    async def _connected(self, instance: Instance) -> AgentLink:
+        while True:
+            link = self._links.get(instance.uid) or await self._connect(instance)
+            if link is not None:
+                await link.wait_connected()
+                return link
+            await asyncio.sleep(RETRY)
+
+    def status(self, instance: Instance) -> AgentStatus | None:
+        """What its agent last said; None while there's no connection."""
+        link = self._links.get(instance.uid)
+        return link.status if link else None
+
+    async def probe(self, instance: Instance, duration: float) -> None:
+        """Have it send gate probes every millisecond for so many seconds; returns at once, and never fails."""
+        link = self._links.get(instance.uid)
+        if link is None or not link.connected:
+            return
+
+        async def probe() -> None:
+            try:
+                await link.probe(self._address, names.PROBE_PORT, PROBE_INTERVAL, duration)
+            except (AgentGone, AgentRefused) as error:
+                _logger.info("no probes from %s: %s", instance.name, error)
+
+        self._spawn(probe())
+        await asyncio.sleep(0)  # lets the request leave before the commit does
+
+    async def start(self, instance: Instance) -> None:
+        """Start the held processes of a claimed instance with this robot's settings. Harmless when repeated."""
+        settings = self._view.settings
+        assert settings is not None, "the view waits for the settings"
+        self._crash_points.step("before start")
+        while True:
+            link = await self._connected(instance)
+            try:
+                await link.start(settings.container_environment, settings.ros_environment)
+                break
+            except AgentGone as error:
+                _logger.warning("start of %s: %s", instance.name, error)
+                await asyncio.sleep(RETRY)
+        self._crash_points.step("after start")
+
+    async def up(self, instance: Instance) -> float:
+        """Wait until its processes are up; when they were, in unix seconds."""
+        link = await self._connected(instance)
+        status = await link.wait_for(lambda status: status.process_up_at is not None)
+        assert status.process_up_at is not None
+        return status.process_up_at
+
+    async def ready(self, instance: Instance) -> float:
+        """Wait until the health tree holds on its own outputs; when it first did, in unix seconds."""
+        link = await self._connected(instance)
+        status = await link.wait_for(lambda status: status.configured and status.ready and status.ready_at is not None)
+        assert status.ready_at is not None
+        return status.ready_at
+
+    def is_ready(self, instance: Instance) -> tuple[bool, str]:
+        """Whether the health tree holds on its own outputs now, and else why not."""
+        link = self._links.get(instance.uid)
+        if link is None:
+            return False, "its agent isn't connected yet"
+        status = link.status
+        if status is None:
+            return False, f"its agent isn't connected: {link.problem}"
+        if not status.configured or status.phase == "Held":
+            return False, f"its agent is {status.phase.lower()}"
+        return status.ready, "" if status.ready else status.reason or "its outputs are not healthy"

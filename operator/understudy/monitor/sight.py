@@ -1,0 +1,160 @@
+"""What the monitor sees of the robot's ROS graph, and what the policy's health tree makes of it."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+
+from understudy.api.base import seconds
+from understudy.api.policies import FailurePolicySpec, Monitoring
+from understudy.api.workloads import Output, RobotWorkloadSpec
+from understudy.mitigation.interfaces import Instance
+from understudy.monitor.fleet import Fleet
+from understudy.monitor.gating import PolicyGate
+from understudy.ros.graph import Graph
+from understudy.ros.types import TypeNotInstalled, interface_class
+from understudy.ros.watching import Watching
+from understudy.trees.health import HealthTree, Verdict
+from understudy.trees.loading import TreeError, load
+from understudy.trees.observations import Observations
+
+_logger = logging.getLogger(__name__)
+
+REMEMBERED = 60.0
+"""Seconds for which samples are still attributed to a pod whose object is gone: its process may outlive it."""
+
+LOOK = 0.002
+"""Seconds between looks while a switch is being verified."""
+
+
+class Sight:
+    """The health tree over drained subscriptions."""
+
+    def __init__(self) -> None:
+        self._watching = Watching(Graph("understudy_monitor"))
+        self._tree: HealthTree | None = None
+        self._loaded: tuple[Monitoring, list[Output]] | None = None
+        self._outputs: list[Output] = []
+        self._problems: list[str] = []
+        self._addresses: dict[str, tuple[str, float]] = {}
+
+    def follow(self, policy: FailurePolicySpec, spec: RobotWorkloadSpec | None) -> None:
+        """Watch what this policy's tree and this workload need; one that doesn't load leaves the last in force."""
+        outputs = spec.outputs if spec else self._outputs
+        if self._loaded == (policy.monitoring, outputs):
+            return
+        self._loaded = (policy.monitoring, outputs)
+        self._outputs = outputs
+        self._problems = []
+        try:
+            self._tree = load(policy.monitoring.yaml, grace=seconds(policy.monitoring.startup_grace))
+        except TreeError as error:
+            _logger.error("the policy's tree doesn't load, the last one stays: %s", error)
+            self._problems.append(f"The policy's health tree doesn't load, the last good one stays in force: {error}.")
+        for index, output in enumerate(outputs):
+            try:
+                interface_class(output.type)
+            except TypeNotInstalled as error:
+                self._problems.append(f"outputs[{index}].type: {error}.")
+        types = {output.topic: output.type for output in outputs if output.topic}
+        if self._tree is not None:
+            self._watching.follow(
+                topic if topic.type else replace(topic, type=types.get(topic.name)) for topic in self._tree.topics
+            )
+
+    @property
+    def observations(self) -> Observations:
+        """What was received, for health trees."""
+        return self._watching
+
+    @property
+    def problems(self) -> list[str]:
+        """What isn't watched and why, with what to do."""
+        return [*self._problems, *self._watching.problems, *self._watching.sources.problems()]
+
+    @property
+    def summary(self) -> str:
+        """What is watched."""
+        topics = [topic.name for topic in self._tree.topics] if self._tree else []
+        return f"Watching {', '.join(topics) or 'nothing'}."
+
+    @property
+    def gated(self) -> list[str]:
+        """Gated topics that the tree watches."""
+        outputs = {output.topic for output in self._outputs if output.topic}
+        return [topic.name for topic in self._tree.topics if topic.name in outputs] if self._tree else []
+
+    def drain(self, instances: Sequence[Instance], active: str) -> None:
+        """Take in what has arrived, attributed to the instances there are (and were a moment ago)."""
+        now = time.time()
+        for instance in instances:
+            if instance.ip:
+                self._addresses[instance.name] = (instance.ip, now)
+        for name in [n for n, (_, seen) in self._addresses.items() if now - seen > REMEMBERED]:
+            del self._addresses[name]
+        self._watching.attribute({name: ip for name, (ip, _) in self._addresses.items()}, active)
+        self._watching.drain()
+
+    def verdict(self, *, now: float, since: float) -> Verdict:
+        """The health tree's verdict on the instance in control. Times are unix seconds."""
+        if self._tree is None:
+            return Verdict("Starting", "the policy has no health tree that loads", "", None)
+        return self._tree.evaluate(self._watching, now=now, since=since)
+
+    def deadline(self, *, now: float, since: float) -> float | None:
+        """When the verdict could get worse with no further message."""
+        return self._tree.deadline(self._watching, now=now, since=since) if self._tree else None
+
+    def last_from(self, pod: str) -> float | None:
+        """When a gated topic was last received from a pod."""
+        times = [last for topic in self.gated if (last := self._watching.last_from(topic, pod)) is not None]
+        return max(times, default=None)
+
+    def outputs(self, fleet: Fleet, gate: PolicyGate) -> GatedReaders:
+        """The gated readers as the failover protocol sees them."""
+        return GatedReaders(self, self._watching, fleet, gate)
+
+
+class GatedReaders:
+    """Implements :class:`understudy.mitigation.interfaces.Outputs`."""
+
+    def __init__(self, sight: Sight, watching: Watching, fleet: Fleet, gate: PolicyGate) -> None:
+        self._sight, self._watching, self._fleet, self._gate = sight, watching, fleet, gate
+
+    @property
+    def expected(self) -> Sequence[str]:
+        """Gated topics that the health tree watches."""
+        return self._sight.gated
+
+    async def first_from(self, instance: Instance, *, since: float) -> float:
+        """Wait for a sample of each expected topic from the instance, received after a time; when the first came."""
+        while True:
+            self._drain()
+            # Two pods that can't be told apart: what comes through the gate is from the one it names.
+            ambiguous = any(instance.name in names for names in self._watching.sources.ambiguous)
+            found = [self._first(topic, instance.name, since, ambiguous) for topic in self.expected]
+            if all(time is not None for time in found):
+                return min(time for time in found if time is not None)
+            await asyncio.sleep(LOOK)
+
+    def _first(self, topic: str, pod: str, since: float, ambiguous: bool) -> float | None:
+        if not ambiguous:
+            return self._watching.first_from(topic, pod, since=since)
+        record = self._watching.topic(topic)
+        return record.last if record is not None and record.last is not None and record.last >= since else None
+
+    def last_from_others(self, instance: Instance) -> tuple[float, str]:
+        """When a sample of any other instance last got through, in unix seconds (0 if never), and from which pod."""
+        self._drain()
+        found = [
+            last
+            for topic in self.expected
+            if (last := self._watching.last_from_others(topic, instance.name)) is not None
+        ]
+        return max(found, default=(0.0, ""))
+
+    def _drain(self) -> None:
+        self._sight.drain(self._fleet.of_workload(), self._gate.state.active)

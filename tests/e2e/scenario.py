@@ -1,0 +1,188 @@
+"""A robot that is driven by a protected application, in a namespace of its own, and what can go wrong with it.
+
+Everything is applied with kubectl from the quickstart's manifests, and what happened is read from the robot's own log.
+"""
+
+from __future__ import annotations
+
+import copy
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+from understudy_demo import robotview
+from understudy_demo.recovery import Recovered
+from understudy_demo.robotview import RobotLog
+
+from tests.e2e.kubectl import Failed, Kubectl, Object
+
+MANIFESTS = Path(__file__).parents[2] / "examples" / "quickstart" / "manifests"
+APPLICATION = "understudy_quickstart.application"
+CONTAINER = "drive"
+
+SIGNAL = """
+for process in /proc/[0-9]*; do
+  tr "\\0" " " <"$process/cmdline" 2>/dev/null | grep -q "^[^ ]*python3 .*$2" || continue
+  kill "-$1" "${process#/proc/}" && found=1
+done
+[ "$found" = 1 ] || { echo "no process of $2 here" >&2; exit 1; }
+"""
+"""Sends a signal to the application's process: a pod of the quickstart shares its process namespace."""
+
+
+def manifest(name: str) -> list[Object]:
+    """The objects of one of the quickstart's files."""
+    return [item for item in yaml.safe_load_all((MANIFESTS / name).read_text()) if item]
+
+
+def eventually(
+    check: Callable[[], Any], *, within: float, what: str, every: float = 0.25, note: Callable[[], str] = str
+) -> Any:
+    """The first truthy answer of a check; an assertion with the last state where none comes in time (seconds)."""
+    end = time.monotonic() + within
+    problem = ""
+    while True:
+        try:
+            if answer := check():
+                return answer
+            problem = ""
+        except (Failed, KeyError, IndexError) as error:
+            problem = f": {error!r}"
+        if time.monotonic() >= end:
+            raise AssertionError(f"not within {within:g} s: {what}{problem}. {note()}")
+        time.sleep(every)
+
+
+class Robot:
+    """One robot, its application and their protection."""
+
+    def __init__(self, kubectl: Kubectl, name: str = "robot-1") -> None:
+        self.kubectl, self.name = kubectl, name
+        self.workload = f"{name}-drive"
+
+    # -- setting up -------------------------------------------------------------------------------------------------
+
+    def objects(
+        self, *, policy: str, labels: dict[str, str] | None = None, edit: Callable[[Object], None] | None = None
+    ) -> list[Object]:
+        """The robot's and its workload's manifests under this robot's name."""
+        found = copy.deepcopy(manifest("robot.yaml") + manifest("robotworkload.yaml"))
+        text = yaml.safe_dump_all(found).replace("robot-1", self.name)
+        found = list(yaml.safe_load_all(text))
+        workload = next(item for item in found if item["kind"] == "RobotWorkload")
+        workload["metadata"]["labels"] = labels or {"app": "quickstart"}
+        workload["spec"]["failurePolicyRef"] = {"name": policy}
+        if edit:
+            edit(workload)
+        return found
+
+    def wait_driven(self, within: float = 120.0) -> str:
+        """Wait until an instance is in control, healthy, and the robot receives its commands; the pod's name."""
+
+        def driven() -> str | None:
+            status = self.status()
+            if status.get("health") != "Healthy" or not status.get("active"):
+                return None
+            active: str = status["active"]
+            return active if any(c.received > time.time() - 2 for c in self.log(tail=60).of(active)) else None
+
+        pod: str = eventually(driven, within=within, what=f"{self.name} is driven", every=0.5, note=self.describe)
+        return pod
+
+    def wait_protected(self, within: float = 120.0) -> str:
+        """Wait until it's driven and its first strategy's means are there; the pod in control."""
+        pod = self.wait_driven(within)
+        eventually(
+            lambda: self.condition("Protected").get("status") == "True",
+            within=within,
+            what=f"{self.name} is protected",
+            note=self.describe,
+        )
+        return pod
+
+    # -- looking ----------------------------------------------------------------------------------------------------
+
+    def get(self) -> Object:
+        """The RobotWorkload."""
+        return self.kubectl.get("robotworkload", self.workload)
+
+    def status(self) -> Object:
+        """Its status."""
+        status: Object = self.get().get("status") or {}
+        return status
+
+    def condition(self, type_: str) -> Object:
+        """One of its conditions; empty where it isn't there."""
+        conditions: list[Object] = self.status().get("conditions") or []
+        return next((c for c in conditions if c["type"] == type_), {})
+
+    def recoveries(self) -> list[Recovered]:
+        """Its recoveries, oldest first."""
+        return [Recovered.read(entry) for entry in reversed(self.status().get("recoveries") or [])]
+
+    def wait_recovered(self, number: int, within: float = 90.0) -> Recovered:
+        """Wait for its n-th recovery."""
+
+        def found() -> Recovered | None:
+            return next((r for r in self.recoveries() if r.number == number and r.result == "Recovered"), None)
+
+        recovery: Recovered = eventually(
+            found, within=within, what=f"recovery {number} of {self.name}", note=self.describe
+        )
+        return recovery
+
+    def pods(self) -> list[Object]:
+        """Its instances."""
+        return self.kubectl.list("pods", f"understudy.dev/workload={self.workload}")
+
+    def robot_pod(self) -> str:
+        """The pod of the robot itself."""
+        name: str = self.kubectl.list("pods", f"app={self.name}")[0]["metadata"]["name"]
+        return name
+
+    def log(self, tail: int = 0) -> RobotLog:
+        """What the robot wrote down of every command."""
+        script = f"tail -n {tail} /var/log/robot/robot.jsonl" if tail else "cat /var/log/robot/robot.jsonl"
+        return robotview.parse(self.kubectl.shell(self.robot_pod(), "robot", script))
+
+    def describe(self) -> str:
+        """What a person would look at next, for failure messages."""
+        lines = []
+        for arguments in (
+            ("get", "pods", "-o", "wide"),
+            ("get", "robotworkload", self.workload, "-o", "yaml"),
+            ("get", "events", "--sort-by=.lastTimestamp"),
+            ("logs", f"deployment/{self.workload}-monitor", "--tail=40"),
+        ):
+            try:
+                lines.append(self.kubectl(*arguments))
+            except Failed as error:
+                lines.append(str(error))
+        return "\n".join(lines)
+
+    # -- failing ----------------------------------------------------------------------------------------------------
+
+    def signal(self, pod: str, number: str) -> None:
+        """Send a signal (STOP, CONT, KILL) to the application's process in a pod."""
+        self.kubectl.shell(pod, CONTAINER, SIGNAL, number, APPLICATION)
+
+    def delete(self, pod: str, *, force: bool = False) -> None:
+        """Delete a pod, by force as the paper's experiment does."""
+        options: Sequence[str] = ("--grace-period=0", "--force") if force else ()
+        self.kubectl("delete", "pod", pod, "--wait=false", *options)
+
+    def fail(self, pod: str, how: str) -> None:
+        """Make the instance in a pod fail: killed, frozen, deleted or deleted-by-force."""
+        match how:
+            case "killed":
+                self.signal(pod, "KILL")
+            case "frozen":
+                self.signal(pod, "STOP")
+            case "deleted":
+                self.delete(pod)
+            case "deleted-by-force":
+                self.delete(pod, force=True)
+            case _:
+                raise ValueError(how)
