@@ -27,7 +27,7 @@ def run(
 ) -> str:
     """Run a command and return its standard output.
 
-    ``show`` lets it write to the terminal instead. Raises CommandFailed, also when it isn't done in ``timeout`` seconds.
+    ``show`` lets it write to the terminal instead. Raises CommandFailed, also after ``timeout`` seconds.
     """
     try:
         done = subprocess.run(

@@ -76,12 +76,23 @@ class Stage:
             "images.operator.tag": "dev",
             "images.monitor.repository": "localhost/understudy-monitor",
             "images.monitor.tag": "dev",
+            # The tag stays the same when the image changes; with this its pods are replaced then.
+            r"operator.podAnnotations.understudy\.dev/image": self._operator_image(),
         }
         name = ours[0]["name"] if ours else RELEASE
-        settings = [word for key, value in values.items() for word in ("--set", f"{key}={value}")]
+        settings = [word for key, value in values.items() for word in ("--set-string", f"{key}={value}")]
         command = ["helm", "upgrade", "--install", name, str(REPOSITORY / "charts" / "understudy"), *settings]
         command += ["--namespace", self.release_namespace, "--create-namespace", "--wait", "--timeout", "180s"]
         run(command, self.environment, timeout=240)
+
+    def _operator_image(self) -> str:
+        """Identifies the image that scripts/images built last."""
+        cache = Path(self.environment.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "understudy"
+        try:
+            built = json.loads((cache / "images" / "built.json").read_text())
+        except (OSError, ValueError):
+            return "unknown"
+        return "-".join(entry["image"][-12:] for name, entry in sorted(built.items()) if "understudy-operator" in name)
 
     def _kinds(self) -> list[str]:
         text = run(["kubectl", "get", "crd", "-o", "name"], self.environment)

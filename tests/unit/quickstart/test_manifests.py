@@ -1,4 +1,4 @@
-"""The quickstart's manifests agree with each other, with the API's models and with the names that the operator gives."""
+"""The quickstart's manifests agree with each other, with the API's models and with the operator's names."""
 
 from __future__ import annotations
 
