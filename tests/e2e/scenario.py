@@ -102,6 +102,15 @@ class Robot:
         )
         return pod
 
+    def wait_standby(self, within: float = 90.0) -> None:
+        """Wait until the monitor has a standby that could take over now."""
+        eventually(
+            lambda: self.status().get("strategy") not in (None, "", "None", "Restart"),
+            within=within,
+            what=f"{self.name} has an understudy",
+            note=self.describe,
+        )
+
     # -- looking ----------------------------------------------------------------------------------------------------
 
     def get(self) -> Object:
@@ -136,6 +145,16 @@ class Robot:
     def pods(self) -> list[Object]:
         """Its instances."""
         return self.kubectl.list("pods", f"understudy.dev/workload={self.workload}")
+
+    def has_pod(self, name: str) -> bool:
+        """Whether a pod's object is there."""
+        return self.kubectl.find("pod", name) is not None
+
+    def monitor_restarts(self) -> int:
+        """How often the container of the monitor was restarted in its pod."""
+        selector = f"understudy.dev/monitored={self.workload},understudy.dev/component=monitor"
+        pods = self.kubectl.list("pods", selector)
+        return sum(s["restartCount"] for p in pods for s in p["status"].get("containerStatuses") or [])
 
     def robot_pod(self) -> str:
         """The pod of the robot itself."""

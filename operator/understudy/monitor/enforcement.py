@@ -32,8 +32,8 @@ def judge(
             "False",
             "NotEnforced",
             f"Packets of {', '.join(leaking)} reach gated ports although the gate doesn't name it: the cluster's "
-            "network doesn't enforce NetworkPolicies for UDP with endPort. Two instances could drive the robot. Use a network "
-            "plugin that does.",
+            "network doesn't enforce NetworkPolicies for UDP with endPort. Two instances could drive the robot. "
+            "Use a network plugin that does.",
         )
     active = next((i for i in probing if i.uid == active_uid), None)
     if active is None:

@@ -1,0 +1,90 @@
+"""The chart, installed once, and a namespace for each test with everything in it removed afterwards."""
+
+from __future__ import annotations
+
+import os
+import uuid
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.e2e.kubectl import Failed, Kubectl, helm
+from tests.e2e.scenario import Robot, eventually, manifest
+
+SYSTEM = "understudy-system"
+CHART = Path(__file__).parents[2] / "charts" / "understudy"
+IMAGES = (
+    "images.operator.repository=localhost/understudy-operator,images.operator.tag=dev,"
+    "images.monitor.repository=localhost/understudy-monitor,images.monitor.tag=dev"
+)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        if "tests/e2e" in str(item.path):
+            item.add_marker(pytest.mark.e2e)
+            item.add_marker(pytest.mark.timeout(600))
+
+
+@pytest.fixture(scope="session")
+def release(kubeconfig: Path) -> Kubectl:
+    """kubectl in the namespace of the operator, which was installed by the chart and through nothing else."""
+    values = os.environ.get("UNDERSTUDY_HELM_SET", IMAGES)
+    helm(
+        kubeconfig, "upgrade", "--install", "understudy", str(CHART), "--namespace", SYSTEM, "--create-namespace",
+        "--set", values, "--wait", "--timeout", "180s",
+    )  # fmt: skip
+    return Kubectl(kubeconfig, SYSTEM)
+
+
+@pytest.fixture
+def kubectl(release: Kubectl) -> Iterator[Kubectl]:
+    """kubectl in a namespace of the test's own."""
+    name = f"e2e-{uuid.uuid4().hex[:6]}"
+    release("create", "namespace", name)
+    mine = release.in_namespace(name)
+    yield mine
+    if not os.environ.get("UNDERSTUDY_KEEP"):
+        mine("delete", "namespace", name, "--wait=true", timeout=120)
+
+
+@pytest.fixture
+def executing(kubectl: Kubectl) -> Robot:
+    """A robot whose application has an executing standby."""
+    return _robot(kubectl, "executing")
+
+
+@pytest.fixture
+def uninitialized(kubectl: Kubectl) -> Robot:
+    """A robot whose application is protected by a pool of held pods."""
+    return _robot(kubectl, "uninitialized")
+
+
+@pytest.fixture
+def restarting(kubectl: Kubectl) -> Robot:
+    """A robot whose application is only restarted."""
+    return _robot(kubectl, "restart")
+
+
+def _robot(kubectl: Kubectl, strategy: str) -> Robot:
+    robot = Robot(kubectl)
+    kubectl.apply(manifest(f"strategies/{strategy}.yaml"))
+    kubectl.apply(robot.objects(policy=f"quickstart-{strategy}"))
+    robot.wait_protected()
+    return robot
+
+
+@pytest.fixture
+def without_operator(release: Kubectl) -> Iterator[None]:
+    """The operator scaled to nothing for as long as the test uses this; call it after the robot is protected."""
+    release("scale", "deployment", "understudy", "--replicas=0")
+    eventually(
+        lambda: not release.list("pods", "app.kubernetes.io/name=understudy"), within=60, what="no operator is left"
+    )
+    yield
+    release("scale", "deployment", "understudy", "--replicas=2")
+    try:
+        release("rollout", "status", "deployment/understudy", "--timeout=60s", timeout=70)
+    except Failed as error:
+        pytest.fail(str(error))
