@@ -24,11 +24,16 @@ def select(name: str | None, cluster: str | None, progress: Progress) -> Provide
     return LocalProvider(cluster, progress)
 
 
+def add_selection(parser: argparse.ArgumentParser) -> None:
+    """Adds the options that say which cluster is meant."""
+    parser.add_argument("--provider", choices=["kind", "local", "current"], default=os.environ.get("UNDERSTUDY_CLUSTER_PROVIDER") or None)
+    parser.add_argument("--name", default=os.environ.get("UNDERSTUDY_CLUSTER_NAME") or None)
+
+
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     common = argparse.ArgumentParser(add_help=False)
-    common.add_argument("--provider", choices=["kind", "local", "current"], default=os.environ.get("UNDERSTUDY_CLUSTER_PROVIDER") or None)
-    common.add_argument("--name", default=os.environ.get("UNDERSTUDY_CLUSTER_NAME") or None)
+    add_selection(common)
     top = argparse.ArgumentParser(prog="scripts/cluster", description="A real Kubernetes cluster for trying and testing.")
     commands = top.add_subparsers(dest="command", required=True)
     commands.add_parser("up", parents=[common], help="make the cluster, or what is missing of it")
@@ -54,9 +59,7 @@ def main(arguments: list[str] | None = None) -> int:
         elif options.command == "down":
             provider.down()
         elif options.command == "load-image":
-            for image in options.image:
-                provider.load_image(image)
-                progress(f"{image}: loaded")
+            provider.load_images(options.image)
         elif options.command == "kubeconfig":
             print(provider.kubeconfig())
         elif options.command == "node":

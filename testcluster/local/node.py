@@ -179,13 +179,13 @@ def down(layout: Layout, node: int) -> None:
     network.detach_node(layout, node)
 
 
-def enter(layout: Layout, node: int) -> list[str]:
-    """The words that run a command inside a node.
+def mounts(layout: Layout, node: int) -> list[str]:
+    """The words that run a command with a node's mounts: its container runtime's socket is only there.
 
     Raises:
         RuntimeError: the node is off.
     """
     pid = init(layout, node)
     if pid is None:
-        raise RuntimeError(f"cluster {layout.name}: node{node} is off")
-    return ["nsenter", f"--target={pid}", "--mount", "--net", "--uts", "--ipc", "--pid"]
+        raise RuntimeError(f"cluster {layout.name}: {node_name(node)} is off")
+    return ["nsenter", f"--target={pid}", "--mount"]

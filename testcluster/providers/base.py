@@ -33,6 +33,8 @@ class Provider(ABC):
     """A way to have a cluster. Every operation may be repeated, and may follow one that was interrupted."""
 
     name: str
+    # The builder whose images this provider can take, or None when any will do.
+    engine: str | None = None
 
     @abstractmethod
     def up(self) -> None:
@@ -47,12 +49,11 @@ class Provider(ABC):
         """How the cluster is, now."""
 
     @abstractmethod
-    def load_image(self, image: str) -> None:
-        """Brings an image to every node.
+    def load_images(self, images: Sequence[str]) -> None:
+        """Brings images to every node, as far as they are not there.
 
         Args:
-            image: the path of an archive (as `docker save` or an OCI tool writes it), or the name of an image that this machine's
-                image builder has.
+            images: for each, the path of an archive in the format of `docker save`, or the name of an image that was built here.
         """
 
     @abstractmethod

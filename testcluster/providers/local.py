@@ -1,7 +1,6 @@
 """Provider `local`: everything from source and packages, on this machine, without Docker. Linux and root only."""
 
 import fcntl
-import json
 import os
 import shutil
 from collections.abc import Iterator, Sequence
@@ -9,18 +8,19 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 
+from testcluster.images import containerd, engines, store
 from testcluster.local import cgroups, controlplane, golden, layout as layouts, network, node as nodes, pki, programs as tools, system
 from testcluster.local.layout import Layout, node_name, node_number
 from testcluster.paths import cache
 from testcluster.progress import Progress
 from testcluster.providers.base import ClusterError, Provider, Status
-from testcluster.shell import run
 
 
 class LocalProvider(Provider):
     """A control plane and some nodes, each node in its own namespaces with its own container runtime and kubelet."""
 
     name = "local"
+    engine = "buildah"
 
     def __init__(self, cluster: str | None, progress: Progress) -> None:
         self._cluster = cluster or layouts.DEFAULT_NAME
@@ -124,20 +124,41 @@ class LocalProvider(Provider):
         summary = f"cluster {layout.name}: Kubernetes {tools.kubernetes_version()} at {layout.api} {'is ready' if whole else 'is not ready'}"
         return Status(whole, summary, details)
 
-    def load_image(self, image: str) -> None:
+    def load_images(self, images: Sequence[str]) -> None:
         layout = self._layout()
-        archive = Path(image)
-        if not archive.is_file():
-            raise ClusterError(f"image {image}: no such archive")
-        wanted = [node for node in layout.nodes if nodes.init(layout, node)]
+        wanted = [reference for image in images for reference in self._take(image)]
+        store.prune()
 
-        def load(node: int) -> None:
-            pid = nodes.init(layout, node)
-            # Only the node's mounts are entered; the archive's path has to hold in them, which it does below the cache.
-            run("nsenter", f"--target={pid}", "--mount", "ctr", "-n", "k8s.io", "images", "import", archive.resolve())
+        def load(node: int) -> list[store.Reference]:
+            # The node's own client would do, but only in its own mounts does the socket have this path.
+            return containerd.load([*nodes.mounts(layout, node), "ctr"], wanted)
 
+        on = [node for node in layout.nodes if nodes.init(layout, node)]
+        if not on:
+            raise ClusterError(f"cluster {layout.name}: no node is on")
         with ThreadPoolExecutor() as pool:
-            list(pool.map(load, wanted))
+            loaded = list(pool.map(load, on))
+        for reference in wanted:
+            news = [node_name(node) for node, missing in zip(on, loaded, strict=True) if reference in missing]
+            self._progress(f"{reference.name}: {'loaded into ' + ', '.join(news) if news else 'was there'}")
+
+    def _take(self, image: str) -> list[store.Reference]:
+        """Brings an image into the store, from an archive or from the builder."""
+        if Path(image).is_file():
+            return store.add(Path(image))
+        engine = engines.choose(self.engine, self._progress)
+        identity = engine.identity(image)
+        if identity is None:
+            raise ClusterError(f"image {image}: neither an archive nor an image that {engine.name} has; scripts/images builds the project's own")
+        known = store.get(image)
+        if known and known.config == identity:
+            return [known]
+        archive = cache() / "images" / f"export.{os.getpid()}.tar"
+        try:
+            engine.export(image, archive)
+            return store.add(archive)
+        finally:
+            archive.unlink(missing_ok=True)
 
     def kubeconfig(self) -> Path:
         return self._layout().kubeconfig

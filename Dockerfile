@@ -1,0 +1,59 @@
+# Understudy's own images, two targets of one file:
+#   operator  the operator and the command line, without ROS
+#   monitor   the same with ROS 2 Jazzy from PyPI: monitor, agent and the managed discovery server
+#
+# What changes rarely (the system, the dependencies) comes in layers of its own, so that a change of the code makes one small layer anew.
+# pip's settings for a network (an index, a certificate) can be given as the secrets `pip` and `ca`; they leave nothing in the image.
+ARG BASE_IMAGE=python:3.12-slim
+
+FROM ${BASE_IMAGE} AS base
+# A user without rights and without a home; ROS writes its log below HOME.
+RUN groupadd --gid 65532 understudy && \
+    useradd --uid 65532 --gid 65532 --no-create-home --home-dir /tmp --shell /usr/sbin/nologin understudy && \
+    python3 -m venv /opt/understudy
+ENV HOME=/tmp \
+    PATH=/opt/understudy/bin:/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin \
+    PIP_CONFIG_FILE=/run/secrets/pip \
+    PIP_DISABLE_PIP_VERSION_CHECK=1 \
+    PIP_NO_CACHE_DIR=1 \
+    PYTHONUNBUFFERED=1
+
+# The lists of requirements only, so that other changes of pyproject.toml do not install everything anew.
+FROM base AS requirements
+COPY pyproject.toml constraints.txt docker/requirements.py /requirements/
+RUN cd /requirements && \
+    python requirements.py pyproject.toml >operator.txt && \
+    python requirements.py pyproject.toml ros >monitor.txt && \
+    touch --date=@0 *.txt
+
+FROM base AS operator-dependencies
+COPY --from=requirements /requirements/constraints.txt /requirements/operator.txt /tmp/build/
+RUN --mount=type=secret,id=pip --mount=type=secret,id=ca \
+    pip install --quiet --constraint /tmp/build/constraints.txt --requirement /tmp/build/operator.txt
+
+FROM operator-dependencies AS monitor-dependencies
+COPY --from=requirements /requirements/monitor.txt /tmp/build/
+RUN --mount=type=secret,id=pip --mount=type=secret,id=ca \
+    pip install --quiet --constraint /tmp/build/constraints.txt --requirement /tmp/build/monitor.txt
+COPY docker/understudy-discovery-server /usr/local/bin/
+ENV RMW_IMPLEMENTATION=rmw_fastrtps_cpp
+
+FROM base AS tools
+RUN --mount=type=secret,id=pip --mount=type=secret,id=ca pip install --quiet 'setuptools>=69' wheel
+
+FROM tools AS wheel
+COPY pyproject.toml README.md LICENSE /source/
+COPY operator /source/operator
+RUN pip wheel --quiet --no-deps --no-build-isolation --no-index --wheel-dir /wheel /source
+
+FROM operator-dependencies AS operator
+COPY --from=wheel /wheel /tmp/wheel
+RUN pip install --quiet --no-deps --no-index /tmp/wheel/*.whl && rm -r /tmp/wheel /tmp/build
+USER 65532:65532
+ENTRYPOINT ["understudy"]
+
+FROM monitor-dependencies AS monitor
+COPY --from=wheel /wheel /tmp/wheel
+RUN pip install --quiet --no-deps --no-index /tmp/wheel/*.whl && rm -r /tmp/wheel /tmp/build
+USER 65532:65532
+ENTRYPOINT ["understudy"]

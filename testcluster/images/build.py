@@ -1,0 +1,98 @@
+"""The command `scripts/images`: builds the images whose inputs changed, and loads them into a cluster."""
+
+import argparse
+import json
+import shutil
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from testcluster.images import engines, pip
+from testcluster.images.catalog import Image, images
+from testcluster.images.engines import Engine
+from testcluster.paths import cache
+from testcluster.progress import Progress
+from testcluster.shell import CommandFailed
+
+
+@dataclass
+class _Built:
+    """What was built from which inputs, so that nothing is built twice."""
+
+    path: Path
+
+    def of(self, engine: Engine, image: Image) -> dict[str, str]:
+        return self._all().get(f"{engine.name} {image.name}", {})
+
+    def record(self, engine: Engine, image: Image, fingerprint: str, identity: str) -> None:
+        kept = {**self._all(), f"{engine.name} {image.name}": {"inputs": fingerprint, "image": identity}}
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        partial = self.path.with_suffix(".partial")
+        partial.write_text(json.dumps(kept, indent=1))
+        partial.rename(self.path)
+
+    def _all(self) -> dict[str, dict[str, str]]:
+        try:
+            kept: dict[str, dict[str, str]] = json.loads(self.path.read_text())
+        except (FileNotFoundError, json.JSONDecodeError):
+            return {}
+        return kept
+
+
+def build(engine: Engine, wanted: list[Image], progress: Progress, force: bool = False) -> list[Image]:
+    """Builds those images whose inputs changed since they were built; returns them.
+
+    Raises:
+        CommandFailed: with the end of the build's output.
+    """
+    built = _Built(cache() / "images" / "built.json")
+    base = engine.base_image(progress)
+    secrets_folder = cache() / "images" / "secrets"
+    changed = []
+    try:
+        secrets = pip.secrets(secrets_folder)
+        for image in wanted:
+            fingerprint = image.fingerprint(base)
+            former = built.of(engine, image)
+            if not force and former.get("inputs") == fingerprint and former.get("image") == engine.identity(image.name):
+                progress(f"{image.name}: nothing it is made of has changed")
+                continue
+            with progress.step(f"{image.name}: building with {engine.name} on {base}"):
+                engine.build(image, base, secrets, cache() / "log" / f"image-{image.short}.log")
+            identity = engine.identity(image.name)
+            assert identity, f"{engine.name} built {image.name} and does not have it"
+            built.record(engine, image, fingerprint, identity)
+            changed.append(image)
+    finally:
+        # It may hold an index's password.
+        shutil.rmtree(secrets_folder, ignore_errors=True)
+    return changed
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs the command; returns the exit code."""
+    known = {image.short: image for image in images()}
+    parser = argparse.ArgumentParser(prog="scripts/images", description="Builds the images whose inputs changed, and loads them into a cluster.")
+    parser.add_argument("image", nargs="*", help=f"which ({', '.join(known)}); all when none is named")
+    parser.add_argument("--load", action="store_true", help="load them into the cluster")
+    parser.add_argument("--force", action="store_true", help="build even if nothing has changed")
+    parser.add_argument("--engine", choices=["buildah", "docker"], help="the builder; Docker where it works, else buildah")
+    from testcluster import cli
+
+    cli.add_selection(parser)
+    options = parser.parse_args(arguments)
+    unknown = sorted(set(options.image) - set(known))
+    if unknown:
+        parser.error(f"no image {', '.join(unknown)}; there are {', '.join(known)}")
+    wanted = [known[name] for name in options.image] or list(known.values())
+    progress = Progress()
+    try:
+        provider = cli.select(options.provider, options.name, progress)
+        engine = engines.choose(options.engine or provider.engine, progress)
+        build(engine, wanted, progress, options.force)
+        if options.load:
+            provider.load_images([image.name for image in wanted])
+    except (CommandFailed, RuntimeError, TimeoutError, ValueError) as error:
+        print(f"scripts/images: {error}", file=sys.stderr)
+        return 1
+    return 0

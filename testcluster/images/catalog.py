@@ -1,0 +1,58 @@
+"""The images of this repository: where each is described, and what it is made of."""
+
+import hashlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from testcluster.paths import REPOSITORY
+
+
+@dataclass(frozen=True)
+class Image:
+    """An image that is built from a Dockerfile here.
+
+    Attributes:
+        name: its full name with its tag; the `localhost/` in front keeps nodes from asking a registry for it.
+        context: the folder that is sent to the builder, with the Dockerfile in it.
+        target: the stage of the Dockerfile, or None for the last.
+        inputs: what of the context decides the result, relative to it.
+        stages: stages that take long and seldom change; the builder is told to keep them.
+    """
+
+    name: str
+    context: Path
+    target: str | None
+    inputs: tuple[str, ...]
+    stages: tuple[str, ...] = ()
+
+    @property
+    def short(self) -> str:
+        """The name without registry and tag, for people and for the command line."""
+        return self.name.removeprefix("localhost/understudy-").rpartition(":")[0]
+
+    def fingerprint(self, *extra: str) -> str:
+        """A hash over everything that decides the result, and over what else the caller names."""
+        digest = hashlib.sha256("\n".join((self.name, self.target or "", *extra)).encode())
+        for path in self._files():
+            mode = "x" if path.stat().st_mode & 0o100 else "-"
+            digest.update(f"\n{mode} {path.relative_to(self.context)}\n".encode() + path.read_bytes())
+        return digest.hexdigest()
+
+    def _files(self) -> Iterator[Path]:
+        for name in self.inputs:
+            top = self.context / name
+            for path in sorted(top.rglob("*")) if top.is_dir() else [top]:
+                if path.is_file() and "__pycache__" not in path.parts and not any(part.endswith(".egg-info") for part in path.parts):
+                    yield path
+
+
+_OWN = ("Dockerfile", ".dockerignore", "docker", "pyproject.toml", "constraints.txt", "README.md", "LICENSE", "operator")
+
+
+def images() -> list[Image]:
+    """All images, in the order in which they are best built."""
+    found = [Image(f"localhost/understudy-{target}:dev", REPOSITORY, target, _OWN, ("tools", f"{target}-dependencies")) for target in ("operator", "monitor")]
+    for dockerfile in sorted((REPOSITORY / "examples").glob("*/Dockerfile")):
+        found.append(Image(f"localhost/understudy-{dockerfile.parent.name}:dev", dockerfile.parent, None, (".",)))
+    return found

@@ -1,0 +1,162 @@
+"""Programs that build images: buildah (which needs no daemon) and Docker."""
+
+import json
+import re
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from pathlib import Path
+
+from testcluster import packages
+from testcluster.images import base
+from testcluster.images.catalog import Image
+from testcluster.paths import REPOSITORY, cache
+from testcluster.progress import Progress
+from testcluster.shell import CommandFailed, run, run_logged, succeeds
+
+
+def default_base() -> str:
+    """The base image that the Dockerfile names."""
+    found = re.search(r"^ARG BASE_IMAGE=(\S+)", (REPOSITORY / "Dockerfile").read_text(), re.MULTILINE)
+    if not found:
+        raise ValueError("Dockerfile: no line ARG BASE_IMAGE=...")
+    return found[1]
+
+
+class Engine(ABC):
+    """A program that builds images and keeps them under their names."""
+
+    name: str
+
+    @abstractmethod
+    def base_image(self, progress: Progress) -> str:
+        """A base image that can be used here, fetched or made if need be."""
+
+    @abstractmethod
+    def build(self, image: Image, base_image: str, secrets: Mapping[str, Path], log: Path) -> None:
+        """Builds an image. Raises CommandFailed with the end of the log."""
+
+    @abstractmethod
+    def identity(self, name: str) -> str | None:
+        """The content hash of an image's configuration (`sha256:...`), or None when there is no image of that name."""
+
+    @abstractmethod
+    def export(self, name: str, archive: Path) -> None:
+        """Writes an image to a file in the format of `docker save`."""
+
+
+class Buildah(Engine):
+    """buildah as root, with a store of its own in the cache."""
+
+    name = "buildah"
+
+    def __init__(self, progress: Progress) -> None:
+        packages.ensure({"buildah": "buildah", "runc": "runc"}, progress)
+        self._store = cache() / "images" / "buildah"
+        self._store.mkdir(parents=True, exist_ok=True)
+        self._driver = self._choose_driver()
+
+    def _command(self, *arguments: str | Path, driver: str | None = None) -> list[str | Path]:
+        return [
+            "buildah", "--root", self._store / "root", "--runroot", self._store / "run", "--storage-driver", driver or self._driver, *arguments
+        ]
+
+    def _choose_driver(self) -> str:
+        kept = self._store / "driver"
+        if kept.exists():
+            return kept.read_text().strip()
+        # `overlay` is faster and smaller by far; inside some containers it cannot be mounted.
+        driver = "overlay" if succeeds(*self._command("images", driver="overlay")) else "vfs"
+        kept.write_text(driver + "\n")
+        return driver
+
+    def base_image(self, progress: Progress) -> str:
+        wanted = default_base()
+        made = f"{base.NAME.rpartition(':')[0]}:{base.key()}"
+        for name in (made, wanted):
+            if self.identity(name):
+                return name
+        progress(f"fetching {wanted}")
+        try:
+            run(*self._command("pull", "--quiet", wanted), timeout=300)
+            return wanted
+        except CommandFailed as error:
+            progress(f"it cannot be fetched here ({error.output.strip().splitlines()[-1].strip() if error.output.strip() else error})")
+        archive = base.archive(progress)
+        container = run(*self._command("from", "scratch")).strip()
+        try:
+            run(*self._command("add", container, archive, "/"))
+            run(*self._command("config", "--cmd", "/bin/sh", container))
+            run(*self._command("commit", "--quiet", container, made))
+        finally:
+            run(*self._command("rm", container), check=False)
+        return made
+
+    def build(self, image: Image, base_image: str, secrets: Mapping[str, Path], log: Path) -> None:
+        self._bud(image, image.target, image.name, base_image, secrets, log)
+        for stage in image.stages:
+            # All of it is in the builder's cache now; a name keeps it there when the rest is cleared.
+            self._bud(image, stage, f"localhost/understudy-stage-{stage}:dev", base_image, secrets, log.with_suffix(".stages.log"))
+        # What earlier versions left would pile up with every change.
+        run(*self._command("rmi", "--prune"), check=False)
+
+    def _bud(self, image: Image, target: str | None, name: str, base_image: str, secrets: Mapping[str, Path], log: Path) -> None:
+        run_logged(
+            [
+                "nice", *self._command("bud", "--isolation", "chroot", "--layers", "--pull-never"),
+                *(["--target", target] if target else []),
+                *(word for secret, path in secrets.items() for word in ("--secret", f"id={secret},src={path}")),
+                "--build-arg", f"BASE_IMAGE={base_image}", "--tag", name, image.context,
+            ],
+            log,
+        )
+
+    def identity(self, name: str) -> str | None:
+        try:
+            return "sha256:" + str(json.loads(run(*self._command("inspect", "--type", "image", name)))["FromImageID"])
+        except CommandFailed:
+            return None
+
+    def export(self, name: str, archive: Path) -> None:
+        archive.unlink(missing_ok=True)
+        run(*self._command("push", "--quiet", name, f"docker-archive:{archive}:{name}"))
+
+
+class Docker(Engine):
+    """Docker with BuildKit."""
+
+    name = "docker"
+
+    def base_image(self, progress: Progress) -> str:
+        return default_base()
+
+    def build(self, image: Image, base_image: str, secrets: Mapping[str, Path], log: Path) -> None:
+        run_logged(
+            [
+                "docker", "build", *(["--target", image.target] if image.target else []),
+                *(word for name, path in secrets.items() for word in ("--secret", f"id={name},src={path}")),
+                "--build-arg", f"BASE_IMAGE={base_image}", "--tag", image.name, image.context,
+            ],
+            log,
+            env={"DOCKER_BUILDKIT": "1"},
+        )
+
+    def identity(self, name: str) -> str | None:
+        try:
+            return run("docker", "image", "inspect", "--format", "{{.Id}}", name).strip()
+        except CommandFailed:
+            return None
+
+    def export(self, name: str, archive: Path) -> None:
+        run("docker", "save", "--output", archive, name)
+
+
+def docker_works() -> bool:
+    """Whether there is a Docker whose daemon answers."""
+    return succeeds("docker", "version", "--format", "{{.Server.Version}}")
+
+
+def choose(wanted: str | None, progress: Progress) -> Engine:
+    """The engine of a name, or Docker where it works and buildah elsewhere."""
+    if wanted == "docker" or (wanted is None and docker_works()):
+        return Docker()
+    return Buildah(progress)
