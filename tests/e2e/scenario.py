@@ -150,11 +150,28 @@ class Robot:
         """Whether a pod's object is there."""
         return self.kubectl.find("pod", name) is not None
 
+    def monitor_pods(self) -> list[Object]:
+        """The pods of the monitor: one, and for a moment also the one it replaces."""
+        selector = f"understudy.dev/monitored={self.workload},understudy.dev/component=monitor"
+        return self.kubectl.list("pods", selector)
+
     def monitor_restarts(self) -> int:
         """How often the container of the monitor was restarted in its pod."""
-        selector = f"understudy.dev/monitored={self.workload},understudy.dev/component=monitor"
-        pods = self.kubectl.list("pods", selector)
-        return sum(s["restartCount"] for p in pods for s in p["status"].get("containerStatuses") or [])
+        return sum(s["restartCount"] for p in self.monitor_pods() for s in p["status"].get("containerStatuses") or [])
+
+    def replace_monitor(self) -> None:
+        """Delete the monitor's pod and wait for the next one."""
+        before = {p["metadata"]["uid"] for p in self.monitor_pods()}
+        self.kubectl("delete", "pod", "--wait=true", *(p["metadata"]["name"] for p in self.monitor_pods()))
+
+        def ready() -> bool:
+            return any(
+                p["metadata"]["uid"] not in before
+                and all(s["ready"] for s in p["status"].get("containerStatuses") or [{"ready": False}])
+                for p in self.monitor_pods()
+            )
+
+        eventually(ready, within=60, what="the next monitor is ready", note=self.describe)
 
     def robot_pod(self) -> str:
         """The pod of the robot itself."""

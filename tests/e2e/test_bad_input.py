@@ -47,7 +47,7 @@ def test_both_or_none_of_template_and_reference_is_refused(kubectl: Kubectl, bot
         workload["spec"]["workloadRef"] = {"kind": "Deployment", "name": "drive"}
     else:
         del workload["spec"]["template"]
-    with pytest.raises(Failed, match="exactly one of template .* and workloadRef"):
+    with pytest.raises(Failed, match=r"exactly one of template .* and workloadRef"):
         kubectl.apply([workload])
 
 
