@@ -1,0 +1,118 @@
+"""This process's place in the ROS graph: one node, which is never spun.
+
+Subscriptions are drained (watching.py), so no executor runs; the node offers no services, since nobody would answer
+them.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from typing import Any
+
+from rclpy.context import Context
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+from understudy.api.workloads import Output
+from understudy.ros.types import message_class
+
+
+@dataclass(frozen=True)
+class Endpoint:
+    """A writer or reader that discovery knows of."""
+
+    type: str
+    gid: bytes
+    node: str
+    """Fully qualified; empty until the node's own announcement has come."""
+
+
+class Graph:
+    """One node and what it can see."""
+
+    def __init__(self, name: str, *, domain_id: int | None = None) -> None:
+        """Join the graph as node ``name``; ``domain_id`` is ROS_DOMAIN_ID where it isn't given."""
+        # A client of a discovery server is told of matching endpoints only: it could never learn a topic's type.
+        os.environ.setdefault("ROS_SUPER_CLIENT", "TRUE")
+        # Unlike rclpy.init, a context alone leaves the signals to the process's own loop. Without rcl's logging, which
+        # insists on a directory to write to, nothing of value is lost.
+        self._context = Context()
+        self._context.init(args=[], initialize_logging=False, domain_id=domain_id)
+        self.node = Node(
+            name,
+            context=self._context,
+            use_global_arguments=False,
+            enable_rosout=False,
+            start_parameter_services=False,
+            parameter_overrides=[Parameter("start_type_description_service", value=False)],
+        )
+
+    def subscribe(self, topic: str, type_name: str, *, depth: int) -> Any:
+        """A subscription that matches every publisher: best effort, volatile, the last ``depth`` samples kept.
+
+        Raises TypeNotInstalled.
+        """
+        qos = QoSProfile(
+            history=HistoryPolicy.KEEP_LAST,
+            depth=depth,
+            reliability=ReliabilityPolicy.BEST_EFFORT,
+            durability=DurabilityPolicy.VOLATILE,
+        )
+        return self.node.create_subscription(
+            message_class(type_name),
+            topic,
+            _never_called,
+            qos,
+            raw=True,
+            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
+        )
+
+    def unsubscribe(self, subscription: Any) -> None:
+        """End a subscription."""
+        self.node.destroy_subscription(subscription)
+
+    def publishers(self, topic: str) -> list[Endpoint]:
+        """The publishers of a topic."""
+        return _endpoints(self.node.get_publishers_info_by_topic(topic))
+
+    def type_of(self, topic: str) -> str | None:
+        """The type that a topic's publishers announce; None where there are none, or where they disagree."""
+        types = {endpoint.type for endpoint in self.publishers(topic)}
+        return types.pop() if len(types) == 1 else None
+
+    def endpoints(self, output: Output) -> list[Endpoint]:
+        """What workloads (and robots, for services and actions) have opened for an output.
+
+        Publishers of a topic; servers and clients of a service, and of an action by its send_goal service. Which of
+        them are a pod's own, their GIDs tell.
+        """
+        if output.topic:
+            return self.publishers(output.topic)
+        service = output.service or f"{output.action}/_action/send_goal"
+        requests = f"rq{service}Request"
+        readers = self.node.get_subscriptions_info_by_topic(requests, no_mangle=True)
+        writers = self.node.get_publishers_info_by_topic(requests, no_mangle=True)
+        return _endpoints(readers) + _endpoints(writers)
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self.node.destroy_node()
+        self._context.try_shutdown()
+
+
+def _never_called(message: object) -> None:
+    """Stands where rclpy wants a callback; the queue is drained instead."""
+
+
+def _endpoints(infos: list[Any]) -> list[Endpoint]:
+    return [
+        Endpoint(
+            info.topic_type,
+            bytes(info.endpoint_gid)[:16],
+            f"{info.node_namespace.rstrip('/')}/{info.node_name}" if info.node_name != "_NODE_NAME_UNKNOWN_" else "",
+        )
+        for info in infos
+    ]

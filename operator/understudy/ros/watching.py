@@ -1,0 +1,302 @@
+"""Watches topics by draining their queues instead of being called for each message.
+
+Fast DDS keeps what arrives in a subscription's history and stamps it with the time of receipt, so nothing is lost in
+exactness by looking only now and then, and a look costs a few microseconds a message instead of an executor's round.
+:meth:`Watching.drain` is called by the process's own loop; no rclpy executor runs.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from bisect import bisect_left
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from understudy.ros.graph import Graph
+from understudy.ros.sources import HOST, Sources
+from understudy.ros.taking import Taker
+from understudy.ros.types import TypeNotInstalled
+from understudy.trees.health import WatchedTopic
+from understudy.trees.observations import TopicRecord
+
+_logger = logging.getLogger(__name__)
+
+STALL = 0.25
+"""Seconds between two drains that a queue must be able to bridge: several ticks, since a busy node stalls us."""
+
+USUAL_RATE = 50.0
+"""Messages per second that a queue is made for where the tree doesn't say."""
+
+LEAST_DEPTH, MOST_DEPTH = 10, 1000
+
+HISTORY = 10.0
+"""Seconds of arrivals kept per source, for questions about the time since a switch."""
+
+LOOK_UP = 1.0
+"""Seconds between attempts to learn the type of a topic from the graph."""
+
+MOST_WRITERS = 64
+"""Writers of one host that are told apart; a host that restarts its nodes for months has had many."""
+
+CLOCK_STEP = 0.005
+"""Seconds by which the clock must have moved against the monotonic one to count as having been set."""
+
+
+def depth(topic: WatchedTopic) -> int:
+    """How many samples a topic's queue must hold."""
+    rate = topic.rate if topic.rate is not None else USUAL_RATE
+    return min(MOST_DEPTH, max(LEAST_DEPTH, math.ceil(rate * STALL)))
+
+
+class SourceRecord(TopicRecord):
+    """What was received on one topic from one host."""
+
+    __slots__ = ("accepted", "lost", "sequences")
+
+    def __init__(self, window: float) -> None:
+        super().__init__(window)
+        self.accepted = True
+        """Whether it counts for the instance in control."""
+        self.lost = 0
+        """Messages that were sent after the first one received and never came, by their sequence numbers."""
+        self.sequences: dict[bytes, int] = {}
+        """The last sequence number of each of the host's writers, by GID."""
+
+
+@dataclass
+class _Topic:
+    """A watched topic and what came of it."""
+
+    want: WatchedTopic
+    subscription: Any = None
+    problem: str = ""
+    sources: dict[bytes, SourceRecord] = field(default_factory=dict)
+    counted: TopicRecord = field(default_factory=TopicRecord)
+    """Samples that count for the instance in control."""
+
+
+class Watching:
+    """The topics of a health tree, as received here, and from which pod.
+
+    An Observations of the samples that are not from another instance of the workload than the one in control: the
+    robot's own topics, and the instance's. All times are Unix seconds by this machine's clock; when that is set, they
+    are moved with it, so that a step of the clock doesn't look like a gap.
+    """
+
+    def __init__(self, graph: Graph) -> None:
+        self._graph = graph
+        self._taker = Taker()
+        self._topics: dict[str, _Topic] = {}
+        self._sources = Sources({})
+        self._active = ""
+        self._next_look_up = 0.0
+        self._clock = _offset()
+        self._drained = time.time()
+
+    # -- what is watched --------------------------------------------------------------------------------------------
+
+    def follow(self, topics: Iterable[WatchedTopic]) -> None:
+        """Watch these topics and no others. Cheap where nothing changed; then what was received is kept."""
+        wanted = {topic.name: topic for topic in topics}
+        for name in [name for name in self._topics if name not in wanted]:
+            self._end(self._topics.pop(name))
+        for name, want in wanted.items():
+            known = self._topics.get(name)
+            if known is None:
+                self._topics[name] = known = _Topic(want, counted=TopicRecord(want.window))
+                self._subscribe(known)
+            elif known.want != want:
+                self._change(known, want)
+
+    @property
+    def problems(self) -> list[str]:
+        """Why a topic is not watched, in plain words that say what to do."""
+        return [topic.problem for topic in self._topics.values() if topic.problem]
+
+    def _change(self, topic: _Topic, want: WatchedTopic) -> None:
+        again = topic.subscription is None or want.type != topic.want.type or depth(want) > depth(topic.want)
+        topic.want = want
+        for source in topic.sources.values():
+            source.window = max(want.window, HISTORY)
+        self._count_again(topic)
+        if again:
+            self._end(topic)
+            self._subscribe(topic)
+
+    def _subscribe(self, topic: _Topic) -> None:
+        want = topic.want
+        topic.problem = ""
+        type_name = want.type or self._graph.type_of(want.name)
+        if type_name is None:
+            found = sorted({endpoint.type for endpoint in self._graph.publishers(want.name)})
+            topic.problem = (
+                f"the publishers of {want.name} disagree about its type ({', '.join(found)}): give the type in the tree"
+                if found
+                else f"the type of {want.name} is not known, since nobody publishes it yet: give the type in the tree"
+            )
+            return
+        try:
+            topic.subscription = self._graph.subscribe(want.name, type_name, depth=depth(want))
+        except TypeNotInstalled as error:
+            topic.problem = f"{want.name}: {error}"
+
+    def _end(self, topic: _Topic) -> None:
+        if topic.subscription is not None:
+            self._graph.unsubscribe(topic.subscription)
+            topic.subscription = None
+
+    def _look_up_types(self) -> None:
+        """Try again to subscribe to topics whose type only the graph can tell."""
+        for topic in self._topics.values():
+            if topic.subscription is None and topic.want.type is None:
+                self._subscribe(topic)
+
+    # -- whose samples count ----------------------------------------------------------------------------------------
+
+    def attribute(self, instances: Mapping[str, str], active: str) -> None:
+        """Say which instances there are (IP by pod name) and which of them is in control (empty for none).
+
+        What was received so far is judged anew. Cheap where nothing changed.
+        """
+        if active == self._active and instances == self._sources.instances:
+            return
+        self._sources, self._active = Sources(instances), active
+        for topic in self._topics.values():
+            for host, source in topic.sources.items():
+                source.accepted = self._accepted(host)
+            self._count_again(topic)
+
+    @property
+    def sources(self) -> Sources:
+        """The instances that samples are attributed to, and which of them can't be told apart."""
+        return self._sources
+
+    def _accepted(self, host: bytes) -> bool:
+        """Whether a host's samples count: it's no instance at all, or it is (or may be) the one in control.
+
+        Where two instances can't be told apart, what comes through the gate is taken to be from the one that may.
+        """
+        candidates = self._sources.candidates(host)
+        return not candidates or self._active in candidates
+
+    def _count_again(self, topic: _Topic) -> None:
+        counted = TopicRecord(topic.want.window)
+        accepted = [source for source in topic.sources.values() if source.accepted]
+        for arrival in sorted(arrival for source in accepted for arrival in source.arrivals):
+            counted.add(arrival)
+        counted.count = sum(source.count for source in accepted)
+        topic.counted = counted
+
+    # -- receiving --------------------------------------------------------------------------------------------------
+
+    def drain(self) -> int:
+        """Take everything that has arrived; how many samples that was."""
+        low, high = self._set_clock()
+        now = time.monotonic()
+        if now >= self._next_look_up:
+            self._next_look_up = now + LOOK_UP
+            self._look_up_types()
+        taken = 0
+        for topic in self._topics.values():
+            if topic.subscription is not None:
+                taken += self._drain(topic, low, high)
+        self._drained = time.time()
+        return taken
+
+    def _drain(self, topic: _Topic, low: float, high: float) -> int:
+        take, sources, counted = self._taker.take, topic.sources, topic.counted
+        handle = topic.subscription.handle
+        taken = 0
+        # A writer that is faster than we are must not keep us here.
+        most = 4 * depth(topic.want)
+        with handle:
+            while taken < most and (sample := take(handle, with_data=False)) is not None:
+                taken += 1
+                received = min(max(sample.received, low), high)
+                host = sample.gid[HOST]
+                source = sources.get(host)
+                if source is None:
+                    source = sources[host] = SourceRecord(max(topic.want.window, HISTORY))
+                    source.accepted = self._accepted(host)
+                source.add(received)
+                before = source.sequences.get(sample.gid)
+                if before is not None and sample.sequence > before + 1:
+                    source.lost += sample.sequence - before - 1
+                elif before is None and len(source.sequences) >= MOST_WRITERS:
+                    source.sequences.clear()
+                source.sequences[sample.gid] = sample.sequence
+                if source.accepted:
+                    counted.add(received)
+        return taken
+
+    def _set_clock(self) -> tuple[float, float]:
+        """Follow a step of the clock; the bounds between which the times of samples in the queues can lie.
+
+        Samples received before the step are stamped by the old clock. They arrived after the last drain.
+        """
+        offset = _offset()
+        step = offset - self._clock
+        if abs(step) < CLOCK_STEP:
+            return -math.inf, math.inf
+        _logger.warning("the clock was set by %+.3f s; the times of what was received are moved with it", step)
+        self._clock = offset
+        self._drained += step
+        for topic in self._topics.values():
+            topic.counted.shift(step)
+            for source in topic.sources.values():
+                source.shift(step)
+        return self._drained, time.time()
+
+    # -- what was received ------------------------------------------------------------------------------------------
+
+    def topic(self, name: str) -> TopicRecord | None:
+        """What counts for the instance in control; None where the topic isn't watched."""
+        topic = self._topics.get(name)
+        return topic.counted if topic is not None else None
+
+    def records(self, name: str) -> dict[bytes, SourceRecord]:
+        """What was received on a topic, by the HOST part of the senders' GIDs."""
+        topic = self._topics.get(name)
+        return topic.sources if topic is not None else {}
+
+    def last_from(self, name: str, pod: str) -> float | None:
+        """When a topic was last received from a pod; None for never, or where the pod can't be told from another."""
+        record = self._record_of(name, pod)
+        return record.last if record is not None else None
+
+    def first_from(self, name: str, pod: str, *, since: float) -> float | None:
+        """When a topic was first received from a pod at or after a time, which must not be long ago (HISTORY)."""
+        record = self._record_of(name, pod)
+        if record is None:
+            return None
+        place = bisect_left(record.arrivals, since)
+        return record.arrivals[place] if place < len(record.arrivals) else None
+
+    def last_from_others(self, name: str, pod: str) -> tuple[float, str] | None:
+        """When a topic was last received from an instance that is surely another than this pod, and from which."""
+        found = [
+            (record.last, ", ".join(pods))
+            for host, record in self.records(name).items()
+            if (pods := self._sources.candidates(host)) and pod not in pods and record.last is not None
+        ]
+        return max(found) if found else None
+
+    def _record_of(self, name: str, pod: str) -> SourceRecord | None:
+        for host, record in self.records(name).items():
+            if self._sources.candidates(host) == (pod,):
+                return record
+        return None
+
+    def close(self) -> None:
+        """End all subscriptions. The graph is left to its owner."""
+        for topic in self._topics.values():
+            self._end(topic)
+        self._topics.clear()
+
+
+def _offset() -> float:
+    """The clock minus the monotonic one; changes when the clock is set."""
+    return time.time() - time.monotonic()

@@ -1,0 +1,98 @@
+"""Real ROS 2 nodes for the tests, one process each: ``python nodes.py ROLE ...``. Says ``ready`` and runs until killed.
+
+publish TOPIC RATE [BYTES]    std_msgs/String, best effort and reliable readers match
+robot TOPIC SERVICE ACTION    subscribes, serves, and calls: every reader that an output can have on a robot's side
+watch SECONDS JSON            Watching, told by JSON what to watch and who the instances are; prints what it saw as JSON
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+
+
+def publish(topic: str, rate: str, size: str = "1") -> None:
+    import rclpy
+    from rclpy.node import Node
+    from std_msgs.msg import String
+
+    rclpy.init()
+    node = Node("publisher")
+    publisher = node.create_publisher(String, topic, 10)
+    message = String(data="x" * int(size))
+    print("ready", flush=True)
+    due = time.monotonic()
+    while True:
+        publisher.publish(message)
+        due += 1 / float(rate)
+        time.sleep(max(0.0, due - time.monotonic()))
+
+
+def robot(topic: str, service: str, action: str) -> None:
+    import rclpy
+    from rclpy.action import ActionClient, ActionServer
+    from rclpy.node import Node
+    from std_msgs.msg import String
+    from std_srvs.srv import Trigger
+    from test_msgs.action import Fibonacci
+
+    rclpy.init()
+    node = Node("robot")
+    kept = [
+        node.create_subscription(String, topic, lambda message: None, 10),
+        node.create_service(Trigger, service, lambda request, response: response),
+        node.create_client(Trigger, service),
+        ActionServer(node, Fibonacci, action, lambda goal: Fibonacci.Result()),
+        ActionClient(node, Fibonacci, action),
+    ]
+    print("ready", flush=True)
+    rclpy.spin(node)
+    del kept
+
+
+def watch(duration: str, text: str) -> None:
+    from understudy.ros.graph import Graph
+    from understudy.ros.watching import Watching
+    from understudy.trees.health import WatchedTopic
+
+    wish = json.loads(text)
+    graph = Graph("watcher")
+    watching = Watching(graph)
+    watching.follow(WatchedTopic(name, "std_msgs/msg/String", 1.0, None) for name in wish["topics"])
+    instances, active = wish["instances"], wish["active"]
+    watching.attribute(instances, active[0])
+    print("ready", flush=True)
+    seen = []
+    for pod in active:
+        watching.attribute(instances, pod)
+        switched = time.time()
+        while time.time() < switched + float(duration):
+            watching.drain()
+            time.sleep(0.05)
+        now = time.time()
+        seen.append(
+            {
+                "counted": {name: watching.topic(name).count for name in wish["topics"]},
+                "first": {
+                    name: {other: watching.first_from(name, other, since=switched) for other in instances}
+                    for name in wish["topics"]
+                },
+                "last": {
+                    name: {other: watching.last_from(name, other) for other in instances} for name in wish["topics"]
+                },
+                "others": {name: watching.last_from_others(name, pod) for name in wish["topics"]},
+                "hosts": {
+                    name: {host.hex(): [record.count, record.lost] for host, record in watching.records(name).items()}
+                    for name in wish["topics"]
+                },
+                "problems": list(watching.sources.problems()),
+                "switched": switched,
+                "now": now,
+            }
+        )
+    print(json.dumps(seen), flush=True)
+
+
+if __name__ == "__main__":
+    {"publish": publish, "robot": robot, "watch": watch}[sys.argv[1]](*sys.argv[2:])

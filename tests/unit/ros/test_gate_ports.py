@@ -1,0 +1,77 @@
+"""With the profile file in place, the readers of real nodes listen on their own gate ports, and on no other's."""
+
+import os
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from understudy.api import names
+from understudy.api.workloads import Output
+from understudy.ros.profiles import gate_ports, profiles_xml
+from understudy.ros.watching import Watching
+from understudy.trees.health import WatchedTopic
+
+pytestmark = pytest.mark.ros
+
+OUTPUTS = [
+    Output(topic="/robot/chat", type="std_msgs/msg/String"),
+    Output(service="/robot/snap", type="std_srvs/srv/Trigger"),
+    Output(action="/robot/goto", type="test_msgs/action/Fibonacci"),
+]
+
+
+def listening(pid: int) -> set[int]:
+    """The UDP ports that a process has open."""
+    inodes = {link[8:-1] for fd in os.listdir(f"/proc/{pid}/fd") if (link := _link(pid, fd)).startswith("socket:[")}
+    with open(f"/proc/{pid}/net/udp") as table:
+        rows = [line.split() for line in table.readlines()[1:]]
+    return {int(row[1].split(":")[1], 16) for row in rows if row[9] in inodes}
+
+
+def _link(pid: int, fd: str) -> str:
+    try:
+        return os.readlink(f"/proc/{pid}/fd/{fd}")
+    except FileNotFoundError:
+        return ""
+
+
+def gated(pid: int) -> set[int]:
+    return {port for port in listening(pid) if names.GATE_RANGE[0] <= port <= names.GATE_RANGE[1]}
+
+
+@pytest.fixture
+def profiles(dds, tmp_path):
+    file = tmp_path / "profiles.xml"
+    file.write_text(profiles_xml(OUTPUTS))
+    return str(file)
+
+
+def test_every_reader_of_a_robot_listens_on_its_own_port(processes, profiles):
+    robot = processes.node(
+        "robot", "/robot/chat", "/robot/snap", "/robot/goto", FASTRTPS_DEFAULT_PROFILES_FILE=profiles
+    )
+    assert gated(robot.pid) == set(gate_ports(OUTPUTS).values())
+
+
+def test_readers_of_other_names_stay_where_they_were(processes, profiles):
+    robot = processes.node(
+        "robot", "/other/chat", "/other/snap", "/other/goto", FASTRTPS_DEFAULT_PROFILES_FILE=profiles
+    )
+    assert gated(robot.pid) == set()
+
+
+def test_commands_arrive_by_the_gate_port(processes, profiles, monkeypatch, eventually):
+    from understudy.ros.graph import Graph
+
+    monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", profiles)
+    graph = Graph("monitor")
+    try:
+        watching = Watching(graph)
+        watching.follow([WatchedTopic("/robot/chat", "std_msgs/msg/String", 0.0, None)])
+        assert gated(os.getpid()) == {gate_ports(OUTPUTS)["/robot/chat"]}
+        monkeypatch.delenv("FASTRTPS_DEFAULT_PROFILES_FILE")
+        processes.node("publish", "/robot/chat", "50")
+        eventually(lambda: watching.drain() and watching.topic("/robot/chat").count > 5)
+    finally:
+        graph.close()

@@ -1,0 +1,94 @@
+"""Samples come out of the queue with their data, times, sequence numbers and who sent them."""
+
+import time
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from rclpy.serialization import deserialize_message
+from std_msgs.msg import String
+
+from understudy.ros.taking import Taker
+
+pytestmark = pytest.mark.ros
+
+
+@pytest.fixture
+def subscription(graph):
+    return graph.subscribe("/chat", "std_msgs/msg/String", depth=10)
+
+
+def taken(subscription, *, count: int, timeout: float = 10.0, **how):
+    taker, samples, end = Taker(), [], time.monotonic() + timeout
+    with subscription.handle:
+        while len(samples) < count and time.monotonic() < end:
+            sample = taker.take(subscription.handle, **how)
+            if sample is not None:
+                samples.append(sample)
+            else:
+                time.sleep(0.005)
+    assert len(samples) == count
+    return samples
+
+
+def publisher(graph, eventually):
+    made = graph.node.create_publisher(String, "/chat", 10)
+    eventually(lambda: made.get_subscription_count() == 1)
+    return made
+
+
+def test_samples_carry_data_times_and_sequence(graph, subscription, eventually):
+    publish = publisher(graph, eventually).publish
+    before = time.time()
+    for text in ("a", "bc"):
+        publish(String(data=text))
+    first, second = taken(subscription, count=2)
+    assert [deserialize_message(s.data, String).data for s in (first, second)] == ["a", "bc"]
+    assert before <= first.sent <= first.received <= second.received <= time.time()
+    assert second.sequence == first.sequence + 1
+
+
+def test_gid_is_the_publishers(graph, subscription, eventually):
+    publisher(graph, eventually).publish(String(data="a"))
+    (sample,) = taken(subscription, count=1)
+    eventually(lambda: graph.publishers("/chat"))
+    (endpoint,) = graph.publishers("/chat")
+    assert sample.gid == endpoint.gid
+
+
+def test_two_publishers_have_two_gids(graph, subscription, eventually):
+    publishers = [publisher(graph, eventually), publisher(graph, eventually)]
+    for each in publishers:
+        each.publish(String(data="a"))
+    assert len({sample.gid for sample in taken(subscription, count=2)}) == 2
+
+
+def test_buffer_grows_and_is_used_again(graph, subscription, eventually):
+    publish = publisher(graph, eventually).publish
+    texts = ["short", "x" * 300_000, "y"]
+    for text in texts:
+        publish(String(data=text))
+        (sample,) = taken(subscription, count=1)
+        assert deserialize_message(sample.data, String).data == text
+
+
+def test_data_is_left_out_where_it_is_not_wanted(graph, subscription, eventually):
+    publisher(graph, eventually).publish(String(data="a"))
+    (sample,) = taken(subscription, count=1, with_data=False)
+    assert sample.data == b""
+
+
+def test_empty_queue_gives_none(subscription):
+    with subscription.handle:
+        assert Taker().take(subscription.handle) is None
+
+
+def test_queue_keeps_the_newest(graph, subscription, eventually):
+    publish = publisher(graph, eventually).publish
+    for number in range(30):
+        publish(String(data=str(number)))
+        time.sleep(0.002)
+    time.sleep(0.2)
+    samples = taken(subscription, count=10)
+    assert [deserialize_message(s.data, String).data for s in samples] == [str(n) for n in range(20, 30)]

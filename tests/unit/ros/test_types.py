@@ -1,0 +1,58 @@
+"""Types are found by name, and what is missing says what to do."""
+
+import sys
+from types import ModuleType
+
+import pytest
+
+from understudy.ros.types import TypeNotInstalled, interface_class, message_class
+
+pytestmark = pytest.mark.ros
+
+
+@pytest.mark.parametrize(
+    "name", ["geometry_msgs/msg/Twist", "std_srvs/srv/Trigger", "test_msgs/action/Fibonacci", "std_msgs/msg/String"]
+)
+def test_installed_types_are_found_ready_for_use(name):
+    found = interface_class(name)
+    assert found.__name__ == name.split("/")[-1]
+    assert found.__class__._TYPE_SUPPORT is not None
+
+
+def test_missing_package_says_what_to_do():
+    with pytest.raises(TypeNotInstalled) as caught:
+        message_class("nav2_msgs/msg/Costmap")
+    assert str(caught.value) == (
+        "nav2_msgs/msg/Costmap is not installed in the monitor's image (there is no package nav2_msgs): build a "
+        "monitor image with it, and set spec.monitor.image to that"
+    )
+
+
+def test_misspelt_type_names_the_nearest():
+    with pytest.raises(TypeNotInstalled, match="geometry_msgs has geometry_msgs/msg/TwistStamped"):
+        message_class("geometry_msgs/msg/TwistStampd")
+
+
+def test_package_without_such_types():
+    with pytest.raises(TypeNotInstalled, match="geometry_msgs has no srv types"):
+        interface_class("geometry_msgs/srv/Twist")
+
+
+def test_package_that_is_not_of_ros(monkeypatch):
+    package, module = ModuleType("odd"), ModuleType("odd.msg")
+    module.Name = type("Name", (), {})
+    monkeypatch.setitem(sys.modules, "odd", package)
+    monkeypatch.setitem(sys.modules, "odd.msg", module)
+    with pytest.raises(TypeNotInstalled, match=r"odd\.msg\.Name is not a ROS type"):
+        message_class("odd/msg/Name")
+
+
+@pytest.mark.parametrize("name", ["Twist", "geometry_msgs/Twist", "a/b/C", "a.b/msg/C", "/msg/C"])
+def test_what_is_no_name_is_refused(name):
+    with pytest.raises(ValueError, match="write package/msg/Name"):
+        interface_class(name)
+
+
+def test_message_class_is_for_messages():
+    with pytest.raises(ValueError, match="not a message type"):
+        message_class("std_srvs/srv/Trigger")
