@@ -1,0 +1,159 @@
+"""Which of our objects must be looked at again after a change that was seen."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+from understudy.api import names
+from understudy.api.base import API_VERSION
+from understudy.cluster.applying import controller_of
+from understudy.cluster.client import (
+    DEPLOYMENTS,
+    NETWORK_POLICIES,
+    PODS,
+    POLICIES,
+    POOLS,
+    STATEFUL_SETS,
+    WORKLOADS,
+    Object,
+    Resource,
+)
+from understudy.controller import objects, policies
+from understudy.controller.stores import Sight, Store
+
+
+class Key(NamedTuple):
+    """One object of ours."""
+
+    plural: str
+    namespace: str
+    name: str
+
+
+_PLURALS = {"RobotWorkload": WORKLOADS.plural, "FallbackPool": POOLS.plural}
+
+
+def keys(sight: Sight, store: Store) -> set[Key]:
+    """The keys that a change may mean something for; too many do no harm."""
+    return set(_keys(sight, store))
+
+
+def _keys(sight: Sight, store: Store) -> Iterator[Key]:
+    found = sight.new or sight.old
+    assert found is not None
+    namespace = found["metadata"].get("namespace", "")
+    plural = sight.resource.plural
+    for item in (sight.old, sight.new):
+        owner = controller_of(item) if item is not None else None
+        if owner is not None and owner.get("apiVersion") == API_VERSION and owner.get("kind") in _PLURALS:
+            yield Key(_PLURALS[owner["kind"]], namespace, owner["name"])
+    if plural in (WORKLOADS.plural, POLICIES.plural, POOLS.plural):
+        yield Key(plural, namespace, objects.name(found))
+        if _spec_changed(sight):
+            yield from _after_spec(sight, store, namespace)
+    elif plural == PODS.plural:
+        yield from _after_pod(sight, store, namespace)
+    elif plural == NETWORK_POLICIES.plural:
+        yield from _after_policy(found, store, namespace)
+
+
+def _spec_changed(sight: Sight) -> bool:
+    if sight.old is None or sight.new is None:
+        return True
+    old, new = sight.old["metadata"], sight.new["metadata"]
+    return any(old.get(key) != new.get(key) for key in ("uid", "generation", "labels", "deletionTimestamp"))
+
+
+def _after_spec(sight: Sight, store: Store, namespace: str) -> Iterator[Key]:
+    found = sight.new or sight.old
+    assert found is not None
+    if sight.resource.plural == WORKLOADS.plural:
+        for item in (sight.old, sight.new):
+            if item is not None and (policy := used_policy(item)):
+                yield Key(POLICIES.plural, namespace, policy)
+        for name in store.in_namespace(POOLS, namespace):
+            yield Key(POOLS.plural, namespace, name)
+        for name, other in store.in_namespace(WORKLOADS, namespace).items():
+            if reference(other) and reference(other) == reference(found):
+                yield Key(WORKLOADS.plural, namespace, name)
+    elif sight.resource.plural == POLICIES.plural:
+        yield from users(objects.name(found), store, namespace)
+    else:
+        for name in store.in_namespace(POLICIES, namespace):
+            yield Key(POLICIES.plural, namespace, name)
+        for name in store.in_namespace(WORKLOADS, namespace):
+            yield Key(WORKLOADS.plural, namespace, name)
+
+
+def _after_pod(sight: Sight, store: Store, namespace: str) -> Iterator[Key]:
+    for item in (sight.old, sight.new):
+        if item is None:
+            continue
+        labels = objects.labels(item)
+        for label, plural in ((names.WORKLOAD, WORKLOADS), (names.MONITORED, WORKLOADS), (names.POOL, POOLS)):
+            if label in labels:
+                yield Key(plural.plural, namespace, labels[label])
+        if names.HELD in labels:
+            yield from _pool_users(labels.get(names.POOL, ""), store, namespace)
+
+
+def _after_policy(policy: Object, store: Store, namespace: str) -> Iterator[Key]:
+    owner = controller_of(policy)
+    if owner is not None and owner["kind"] == "FallbackPool":
+        yield from _pool_users(owner["name"], store, namespace)
+    elif owner is not None and owner["kind"] == "RobotWorkload":
+        for name, pool in store.in_namespace(POOLS, namespace).items():
+            if policies.readiness(pool) == "Executing":
+                yield Key(POOLS.plural, namespace, name)
+
+
+def _pool_users(pool: str, store: Store, namespace: str) -> Iterator[Key]:
+    for name, policy in store.in_namespace(POLICIES, namespace).items():
+        if pool in policies.named_pools(policy):
+            yield from users(name, store, namespace)
+
+
+def users(policy: str, store: Store, namespace: str) -> Iterator[Key]:
+    """The workloads that a policy protects."""
+    for name, workload in store.in_namespace(WORKLOADS, namespace).items():
+        if used_policy(workload) == policy:
+            yield Key(WORKLOADS.plural, namespace, name)
+
+
+def used_policy(workload: Object) -> str:
+    """The policy that a workload names."""
+    found: str = ((workload.get("spec") or {}).get("failurePolicyRef") or {}).get("name", "")
+    return found
+
+
+def reference(workload: Object) -> tuple[str, str] | None:
+    """Kind and name of what a workload refers to."""
+    found: dict[str, Any] | None = (workload.get("spec") or {}).get("workloadRef")
+    return (found["kind"], found["name"]) if found else None
+
+
+def referring(resource: Resource, item: Object, store: Store) -> set[Key]:
+    """The workloads that refer to a controller, or to the controller of a pod that isn't labelled yet.
+
+    A Deployment's pod is recognized by its ReplicaSet's name; a mistake costs one look and no more.
+    """
+    target: tuple[str, str] | None = None
+    if resource.plural == DEPLOYMENTS.plural:
+        target = ("Deployment", objects.name(item))
+    elif resource.plural == STATEFUL_SETS.plural:
+        target = ("StatefulSet", objects.name(item))
+    elif resource.plural == PODS.plural and (owner := controller_of(item)) is not None:
+        if owner["kind"] == "ReplicaSet":
+            hashed = objects.labels(item).get("pod-template-hash", "")
+            target = ("Deployment", owner["name"].removesuffix(f"-{hashed}"))
+        elif owner["kind"] == "StatefulSet":
+            target = ("StatefulSet", owner["name"])
+    if target is None:
+        return set()
+    namespace = item["metadata"].get("namespace", "")
+    return {
+        Key(WORKLOADS.plural, namespace, name)
+        for name, workload in store.in_namespace(WORKLOADS, namespace).items()
+        if reference(workload) == target
+    }

@@ -1,0 +1,75 @@
+"""What the pure functions answer: the writes that would make the cluster as it should be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from understudy.cluster.client import Object, Resource
+
+
+@dataclass(frozen=True)
+class Apply:
+    """An object that should be just so, whole."""
+
+    resource: Resource
+    body: Object
+
+
+@dataclass(frozen=True)
+class Create:
+    """An object to make once and then leave alone."""
+
+    resource: Resource
+    body: Object
+    counted: bool = False
+    """Whether it's one of a number that must not be exceeded: remembered until it is observed."""
+
+
+@dataclass(frozen=True)
+class Patch:
+    """A merge patch on exactly one object (by UID)."""
+
+    resource: Resource
+    item: Object
+    body: Object
+    subresource: str | None = None
+
+
+@dataclass(frozen=True)
+class Delete:
+    """The deletion of exactly one object, as it was read."""
+
+    resource: Resource
+    item: Object
+
+
+Write = Apply | Create | Patch | Delete
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Something that keeps an object from being accepted or built."""
+
+    reason: str
+    message: str
+
+
+@dataclass
+class Plan:
+    """The writes, in order."""
+
+    writes: list[Write] = field(default_factory=list)
+    again_after: float | None = None
+    """Seconds until it should be looked at again though nothing changes."""
+
+    def later(self, delay: float) -> None:
+        """Look again after so many seconds at the latest."""
+        self.again_after = delay if self.again_after is None else min(self.again_after, delay)
+
+
+@dataclass(frozen=True)
+class Images:
+    """The image of everything that Understudy runs itself."""
+
+    monitor: str
+    pull_policy: str = "IfNotPresent"

@@ -1,0 +1,158 @@
+"""Carries out the writes of a plan, each guarded so that acting on an old sight does no harm."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+
+from understudy.api import names
+from understudy.cluster import applying
+from understudy.cluster.applying import Taken
+from understudy.cluster.client import MERGE, PODS, REPLICA_SETS, ApiError, Client, Object, Resource
+from understudy.cluster.leases import LeadershipLost
+from understudy.controller import metrics, objects
+from understudy.controller.affected import Key
+from understudy.controller.desired import Apply, Create, Delete, Patch, Problem, Write
+from understudy.controller.expectations import Expectations
+from understudy.controller.stores import Store
+
+_logger = logging.getLogger(__name__)
+
+MANAGER = "understudy-operator"
+
+
+class Stale(Exception):
+    """Something has changed since it was read: look again."""
+
+
+class Ending(Exception):
+    """The namespace is being deleted: there is nothing to build any more."""
+
+
+class Executor:
+    """Makes writes of one operator, while it may."""
+
+    def __init__(
+        self, client: Client, store: Store, expectations: Expectations, *, may_write: Callable[[], bool]
+    ) -> None:
+        self._client, self._store, self._expectations, self._may_write = client, store, expectations, may_write
+        self._settled: dict[tuple[str, str, str], tuple[str, frozenset[str]]] = {}
+
+    async def run(self, key: Key, writes: Sequence[Write]) -> list[Problem]:
+        """Make the writes; what the API server refuses for good is returned, and the others are still made.
+
+        Raises Stale, Ending, LeadershipLost, and what a server that can't answer now raises (ApiError 429 and 5xx,
+        aiohttp.ClientError, TimeoutError).
+        """
+        problems: list[Problem] = []
+        stale: ApiError | None = None
+        for write in writes:
+            self.check()
+            try:
+                await self._one(key, write)
+            except Taken as taken:
+                problems.append(Problem("NameTaken", str(taken)))
+            except ApiError as error:
+                if error.status == 403 and "being terminated" in error.message:
+                    raise Ending from error
+                if error.status == 409 or (error.status == 404 and isinstance(write, Patch)):
+                    stale = error
+                    continue
+                if error.status == 429 or error.status >= 500:
+                    raise
+                problems.append(refused(write, error))
+        if stale is not None:
+            raise Stale(str(stale)) from stale
+        return problems
+
+    def check(self) -> None:
+        """Raise LeadershipLost unless this replica may write now."""
+        if not self._may_write():
+            raise LeadershipLost("the lease was not renewed in time")
+
+    async def _one(self, key: Key, write: Write) -> None:
+        match write:
+            case Apply(resource, body):
+                await self._apply(key, resource, body)
+            case Create(resource, body, counted):
+                await self._create(key, resource, body, counted)
+            case Patch(resource, item, body, subresource):
+                await self._patch(resource, item, body, subresource)
+            case Delete(resource, item):
+                metrics.WRITES.labels(resource.plural, "delete").inc()
+                await applying.delete_exactly(self._client, resource, item)
+                _logger.info("deleted %s %s/%s", resource.plural, key.namespace, objects.name(item))
+
+    async def _apply(self, key: Key, resource: Resource, body: Object) -> None:
+        wanted = applying.stamped(body)
+        place = (resource.plural, key.namespace, objects.name(body))
+        live = self._store.get(resource, key.namespace, objects.name(body))
+        if live is not None:
+            applying.refuse_foreign(live, wanted)
+            if self._is_so(place, live, wanted):
+                return
+        metrics.WRITES.labels(resource.plural, "apply").inc()
+        try:
+            if live is None:
+                made = await applying.establish(self._client, resource, key.namespace, wanted, manager=MANAGER)
+            else:
+                made = await applying.overwrite(
+                    self._client, resource, key.namespace, wanted, live=live, manager=MANAGER
+                )
+        except ApiError as error:
+            if error.conflict and live is not None:  # what was known of it isn't so any more
+                self._store.remove(resource, live)
+            raise
+        self._store.put(resource, made)
+        # what the server wrote differently (100m for 0.1) isn't a difference to be repaired for ever
+        self._settled[place] = (made["metadata"]["uid"], frozenset(applying.differences(made, wanted)))
+        _logger.info("applied %s %s/%s", resource.plural, key.namespace, objects.name(body))
+
+    def _is_so(self, place: tuple[str, str, str], live: Object, wanted: Object) -> bool:
+        stamp = wanted["metadata"]["annotations"][applying.APPLIED]
+        if objects.notes(live).get(applying.APPLIED) != stamp:
+            return False
+        uid, settled = self._settled.get(place, ("", frozenset()))
+        found = set(applying.differences(live, wanted))
+        return not (found - settled if uid == objects.uid(live) else found)
+
+    async def _create(self, key: Key, resource: Resource, body: Object, counted: bool) -> None:
+        name = objects.name(body)
+        pool = objects.labels(body).get(names.POOL, "")
+        if counted:
+            self._expectations.expect(key, pool, name)
+        metrics.WRITES.labels(resource.plural, "create").inc()
+        try:
+            made = await applying.create(self._client, resource, key.namespace, body)
+        except (ApiError, Taken) as error:
+            if counted and (isinstance(error, Taken) or error.status < 500):
+                self._expectations.settled(key, pool, name)
+            raise
+        self._store.put(resource, made)
+        if counted:
+            self._expectations.settled(key, pool, name)
+        _logger.info("created %s %s/%s", resource.plural, key.namespace, name)
+
+    async def _patch(self, resource: Resource, item: Object, body: Object, subresource: str | None) -> None:
+        metadata = item["metadata"]
+        metrics.WRITES.labels(resource.plural, "patch").inc()
+        if subresource is None:
+            guard: Object = {"uid": metadata["uid"]}
+            if resource.plural != PODS.plural:  # labels of a pod don't depend on what its kubelet writes meanwhile
+                guard["resourceVersion"] = metadata["resourceVersion"]
+            body = {**body, "metadata": {**(body.get("metadata") or {}), **guard}}
+        made = await self._client.patch(
+            resource, metadata["namespace"], metadata["name"], body, kind=MERGE, subresource=subresource
+        )
+        if subresource is None:
+            self._store.put(resource, made)
+        _logger.info("patched %s %s/%s", resource.plural, metadata["namespace"], metadata["name"])
+
+
+def refused(write: Write, error: ApiError) -> Problem:
+    """What the API server says of a write that it won't take."""
+    item = write.item if isinstance(write, Patch | Delete) else write.body
+    made_of_template = write.resource.plural in (PODS.plural, REPLICA_SETS.plural)
+    reason = "TemplateInvalid" if made_of_template and error.status in (400, 422) else error.reason or "Refused"
+    kind = item.get("kind") or write.resource.plural
+    return Problem(reason, f"{kind} {objects.name(item)}: {error.message}")

@@ -1,0 +1,261 @@
+"""Pods that run a workload's application, made from the user's pod template.
+
+Each gets labels that the gate selects by, the ROS environment of its robot, and the agent as a sidecar. A held pod's
+containers wait for the claim instead of running.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from understudy.api import holding, names
+from understudy.cluster.applying import digest
+from understudy.cluster.client import Object
+from understudy.controller import robots
+from understudy.controller.desired import Images
+
+AGENT_REQUESTS = {"cpu": "20m", "memory": "64Mi"}
+
+HARDENED: Object = {
+    "runAsNonRoot": True,
+    "runAsUser": 65532,
+    "runAsGroup": 65532,
+    "allowPrivilegeEscalation": False,
+    "readOnlyRootFilesystem": True,
+    "capabilities": {"drop": ["ALL"]},
+    "seccompProfile": {"type": "RuntimeDefault"},
+}
+"""Security context of our own containers."""
+
+_TOKEN_VOLUME = "understudy-agent-token"
+_DISTANCE = 100  # the greatest weight: an understudy on the node of the active pod dies with it
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What is made of a template."""
+
+    workload: str
+    """RobotWorkload of the instances; empty for the held pods of a shared pool."""
+    namespace: str
+    images: Images
+    secret: str
+    """Secret with the agents' token."""
+    environment: Mapping[str, str] = field(default_factory=dict)
+    """ROS environment of the robot's graph; empty for held pods, which get it with the claim."""
+    pool: str = ""
+    held: bool = False
+    warm_paths: Sequence[str] = ()
+    stripped: frozenset[str] = frozenset()
+    """Label keys that must not be carried: a referred controller would adopt the pods."""
+
+
+def problem(template: Mapping[str, Any], *, held: bool, path: str) -> str | None:
+    """Why no instance can be made from a template, beyond what the API server says itself; None if one can.
+
+    ``path`` is where the template stands, such as ``spec.template``.
+    """
+    spec = template.get("spec") or {}
+    if spec.get("hostNetwork"):
+        return (
+            f"{path}.spec.hostNetwork is true: no NetworkPolicy holds for a pod in its node's network, so its outputs "
+            f"can't be gated. Set it to false"
+        )
+    containers = spec.get("containers") or []
+    if not containers:
+        return f"{path}.spec.containers is empty: give at least one container"
+    for index, container in enumerate(containers):
+        at = f"{path}.spec.containers[{index}]"
+        if container.get("name") == names.AGENT_CONTAINER:
+            return f"{at}.name is {names.AGENT_CONTAINER}, which is the sidecar's name: take another"
+        for port in container.get("ports") or []:
+            if port.get("containerPort") in (names.AGENT_PORT, names.AGENT_HEALTH_PORT):
+                return f"{at} uses port {port['containerPort']}, which is the sidecar's: take another"
+        if held and not container.get("command"):
+            return (
+                f"{at} ({container.get('name')}) has no command: it is held until a claim and started then, so its "
+                f"command must be in the template (the image's own entry point can't be seen from here)"
+            )
+    for volume in spec.get("volumes") or []:
+        if volume.get("name") in (names.AGENT_VOLUME, _TOKEN_VOLUME):
+            return f"{path}.spec.volumes has {volume['name']}, which is a name of the sidecar's: take another"
+    return None
+
+
+def build(template: Mapping[str, Any], recipe: Recipe) -> Object:
+    """The pod template of an instance: ``metadata`` (labels, annotations) and ``spec``, without what names one pod."""
+    spec = copy.deepcopy(dict(template.get("spec") or {}))
+    held_names = [c["name"] for c in spec["containers"]] if recipe.held else []
+    spec["containers"] = [_container(container, recipe) for container in spec["containers"]]
+    spec["containers"].append(_agent(recipe, held_names))
+    spec["volumes"] = [
+        *(spec.get("volumes") or []),
+        {"name": names.AGENT_VOLUME, "emptyDir": {}},
+        {"name": _TOKEN_VOLUME, "secret": {"secretName": recipe.secret, "defaultMode": 0o444}},
+    ]
+    _keep_apart(spec, recipe)
+    found = template.get("metadata") or {}
+    labels = {key: value for key, value in (found.get("labels") or {}).items() if key not in recipe.stripped}
+    labels |= _labels(recipe)
+    metadata: Object = {"labels": labels}
+    if found.get("annotations"):
+        metadata["annotations"] = dict(found["annotations"])
+    built: Object = {"metadata": metadata, "spec": spec}
+    labels[names.TEMPLATE_HASH] = digest(built)
+    return built
+
+
+def _labels(recipe: Recipe) -> dict[str, str]:
+    labels = {names.COMPONENT: "instance"}
+    if recipe.workload:
+        labels[names.WORKLOAD] = recipe.workload
+    if recipe.pool:
+        labels[names.POOL] = recipe.pool
+    if recipe.held:
+        labels[names.HELD] = "true"
+    if not recipe.pool:
+        labels[names.SOURCE] = "workload"
+    return labels
+
+
+def template_hash(built: Object) -> str:
+    """The hash of a built template, which its pods carry as a label."""
+    found: str = built["metadata"]["labels"][names.TEMPLATE_HASH]
+    return found
+
+
+def pod(built: Object, *, name: str, namespace: str, owner: Object) -> Object:
+    """A pod of a built template."""
+    metadata = built["metadata"]
+    return {
+        "apiVersion": "v1",
+        "kind": "Pod",
+        "metadata": {
+            **metadata,
+            "name": name,
+            "namespace": namespace,
+            "labels": {**metadata["labels"], names.INSTANCE: name},
+            "ownerReferences": [owner],
+        },
+        "spec": built["spec"],
+    }
+
+
+def replica_set(built: Object, workload: str) -> Object:
+    """The ReplicaSet that a workload's template becomes. It replaces a deleted pod while the operator is down.
+
+    ``replicas`` isn't given: it begins at one, and is then changed only through the scale subresource.
+    """
+    selector = {names.WORKLOAD: workload, names.COMPONENT: "instance", names.SOURCE: "workload"}
+    return {
+        "apiVersion": "apps/v1",
+        "kind": "ReplicaSet",
+        "metadata": {"name": workload, "labels": {names.COMPONENT: "instance"}},
+        "spec": {"selector": {"matchLabels": selector}, "template": built},
+    }
+
+
+def literal_environment(template: Mapping[str, Any], ros: Mapping[str, str]) -> dict[str, dict[str, str]]:
+    """Per container, the environment that a claimed pod is started with: ROS, and the template's literals over it.
+
+    Values that refer to others (``$(NAME)``) or to objects (``valueFrom``) are the kubelet's to resolve and stay as
+    the pool's own template has them.
+    """
+    return {
+        container["name"]: {
+            **ros,
+            **{
+                entry["name"]: entry.get("value", "")
+                for entry in container.get("env") or []
+                if "valueFrom" not in entry and "$(" not in entry.get("value", "")
+            },
+        }
+        for container in (template.get("spec") or {}).get("containers") or []
+    }
+
+
+def _container(container: Object, recipe: Recipe) -> Object:
+    given = {entry["name"] for entry in container.get("env") or []}
+    environment = recipe.environment or robots.COMMON
+    added = [{"name": key, "value": value} for key, value in sorted(environment.items()) if key not in given]
+    made = {**container, "env": [*(container.get("env") or []), *added]}
+    return _held(made, recipe) if recipe.held else made
+
+
+def _held(container: Object, recipe: Recipe) -> Object:
+    """The container waits; its probes would kill it for that, and its hook would wait for a process that isn't."""
+    made = {k: v for k, v in container.items() if k not in ("livenessProbe", "readinessProbe", "startupProbe")}
+    if hooks := {k: v for k, v in (container.get("lifecycle") or {}).items() if k != "postStart"}:
+        made["lifecycle"] = hooks
+    else:
+        made.pop("lifecycle", None)
+    made["command"] = holding.held_command(
+        container["name"], container["command"], container.get("args") or [], recipe.warm_paths
+    )
+    made.pop("args", None)
+    made["volumeMounts"] = [
+        *(container.get("volumeMounts") or []),
+        {"name": names.AGENT_VOLUME, "mountPath": names.AGENT_DIR},
+    ]
+    return made
+
+
+def _plain(environment: Mapping[str, str]) -> list[Object]:
+    return [{"name": key, "value": value} for key, value in sorted(environment.items())]
+
+
+def _field(name: str, path: str) -> Object:
+    return {"name": name, "valueFrom": {"fieldRef": {"apiVersion": "v1", "fieldPath": path}}}
+
+
+def _agent(recipe: Recipe, held: Sequence[str]) -> Object:
+    fixed = {
+        "UNDERSTUDY_WORKLOAD": recipe.workload,
+        "UNDERSTUDY_NAMESPACE": recipe.namespace,
+        "UNDERSTUDY_HELD_CONTAINERS": " ".join(held),
+        "HOME": names.AGENT_DIR,
+        "ROS_LOG_DIR": f"{names.AGENT_DIR}/log",
+        **robots.introspecting(recipe.environment or robots.COMMON),
+    }
+    return {
+        "name": names.AGENT_CONTAINER,
+        "image": recipe.images.monitor,
+        "imagePullPolicy": recipe.images.pull_policy,
+        "args": ["agent"],
+        "env": [
+            *_plain(fixed),
+            _field("UNDERSTUDY_POD", "metadata.name"),
+            _field("UNDERSTUDY_POD_UID", "metadata.uid"),
+            _field("UNDERSTUDY_POD_IP", "status.podIP"),
+        ],
+        "ports": [
+            {"name": "us-agent", "containerPort": names.AGENT_PORT, "protocol": "TCP"},
+            {"name": "us-health", "containerPort": names.AGENT_HEALTH_PORT, "protocol": "TCP"},
+        ],
+        "readinessProbe": {
+            "httpGet": {"path": "/ready", "port": names.AGENT_HEALTH_PORT},
+            "periodSeconds": 1,
+            "timeoutSeconds": 1,
+            "failureThreshold": 2,
+        },
+        "resources": {"requests": dict(AGENT_REQUESTS)},
+        "securityContext": copy.deepcopy(HARDENED),
+        "volumeMounts": [
+            {"name": names.AGENT_VOLUME, "mountPath": names.AGENT_DIR},
+            {"name": _TOKEN_VOLUME, "mountPath": names.SECRET_DIR, "readOnly": True},
+        ],
+    }
+
+
+def _keep_apart(spec: Object, recipe: Recipe) -> None:
+    """Prefer other nodes than those of the other instances (of the workload, or of the shared pool)."""
+    labels = {names.WORKLOAD: recipe.workload} if recipe.workload else {names.POOL: recipe.pool}
+    affinity = dict(spec.get("affinity") or {})
+    apart = dict(affinity.get("podAntiAffinity") or {})
+    term = {"topologyKey": "kubernetes.io/hostname", "labelSelector": {"matchLabels": labels}}
+    key = "preferredDuringSchedulingIgnoredDuringExecution"
+    apart[key] = [*(apart.get(key) or []), {"weight": _DISTANCE, "podAffinityTerm": term}]
+    spec["affinity"] = {**affinity, "podAntiAffinity": apart}

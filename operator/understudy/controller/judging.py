@@ -1,0 +1,53 @@
+"""Lets the API server judge a pod template before anything is built from it, and remembers what it said."""
+
+from __future__ import annotations
+
+import time
+from collections import OrderedDict
+from collections.abc import Callable
+
+from understudy.cluster.client import PODS, ApiError, Client, Object
+from understudy.controller import instances
+from understudy.controller.desired import Problem
+from understudy.controller.executing import Ending
+
+FORGET_REFUSAL = 30.0
+"""Seconds after which a refusal is asked about again: a quota, an account or an admission rule may have changed."""
+_REMEMBERED_MOST = 2048
+
+
+class Judge:
+    """Dry runs of pods, by template hash and namespace."""
+
+    def __init__(self, client: Client, *, clock: Callable[[], float] = time.monotonic) -> None:
+        self._client, self._clock = client, clock
+        self._known: OrderedDict[tuple[str, str], tuple[Problem | None, float]] = OrderedDict()
+
+    async def judge(self, pod: Object, path: str) -> Problem | None:
+        """What the API server has against a pod made from a template; None if nothing.
+
+        Raises ApiError where it can't answer now, Ending where the namespace is being deleted.
+        """
+        namespace = pod["metadata"]["namespace"]
+        key = (namespace, instances.template_hash(pod))
+        known = self._known.get(key)
+        if known is not None and (known[0] is None or self._clock() - known[1] < FORGET_REFUSAL):
+            return known[0]
+        found: Problem | None = None
+        try:
+            await self._client.create(PODS, namespace, pod, dry_run=True)
+        except ApiError as error:
+            if error.status == 403 and "being terminated" in error.message:
+                raise Ending from error
+            if error.status == 409:  # there is a pod of that name: it passed
+                found = None
+            elif error.status in (400, 403, 422):
+                found = Problem(
+                    "TemplateInvalid", f"{path}: the API server refuses a pod made from it: {error.message}"
+                )
+            else:
+                raise
+        self._known[key] = (found, self._clock())
+        if len(self._known) > _REMEMBERED_MOST:
+            self._known.popitem(last=False)
+        return found

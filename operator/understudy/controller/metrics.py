@@ -1,0 +1,30 @@
+"""The operator's Prometheus metrics."""
+
+from __future__ import annotations
+
+from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram
+
+REGISTRY = CollectorRegistry()
+
+RECONCILED = Counter(
+    "understudy_reconciliations_total", "Reconciliations by kind and result.", ["kind", "result"], registry=REGISTRY
+)
+SECONDS = Histogram(
+    "understudy_reconciliation_seconds",
+    "Time of one reconciliation.",
+    ["kind"],
+    registry=REGISTRY,
+    buckets=(0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1, 3, 10),
+)
+WRITES = Counter(
+    "understudy_writes_total", "Writes to the API by resource and verb.", ["resource", "verb"], registry=REGISTRY
+)
+WAITING = Gauge("understudy_queue_length", "Objects waiting to be reconciled.", registry=REGISTRY)
+LEADER = Gauge("understudy_leader", "1 while this replica holds the lease.", registry=REGISTRY)
+MISSED = Counter(
+    "understudy_watch_missed_total",
+    "Changes that only a full list brought, by resource.",
+    ["resource"],
+    registry=REGISTRY,
+)
+RESYNCED = Gauge("understudy_last_resync_timestamp_seconds", "When everything was listed last.", registry=REGISTRY)

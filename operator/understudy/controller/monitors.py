@@ -1,0 +1,158 @@
+"""The monitor of a workload: its Deployment, and an account that may do no more than protect this one workload."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from understudy.api import names
+from understudy.api.base import GROUP
+from understudy.api.workloads import MonitorSettings
+from understudy.cluster.applying import digest
+from understudy.cluster.client import Object
+from understudy.controller import robots
+from understudy.controller.desired import Images
+from understudy.controller.discovery import TOLERATIONS
+from understudy.controller.instances import HARDENED
+
+STATE_DIR = "/var/lib/understudy"
+_REQUESTS = {"cpu": "20m", "memory": "96Mi"}
+_RBAC = "rbac.authorization.k8s.io"
+
+
+def labels(workload: str) -> dict[str, str]:
+    """Labels of the monitor's pods."""
+    return {names.COMPONENT: "monitor", names.MONITORED: workload}
+
+
+def deployment(
+    workload: str,
+    namespace: str,
+    settings: MonitorSettings,
+    images: Images,
+    environment: Mapping[str, str],
+    profiles: str,
+) -> Object:
+    """The monitor. Its readers have the gated ports, so that it sees what the robot sees.
+
+    ``profiles`` is the text of the profile file: when that changes, a process that has read it must start anew.
+    """
+    fixed = {
+        "UNDERSTUDY_WORKLOAD": workload,
+        "UNDERSTUDY_NAMESPACE": namespace,
+        "HOME": STATE_DIR,
+        "ROS_LOG_DIR": f"{STATE_DIR}/log",
+        "FASTRTPS_DEFAULT_PROFILES_FILE": robots.PROFILES_FILE,
+        **robots.introspecting(environment),
+    }
+    container = {
+        "name": "monitor",
+        "image": settings.image or images.monitor,
+        "imagePullPolicy": images.pull_policy,
+        "args": ["monitor"],
+        "env": [
+            *({"name": key, "value": value} for key, value in sorted(fixed.items())),
+            {
+                "name": "UNDERSTUDY_POD_IP",
+                "valueFrom": {"fieldRef": {"apiVersion": "v1", "fieldPath": "status.podIP"}},
+            },
+            {
+                "name": "UNDERSTUDY_POD",
+                "valueFrom": {"fieldRef": {"apiVersion": "v1", "fieldPath": "metadata.name"}},
+            },
+        ],
+        "ports": [{"name": "metrics", "containerPort": names.METRICS_PORT, "protocol": "TCP"}],
+        "readinessProbe": {
+            "httpGet": {"path": "/ready", "port": names.METRICS_PORT},
+            "periodSeconds": 2,
+            "timeoutSeconds": 2,
+        },
+        "resources": settings.resources or {"requests": dict(_REQUESTS)},
+        "securityContext": HARDENED,
+        "volumeMounts": [
+            {"name": "state", "mountPath": STATE_DIR},
+            {"name": "profiles", "mountPath": robots.PROFILES_DIR, "readOnly": True},
+        ],
+    }
+    return {
+        "apiVersion": "apps/v1",
+        "kind": "Deployment",
+        "metadata": {"name": names.monitor(workload), "labels": labels(workload)},
+        "spec": {
+            "replicas": 1,
+            "strategy": {"type": "Recreate"},
+            "selector": {"matchLabels": labels(workload)},
+            "template": {
+                "metadata": {
+                    "labels": labels(workload),
+                    "annotations": {f"{GROUP}/profiles-hash": digest(profiles)},
+                },
+                "spec": {
+                    "serviceAccountName": names.monitor_account(workload),
+                    "automountServiceAccountToken": True,
+                    "enableServiceLinks": False,
+                    "terminationGracePeriodSeconds": 5,
+                    "tolerations": TOLERATIONS,
+                    "containers": [container],
+                    "volumes": [
+                        {"name": "state", "emptyDir": {}},
+                        {"name": "profiles", "configMap": {"name": names.robot_profiles(workload)}},
+                    ],
+                },
+            },
+        },
+    }
+
+
+def access(workload: str, *, source: tuple[str, str], pools: Sequence[str]) -> list[tuple[str, Object]]:
+    """The monitor's account, role and binding, each with its kind.
+
+    ``source`` is kind and name of the controller that replaces pods; ``pools`` are the shared pools whose agents it may
+    command.
+    """
+    source_kind, source_name = source
+    tokens = [names.agent_secret(workload), *(names.pool_secret(pool) for pool in sorted(pools))]
+    watch = ["get", "list", "watch"]
+    rules = [
+        _rule("", ["pods"], [*watch, "patch", "delete"]),
+        _rule("networking.k8s.io", ["networkpolicies"], [*watch, "patch"], [names.gate(workload)]),
+        _rule(GROUP, ["robotworkloads"], watch, [workload]),
+        _rule(GROUP, ["robotworkloads/status"], ["patch"], [workload]),
+        _rule(GROUP, ["failurepolicies", "fallbackpools"], watch),
+        _rule("", ["configmaps"], watch, [names.settings(workload)]),
+        _rule("", ["secrets"], ["get"], tokens),
+        _rule("apps", [f"{source_kind.lower()}s"], watch, [source_name]),
+        _rule("", ["events"], ["create", "patch"]),
+    ]
+    if source_kind == "ReplicaSet":
+        rules.append(_rule("apps", ["replicasets/scale"], ["get", "patch"], [source_name]))
+    metadata = {"name": names.monitor(workload), "labels": labels(workload)}
+    account = names.monitor_account(workload)
+    return [
+        (
+            "ServiceAccount",
+            {
+                "apiVersion": "v1",
+                "kind": "ServiceAccount",
+                "metadata": {"name": account, "labels": labels(workload)},
+            },
+        ),
+        ("Role", {"apiVersion": f"{_RBAC}/v1", "kind": "Role", "metadata": metadata, "rules": rules}),
+        (
+            "RoleBinding",
+            {
+                "apiVersion": f"{_RBAC}/v1",
+                "kind": "RoleBinding",
+                "metadata": metadata,
+                "roleRef": {"apiGroup": _RBAC, "kind": "Role", "name": names.monitor(workload)},
+                "subjects": [{"kind": "ServiceAccount", "name": account}],
+            },
+        ),
+    ]
+
+
+def _rule(
+    group: str, resources: Sequence[str], verbs: Sequence[str], only: Sequence[str] | None = None
+) -> dict[str, Any]:
+    rule: dict[str, Any] = {"apiGroups": [group], "resources": list(resources), "verbs": list(verbs)}
+    return rule | ({"resourceNames": list(only)} if only else {})

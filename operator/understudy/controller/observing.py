@@ -1,0 +1,132 @@
+"""Puts together what the pure functions look at, from the store and, for referred controllers, from the API."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import Any
+
+from understudy.api import names
+from understudy.cluster.client import (
+    DEPLOYMENTS,
+    NETWORK_POLICIES,
+    PODS,
+    POLICIES,
+    POOLS,
+    REPLICA_SETS,
+    STATEFUL_SETS,
+    WORKLOADS,
+    Client,
+    Object,
+)
+from understudy.controller import affected, objects, pools, references, selectors, workloads
+from understudy.controller.affected import Key
+from understudy.controller.expectations import Expectations
+from understudy.controller.stores import Store
+
+
+class Observer:
+    """What is so around one object of ours."""
+
+    def __init__(self, client: Client, store: Store, expectations: Expectations) -> None:
+        self._client, self._store, self._expectations = client, store, expectations
+
+    async def workload(self, item: Object) -> workloads.Observed:
+        """What is so around a workload."""
+        store = self._store
+        name, namespace = objects.name(item), item["metadata"]["namespace"]
+        found_pools = store.in_namespace(POOLS, namespace)
+        key = Key(WORKLOADS.plural, namespace, name)
+        serving = [p for p, pool in found_pools.items() if pools.serves(pool, item)]
+        return workloads.Observed(
+            workload=item,
+            now=time.time(),
+            policies=store.in_namespace(POLICIES, namespace),
+            pools=found_pools,
+            held_policies={
+                pool: policy
+                for pool in serving
+                if (policy := store.get(NETWORK_POLICIES, namespace, names.held(pool))) is not None
+            },
+            owned=store.owned(objects.uid(item)),
+            pods=store.labelled(PODS, namespace, names.WORKLOAD, name),
+            monitors=[
+                pod
+                for pod in store.labelled(PODS, namespace, names.MONITORED, name)
+                if objects.labels(pod).get(names.COMPONENT) == "monitor"
+            ],
+            unclaimed={
+                pool: pools.unclaimed(found_pools[pool], store.labelled(PODS, namespace, names.POOL, pool))
+                for pool in serving
+            },
+            reference=await self._referred(item),
+            rivals=self._rivals(item),
+            expected={pool: self._expectations.count(key, pool) for pool in serving},
+        )
+
+    def _rivals(self, item: Object) -> list[str]:
+        """Workloads that referred to the same controller before this one did."""
+        target = affected.reference(item)
+        if target is None:
+            return []
+        others = self._store.in_namespace(WORKLOADS, item["metadata"]["namespace"]).values()
+        older = [
+            other
+            for other in others
+            if affected.reference(other) == target
+            and not objects.deleted(other)
+            and objects.sort_key(other) < objects.sort_key(item)
+        ]
+        return [objects.name(other) for other in sorted(older, key=objects.sort_key)]
+
+    async def _referred(self, item: Object) -> references.Referred | None:
+        """Read from the API, not from the store: the pods of others aren't kept there."""
+        target = affected.reference(item)
+        if target is None:
+            return None
+        kind, name = target
+        namespace = item["metadata"]["namespace"]
+        controller = await self._client.find(DEPLOYMENTS if kind == "Deployment" else STATEFUL_SETS, namespace, name)
+        selector = ((controller or {}).get("spec") or {}).get("selector") or {}
+        if controller is None or not selectors.requirements(selector):
+            return references.Referred(controller)
+        text = selectors.as_text(selector)
+        pods = (await self._client.list(PODS, namespace, labels=text)).get("items") or []
+        sets: list[Object] = []
+        if kind == "Deployment":
+            sets = (await self._client.list(REPLICA_SETS, namespace, labels=text)).get("items") or []
+        return references.Referred(controller, references.controlled(controller, sets, pods))
+
+    async def pool(self, item: Object) -> pools.Observed:
+        """What is so around a pool."""
+        store = self._store
+        name, namespace = objects.name(item), item["metadata"]["namespace"]
+        found = store.in_namespace(WORKLOADS, namespace)
+        template, selector = await self._source(item, found)
+        gates = [store.get(NETWORK_POLICIES, namespace, names.gate(workload)) for workload in found]
+        return pools.Observed(
+            pool=item,
+            workloads=found,
+            pods=store.labelled(PODS, namespace, names.POOL, name),
+            owned=store.owned(objects.uid(item)),
+            now=time.time(),
+            source=template,
+            source_selector=selector,
+            active=frozenset(uid for gate in gates if (uid := objects.active(gate)[1])),
+            expected=self._expectations.count(Key(POOLS.plural, namespace, name), name),
+        )
+
+    async def _source(
+        self, item: Object, found: Mapping[str, Object]
+    ) -> tuple[Mapping[str, Any] | None, Mapping[str, Any] | None]:
+        source = ((item.get("spec") or {}).get("templateFrom") or {}).get("workload")
+        if source is None or source not in found:
+            return None, None
+        workload = found[source]
+        if affected.reference(workload) is None:
+            return (workload.get("spec") or {}).get("template"), None
+        referred = await self._referred(workload)
+        if referred is None or referred.controller is None:
+            return None, None
+        spec = referred.controller["spec"]
+        return spec["template"], spec["selector"]

@@ -1,0 +1,162 @@
+"""The operator at work: watches and lists feed the store, changes become keys, and the leader's workers take them."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections.abc import Sequence
+
+import aiohttp
+
+from understudy.api import names
+from understudy.cluster.client import PODS, POLICIES, POOLS, WORKLOADS, ApiError, Client, Object, Resource
+from understudy.cluster.leases import LeadershipLost
+from understudy.controller import affected, metrics, objects, resyncing
+from understudy.controller.affected import Key
+from understudy.controller.executing import Ending, Stale
+from understudy.controller.queueing import Queue
+from understudy.controller.reconciling import Reconciler
+from understudy.controller.stores import Sight, Store
+
+_logger = logging.getLogger(__name__)
+
+WORKERS = 8
+_UNREACHABLE = (ApiError, aiohttp.ClientError, TimeoutError, OSError)
+
+
+class Operator:
+    """One replica's eyes, and its hands once it leads."""
+
+    def __init__(
+        self, client: Client, store: Store, reconciler: Reconciler, *, namespaces: Sequence[str], resync_every: float
+    ) -> None:
+        self._client, self._store, self._reconciler = client, store, reconciler
+        self._namespaces, self._resync_every = namespaces, resync_every
+        self.queue: Queue[Key] = Queue()
+        self._leading = False
+        self._resynced: float | None = None
+
+    @property
+    def synced(self) -> bool:
+        """Whether everything was listed once."""
+        return self._resynced is not None
+
+    @property
+    def stalled(self) -> bool:
+        """Whether lists have failed for so long that what is known can't be trusted."""
+        return self._resynced is not None and time.monotonic() - self._resynced > 10 * self._resync_every
+
+    def see(self, resource: Resource, item: Object, gone: bool) -> None:
+        """Take in what a watch brought: into the store where it is ours, and to whom it means something."""
+        if gone or not resyncing.kept(resource, item):
+            sight = self._store.remove(resource, item)
+        else:
+            sight = self._store.put(resource, item)
+        if sight is not None:
+            self._enqueue(sight)
+        if not resyncing.kept(resource, item):
+            for key in affected.referring(resource, item, self._store):
+                self._add(key)
+
+    def _enqueue(self, sight: Sight) -> None:
+        for key in affected.keys(sight, self._store):
+            self._add(key)
+
+    def _add(self, key: Key) -> None:
+        if self._leading:
+            self.queue.add(key)
+            metrics.WAITING.set(len(self.queue))
+
+    async def keep_listing(self) -> None:
+        """List everything again and again; what only a list brought is counted and worked on."""
+        retry = 1.0
+        while True:
+            try:
+                await self._list(report=self.synced)
+                retry = 1.0
+                await asyncio.sleep(self._resync_every)
+            except _UNREACHABLE as error:
+                _logger.warning("listing failed, again in %.0f s: %s", retry, error)
+                await asyncio.sleep(retry)
+                retry = min(retry * 2, self._resync_every)
+
+    async def _list(self, *, report: bool) -> None:
+        begun = time.time()
+        for sight in await resyncing.resync(self._client, self._store, self._namespaces):
+            if report and sight.resource.plural in resyncing.WATCHED and _aged(sight, begun):
+                metrics.MISSED.labels(sight.resource.plural).inc()
+            self._enqueue(sight)
+        self._strays()
+        self._resynced = time.monotonic()
+        metrics.RESYNCED.set_to_current_time()
+
+    def _strays(self) -> None:
+        """Pods that carry the label of a workload which isn't there: nobody else would look at them again."""
+        for pod in self._store.all(PODS):
+            workload, namespace = objects.labels(pod).get(names.WORKLOAD), pod["metadata"]["namespace"]
+            if workload and self._store.get(WORKLOADS, namespace, workload) is None:
+                self._add(Key(WORKLOADS.plural, namespace, workload))
+
+    async def lead(self) -> None:
+        """Work as the leader until cancelled. Begins from a fresh list: what was seen before may be old.
+
+        Raises LeadershipLost when a write is due and the lease wasn't renewed.
+        """
+        self._leading = True
+        metrics.LEADER.set(1)
+        while True:
+            try:
+                await self._list(report=False)
+                break
+            except _UNREACHABLE as error:
+                _logger.warning("listing failed: %s", error)
+                await asyncio.sleep(1)
+        for resource in (POLICIES, POOLS, WORKLOADS):
+            for item in self._store.all(resource):
+                self._add(Key(resource.plural, item["metadata"]["namespace"], objects.name(item)))
+        _logger.info("leading: %d objects to look at", len(self.queue))
+        async with asyncio.TaskGroup() as group:
+            for _ in range(WORKERS):
+                group.create_task(self._work())
+
+    async def _work(self) -> None:
+        while True:
+            key = await self.queue.take()
+            metrics.WAITING.set(len(self.queue))
+            try:
+                await self._one(key)
+            finally:
+                self.queue.done(key)
+
+    async def _one(self, key: Key) -> None:
+        result = "ok"
+        try:
+            with metrics.SECONDS.labels(key.plural).time():
+                again = await self._reconciler.reconcile(key)
+            self.queue.succeeded(key)
+            if again is not None:
+                self.queue.add_after(key, again)
+        except LeadershipLost:
+            raise
+        except Ending:
+            result = "ending"
+            _logger.info("%s %s/%s: the namespace is being deleted", *key)
+        except Stale as stale:
+            result = "stale"
+            delay = self.queue.retry(key)
+            _logger.info("%s %s/%s: %s; again in %.1f s", *key, stale, delay)
+        except _UNREACHABLE as error:
+            result = "unreachable"
+            delay = self.queue.retry(key)
+            _logger.warning("%s %s/%s: %s; again in %.1f s", *key, error or type(error).__name__, delay)
+        except Exception:  # one object's surprise must not end the protection of all others
+            result = "error"
+            delay = self.queue.retry(key)
+            _logger.exception("%s %s/%s failed; again in %.1f s", *key, delay)
+        metrics.RECONCILED.labels(key.plural, result).inc()
+
+
+def _aged(sight: Sight, begun: float) -> bool:
+    """Whether a watch had time to bring it: a list may simply have been a moment faster."""
+    return sight.new is None or begun - objects.created(sight.new) > 5

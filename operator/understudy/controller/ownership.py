@@ -1,0 +1,39 @@
+"""What marks an object as ours."""
+
+from __future__ import annotations
+
+import base64
+
+from understudy.cluster import applying
+from understudy.cluster.client import Object
+from understudy.controller import objects
+
+
+def ours(body: Object, owner: Object, parent: Object) -> Object:
+    """An object with its namespace, its owner and the label by which all of ours are found."""
+    metadata = body["metadata"]
+    return {
+        **body,
+        "metadata": {
+            **metadata,
+            "namespace": parent["metadata"]["namespace"],
+            "labels": {**(metadata.get("labels") or {}), **objects.MANAGED_BY},
+            "ownerReferences": [owner],
+        },
+    }
+
+
+def controls(uid: str, item: Object) -> bool:
+    """Whether the object with that UID is the item's controller."""
+    return applying.owned_by(item, uid)
+
+
+def token(name: str, value: str) -> Object:
+    """A Secret with the token of agents."""
+    return {
+        "apiVersion": "v1",
+        "kind": "Secret",
+        "metadata": {"name": name},
+        "type": "Opaque",
+        "data": {"token": base64.b64encode(value.encode()).decode()},
+    }

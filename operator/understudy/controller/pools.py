@@ -1,0 +1,267 @@
+"""FallbackPools: the held pods of a shared one, and what each pool's status says."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from pydantic import ValidationError
+
+from understudy.api import names
+from understudy.api.conditions import Condition, condition
+from understudy.api.pools import FallbackPoolSpec
+from understudy.cluster.client import NETWORK_POLICIES, PODS, SECRETS, Object
+from understudy.controller import fleets, gates, instances, objects, ownership, policies, selectors
+from understudy.controller.desired import Apply, Create, Delete, Images, Plan, Problem
+from understudy.controller.troubles import trouble
+
+
+@dataclass(frozen=True)
+class Observed:
+    """What is so around a pool."""
+
+    pool: Object
+    workloads: Mapping[str, Object]
+    """All RobotWorkloads of the namespace."""
+    pods: Sequence[Object]
+    """Pods with the pool's label, whoever owns them now."""
+    owned: Mapping[tuple[str, str], Object]
+    """What the pool controls besides pods, by plural and name."""
+    now: float
+    source: Mapping[str, Any] | None = None
+    """Pod template of the workload that ``templateFrom`` names, if that has one."""
+    source_selector: Mapping[str, Any] | None = None
+    """Selector of that workload's referred controller, if it has one."""
+    active: frozenset[str] = frozenset()
+    """UIDs of the pods in control of some robot."""
+    expected: int = 0
+    """Pods that were created and haven't been observed yet."""
+
+
+@dataclass(frozen=True)
+class Understanding:
+    """What a pool's spec comes to."""
+
+    spec: FallbackPoolSpec | None = None
+    problem: Problem | None = None
+    built: Object | None = None
+    """The pod template of its held pods, for a shared pool."""
+
+
+def serves(pool: Object, workload: Object) -> bool:
+    """Whether a pool's selector matches a workload."""
+    selector = (pool.get("spec") or {}).get("workloadSelector") or {}
+    return selectors.matches(selector, objects.labels(workload))
+
+
+def unclaimed(pool: Object, pods: Sequence[Object]) -> list[Object]:
+    """The pods that a shared pool holds: still its own, and still held."""
+    return [
+        pod
+        for pod in pods
+        if objects.labels(pod).get(names.HELD) == "true" and ownership.controls(objects.uid(pool), pod)
+    ]
+
+
+def understand(observed: Observed, images: Images) -> Understanding:
+    """What a pool's spec comes to, before the API server has judged its template."""
+    pool = observed.pool
+    try:
+        spec = policies.pool_spec(pool)
+    except ValidationError as error:
+        return Understanding(problem=Problem("SpecInvalid", policies.invalid(error)))
+    if spec.readiness == "Initialized":
+        return Understanding(
+            spec,
+            Problem(
+                "ReadinessNotSupported",
+                "spec.readiness Initialized is not supported by this version: use Executing (a standby that runs in "
+                "full) or Uninitialized (a shared one that is started at the failure)",
+            ),
+        )
+    if spec.readiness == "Executing":
+        return Understanding(spec)
+    template, path, image = spec.template, "spec.template", images
+    if spec.template_from is not None:
+        source = spec.template_from.workload
+        path = f"RobotWorkload {source}: spec.template"
+        template = dict(observed.source) if observed.source is not None else None
+        if template is None:
+            return Understanding(spec, _no_source(source, observed))
+        own = ((observed.workloads[source].get("spec") or {}).get("monitor") or {}).get("image")
+        image = Images(own or images.monitor, images.pull_policy)
+    if found := instances.problem(template or {}, held=True, path=path):
+        return Understanding(spec, Problem("TemplateInvalid", found))
+    requirements = selectors.requirements(observed.source_selector or {})
+    recipe = instances.Recipe(
+        workload="",
+        namespace=pool["metadata"]["namespace"],
+        images=image,
+        secret=names.pool_secret(objects.name(pool)),
+        pool=objects.name(pool),
+        held=True,
+        warm_paths=spec.warm_paths,
+        stripped=frozenset(requirement["key"] for requirement in requirements),
+    )
+    return Understanding(spec, built=instances.build(template or {}, recipe))
+
+
+def _no_source(source: str, observed: Observed) -> Problem:
+    if source in observed.workloads:
+        message = f'spec.templateFrom.workload: what RobotWorkload "{source}" refers to is not there'
+    else:
+        message = (
+            f'spec.templateFrom.workload: no RobotWorkload "{source}" in namespace '
+            f"{observed.pool['metadata']['namespace']} ({objects.hint(source, observed.workloads)})"
+        )
+    return Problem("TemplateSourceNotFound", f"{message}. Pods that the pool has are kept")
+
+
+def probe_template(observed: Observed, built: Object) -> Object:
+    """A pod by which the API server can judge the template; it is only ever sent as a dry run."""
+    pool = observed.pool
+    return instances.pod(
+        built,
+        name=f"{objects.name(pool)}-check",
+        namespace=pool["metadata"]["namespace"],
+        owner=objects.owner("FallbackPool", pool),
+    )
+
+
+@dataclass(frozen=True)
+class Fresh:
+    """Where names and secrets that never were before come from."""
+
+    name: Callable[[str], str]
+    token: Callable[[], str] = field(repr=False)
+
+
+def plan(observed: Observed, understanding: Understanding, fresh: Fresh) -> Plan:
+    """The writes for a pool whose spec was accepted. Claimed pods are never among them."""
+    made = Plan()
+    spec, built = understanding.spec, understanding.built
+    if understanding.problem is not None or spec is None or built is None or objects.deleted(observed.pool):
+        return made
+    pool, name = observed.pool, objects.name(observed.pool)
+    owner = objects.owner("FallbackPool", pool)
+    held = unclaimed(pool, observed.pods)
+    present = instances.template_hash(built)
+    if ("secrets", names.pool_secret(name)) not in observed.owned:
+        made.writes.append(
+            Create(SECRETS, ownership.ours(ownership.token(names.pool_secret(name), fresh.token()), owner, pool))
+        )
+    living = [pod for pod in held if objects.alive(pod)]
+    policy = gates.held_policy(name, fleets.claimable(living, present))
+    made.writes.append(Apply(NETWORK_POLICIES, ownership.ours(policy, owner, pool)))
+    change = fleets.change(
+        held, want=spec.replicas or 0, template_hash=present, expected=observed.expected, now=observed.now
+    )
+    namespace = pool["metadata"]["namespace"]
+    for _ in range(change.create):
+        body = instances.pod(built, name=fresh.name(name), namespace=namespace, owner=owner)
+        made.writes.append(Create(PODS, body, counted=True))
+    made.writes += [Delete(PODS, pod) for pod in change.delete]
+    if change.again_after is not None:
+        made.later(change.again_after)
+    return made
+
+
+@dataclass(frozen=True)
+class Counts:
+    """The numbers of a pool."""
+
+    replicas: int
+    desired: int
+    ready: int
+    claimed: int
+
+
+def count(observed: Observed, spec: FallbackPoolSpec) -> Counts:
+    """The numbers of a pool's status."""
+    living = [pod for pod in observed.pods if objects.alive(pod)]
+    if spec.readiness == "Uninitialized":
+        held = [pod for pod in living if objects.labels(pod).get(names.HELD) == "true"]
+        policy = observed.owned.get(("networkpolicies", names.held(objects.name(observed.pool))))
+        return Counts(
+            replicas=len(held),
+            desired=spec.replicas or 0,
+            ready=len(claimable_now(held, policy)),
+            claimed=len(living) - len(held),
+        )
+    driving = [pod for pod in living if objects.uid(pod) in observed.active]
+    waiting = [pod for pod in living if pod not in driving]
+    served = sum(serves(observed.pool, workload) for workload in observed.workloads.values())
+    return Counts(
+        replicas=len(living),
+        desired=served * (spec.per_workload or 0),
+        ready=sum(objects.ready(pod) for pod in waiting),
+        claimed=len(driving),
+    )
+
+
+def claimable_now(held: Sequence[Object], policy: Object | None) -> list[Object]:
+    """Held pods that could be claimed now: ready, and of the template that the pool's policy names."""
+    allowed = claimable_hash(policy)
+    return [pod for pod in held if objects.ready(pod) and (not allowed or fleets.hash_of(pod) == allowed)]
+
+
+def claimable_hash(policy: Object | None) -> str:
+    """The hash of the template whose pods may be claimed, as kept at the pool's policy; empty if unknown."""
+    return objects.notes(policy).get(names.TEMPLATE_HASH, "") if policy else ""
+
+
+def status(observed: Observed, understanding: Understanding, problems: Sequence[Problem]) -> Object:
+    """The pool's status, but for the times of its conditions."""
+    pool, spec = observed.pool, understanding.spec
+    generation = objects.generation(pool)
+    found = understanding.problem or (problems[0] if problems else None)
+    if found is not None:
+        accepted = condition("Accepted", False, found.reason, found.message, generation=generation)
+    else:
+        accepted = condition("Accepted", True, "Accepted", "It can be kept.", generation=generation)
+    result: Object = {"observedGeneration": generation}
+    if spec is not None:
+        counts = count(observed, spec)
+        result |= {
+            "replicas": counts.replicas,
+            "desired": counts.desired,
+            "ready": counts.ready,
+            "claimed": counts.claimed,
+            "selector": _selector(objects.name(pool), spec),
+        }
+        conditions = [accepted, _ready(observed, counts, found)]
+    else:
+        conditions = [accepted]
+    return result | {"conditions": [c.to_wire() for c in conditions]}
+
+
+def _selector(name: str, spec: FallbackPoolSpec) -> str:
+    text = f"{names.POOL}={name}"
+    return f"{text},{names.HELD}=true" if spec.readiness == "Uninitialized" else text
+
+
+def _ready(observed: Observed, counts: Counts, problem: Problem | None) -> Condition:
+    pool = observed.pool
+    generation = objects.generation(pool)
+
+    def no(reason: str, message: str) -> Condition:
+        return condition("Ready", False, reason, message, generation=generation)
+
+    if not any(serves(pool, workload) for workload in observed.workloads.values()):
+        selector = selectors.as_text((pool.get("spec") or {}).get("workloadSelector") or {})
+        return no(
+            "NoMatchingWorkload",
+            f"spec.workloadSelector ({selector or 'everything'}) matches none of the {len(observed.workloads)} "
+            f"RobotWorkloads in namespace {pool['metadata']['namespace']}: correct it, or put its labels on the "
+            f"RobotWorkload (on its own metadata, not on its template)",
+        )
+    have = counts.ready + (counts.claimed if policies.readiness(pool) == "Executing" else 0)
+    if have >= counts.desired:
+        return condition("Ready", True, "Ready", f"{counts.ready} could take over now.", generation=generation)
+    if problem is not None:
+        return no("NotAccepted", f"{counts.ready} of {counts.desired} are ready, and no more are made: see Accepted.")
+    for pod in sorted(observed.pods, key=objects.sort_key):
+        if found := trouble(pod):
+            return no(found.reason, f"{counts.ready} of {counts.desired} are ready; {found.message}")
+    return no("PodsNotReady", f"{counts.ready} of {counts.desired} are ready.")

@@ -1,0 +1,170 @@
+"""Brings one object of ours to what it says: observe, plan, write, tell. Run again on every change, and harmless to."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+import secrets
+from collections.abc import Sequence
+
+from understudy.api import names
+from understudy.api.base import API_VERSION
+from understudy.cluster.client import PODS, POLICIES, POOLS, WORKLOADS, ApiError, Client, Object, Resource
+from understudy.cluster.events import Recorder
+from understudy.controller import affected, metrics, objects, policies, pools, statuses, workloads
+from understudy.controller.affected import Key
+from understudy.controller.desired import Images
+from understudy.controller.executing import MANAGER, Executor
+from understudy.controller.judging import FORGET_REFUSAL, Judge
+from understudy.controller.observing import Observer
+from understudy.controller.stores import Store
+
+_logger = logging.getLogger(__name__)
+
+_ALPHABET = "bcdfghjklmnpqrstvwxz2456789"  # as Kubernetes' own generated names: no words by chance
+_RESOURCES = {resource.plural: resource for resource in (WORKLOADS, POLICIES, POOLS)}
+
+
+def fresh() -> pools.Fresh:
+    """Random names of pods and tokens of agents."""
+    return pools.Fresh(
+        name=lambda prefix: f"{prefix}-{''.join(secrets.choice(_ALPHABET) for _ in range(5))}",
+        token=lambda: secrets.token_hex(32),
+    )
+
+
+class Reconciler:
+    """Reconciles keys of all three kinds."""
+
+    def __init__(
+        self,
+        client: Client,
+        store: Store,
+        observer: Observer,
+        executor: Executor,
+        recorder: Recorder,
+        images: Images,
+    ) -> None:
+        self._client, self._store, self._observer, self._executor = client, store, observer, executor
+        self._recorder, self._images, self._judge = recorder, images, Judge(client)
+        self._fresh = fresh()
+
+    async def reconcile(self, key: Key) -> float | None:
+        """Bring the object to what it says; seconds after which to look again, if it must be.
+
+        Raises what :meth:`Executor.run` raises.
+        """
+        item = self._store.get(_RESOURCES[key.plural], key.namespace, key.name)
+        if key.plural == WORKLOADS.plural:
+            return await self._workload(key, item)
+        if item is None or objects.deleted(item):
+            return None
+        if key.plural == POOLS.plural:
+            return await self._pool(key, item)
+        await self._policy(item)
+        return None
+
+    async def _workload(self, key: Key, item: Object | None) -> float | None:
+        if item is None or objects.deleted(item):
+            pods = self._store.labelled(PODS, key.namespace, names.WORKLOAD, key.name)
+            await self._executor.run(key, workloads.abandoned(key.name, pods).writes)
+            return None
+        observed = await self._observer.workload(item)
+        understanding = workloads.understand(observed, self._images)
+        again = None
+        if (pod := workloads.probe_template(observed, understanding)) is not None:
+            path = "spec.template" if observed.reference is None else "the referred controller's spec.template"
+            refusal = await self._judge.judge(pod, path)
+            if refusal is not None:
+                understanding = dataclasses.replace(understanding, problem=refusal)
+                again = FORGET_REFUSAL
+        plan = workloads.plan(observed, understanding, self._images, self._fresh)
+        problems = await self._executor.run(key, plan.writes)
+        if problems:
+            again = FORGET_REFUSAL
+        observed = self._seen(observed)
+        status = statuses.status(observed, understanding, problems)
+        await self._tell(WORKLOADS, observed.workload, status)
+        return _earliest(plan.again_after, again)
+
+    def _seen(self, observed: workloads.Observed) -> workloads.Observed:
+        """With what was just written, so that the status isn't one step behind."""
+        return dataclasses.replace(observed, owned=self._store.owned(objects.uid(observed.workload)))
+
+    async def _pool(self, key: Key, item: Object) -> float | None:
+        observed = await self._observer.pool(item)
+        understanding = pools.understand(observed, self._images)
+        again = None
+        if understanding.built is not None:
+            refusal = await self._judge.judge(
+                pools.probe_template(observed, understanding.built), "the pool's template"
+            )
+            if refusal is not None:
+                understanding = dataclasses.replace(understanding, problem=refusal, built=None)
+                again = FORGET_REFUSAL
+        plan = pools.plan(observed, understanding, self._fresh)
+        problems = await self._executor.run(key, plan.writes)
+        if problems:
+            again = FORGET_REFUSAL
+        seen = dataclasses.replace(
+            observed,
+            owned=self._store.owned(objects.uid(item)),
+            pods=self._store.labelled(PODS, key.namespace, names.POOL, key.name),
+        )
+        await self._tell(POOLS, item, pools.status(seen, understanding, problems))
+        return _earliest(plan.again_after, again)
+
+    async def _policy(self, item: Object) -> None:
+        namespace, name = item["metadata"]["namespace"], objects.name(item)
+        users = [key.name for key in affected.users(name, self._store, namespace)]
+        found = self._store.in_namespace(POOLS, namespace)
+        await self._tell(POLICIES, item, policies.status(item, pools=found, users=users))
+
+    async def _tell(self, resource: Resource, item: Object, status: Object) -> None:
+        """Write the status where it differs from the stored one, and tell transitions as Events."""
+        if _says(item, status):
+            return
+        timed = statuses.timed(item, status)
+        metadata = item["metadata"]
+        body = {
+            "apiVersion": API_VERSION,
+            "kind": item["kind"],
+            "metadata": {key: metadata[key] for key in ("name", "namespace", "uid")},
+            "status": timed,
+        }
+        self._executor.check()
+        metrics.WRITES.labels(resource.plural, "status").inc()
+        try:
+            made = await self._client.apply(
+                resource, metadata["namespace"], body, manager=MANAGER, subresource="status"
+            )
+        except ApiError as error:
+            if error.not_found or error.conflict:  # it was deleted meanwhile
+                return
+            raise
+        self._store.put(resource, made)
+        await self._announce(item, statuses.transitions(item, status))
+
+    async def _announce(self, item: Object, transitions: Sequence[Object]) -> None:
+        for found in transitions:
+            reason = found["reason"] if found["status"] == "False" else found["type"]
+            if found["status"] == "False":
+                await self._recorder.warning(item, reason, f"{found['type']}: {found['message']}")
+            else:
+                await self._recorder.normal(item, reason, found["message"])
+
+
+def _says(item: Object, status: Object) -> bool:
+    """Whether the stored status says the same already, whenever that became so."""
+    live = item.get("status") or {}
+    stored = {c["type"]: c for c in live.get("conditions") or []}
+    for new in status["conditions"]:
+        old = stored.get(new["type"])
+        if old is None or any(old.get(k) != v for k, v in new.items() if k != "lastTransitionTime"):
+            return False
+    return all(live.get(key) == value for key, value in status.items() if key != "conditions")
+
+
+def _earliest(*delays: float | None) -> float | None:
+    found = [delay for delay in delays if delay is not None]
+    return min(found) if found else None

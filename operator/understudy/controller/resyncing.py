@@ -1,0 +1,83 @@
+"""Lists everything once in a while: what a watch has missed is found then, and told.
+
+kopf's watches can fall silent without an error, so they are only a way to be quick, never what correctness rests on.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+
+from understudy.api import names
+from understudy.cluster.client import (
+    CONFIG_MAPS,
+    DEPLOYMENTS,
+    NETWORK_POLICIES,
+    PODS,
+    POLICIES,
+    POOLS,
+    REPLICA_SETS,
+    ROLE_BINDINGS,
+    ROLES,
+    SECRETS,
+    SERVICE_ACCOUNTS,
+    SERVICES,
+    WORKLOADS,
+    Client,
+    Object,
+    Resource,
+)
+from understudy.controller import objects
+from understudy.controller.stores import Sight, Store
+
+_logger = logging.getLogger(__name__)
+
+_OURS = ",".join(f"{key}={value}" for key, value in objects.MANAGED_BY.items())
+
+LISTED: tuple[tuple[Resource, tuple[str | None, ...]], ...] = (
+    (WORKLOADS, (None,)),
+    (POLICIES, (None,)),
+    (POOLS, (None,)),
+    (PODS, (names.COMPONENT, f"{names.WORKLOAD},!{names.COMPONENT}")),
+    (REPLICA_SETS, (_OURS,)),
+    (DEPLOYMENTS, (_OURS,)),
+    (SERVICES, (_OURS,)),
+    (NETWORK_POLICIES, (_OURS,)),
+    (CONFIG_MAPS, (_OURS,)),
+    (SECRETS, (_OURS,)),
+    (SERVICE_ACCOUNTS, (_OURS,)),
+    (ROLES, (_OURS,)),
+    (ROLE_BINDINGS, (_OURS,)),
+)
+"""What is kept, and by which label selectors it is found."""
+
+WATCHED = frozenset(
+    r.plural for r in (WORKLOADS, POLICIES, POOLS, PODS, REPLICA_SETS, DEPLOYMENTS, SERVICES, NETWORK_POLICIES)
+)
+"""Of these a list should bring nothing new."""
+
+
+def kept(resource: Resource, item: Object) -> bool:
+    """Whether an object that a watch brought is one of those that are listed."""
+    labels = objects.labels(item)
+    if resource.plural in (WORKLOADS.plural, POLICIES.plural, POOLS.plural):
+        return True
+    if resource.plural == PODS.plural:
+        return names.COMPONENT in labels or names.WORKLOAD in labels
+    return all(labels.get(key) == value for key, value in objects.MANAGED_BY.items())
+
+
+async def resync(client: Client, store: Store, namespaces: Sequence[str]) -> list[Sight]:
+    """List everything (in the given namespaces, or in all) into the store; what that changed.
+
+    Raises ApiError, aiohttp.ClientError or TimeoutError; what was listed before counts.
+    """
+    sights: list[Sight] = []
+    for resource, selectors in LISTED:
+        for namespace in namespaces or (None,):
+            answers = [await client.list(resource, namespace, labels=selector) for selector in selectors]
+            items = [item for answer in answers for item in answer.get("items") or []]
+            # the first list's version: what was made between two lists is newer and stays
+            version = int(answers[0]["metadata"]["resourceVersion"])
+            sights += store.replace(resource, items, version, namespace)
+    return sights

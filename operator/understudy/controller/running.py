@@ -1,0 +1,165 @@
+"""The operator's process: ``understudy operator``.
+
+Both replicas watch, so that the one that takes over knows the cluster already; only the holder of the Lease acts. When
+the lease is lost the process ends: nothing less would surely stop a write that is under way.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import logging
+import os
+import socket
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from understudy.api import names
+from understudy.cluster.client import SERVICE_ACCOUNT, Access, Client
+from understudy.cluster.events import Recorder
+from understudy.cluster.leases import LeadershipLost, Lease, Timing
+from understudy.controller import handlers, logs, metrics, serving
+from understudy.controller.desired import Images
+from understudy.controller.executing import MANAGER, Executor
+from understudy.controller.expectations import Expectations
+from understudy.controller.observing import Observer
+from understudy.controller.operating import Operator
+from understudy.controller.reconciling import Reconciler
+from understudy.controller.stores import Store
+
+_logger = logging.getLogger(__name__)
+
+LEASE = "understudy-operator"
+
+
+@dataclass(frozen=True)
+class Options:
+    """How an operator runs."""
+
+    images: Images
+    lease_namespace: str
+    lease: str = LEASE
+    identity: str = field(default_factory=socket.gethostname)
+    namespaces: tuple[str, ...] = ()
+    """Namespaces to look after; none for all."""
+    resync_every: float = 30.0
+    port: int = names.METRICS_PORT
+    timing: Timing = field(default_factory=Timing)
+
+
+async def run(access: Access, options: Options, *, stop: asyncio.Event | None = None) -> int:
+    """Run an operator until ``stop`` is set, a signal comes or the lease is lost; the exit status."""
+    handlers.quiet()
+    async with Client(access) as client:
+        lease = Lease(client, options.lease_namespace, options.lease, options.identity, timing=options.timing)
+        store, expectations = Store(), Expectations()
+        reconciler = Reconciler(
+            client,
+            store,
+            Observer(client, store, expectations),
+            Executor(client, store, expectations, may_write=lambda: lease.held),
+            Recorder(client, MANAGER, options.identity),
+            options.images,
+        )
+        operator = Operator(client, store, reconciler, namespaces=options.namespaces, resync_every=options.resync_every)
+        server = await serving.serve(
+            options.port,
+            alive=lambda: "nothing could be listed for long" if operator.stalled else None,
+            ready=lambda: None if operator.synced else "not everything was listed yet",
+        )
+        tasks = {
+            asyncio.create_task(handlers.watch(operator.see, access, options.namespaces), name="watches"),
+            asyncio.create_task(operator.keep_listing(), name="lists"),
+            asyncio.create_task(_lead(lease, operator), name="leading"),
+        }
+        if stop is not None:
+            tasks.add(asyncio.create_task(_until(stop), name="stop"))
+        try:
+            return await _first(tasks)
+        finally:
+            metrics.LEADER.set(0)
+            await _cancel(tasks)
+            await lease.release()
+            await server.cleanup()
+
+
+async def _until(stop: asyncio.Event) -> None:
+    await stop.wait()
+
+
+async def _lead(lease: Lease, operator: Operator) -> None:
+    await lease.acquire()
+    async with asyncio.TaskGroup() as group:
+        group.create_task(lease.keep())
+        group.create_task(operator.lead())
+
+
+async def _first(tasks: set[asyncio.Task[None]]) -> int:
+    """Wait for the first task to end. Watches end at a signal, which is in order; nothing else ends by itself."""
+    done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+    for task in done:
+        error = task.exception() if not task.cancelled() else None
+        if error is None:
+            continue
+        if isinstance(error, BaseExceptionGroup) and error.subgroup(LeadershipLost) is not None:
+            _logger.error("%s; ending", error.subgroup(LeadershipLost).exceptions[0])  # type: ignore[union-attr]
+        else:
+            _logger.error("%s ended", task.get_name(), exc_info=error)
+        return 1
+    return 0
+
+
+async def _cancel(tasks: set[asyncio.Task[None]]) -> None:
+    for task in tasks:
+        task.cancel()
+    await asyncio.gather(*tasks, return_exceptions=True)
+
+
+def options(argv: Sequence[str]) -> tuple[argparse.Namespace, Options]:
+    """The options of a command line, with what the pod's environment says as defaults."""
+    environment = os.environ.get
+    parser = argparse.ArgumentParser(prog="understudy operator", description="Reconciles RobotWorkloads.")
+    parser.add_argument("--kubeconfig", help="instead of the pod's own account")
+    parser.add_argument("--monitor-image", default=environment("UNDERSTUDY_MONITOR_IMAGE"))
+    parser.add_argument("--image-pull-policy", default=environment("UNDERSTUDY_IMAGE_PULL_POLICY", "IfNotPresent"))
+    parser.add_argument(
+        "--watch-namespace", action="append", default=[], help="look after this namespace only; may be repeated"
+    )
+    parser.add_argument("--lease", default=LEASE)
+    parser.add_argument("--lease-namespace", default=environment("UNDERSTUDY_NAMESPACE") or _own_namespace())
+    parser.add_argument("--identity", default=environment("UNDERSTUDY_POD") or socket.gethostname())
+    parser.add_argument("--resync", type=float, default=30.0, metavar="SECONDS", help="list everything so often")
+    parser.add_argument("--port", type=int, default=names.METRICS_PORT, help="of /healthz, /ready and /metrics")
+    parser.add_argument("--log-level", default=environment("UNDERSTUDY_LOG_LEVEL", "info"))
+    given = parser.parse_args(argv)
+    if not given.monitor_image:
+        parser.error("--monitor-image (or UNDERSTUDY_MONITOR_IMAGE) is required: the image of monitors and agents")
+    watched = [n for n in given.watch_namespace or (environment("UNDERSTUDY_WATCH_NAMESPACES") or "").split(",") if n]
+    return given, Options(
+        images=Images(given.monitor_image, given.image_pull_policy),
+        lease_namespace=given.lease_namespace,
+        lease=given.lease,
+        identity=given.identity,
+        namespaces=tuple(watched),
+        resync_every=given.resync,
+        port=given.port,
+    )
+
+
+def _own_namespace() -> str:
+    with contextlib.suppress(OSError):
+        return Path(SERVICE_ACCOUNT, "namespace").read_text().strip()
+    return "default"
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the operator; the exit status."""
+    given, chosen = options(argv)
+    logs.configure(given.log_level)
+    access = Access.from_kubeconfig(given.kubeconfig) if given.kubeconfig else Access.default()
+    status = asyncio.run(run(access, chosen))
+    sys.stderr.flush()
+    return status

@@ -1,0 +1,239 @@
+"""What a workload's status says: whether it was accepted, built and is protected, and by what."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from understudy.api import names
+from understudy.api.conditions import Condition, condition, merged
+from understudy.api.policies import Strategy
+from understudy.cluster.client import Object
+from understudy.controller import objects, policies, pools, workloads
+from understudy.controller.desired import Problem
+from understudy.controller.troubles import Trouble, trouble
+from understudy.controller.workloads import Observed, Understanding
+
+PROGRESSING = frozenset({"MonitorNotReady", "StandbyNotReady", "InProgress", "PodsNotReady", "GateMissing"})
+"""Reasons that are in order while something is being built: no Event when they come first."""
+
+
+def status(observed: Observed, understanding: Understanding, problems: Sequence[Problem]) -> Object:
+    """The operator's part of a workload's status, but for the times of its conditions.
+
+    ``problems`` are what the API server refused of what was written.
+    """
+    workload = observed.workload
+    conditions = [
+        _accepted(observed, understanding, problems),
+        _reconciled(observed, understanding, problems),
+        protected(observed, understanding),
+    ]
+    return {
+        "observedGeneration": objects.generation(workload),
+        "standby": standby(observed, understanding),
+        "conditions": [c.to_wire() for c in conditions],
+    }
+
+
+def timed(live: Object, desired: Object) -> Object:
+    """A status whose conditions keep the live ones' transition times where their status is the same."""
+    old = [Condition.model_validate(c) for c in (live.get("status") or {}).get("conditions") or []]
+    new = [Condition.model_validate(c) for c in desired["conditions"]]
+    return {**desired, "conditions": [c.to_wire() for c in merged(old, new)]}
+
+
+def transitions(live: Object, desired: Object) -> list[Object]:
+    """The conditions that are told as Events: status or reason changed, but for what is merely not finished yet."""
+    old = {c["type"]: c for c in (live.get("status") or {}).get("conditions") or []}
+    found = []
+    for new in desired["conditions"]:
+        before = old.get(new["type"])
+        if before is not None and (before["status"], before["reason"]) == (new["status"], new["reason"]):
+            continue
+        begun = before is None or before["reason"] in PROGRESSING
+        if begun and new["status"] == "False" and new["reason"] in PROGRESSING:
+            continue
+        found.append(new)
+    return found
+
+
+def _accepted(observed: Observed, understanding: Understanding, problems: Sequence[Problem]) -> Condition:
+    generation = objects.generation(observed.workload)
+    taken = next((p for p in problems if p.reason in ("NameTaken", "TemplateInvalid")), None)
+    found = understanding.problem or understanding.policy_problem or taken
+    if found is not None:
+        return condition("Accepted", False, found.reason, found.message, generation=generation)
+    return condition("Accepted", True, "Accepted", "Its spec and its policy can be followed.", generation=generation)
+
+
+def _reconciled(observed: Observed, understanding: Understanding, problems: Sequence[Problem]) -> Condition:
+    generation = objects.generation(observed.workload)
+
+    def no(reason: str, message: str) -> Condition:
+        return condition("Reconciled", False, reason, message, generation=generation)
+
+    if understanding.problem is not None:
+        return no("NotAccepted", "Its spec can't be followed, see Accepted; what was built before stays as it is.")
+    if problems:
+        return no(problems[0].reason, "; ".join(problem.message for problem in problems))
+    if understanding.environment is None:
+        return no("InProgress", "Waiting for the address of the discovery server's Service.")
+    return condition("Reconciled", True, "Reconciled", "Everything was built as it says.", generation=generation)
+
+
+@dataclass(frozen=True)
+class Means:
+    """Whether a strategy could be carried out now."""
+
+    name: str
+    available: bool
+    reason: str = ""
+    message: str = ""
+
+
+def protected(observed: Observed, understanding: Understanding) -> Condition:
+    """Whether a failure now would be met by the policy's first strategy, and else what is missing."""
+    generation = objects.generation(observed.workload)
+    strategies = _strategies(observed, understanding)
+    means = [_means(observed, understanding, strategy) for strategy in strategies]
+
+    def no(reason: str, message: str, outlook: str) -> Condition:
+        return condition("Protected", False, reason, f"{message.rstrip('.')}. {outlook}", generation=generation)
+
+    unwatched = "If it failed now, nobody would notice"
+    name = objects.name(observed.workload)
+    if observed.gate is None:
+        lacking = understanding.problem or understanding.policy_problem
+        if lacking is not None:
+            return no(lacking.reason, lacking.message, f"{unwatched}: nothing was built yet.")
+        return no("GateMissing", f"NetworkPolicy {names.gate(name)} is not there", f"{unwatched}: it is being built.")
+    if (refused := understanding.policy_problem) is not None:
+        return no(refused.reason, refused.message, "What was built before stays as it is.")
+    if not any(objects.ready(pod) for pod in observed.monitors):
+        found_trouble = _first_trouble(observed.monitors)
+        words = (
+            found_trouble.message if found_trouble else f"the monitor (Deployment {names.monitor(name)}) is not ready"
+        )
+        return no("MonitorNotReady", words, f"{unwatched} until it is.")
+    outlook = _outlook(means)
+    if not any(objects.ready(pod) for pod in _instances(observed)) and (found := _first_trouble(_instances(observed))):
+        return no(found.reason, found.message, outlook)
+    if means and not means[0].available:
+        return no(means[0].reason, means[0].message, outlook)
+    return condition("Protected", True, "FirstStrategyReady", outlook, generation=generation)
+
+
+def _outlook(means: Sequence[Means]) -> str:
+    available = next((m for m in means if m.available), None)
+    if available is None:
+        return "If it failed now, no strategy of its policy could be carried out."
+    told = f": {available.message}" if available.message else ""
+    return f"If it failed now, {available.name} would be used{told}."
+
+
+def _strategies(observed: Observed, understanding: Understanding) -> list[Strategy]:
+    if understanding.spec is None or understanding.policy_problem is not None:
+        return []
+    return policies.spec(observed.policies[understanding.spec.failure_policy_ref.name]).strategies
+
+
+def _instances(observed: Observed) -> list[Object]:
+    """The workload's pods, of a referred controller also those that aren't labelled yet."""
+    found = {objects.uid(pod): pod for pod in observed.pods}
+    if observed.reference is not None:
+        found |= {objects.uid(pod): pod for pod in observed.reference.pods}
+    return sorted(found.values(), key=objects.sort_key)
+
+
+def _first_trouble(pods: Sequence[Object]) -> Trouble | None:
+    return next((found for pod in sorted(pods, key=objects.sort_key) if (found := trouble(pod))), None)
+
+
+def _means(observed: Observed, understanding: Understanding, strategy: Strategy) -> Means:
+    if strategy.type == "Restart" or strategy.pool_ref is None:
+        return _restart(observed)
+    name = strategy.pool_ref.name
+    pool = observed.pools.get(name)
+    label = f"Fallback from pool {name}"
+    if pool is None or objects.deleted(pool):
+        words = f'FallbackPool "{name}", which its policy names, is not there ({objects.hint(name, observed.pools)})'
+        return Means(label, False, "NoPool", f"{words}. Create it, or correct the policy")
+    if not pools.serves(pool, observed.workload):
+        return Means(
+            label,
+            False,
+            "PoolDoesNotServe",
+            f"FallbackPool {name} doesn't serve it: its workloadSelector doesn't match the labels of this "
+            f"RobotWorkload. Put them on its metadata, or correct the selector",
+        )
+    match policies.readiness(pool):
+        case "Executing":
+            return _executing(observed, label, pool)
+        case "Uninitialized":
+            return _uninitialized(observed, label, pool)
+    return Means(label, False, "PoolNotAccepted", f"FallbackPool {name} was not accepted: kubectl describe fbp {name}")
+
+
+def _restart(observed: Observed) -> Means:
+    own = [p for p in _instances(observed) if names.POOL not in objects.labels(p) and objects.alive(p)]
+    found = _first_trouble(own)
+    if found is not None and not any(objects.ready(pod) for pod in own):
+        return Means("Restart", False, found.reason, found.message)
+    return Means("Restart", True)
+
+
+def waiting(observed: Observed, pool: Object) -> list[Object]:
+    """The instances that could take over from the active one: all but it, whoever made them."""
+    active = objects.active(observed.gate)[1]
+    if active:
+        return [pod for pod in _instances(observed) if objects.uid(pod) != active]
+    return [pod for pod in _instances(observed) if objects.labels(pod).get(names.POOL) == objects.name(pool)]
+
+
+def _executing(observed: Observed, label: str, pool: Object) -> Means:
+    name = objects.name(pool)
+    if not (pool["spec"].get("perWorkload") or 0):
+        return Means(label, False, "PoolEmpty", f"FallbackPool {name} has spec.perWorkload 0")
+    found = waiting(observed, pool)
+    ready = [pod for pod in found if objects.ready(pod)]
+    if ready:
+        return Means(label, True, message=f"pod {objects.name(ready[0])} (Executing)")
+    if bad := _first_trouble(found):
+        return Means(label, False, bad.reason, bad.message)
+    return Means(label, False, "StandbyNotReady", f"no standby of FallbackPool {name} is ready")
+
+
+def _uninitialized(observed: Observed, label: str, pool: Object) -> Means:
+    name = objects.name(pool)
+    held = observed.unclaimed.get(name, ())
+    ready = pools.claimable_now(held, observed.held_policies.get(name))
+    if ready:
+        return Means(label, True, message=f"{len(ready)} ready (Uninitialized)")
+    if not (pool["spec"].get("replicas") or 0):
+        return Means(label, False, "PoolEmpty", f"FallbackPool {name} has spec.replicas 0")
+    if bad := _first_trouble(held):
+        return Means(label, False, bad.reason, bad.message)
+    return Means(label, False, "StandbyNotReady", f"no pod of FallbackPool {name} is ready")
+
+
+def standby(observed: Observed, understanding: Understanding) -> str:
+    """The printed column: readiness of its policy's first pool that serves it, and how many of how many are ready."""
+    served = workloads.serving(observed)
+    for strategy in _strategies(observed, understanding):
+        name = strategy.pool_ref.name if strategy.pool_ref else ""
+        if name not in served:
+            continue
+        pool = served[name]
+        if policies.readiness(pool) == "Executing":
+            want = pool["spec"].get("perWorkload") or 0
+            have = sum(objects.ready(pod) for pod in waiting(observed, pool))
+            return f"Executing ({min(have, want)}/{want})"
+        if policies.readiness(pool) == "Uninitialized":
+            want = pool["spec"].get("replicas") or 0
+            held = observed.unclaimed.get(name, ())
+            return f"Uninitialized ({len(pools.claimable_now(held, observed.held_policies.get(name)))}/{want})"
+    if understanding.policy_problem is not None or understanding.spec is None:
+        known: str = (observed.workload.get("status") or {}).get("standby") or "Unknown"
+        return known
+    return "None"

@@ -1,0 +1,430 @@
+"""RobotWorkloads: from what is so to what should be.
+
+A spec that can't be followed changes nothing: what protects the robot already stays as it is. A policy that can't be
+followed keeps only what was derived from it; the rest is kept up.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from pydantic import ValidationError
+
+from understudy.api import names
+from understudy.api.settings import PoolChoice, WorkloadSettings
+from understudy.api.workloads import RobotWorkloadSpec
+from understudy.cluster.client import (
+    CONFIG_MAPS,
+    DEPLOYMENTS,
+    NETWORK_POLICIES,
+    PODS,
+    REPLICA_SETS,
+    ROLE_BINDINGS,
+    ROLES,
+    SECRETS,
+    SERVICE_ACCOUNTS,
+    SERVICES,
+    Object,
+    Resource,
+)
+from understudy.controller import (
+    discovery,
+    fleets,
+    gates,
+    instances,
+    monitors,
+    objects,
+    ownership,
+    policies,
+    pools,
+    references,
+    robots,
+)
+from understudy.controller.desired import Apply, Create, Delete, Images, Patch, Plan, Problem
+from understudy.controller.pools import Fresh
+
+_BY_KIND: dict[str, Resource] = {"ServiceAccount": SERVICE_ACCOUNTS, "Role": ROLES, "RoleBinding": ROLE_BINDINGS}
+
+SWEPT = (DEPLOYMENTS, SERVICES)
+"""Of these, what a workload controls and no longer needs is deleted (the discovery server)."""
+
+
+@dataclass(frozen=True)
+class Observed:
+    """What is so around a workload."""
+
+    workload: Object
+    now: float
+    policies: Mapping[str, Object] = field(default_factory=dict)
+    """All FailurePolicies of the namespace."""
+    pools: Mapping[str, Object] = field(default_factory=dict)
+    """All FallbackPools of the namespace."""
+    held_policies: Mapping[str, Object] = field(default_factory=dict)
+    """The network policies of the pools' held pods, by pool."""
+    owned: Mapping[tuple[str, str], Object] = field(default_factory=dict)
+    """What the workload controls besides pods, by plural and name."""
+    pods: Sequence[Object] = ()
+    """Pods with the workload's label."""
+    monitors: Sequence[Object] = ()
+    """The monitor's pods."""
+    unclaimed: Mapping[str, Sequence[Object]] = field(default_factory=dict)
+    """Held pods, by pool."""
+    reference: references.Referred | None = None
+    """What ``workloadRef`` names; None where there is a template."""
+    rivals: Sequence[str] = ()
+    """Older RobotWorkloads that refer to the same controller."""
+    expected: Mapping[str, int] = field(default_factory=dict)
+    """By pool, standbys that were created and haven't been observed yet."""
+
+    @property
+    def gate(self) -> Object | None:
+        """The gate's policy."""
+        return self.owned.get(("networkpolicies", names.gate(objects.name(self.workload))))
+
+    @property
+    def recovering(self) -> bool:
+        """Whether a recovery is under way, as far as can be seen from here."""
+        health = (self.workload.get("status") or {}).get("health")
+        epoch = objects.notes(self.gate).get(names.EPOCH, "0") if self.gate else "0"
+        return health == "Recovering" or (epoch != "0" and not objects.active(self.gate)[0])
+
+
+@dataclass(frozen=True)
+class Understanding:
+    """What a workload's spec comes to."""
+
+    spec: RobotWorkloadSpec | None = None
+    problem: Problem | None = None
+    """Why its spec can't be followed."""
+    policy_problem: Problem | None = None
+    template: Mapping[str, Any] = field(default_factory=dict)
+    environment: Mapping[str, str] | None = None
+    """ROS environment; None while the discovery server's address isn't known."""
+    builts: Mapping[str, Object] = field(default_factory=dict)
+    """Built pod templates: of its own ReplicaSet ("") and of the standbys of each pool."""
+
+
+def serving(observed: Observed) -> dict[str, Object]:
+    """The pools whose selector matches the workload, and that can be kept."""
+    return {
+        name: pool
+        for name, pool in observed.pools.items()
+        if not objects.deleted(pool) and pools.serves(pool, observed.workload)
+    }
+
+
+def standby_pools(observed: Observed) -> dict[str, Object]:
+    """The pools that keep standbys of the workload's own template."""
+    return {name: pool for name, pool in serving(observed).items() if policies.readiness(pool) == "Executing"}
+
+
+def policy_problem(observed: Observed, spec: RobotWorkloadSpec) -> Problem | None:
+    """Why the workload's policy can't be followed."""
+    name = spec.failure_policy_ref.name
+    policy = observed.policies.get(name)
+    if policy is None:
+        return Problem(
+            "PolicyNotFound",
+            f'spec.failurePolicyRef.name: no FailurePolicy "{name}" in namespace '
+            f"{observed.workload['metadata']['namespace']} ({objects.hint(name, observed.policies)}). "
+            f"Create it or correct the name",
+        )
+    if found := policies.problem(policy):
+        return Problem("PolicyNotAccepted", f"FailurePolicy {name}: {found.message}")
+    return None
+
+
+def understand(observed: Observed, images: Images) -> Understanding:
+    """What a workload's spec comes to, before the API server has judged its template."""
+    workload = observed.workload
+    name, namespace = objects.name(workload), workload["metadata"]["namespace"]
+    try:
+        spec = RobotWorkloadSpec.model_validate(workload.get("spec") or {})
+    except ValidationError as error:
+        return Understanding(problem=Problem("SpecInvalid", policies.invalid(error)))
+    policy = policy_problem(observed, spec)
+
+    def refuse(problem: Problem) -> Understanding:
+        return Understanding(spec=spec, problem=problem, policy_problem=policy)
+
+    try:
+        robots.config_maps(name, {}, spec.outputs)
+    except ValueError as error:
+        return refuse(Problem("PortsExhausted", str(error)))
+    template, path, stripped = spec.template or {}, "spec.template", frozenset[str]()
+    if spec.workload_ref is not None:
+        referred = observed.reference or references.Referred()
+        if found := references.problem(spec.workload_ref, referred, observed.rivals, namespace):
+            return refuse(found)
+        assert referred.controller is not None
+        template = referred.controller["spec"]["template"]
+        path = f"{spec.workload_ref.kind} {spec.workload_ref.name}: spec.template"
+        stripped = references.label_keys(referred)
+    if words := instances.problem(template, held=False, path=path):
+        return refuse(Problem("TemplateInvalid", words))
+    service = observed.owned.get(("services", names.discovery(name)))
+    address = discovery.address(service)
+    if spec.ros.discovery.mode == "Managed" and address is None:
+        return Understanding(spec=spec, policy_problem=policy, template=template)
+    environment = robots.ros_environment(spec.ros, address)
+    own_images = Images(spec.monitor.image or images.monitor, images.pull_policy)
+
+    def build(pool: str) -> Object:
+        recipe = instances.Recipe(
+            workload=name,
+            namespace=namespace,
+            images=own_images,
+            secret=names.agent_secret(name),
+            environment=environment,
+            pool=pool,
+            stripped=stripped,
+        )
+        return instances.build(template, recipe)
+
+    builts = {pool: build(pool) for pool in standby_pools(observed)}
+    if spec.template is not None:
+        builts[""] = build("")
+    return Understanding(spec, None, policy, template, environment, builts)
+
+
+def probe_template(observed: Observed, understanding: Understanding) -> Object | None:
+    """A pod by which the API server can judge the template; it is only ever sent as a dry run."""
+    if not understanding.builts:
+        return None
+    built = understanding.builts[min(understanding.builts)]
+    workload = observed.workload
+    return instances.pod(
+        built,
+        name=f"{objects.name(workload)}-check",
+        namespace=workload["metadata"]["namespace"],
+        owner=objects.owner("RobotWorkload", workload),
+    )
+
+
+def plan(observed: Observed, understanding: Understanding, images: Images, fresh: Fresh) -> Plan:
+    """The writes for a workload."""
+    made = Plan()
+    workload, spec = observed.workload, understanding.spec
+    if objects.deleted(workload):
+        return made
+    made.writes += references.labelling(objects.name(workload), observed.pods, observed.reference)
+    if understanding.problem is not None or spec is None:
+        return made
+    _discover(made, observed, spec, images)
+    environment = understanding.environment
+    if environment is None:
+        return made
+    _gate(made, observed, spec)
+    _configure(made, observed, understanding, environment)
+    _monitor(made, observed, understanding, images, environment)
+    if spec.template is not None:
+        made.writes.append(
+            _ours(observed, REPLICA_SETS, instances.replica_set(understanding.builts[""], objects.name(workload)))
+        )
+        _scale(made, observed)
+    for pool in sorted(understanding.builts):
+        if pool:
+            _standbys(made, observed, pool, understanding.builts[pool], fresh)
+    if ("secrets", names.agent_secret(objects.name(workload))) not in observed.owned:
+        secret = ownership.token(names.agent_secret(objects.name(workload)), fresh.token())
+        owner = objects.owner("RobotWorkload", workload)
+        made.writes.insert(0, Create(SECRETS, ownership.ours(secret, owner, workload)))
+    _sweep(made, observed)
+    return made
+
+
+def abandoned(workload: str, pods: Sequence[Object]) -> Plan:
+    """The writes for a workload that is gone: referred pods lose our labels; the rest is collected with their owner."""
+    return Plan(writes=list(references.unlabelling(workload, pods, keep=frozenset())))
+
+
+def _ours(observed: Observed, resource: Resource, body: Object) -> Apply:
+    owner = objects.owner("RobotWorkload", observed.workload)
+    return Apply(resource, ownership.ours(body, owner, observed.workload))
+
+
+def _discover(made: Plan, observed: Observed, spec: RobotWorkloadSpec, images: Images) -> None:
+    if spec.ros.discovery.mode != "Managed":
+        return
+    name = objects.name(observed.workload)
+    service = observed.owned.get(("services", names.discovery(name)))
+    remembered = None if service else _remembered_address(observed)
+    own_images = Images(spec.monitor.image or images.monitor, images.pull_policy)
+    made.writes.append(_ours(observed, SERVICES, discovery.service(name, remembered)))
+    made.writes.append(_ours(observed, DEPLOYMENTS, discovery.deployment(name, own_images)))
+
+
+def _remembered_address(observed: Observed) -> str | None:
+    """The address of a Service that somebody deleted: the robot's processes have it still."""
+    found = observed.owned.get(("configmaps", names.robot_env(objects.name(observed.workload))))
+    server = ((found or {}).get("data") or {}).get("ROS_DISCOVERY_SERVER", "")
+    host, colon, port = server.rpartition(":")
+    return host.strip("[]") if colon and port == str(names.DISCOVERY_PORT) else None
+
+
+def _gate(made: Plan, observed: Observed, spec: RobotWorkloadSpec) -> None:
+    workload = observed.workload
+    name, owner = objects.name(workload), objects.owner("RobotWorkload", workload)
+    selector = None
+    if observed.reference is not None and observed.reference.controller is not None:
+        selector = observed.reference.controller["spec"]["selector"]
+    for policy in gates.standby_policies(name, spec.gate.robots, selector):
+        made.writes.append(_ours(observed, NETWORK_POLICIES, policy))
+    gate = observed.gate
+    if gate is None:
+        epoch = ((workload.get("status") or {}).get("gate") or {}).get("epoch") or 0
+        body = ownership.ours(gates.closed_gate(name, epoch=epoch), owner, workload)
+        made.writes.append(Create(NETWORK_POLICIES, body))
+    elif repair := gates.gate_repair(gate, owner=owner, labels=objects.MANAGED_BY):
+        made.writes.append(Patch(NETWORK_POLICIES, gate, repair))
+
+
+def _configure(made: Plan, observed: Observed, understanding: Understanding, environment: Mapping[str, str]) -> None:
+    assert understanding.spec is not None
+    name = objects.name(observed.workload)
+    for body in robots.config_maps(name, environment, understanding.spec.outputs):
+        made.writes.append(_ours(observed, CONFIG_MAPS, body))
+    made.writes.append(_ours(observed, CONFIG_MAPS, _settings(observed, understanding, environment)))
+
+
+def _settings(observed: Observed, understanding: Understanding, environment: Mapping[str, str]) -> Object:
+    workload = observed.workload
+    kind, name = _source(observed, understanding)
+    selector: dict[str, str] = {}
+    if observed.reference is not None and observed.reference.controller is not None:
+        selector = observed.reference.controller["spec"]["selector"].get("matchLabels") or {}
+    settings = WorkloadSettings(
+        workload=objects.name(workload),
+        namespace=workload["metadata"]["namespace"],
+        uid=objects.uid(workload),
+        source_kind=kind,
+        source_name=name,
+        source_selector=selector,
+        ros_environment=dict(environment),
+        container_environment=instances.literal_environment(understanding.template, environment),
+        pools=_choices(observed, understanding),
+    )
+    # sorted and indented, since people read it when they look for why
+    text = json.dumps(settings.to_wire(), indent=1, sort_keys=True)
+    return {
+        "apiVersion": "v1",
+        "kind": "ConfigMap",
+        "metadata": {"name": names.settings(objects.name(workload))},
+        "data": {"settings.json": text},
+    }
+
+
+def _choices(observed: Observed, understanding: Understanding) -> list[PoolChoice]:
+    """The pools that the policy names and that serve the workload. While the policy can't be followed, as they were."""
+    assert understanding.spec is not None
+    if understanding.policy_problem is not None:
+        return _present_choices(observed)
+    policy = observed.policies[understanding.spec.failure_policy_ref.name]
+    served = serving(observed)
+    found = []
+    for name in dict.fromkeys(policies.named_pools(policy)):
+        if name not in served:
+            continue
+        readiness = policies.pool_spec(served[name]).readiness
+        allowed = pools.claimable_hash(observed.held_policies.get(name)) if readiness == "Uninitialized" else ""
+        found.append(PoolChoice(name=name, readiness=readiness, template_hash=allowed))
+    return found
+
+
+def _present_choices(observed: Observed) -> list[PoolChoice]:
+    present = observed.owned.get(("configmaps", names.settings(objects.name(observed.workload))))
+    text = ((present or {}).get("data") or {}).get("settings.json")
+    try:
+        return WorkloadSettings.model_validate_json(text).pools if text else []
+    except ValidationError:
+        return []
+
+
+def _source(observed: Observed, understanding: Understanding) -> tuple[str, str]:
+    assert understanding.spec is not None
+    reference = understanding.spec.workload_ref
+    return (reference.kind, reference.name) if reference else ("ReplicaSet", objects.name(observed.workload))
+
+
+def _monitor(
+    made: Plan, observed: Observed, understanding: Understanding, images: Images, environment: Mapping[str, str]
+) -> None:
+    spec = understanding.spec
+    assert spec is not None
+    name, namespace = objects.name(observed.workload), observed.workload["metadata"]["namespace"]
+    shared = [choice.name for choice in _choices(observed, understanding) if choice.readiness == "Uninitialized"]
+    for kind, body in monitors.access(name, source=_source(observed, understanding), pools=shared):
+        made.writes.append(_ours(observed, _BY_KIND[kind], body))
+    profiles = robots.config_maps(name, environment, spec.outputs)[1]["data"][robots.PROFILES_KEY]
+    body = monitors.deployment(name, namespace, spec.monitor, images, environment, profiles)
+    made.writes.append(_ours(observed, DEPLOYMENTS, body))
+
+
+def _scale(made: Plan, observed: Observed) -> None:
+    """One pod of the template, or none while a pod of a shared pool drives and nobody wants another as a standby.
+
+    While the gate is closed the monitor may be at it, so it stays as it is.
+    """
+    live = observed.owned.get(("replicasets", objects.name(observed.workload)))
+    if live is None or observed.gate is None or not objects.active(observed.gate)[0]:
+        return
+    driving = [p for p in observed.pods if objects.is_active(p, observed.gate) and objects.alive(p)]
+    foreign = any(objects.labels(pod).get(names.SOURCE) != "workload" for pod in driving)
+    wanted = sum((pool["spec"].get("perWorkload") or 0) for pool in standby_pools(observed).values())
+    replicas = 0 if foreign and not wanted else 1
+    if (live.get("spec") or {}).get("replicas", 1) != replicas:
+        made.writes.append(Patch(REPLICA_SETS, live, {"spec": {"replicas": replicas}}, subresource="scale"))
+
+
+def _standbys(made: Plan, observed: Observed, pool: str, built: Object, fresh: Fresh) -> None:
+    workload, gate = observed.workload, observed.gate
+    owner = objects.owner("RobotWorkload", workload)
+    mine = [
+        pod
+        for pod in observed.pods
+        if objects.labels(pod).get(names.POOL) == pool
+        and names.CLAIM not in objects.notes(pod)
+        and ownership.controls(objects.uid(workload), pod)
+    ]
+    change = fleets.change(
+        mine,
+        want=observed.pools[pool]["spec"].get("perWorkload") or 0,
+        template_hash=instances.template_hash(built),
+        expected=observed.expected.get(pool, 0),
+        now=observed.now,
+        kept=lambda pod: objects.is_active(pod, gate),
+        hold=observed.recovering,
+    )
+    for _ in range(change.create):
+        name = fresh.name(objects.name(workload))
+        body = instances.pod(built, name=name, namespace=workload["metadata"]["namespace"], owner=owner)
+        made.writes.append(Create(PODS, body, counted=True))
+    made.writes += [Delete(PODS, pod) for pod in change.delete]
+    if change.again_after is not None:
+        made.later(change.again_after)
+
+
+def _sweep(made: Plan, observed: Observed) -> None:
+    """Delete what the workload controls and no longer needs, and standbys of pools that don't serve it any more."""
+    wanted = {(w.resource.plural, objects.name(w.body)) for w in made.writes if isinstance(w, Apply)}
+    swept = {resource.plural: resource for resource in SWEPT}
+    for (plural, name), item in sorted(observed.owned.items()):
+        if plural in swept and (plural, name) not in wanted and not objects.deleted(item):
+            made.writes.append(Delete(swept[plural], item))
+    if observed.recovering:
+        return
+    serving_now = standby_pools(observed)
+    for pod in observed.pods:
+        pool = objects.labels(pod).get(names.POOL)
+        if (
+            pool
+            and pool not in serving_now
+            and names.CLAIM not in objects.notes(pod)
+            and ownership.controls(objects.uid(observed.workload), pod)
+            and not objects.is_active(pod, observed.gate)
+            and not objects.deleted(pod)
+        ):
+            made.writes.append(Delete(PODS, pod))
