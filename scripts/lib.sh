@@ -62,7 +62,8 @@ python_environment() {
     [ -x "$base" ] || base=$(command -v python3) || fail "there is no python3: install Python 3.11 or newer"
     "$base" -c 'import sys; sys.exit(sys.version_info < (3, 11))' ||
         fail "$("$base" --version) is too old: Python 3.11 or newer is needed"
-    wanted=$(cat "$REPOSITORY/pyproject.toml" "$REPOSITORY/constraints.txt" <("$base" --version) | sha256sum | cut -c 1-12)
+    local requirements=("$base" "$REPOSITORY/docker/requirements.py" "$REPOSITORY/pyproject.toml" ros dev)
+    wanted=$(cat <("${requirements[@]}") "$REPOSITORY/constraints.txt" <("$base" --version) | sha256sum | cut -c 1-12)
     folder=$CACHE/venv-$wanted
     PYTHON=$folder/bin/python
     export PYTHON
@@ -75,7 +76,7 @@ python_environment() {
         say "making a Python environment in $folder (two minutes, once)"
         rm -rf "$folder"
         "$base" -m venv "$folder"
-        "$base" "$REPOSITORY/docker/requirements.py" "$REPOSITORY/pyproject.toml" ros dev >"$folder/requirements.txt"
+        "${requirements[@]}" >"$folder/requirements.txt"
         quietly pip "$folder/bin/pip" install --disable-pip-version-check \
             --constraint "$REPOSITORY/constraints.txt" --requirement "$folder/requirements.txt"
         touch "$folder/.complete"

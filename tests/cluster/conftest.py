@@ -1,0 +1,66 @@
+"""The chart on the cluster under test, without a running operator: the kinds, the rights and the admission policy."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from tests.support.cluster import Cluster, Object, until
+from understudy.api.base import GROUP
+from understudy.api.kinds import KINDS
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+NAME = "understudy"
+NAMESPACE = "understudy-system"
+
+
+@dataclass(frozen=True)
+class Release:
+    """The installed chart."""
+
+    name: str
+    namespace: str
+
+    @property
+    def operator(self) -> str:
+        """The operator's ServiceAccount and its roles."""
+        return f"{self.name}-operator"
+
+
+def _helm(helm: str, kubeconfig: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [helm, "--kubeconfig", str(kubeconfig), "--namespace", NAMESPACE, *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120)
+
+
+@pytest.fixture(scope="package")
+def release(cluster: Cluster, helm: str, kubeconfig: Path) -> Iterator[Release]:
+    """The chart of this checkout, as an upgrade where it is installed; otherwise it is taken away again afterwards."""
+    chart = str(REPOSITORY / "charts" / "understudy")
+    there = _helm(helm, kubeconfig, "status", NAME).returncode == 0
+    values = ["--reset-then-reuse-values"] if there else ["--set", "operator.replicas=0"]
+    done = _helm(
+        helm, kubeconfig, "upgrade", "--install", NAME, chart, "--create-namespace", "--take-ownership", *values
+    )
+    assert done.returncode == 0, done.stderr
+    for kind in KINDS:
+        until(lambda kind=kind: _established(cluster, kind.plural), f"{kind.name} to be served")  # type: ignore[misc]
+    yield Release(NAME, NAMESPACE)
+    if not there:
+        done = _helm(helm, kubeconfig, "uninstall", NAME, "--wait")
+        assert done.returncode == 0, done.stderr
+        for kind in KINDS:
+            cluster.delete(_definition(cluster, kind.plural))
+        cluster.delete({"apiVersion": "v1", "kind": "Namespace", "metadata": {"name": NAMESPACE}})
+
+
+def _definition(cluster: Cluster, plural: str) -> Object:
+    return cluster.get("apiextensions.k8s.io/v1", "CustomResourceDefinition", f"{plural}.{GROUP}")
+
+
+def _established(cluster: Cluster, plural: str) -> bool:
+    conditions = _definition(cluster, plural).get("status", {}).get("conditions", [])
+    return any(c["type"] == "Established" and c["status"] == "True" for c in conditions)

@@ -1,0 +1,115 @@
+"""Options and fixtures of all tests.
+
+``scripts/test`` provides all that tests need and then sets UNDERSTUDY_TEST, so that nothing is skipped there. With plain
+pytest what isn't there is skipped with the reason.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import uuid
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import urllib3
+
+from tests.support.cluster import Cluster
+
+REPOSITORY = Path(__file__).resolve().parent.parent
+_CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "understudy"
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    group = parser.getgroup("understudy")
+    group.addoption(
+        "--cluster",
+        choices=["local", "kind", "current"],
+        default=os.environ.get("UNDERSTUDY_CLUSTER_PROVIDER") or None,
+        help="which cluster to test on: the project's own, one of kind, or that of the current kubeconfig",
+    )
+    group.addoption("--kubeconfig", type=Path, default=None, help="kubeconfig of the cluster (default: asks scripts/cluster)")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    # kubectl and helm of the project, where the machine has none.
+    os.environ["PATH"] = f"{_CACHE / 'tools'}{os.pathsep}{os.environ['PATH']}"
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Marks tests by their folder, and skips what the provider can't do."""
+    for item in items:
+        for folder in ("cluster", "e2e"):
+            if item.path.is_relative_to(REPOSITORY / "tests" / folder):
+                item.add_marker(getattr(pytest.mark, folder))
+        provider = config.getoption("cluster")
+        if item.get_closest_marker("local_only") and provider not in (None, "local"):
+            item.add_marker(pytest.mark.skip(reason=f"only the local provider can do this, not {provider}"))
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Says again what failed before the tests began (scripts/test)."""
+    failed = [name for name in os.environ.get("UNDERSTUDY_FAILED", "").split(";") if name]
+    if failed:
+        terminalreporter.section("failed before the tests", red=True)
+        for name in failed:
+            terminalreporter.line(f"FAILED {name} (see above)")
+
+
+def unavailable(reason: str) -> None:
+    """Skip, or fail where scripts/test should have provided it."""
+    if os.environ.get("UNDERSTUDY_TEST"):
+        pytest.fail(reason)
+    pytest.skip(reason)
+
+
+@pytest.fixture(scope="session")
+def helm() -> str:
+    """The path of helm."""
+    found = shutil.which("helm")
+    if found is None:
+        unavailable("there is no helm: scripts/test builds one")
+    assert found is not None
+    return found
+
+
+@pytest.fixture(scope="session")
+def kubeconfig(pytestconfig: pytest.Config) -> Path:
+    """The kubeconfig of the cluster under test: --kubeconfig, $KUBECONFIG, or what scripts/cluster says."""
+    provider: str | None = pytestconfig.getoption("cluster")
+    given: Path | None = pytestconfig.getoption("kubeconfig")
+    if given is None and provider is None and os.environ.get("KUBECONFIG"):
+        given = Path(os.environ["KUBECONFIG"].split(os.pathsep)[0])
+    if given is None:
+        command = [str(REPOSITORY / "scripts" / "cluster"), "kubeconfig", *(["--provider", provider] if provider else [])]
+        done = subprocess.run(command, capture_output=True, text=True)
+        if done.returncode:
+            unavailable(f"there is no cluster ({done.stderr.strip()}): scripts/test cluster brings one up")
+        given = Path(done.stdout.strip())
+    if not given.is_file():
+        unavailable(f"there is no kubeconfig {given}: scripts/test cluster brings a cluster up")
+    # What is started from here (helm, kubectl, the code under test) means the same cluster.
+    os.environ["KUBECONFIG"] = str(given)
+    return given
+
+
+@pytest.fixture(scope="session")
+def cluster(kubeconfig: Path) -> Cluster:
+    """The cluster under test."""
+    found = Cluster(kubeconfig)
+    try:
+        found.request("GET", "/version")
+    except urllib3.exceptions.HTTPError as error:
+        unavailable(f"the cluster of {kubeconfig} doesn't answer: {error}")
+    return found
+
+
+@pytest.fixture
+def namespace(cluster: Cluster) -> Iterator[str]:
+    """A namespace of one test's own."""
+    name = f"test-{uuid.uuid4().hex[:8]}"
+    item = cluster.create({"apiVersion": "v1", "kind": "Namespace", "metadata": {"name": name}})
+    yield name
+    cluster.delete(item)

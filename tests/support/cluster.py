@@ -1,0 +1,195 @@
+"""The cluster under test, through the official client: tests must not see it through the code that they test."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import time
+from collections.abc import Callable, Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeVar
+from urllib.parse import urlencode
+
+import yaml
+from kubernetes import config
+
+Object = dict[str, Any]
+T = TypeVar("T")
+
+MERGE = "application/merge-patch+json"
+APPLY = "application/apply-patch+yaml"
+
+
+class Refused(Exception):
+    """The API server said no."""
+
+    def __init__(self, status: int, reason: str, message: str) -> None:
+        super().__init__(f"{status} {reason}: {message}")
+        self.status = status
+        self.reason = reason
+        self.message = message
+
+
+class Cluster:
+    """One API server."""
+
+    def __init__(self, kubeconfig: Path) -> None:
+        self.kubeconfig = kubeconfig
+        self._api = config.new_client_from_config(str(kubeconfig))
+        self._resource = cache(self._discovered)
+
+    def request(
+        self,
+        method: str,
+        path: str,
+        *,
+        body: Any = None,
+        params: Mapping[str, str] | None = None,
+        content_type: str = "application/json",
+        user: str | None = None,
+    ) -> Object:
+        """One request, as another user if one is named. Raises Refused."""
+        headers = {"Content-Type": content_type, "Accept": "application/json"}
+        if user is not None:
+            headers["Impersonate-User"] = user
+        for setting in self._api.configuration.auth_settings().values():  # a token, where there is one
+            if setting["in"] == "header":
+                headers[setting["key"]] = setting["value"]
+        query = f"?{urlencode(params)}" if params else ""
+        response = self._api.rest_client.pool_manager.request(
+            method,
+            f"{self._api.configuration.host}{path}{query}",
+            body=None if body is None else json.dumps(body).encode(),
+            headers=headers,
+            timeout=30.0,
+            retries=False,
+        )
+        if not 200 <= response.status <= 299:
+            raise _refused(response.status, response.data)
+        answer: Object = json.loads(response.data)
+        return answer
+
+    def path(self, api_version: str, kind: str, namespace: str | None, name: str = "", subresource: str = "") -> str:
+        """The path of an object, or of its collection."""
+        plural, namespaced = self._resource(api_version, kind)
+        parts = [_root(api_version)]
+        if namespaced:
+            parts.append(f"namespaces/{namespace}")
+        return "/".join([*parts, plural, *([name] if name else []), *([subresource] if subresource else [])])
+
+    def create(
+        self,
+        item: Object,
+        namespace: str | None = None,
+        *,
+        strict: bool = False,
+        dry_run: bool = False,
+        user: str | None = None,
+    ) -> Object:
+        """Create an object; ``strict`` refuses unknown fields as kubectl does."""
+        params = {"fieldValidation": "Strict"} if strict else {}
+        if dry_run:
+            params["dryRun"] = "All"
+        path = self.path(item["apiVersion"], item["kind"], namespace or item["metadata"].get("namespace"))
+        return self.request("POST", path, body=item, params=params, user=user)
+
+    def apply(self, item: Object, namespace: str | None = None, *, subresource: str = "", manager: str = "tests") -> Object:
+        """Server-side apply."""
+        path = self.path(
+            item["apiVersion"],
+            item["kind"],
+            namespace or item["metadata"].get("namespace"),
+            item["metadata"]["name"],
+            subresource,
+        )
+        params = {"fieldManager": manager, "force": "true"}
+        return self.request("PATCH", path, body=item, params=params, content_type=APPLY)
+
+    def patch(
+        self, item: Object, body: Object, *, subresource: str = "", user: str | None = None, dry_run: bool = False
+    ) -> Object:
+        """Merge-patch an object that was read or created before."""
+        params = {"dryRun": "All"} if dry_run else {}
+        path = self._path_of(item, subresource)
+        return self.request("PATCH", path, body=body, params=params, content_type=MERGE, user=user)
+
+    def get(self, api_version: str, kind: str, name: str, namespace: str | None = None, subresource: str = "") -> Object:
+        """An object. Raises Refused with 404 where it isn't there."""
+        return self.request("GET", self.path(api_version, kind, namespace, name, subresource))
+
+    def find(self, api_version: str, kind: str, name: str, namespace: str | None = None) -> Object | None:
+        """An object, or None."""
+        try:
+            return self.get(api_version, kind, name, namespace)
+        except Refused as error:
+            if error.status == 404:
+                return None
+            raise
+
+    def list(
+        self, api_version: str, kind: str, namespace: str | None = None, *, labels: str = ""
+    ) -> list[Object]:
+        """The objects of a kind in a namespace."""
+        params = {"labelSelector": labels} if labels else {}
+        items: list[Object] = self.request("GET", self.path(api_version, kind, namespace), params=params)["items"]
+        return items
+
+    def delete(self, item: Object, *, user: str | None = None, dry_run: bool = False) -> None:
+        """Delete an object at once, without a grace period; one that is gone is no error."""
+        params = {"gracePeriodSeconds": "0"} | ({"dryRun": "All"} if dry_run else {})
+        try:
+            self.request("DELETE", self._path_of(item), params=params, user=user)
+        except Refused as error:
+            if error.status != 404:
+                raise
+
+    def kubectl(self, *arguments: str) -> str:
+        """What kubectl prints. Raises CalledProcessError with its error output."""
+        command = ["kubectl", "--kubeconfig", str(self.kubeconfig), *arguments]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+        if done.returncode:
+            raise AssertionError(f"{' '.join(command)} ended with {done.returncode}: {done.stderr}")
+        return done.stdout
+
+    def _path_of(self, item: Object, subresource: str = "") -> str:
+        metadata = item["metadata"]
+        return self.path(item["apiVersion"], item["kind"], metadata.get("namespace"), metadata["name"], subresource)
+
+    def _discovered(self, api_version: str, kind: str) -> tuple[str, bool]:
+        for resource in self.request("GET", _root(api_version))["resources"]:
+            if resource["kind"] == kind and "/" not in resource["name"]:
+                return resource["name"], resource["namespaced"]
+        raise LookupError(f"the cluster has no kind {kind} in {api_version}")
+
+
+def account(namespace: str, name: str) -> str:
+    """The user name of a ServiceAccount."""
+    return f"system:serviceaccount:{namespace}:{name}"
+
+
+def load(file: Path) -> list[Object]:
+    """The objects in a YAML file."""
+    return [item for item in yaml.safe_load_all(file.read_text()) if item]
+
+
+def until(found: Callable[[], T], what: str, *, seconds: float = 30.0, every: float = 0.1) -> T:
+    """The first true value that a function gives. Fails, saying what was waited for and what was seen last."""
+    deadline = time.monotonic() + seconds
+    while not (value := found()):
+        if time.monotonic() > deadline:
+            raise AssertionError(f"waited {seconds:g} s for {what}; the last seen was {value!r}")
+        time.sleep(every)
+    return value
+
+
+def _root(api_version: str) -> str:
+    return f"/apis/{api_version}" if "/" in api_version else f"/api/{api_version}"
+
+
+def _refused(status: int, body: bytes) -> Refused:
+    try:
+        answer = json.loads(body)
+        return Refused(status, answer.get("reason", ""), answer.get("message", ""))
+    except ValueError:
+        return Refused(status, "", body.decode(errors="replace"))
