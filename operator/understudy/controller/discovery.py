@@ -50,7 +50,7 @@ def deployment(workload: str, images: Images) -> Object:
         "image": images.monitor,
         "imagePullPolicy": images.pull_policy,
         "command": ["understudy-discovery-server"],
-        "args": [str(names.DISCOVERY_PORT)],
+        "args": ["-i", "0", "-l", "0.0.0.0", "-p", str(names.DISCOVERY_PORT)],
         "env": [{"name": "HOME", "value": "/tmp"}],
         "ports": [{"name": "discovery", "containerPort": names.DISCOVERY_PORT, "protocol": "UDP"}],
         "resources": {"requests": dict(_REQUESTS)},

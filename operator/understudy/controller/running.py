@@ -130,7 +130,7 @@ def options(argv: Sequence[str]) -> tuple[argparse.Namespace, Options]:
     )
     parser.add_argument("--lease", default=LEASE)
     parser.add_argument("--lease-namespace", default=environment("UNDERSTUDY_NAMESPACE") or _own_namespace())
-    parser.add_argument("--identity", default=environment("UNDERSTUDY_POD") or socket.gethostname())
+    parser.add_argument("--identity", default=environment("POD_NAME") or socket.gethostname())
     parser.add_argument("--resync", type=float, default=30.0, metavar="SECONDS", help="list everything so often")
     parser.add_argument("--port", type=int, default=names.METRICS_PORT, help="of /healthz, /ready and /metrics")
     parser.add_argument("--log-level", default=environment("UNDERSTUDY_LOG_LEVEL", "info"))
