@@ -1,0 +1,257 @@
+"""Judges the instance from inside its pod: the policy's own health tree, on this pod's outputs and the robot's inputs.
+
+An executing standby's outputs don't reach the monitor, and the active pod's are matched by every reader of the same
+name, so only here can a standby be told healthy. What counts for an output are samples of writers on this host alone
+(the pod's network namespace, see ros/sources.py); for all else anyone's, since instances of one workload are isolated
+from each other.
+
+ROS is imported when it is first needed: a held agent doesn't, and stays small.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import dataclasses
+import logging
+import re
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from understudy.api.agents import OutputCount
+
+if TYPE_CHECKING:
+    from understudy.api.workloads import Output
+    from understudy.ros.graph import Graph
+    from understudy.ros.watching import Watching
+    from understudy.trees.health import HealthTree, WatchedTopic
+    from understudy.trees.observations import TopicRecord
+
+_logger = logging.getLogger(__name__)
+
+STARTING_PERIOD = 0.02
+"""Seconds between looks while the instance starts: its start is part of a recovery's time."""
+
+STARTING_FOR = 60.0
+"""Seconds after which an instance that still isn't up is looked at as seldom as any other."""
+
+PERIOD = 0.2
+"""Seconds between looks otherwise; deadlines of the tree come on top."""
+
+PRESENCE_PERIOD = 2.0
+"""Seconds between looks at whether the application's endpoints are still there, once they have been."""
+
+OWN_GID = 5.0
+"""Seconds within which the agent's node must see its own publisher."""
+
+RETRY = 5.0
+"""Seconds before joining the ROS graph is tried again."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What the monitor asked to be judged by."""
+
+    tree: HealthTree
+    outputs: Sequence[Output]
+
+    @classmethod
+    def of(cls, body: Mapping[str, Any]) -> Plan:
+        """From a ``configure`` request. Raises ValueError with everything that is wrong with it."""
+        from pydantic import ValidationError
+
+        from understudy.api.workloads import Output
+        from understudy.trees.loading import TreeError, load
+
+        grace = body.get("grace", 30.0)
+        if not isinstance(grace, int | float) or isinstance(grace, bool) or not 0 <= grace < float("inf"):
+            raise ValueError(f"grace {grace!r}: expected a number of seconds")
+        try:
+            outputs = [Output.model_validate(output) for output in body.get("outputs", [])]
+            return cls(load(body.get("tree", {}), grace=float(grace)), outputs)
+        except (TreeError, ValidationError, TypeError) as error:
+            raise ValueError(str(error)) from error
+
+    def topics(self) -> list[WatchedTopic]:
+        """What to watch; the outputs say the types that the tree leaves open."""
+        types = {output.topic: output.type for output in self.outputs if output.topic}
+        return [dataclasses.replace(topic, type=topic.type or types.get(topic.name)) for topic in self.tree.topics]
+
+
+@dataclass
+class Judgement:
+    """How the instance is doing. Times are Unix seconds."""
+
+    ready: bool = False
+    reason: str = "not looked at yet"
+    process_up_at: float | None = None
+    ready_at: float | None = None
+    outputs: dict[str, OutputCount] = field(default_factory=dict)
+
+
+class _OwnOutputs:
+    """Observations in which an output counts only where it comes from this host."""
+
+    def __init__(self, watching: Watching, outputs: Sequence[Output], host: bytes) -> None:
+        self._watching, self._host = watching, host
+        self._topics = {output.topic for output in outputs if output.topic}
+
+    def topic(self, name: str) -> TopicRecord | None:
+        if name not in self._topics:
+            return self._watching.topic(name)
+        return self._watching.records(name).get(self._host)
+
+    def counts(self) -> dict[str, OutputCount]:
+        """The outputs that are watched."""
+        found: dict[str, OutputCount] = {}
+        for name in sorted(self._topics):
+            if self._watching.topic(name) is not None:
+                record = self._watching.records(name).get(self._host)
+                found[name] = OutputCount(record.count, record.last) if record else OutputCount()
+        return found
+
+
+class Health:
+    """Looks at the instance until cancelled, and says what it sees in ``judgement``."""
+
+    def __init__(self, pod: str, *, on_change: Callable[[], None]) -> None:
+        """``on_change`` is called when anything but the outputs' counts is another."""
+        self.judgement = Judgement()
+        self._node_name = "understudy_agent_" + re.sub(r"[^a-zA-Z0-9_]", "_", pod)
+        self._on_change = on_change
+        self._plan: Plan | None = None
+        self._new_plan = asyncio.Event()
+        self._keep_ready = False
+        self._since = 0.0
+        self._looked_for_presence = 0.0
+        self._present = False
+
+    def resume(self, process_up_at: float | None, ready_at: float | None) -> None:
+        """Go on from what an earlier agent of this pod saw."""
+        self.judgement.process_up_at, self.judgement.ready_at = process_up_at, ready_at
+
+    def configure(self, plan: Plan) -> None:
+        """Judge by this from now on. A ready instance stays so until the new tree says otherwise."""
+        self._plan = plan
+        self._keep_ready = self.judgement.ready
+        self._new_plan.set()
+
+    async def run(self) -> None:
+        """Join the ROS graph that the process's environment names, and look."""
+        self._say(False, "joining the ROS graph")
+        while True:
+            try:
+                graph, watching, host = await asyncio.to_thread(_join, self._node_name)
+            except Exception as error:
+                _logger.exception("joining the ROS graph")
+                self._say(False, f"can't join the ROS graph: {error}")
+                await asyncio.sleep(RETRY)
+                continue
+            try:
+                await self._look(graph, watching, host)
+            except Exception as error:
+                _logger.exception("looking at the instance")
+                self._say(False, f"looking at the instance failed: {error!r}")
+                await asyncio.sleep(RETRY)
+            finally:
+                watching.close()
+                graph.close()
+
+    async def _look(self, graph: Graph, watching: Watching, host: bytes) -> None:
+        if self._plan is None:
+            self._say(False, "waiting for the monitor to say what healthy is")
+            await self._new_plan.wait()
+        self._new_plan.set()
+        joined = time.monotonic()
+        while True:
+            plan = self._plan
+            assert plan is not None, "it was waited for"
+            if self._new_plan.is_set():
+                self._new_plan.clear()
+                watching.follow(plan.topics())
+                own = _OwnOutputs(watching, plan.outputs, host)
+                self._since = time.time()
+            watching.drain()
+            now = time.time()
+            self._judge(graph, watching, host, plan, own, now)
+            young = self.judgement.ready_at is None and time.monotonic() - joined < STARTING_FOR
+            rest = STARTING_PERIOD if young else PERIOD
+            deadline = plan.tree.deadline(own, now=now, since=self._since)
+            if deadline is not None:
+                rest = min(rest, max(0.0, deadline - time.time()))
+            await self._pause(rest)
+
+    async def _pause(self, rest: float) -> None:
+        """Wait, but not when there is a new plan."""
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(rest):
+                await self._new_plan.wait()
+
+    def _judge(
+        self, graph: Graph, watching: Watching, host: bytes, plan: Plan, own: _OwnOutputs, now: float
+    ) -> None:
+        judgement = self.judgement
+        self._look_for_presence(graph, host, plan)
+        if self._present and judgement.process_up_at is None:
+            judgement.process_up_at = time.time()
+            self._on_change()
+        verdict = plan.tree.evaluate(own, now=now, since=self._since)
+        judgement.outputs = own.counts()
+        if not self._present:
+            outputs = ", ".join(output.name for output in plan.outputs)
+            self._say(False, f"nothing in this pod publishes or serves {outputs}")
+        elif verdict.state == "Healthy":
+            self._keep_ready = False
+            if judgement.ready_at is None:
+                judgement.ready_at = now
+            self._say(True, "")
+        elif verdict.state == "Starting" and self._keep_ready:
+            self._say(True, "")
+        else:
+            self._keep_ready = False
+            self._say(False, "; ".join([verdict.reason, *watching.problems]))
+
+    def _look_for_presence(self, graph: Graph, host: bytes, plan: Plan) -> None:
+        """Whether this pod's application has an endpoint for an output. Asked for seldom once it had one."""
+        from understudy.ros.sources import HOST
+
+        now = time.monotonic()
+        if self._present and now < self._looked_for_presence + PRESENCE_PERIOD:
+            return
+        self._looked_for_presence = now
+        endpoints = (endpoint for output in plan.outputs for endpoint in graph.endpoints(output))
+        self._present = any(endpoint.gid[HOST] == host for endpoint in endpoints)
+
+    def _say(self, ready: bool, reason: str) -> None:
+        judgement = self.judgement
+        if (judgement.ready, judgement.reason) != (ready, reason):
+            if judgement.ready != ready:
+                _logger.info("ready" if ready else "not ready: %s", *([] if ready else [reason]))
+            judgement.ready, judgement.reason = ready, reason
+            self._on_change()
+
+
+def _join(node_name: str) -> tuple[Graph, Watching, bytes]:
+    """This process's node, and the part of a GID by which this host's writers are told.
+
+    That part is read off the node's own publisher: it holds whatever addresses the pod has. Blocks for about a second.
+    """
+    from understudy.ros.graph import Graph
+    from understudy.ros.sources import HOST
+    from understudy.ros.watching import Watching
+
+    graph = Graph(node_name)
+    try:
+        watching = Watching(graph)
+        end = time.monotonic() + OWN_GID
+        while time.monotonic() < end:
+            for endpoint in graph.publishers("/parameter_events"):
+                if endpoint.node == f"/{node_name}":
+                    return graph, watching, endpoint.gid[HOST]
+            time.sleep(0.01)
+        raise TimeoutError(f"the node doesn't see its own publisher within {OWN_GID:g} s")
+    except BaseException:
+        graph.close()
+        raise

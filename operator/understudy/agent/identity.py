@@ -1,0 +1,53 @@
+"""Which pod this agent is in, from the environment that the operator gave it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from understudy.api import names
+
+
+@dataclass(frozen=True)
+class Identity:
+    """One pod."""
+
+    workload: str
+    """RobotWorkload that the pod was made for; empty for a pod that may be claimed."""
+    namespace: str
+    pod: str
+    uid: str
+    ip: str
+    held: tuple[str, ...]
+    """Containers that wait for a claim."""
+    directory: Path
+    """The emptyDir shared with the held containers."""
+    token_file: Path
+
+    @classmethod
+    def from_environment(cls, environment: Mapping[str, str]) -> Identity:
+        """Raises ValueError, naming the variables, when some are missing."""
+        needed = ("UNDERSTUDY_POD", "UNDERSTUDY_POD_UID")
+        if missing := [name for name in needed if not environment.get(name)]:
+            raise ValueError(f"{', '.join(missing)} not set: the operator sets them in the container's env")
+        workload = environment.get("UNDERSTUDY_WORKLOAD", "")
+        held = tuple(environment.get("UNDERSTUDY_HELD_CONTAINERS", "").split())
+        if not workload and not held:
+            raise ValueError(
+                "neither UNDERSTUDY_WORKLOAD nor UNDERSTUDY_HELD_CONTAINERS is set: a pod is a workload's, or held"
+            )
+        return cls(
+            workload=workload,
+            namespace=environment.get("UNDERSTUDY_NAMESPACE", ""),
+            pod=environment["UNDERSTUDY_POD"],
+            uid=environment["UNDERSTUDY_POD_UID"],
+            ip=environment.get("UNDERSTUDY_POD_IP", ""),
+            held=held,
+            directory=Path(environment.get("UNDERSTUDY_DIR", names.AGENT_DIR)),
+            token_file=Path(environment.get("UNDERSTUDY_TOKEN_FILE", f"{names.SECRET_DIR}/token")),
+        )
+
+    def token(self) -> bytes:
+        """The secret shared with the monitor, read each time, since a Secret can change. Raises OSError."""
+        return self.token_file.read_bytes().strip()

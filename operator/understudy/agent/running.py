@@ -1,0 +1,105 @@
+"""The agent's process: puts its parts together and ends them on SIGTERM."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import os
+import signal
+import sys
+import time
+
+from understudy.agent.identity import Identity
+from understudy.agent.sessions import Sessions
+from understudy.agent.sidecar import Sidecar
+from understudy.api import names
+from understudy.cluster.pages import serve
+from understudy.cluster.probes import ProbeSender
+
+_logger = logging.getLogger(__name__)
+
+FORSAKEN = 60.0
+"""Seconds without any monitor after which probes stop: its address may be somebody else's by then."""
+
+_HOUSEKEEPING = 5.0  # seconds
+
+_WARMING = "import os; os.nice(19); import understudy.ros.watching, understudy.trees.loading"
+
+
+def main(argv: list[str]) -> int:
+    """Run until SIGTERM or SIGINT. The pod is named by the environment, see Identity."""
+    logging.basicConfig(
+        stream=sys.stdout,
+        level=os.environ.get("UNDERSTUDY_LOG_LEVEL", "INFO"),
+        format="%(asctime)s %(levelname)s %(name)s: %(message)s",
+    )
+    if argv:
+        print(f"understudy agent: unexpected {' '.join(argv)}; it takes no arguments", file=sys.stderr)
+        return 2
+    try:
+        identity = Identity.from_environment(os.environ)
+        probes = ProbeSender(identity.uid)
+    except ValueError as error:
+        print(f"understudy agent: {error}", file=sys.stderr)
+        return 2
+    asyncio.run(_run(identity, probes))
+    return 0
+
+
+async def _run(identity: Identity, probes: ProbeSender) -> None:
+    loop = asyncio.get_running_loop()
+    told = asyncio.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, told.set)
+    sidecar = Sidecar(identity, probes)
+    sessions = Sessions(sidecar)
+
+    def ready() -> tuple[int, str]:
+        status = sidecar.status()
+        return (200, "ready\n") if status.ready else (503, f"{status.phase}: {status.reason}\n")
+
+    pages = {"/ready": ready, "/healthz": lambda: (200, "ok\n")}
+    control = await sessions.serve(int(os.environ.get("UNDERSTUDY_AGENT_PORT", names.AGENT_PORT)))
+    health = await serve(pages, int(os.environ.get("UNDERSTUDY_AGENT_HEALTH_PORT", names.AGENT_HEALTH_PORT)))
+    probes.run()
+    await sidecar.begin()
+    _logger.info("agent of %s%s", identity.pod, ", held" if sidecar.held else "")
+    housekeeping = [asyncio.create_task(_rest_when_forsaken(sessions, probes))]
+    if sidecar.held:
+        housekeeping.append(asyncio.create_task(_warm()))
+    await told.wait()
+    for task in housekeeping:
+        task.cancel()
+    for server in (control, health):
+        server.close()
+    probes.close()
+    await sidecar.end()
+    _logger.info("ended")
+
+
+async def _rest_when_forsaken(sessions: Sessions, probes: ProbeSender) -> None:
+    last = time.monotonic()
+    while True:
+        if sessions.count:
+            last = time.monotonic()
+        elif time.monotonic() - last > FORSAKEN:
+            probes.rest()
+        await asyncio.sleep(_HOUSEKEEPING)
+
+
+async def _warm() -> None:
+    """Bring ROS into the node's page cache while there is time, in a process that goes away again."""
+    with contextlib.suppress(OSError):
+        process = await asyncio.create_subprocess_exec(
+            sys.executable,
+            "-c",
+            _WARMING,
+            stdout=asyncio.subprocess.DEVNULL,
+            stderr=asyncio.subprocess.DEVNULL,
+        )
+        try:
+            await process.wait()
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                process.kill()

@@ -1,0 +1,266 @@
+"""The control channel: lets in who knows the token, carries out requests, says how the instance is doing.
+
+What comes over the network is never trusted before the mac is right, and nothing that happens in a session ends more
+than that session.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import hmac
+import logging
+import secrets
+import socket
+from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from understudy.api import agents as wire
+from understudy.api import names
+from understudy.api.agents import AgentStatus, ProtocolError
+
+_logger = logging.getLogger(__name__)
+
+MOST_PENDING = 16
+"""Sessions that haven't proved the token yet; one more ends the oldest, so that strangers can't keep a monitor out."""
+
+MOST_SESSIONS = 8
+"""Sessions that have. A workload has one monitor, and for a moment two."""
+
+GREETING = 3.0
+"""Seconds to prove the token."""
+
+SEND = 3.0
+"""Seconds that the other side may take to take in what is sent."""
+
+_TCP_USER_TIMEOUT = getattr(socket, "TCP_USER_TIMEOUT", 18)
+_UNACKNOWLEDGED = 6000  # milliseconds
+
+
+class Refused(Exception):
+    """The request can't be done, and its text says why."""
+
+
+@dataclass(frozen=True)
+class Peer:
+    """Who speaks in a session."""
+
+    workload: str
+    claim: str
+    host: str
+    """IP address."""
+
+
+class Served(Protocol):
+    """What the sessions command."""
+
+    def greeting(self) -> Mapping[str, str]:
+        """Name (``pod``) and ``uid`` of the pod."""
+
+    def token(self) -> bytes:
+        """The shared secret. Raises OSError."""
+
+    def refuses(self, workload: str, claim: str) -> str | None:
+        """Why a monitor may not command this pod; None if it may."""
+
+    def status(self) -> AgentStatus:
+        """How the instance is doing."""
+
+    @property
+    def version(self) -> int:
+        """Grows with every change of the status."""
+
+    async def changed(self, version: int) -> None:
+        """Wait until the status is newer than that."""
+
+    async def configure(self, body: Mapping[str, Any], peer: Peer) -> None:
+        """Take a health tree. Raises Refused."""
+
+    async def start(self, body: Mapping[str, Any], peer: Peer) -> None:
+        """Start what is held. Raises Refused."""
+
+    async def probe(self, body: Mapping[str, Any], peer: Peer) -> None:
+        """Send gate probes. Raises Refused."""
+
+
+class _Session:
+    """One connection whose other side has proved the token."""
+
+    def __init__(self, peer: Peer, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self.peer = peer
+        self._reader, self._writer = reader, writer
+
+    async def send(self, message: Mapping[str, Any]) -> None:
+        self._writer.write(wire.encode(message))
+        async with asyncio.timeout(SEND):
+            await self._writer.drain()
+
+    async def receive(self) -> dict[str, Any]:
+        return wire.decode(await read_line(self._reader, wire.MAX_LINE))
+
+    async def end(self, reason: str) -> None:
+        with contextlib.suppress(OSError):
+            await self.send({"error": reason})
+        self._writer.close()
+
+    def abort(self) -> None:
+        self._writer.transport.abort()
+
+
+class Sessions:
+    """Serves the control channel."""
+
+    def __init__(self, served: Served) -> None:
+        self._served = served
+        self._pending: dict[asyncio.StreamWriter, None] = {}
+        self._sessions: list[_Session] = []
+
+    async def serve(self, port: int = names.AGENT_PORT, *, host: str | None = None) -> asyncio.Server:
+        """Listen, on all addresses where none is given. Raises OSError."""
+        return await asyncio.start_server(self._connected, host, port, limit=wire.MAX_GREETING)
+
+    @property
+    def count(self) -> int:
+        """Sessions of monitors that may command this pod."""
+        return len(self._sessions)
+
+    async def end_refused(self) -> None:
+        """End the sessions of those who may no longer command this pod."""
+        for session in list(self._sessions):
+            if (reason := self._served.refuses(session.peer.workload, session.peer.claim)) is not None:
+                await session.end(reason)
+
+    async def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        host = writer.get_extra_info("peername", ("?",))[0]
+        try:
+            self._limit_silence(writer)
+            while len(self._pending) >= MOST_PENDING:
+                oldest = next(iter(self._pending))
+                del self._pending[oldest]
+                oldest.transport.abort()
+            self._pending[writer] = None
+            try:
+                async with asyncio.timeout(GREETING):
+                    session = await self._let_in(reader, writer, host)
+            finally:
+                self._pending.pop(writer, None)
+            if session is not None:
+                await self._follow(session)
+        except (OSError, EOFError, ProtocolError) as error:
+            _logger.debug("session of %s: %r", host, error)
+        except Exception:
+            _logger.exception("session of %s", host)
+        finally:
+            writer.close()
+
+    def _limit_silence(self, writer: asyncio.StreamWriter) -> None:
+        """Find out by the kernel that the other side is gone: a status of every second goes unacknowledged."""
+        sock = writer.get_extra_info("socket")
+        with contextlib.suppress(OSError):
+            sock.setsockopt(socket.IPPROTO_TCP, _TCP_USER_TIMEOUT, _UNACKNOWLEDGED)
+            sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    async def _let_in(
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, host: str
+    ) -> _Session | None:
+        nonce = secrets.token_hex(16)
+        writer.write(wire.encode({"nonce": nonce, **self._served.greeting(), "version": wire.PROTOCOL}))
+        answer = wire.decode(await read_line(reader, wire.MAX_GREETING))
+        peer = Peer(str(answer.get("workload", "")), str(answer.get("claim", "")), host)
+        refusal = self._check(nonce, peer, str(answer.get("mac", "")))
+        if refusal is not None:
+            _logger.warning("refused %s (workload %r, claim %r): %s", host, peer.workload, peer.claim, refusal)
+            writer.write(wire.encode({"error": refusal}))
+            await writer.drain()
+            return None
+        return _Session(peer, reader, writer)
+
+    def _check(self, nonce: str, peer: Peer, proof: str) -> str | None:
+        try:
+            token = self._served.token()
+        except OSError as error:
+            return f"the agent can't read its token: {error.strerror}"
+        if not token:
+            return "the agent's token is empty"
+        right = wire.mac(token, nonce, peer.workload, peer.claim)
+        if not hmac.compare_digest(right.encode(), proof.encode()):
+            return "wrong mac: the token is another"
+        return self._served.refuses(peer.workload, peer.claim)
+
+    async def _follow(self, session: _Session) -> None:
+        while len(self._sessions) >= MOST_SESSIONS:
+            await self._sessions.pop(0).end("too many sessions: a newer one took the place")
+        self._sessions.append(session)
+        peer = session.peer
+        _logger.info("session of %s (workload %r, claim %r)", peer.host, peer.workload, peer.claim)
+        telling = asyncio.create_task(self._tell(session))
+        try:
+            while True:
+                request = await session.receive()
+                await session.send(await self._answer(request, session.peer))
+        finally:
+            telling.cancel()
+            with contextlib.suppress(ValueError):
+                self._sessions.remove(session)
+
+    async def _tell(self, session: _Session) -> None:
+        """Send the status on every change and once a second. A session that can't take it in is ended."""
+        try:
+            while True:
+                version = self._served.version
+                await session.send({"status": self._served.status().to_wire()})
+                with contextlib.suppress(TimeoutError):
+                    async with asyncio.timeout(wire.STATUS_PERIOD):
+                        await self._served.changed(version)
+        except OSError as error:
+            _logger.debug("session of %s: %r", session.peer.host, error)
+        except asyncio.CancelledError:
+            raise
+        except Exception:
+            _logger.exception("telling %s the status", session.peer.host)
+        session.abort()
+
+    async def _answer(self, request: Mapping[str, Any], peer: Peer) -> dict[str, Any]:
+        number, op = request.get("id"), request.get("op")
+        operations: dict[str, Callable[[Mapping[str, Any], Peer], Awaitable[None]]] = {
+            "configure": self._served.configure,
+            "start": self._served.start,
+            "probe": self._served.probe,
+        }
+        try:
+            if (reason := self._served.refuses(peer.workload, peer.claim)) is not None:
+                raise Refused(reason)
+            if op == "status":
+                return {"id": number, "ok": True, "status": self._served.status().to_wire()}
+            if not isinstance(op, str) or op not in operations:
+                raise Refused(f"unknown op {op!r}; there are {', '.join(operations)} and status")
+            await operations[op](request, peer)
+        except Refused as error:
+            return {"id": number, "error": str(error)}
+        except Exception as error:
+            _logger.exception("op %s", op)
+            return {"id": number, "error": f"{op} failed: {error!r}"}
+        if op == "start":
+            await self.end_refused()
+        return {"id": number, "ok": True}
+
+
+async def read_line(reader: asyncio.StreamReader, most: int) -> bytes:
+    """A line of at most so many bytes, its end included, whatever the reader's own limit.
+
+    Raises EOFError when the other side closes, ProtocolError when the line is longer.
+    """
+    parts: list[bytes] = []
+    size = 0
+    while True:
+        try:
+            part = await reader.readuntil(b"\n")
+        except asyncio.LimitOverrunError as overrun:
+            part = await reader.readexactly(overrun.consumed)
+        size += len(part)
+        if size > most:
+            raise ProtocolError(f"a line of more than {most} bytes")
+        parts.append(part)
+        if part.endswith(b"\n"):
+            return b"".join(parts)

@@ -1,0 +1,230 @@
+"""The agent of one pod: who may command it, what phase the instance is in, and what it remembers of both."""
+
+from __future__ import annotations
+
+import asyncio
+import dataclasses
+import logging
+import os
+import time
+from collections.abc import Mapping
+from typing import Any
+
+from understudy.agent.health import Health, Plan
+from understudy.agent.holds import Holds
+from understudy.agent.identity import Identity
+from understudy.agent.memory import Memory
+from understudy.agent.sessions import Peer, Refused
+from understudy.api import holding, names
+from understudy.api.agents import AgentStatus, Phase
+from understudy.cluster.probes import ProbeSender
+
+_logger = logging.getLogger(__name__)
+
+
+class Sidecar:
+    """Implements :class:`understudy.agent.sessions.Served`."""
+
+    def __init__(self, identity: Identity, probes: ProbeSender) -> None:
+        """Take up where an earlier agent of this pod left off. Raises OSError when the shared volume can't be used."""
+        self._identity, self._probes = identity, probes
+        self._holds = Holds(identity.directory, identity.held)
+        self._holds.prepare()
+        self._memory = Memory.load(identity.directory)
+        self._health = Health(identity.pod, on_change=self._health_changed)
+        self._health.resume(self._memory.process_up_at, self._memory.ready_at)
+        self._configuring = asyncio.Lock()
+        self._looking: asyncio.Task[None] | None = None
+        self._version = 0
+        self._changed = asyncio.Event()
+
+    async def begin(self) -> None:
+        """Go on with what was begun: finish a start that was cut short, judge by the last tree."""
+        if self._memory.configuration is not None:
+            try:
+                self._health.configure(await asyncio.to_thread(Plan.of, self._memory.configuration))
+            except ValueError as error:
+                _logger.error("the health tree of an earlier agent is left out: %s", error)
+                self._memory.configuration = None
+        if self._memory.workload and self._identity.held:
+            self._holds.start(self._memory.variables(self._identity.held))
+            self._look()
+        elif not self._identity.held:
+            if self._memory.started_at is None:
+                self._memory.started_at = time.time()
+                self._save()
+            self._look()
+
+    async def end(self) -> None:
+        """Stop looking."""
+        if self._looking is not None:
+            self._looking.cancel()
+            await asyncio.wait([self._looking])
+
+    # -- what a monitor sees ----------------------------------------------------------------------------------------
+
+    def greeting(self) -> Mapping[str, str]:
+        """Name and UID of the pod."""
+        return {"pod": self._identity.pod, "uid": self._identity.uid}
+
+    def token(self) -> bytes:
+        """The shared secret. Raises OSError."""
+        return self._identity.token()
+
+    def refuses(self, workload: str, claim: str) -> str | None:
+        """Why a monitor may not command this pod; None if it may."""
+        mine = self._identity.workload
+        if mine and workload != mine:
+            return f"pod {self._identity.pod} is an instance of {mine}, not of {workload}"
+        if mine or not self._memory.workload:
+            return None
+        if (workload, claim) != (self._memory.workload, self._memory.claim):
+            return f"pod {self._identity.pod} is claimed by {self._memory.workload} ({self._memory.claim})"
+        return None
+
+    def status(self) -> AgentStatus:
+        """How the instance is doing."""
+        judgement, configured = self._health.judgement, self._memory.configuration is not None
+        if self.held:
+            missing = self._holds.missing()
+            reason = f"not waiting (yet): {', '.join(missing)}" if missing else ""
+            return AgentStatus("Held", not missing, reason, configured=configured)
+        phase: Phase = "Running" if judgement.ready_at is not None else "Starting"
+        return AgentStatus(
+            phase=phase,
+            ready=judgement.ready,
+            reason=judgement.reason,
+            started_at=self._memory.started_at,
+            process_up_at=judgement.process_up_at,
+            ready_at=judgement.ready_at,
+            configured=configured,
+            outputs=dict(judgement.outputs),
+        )
+
+    @property
+    def held(self) -> bool:
+        """Whether a container waits for its claim."""
+        return bool(self._identity.held) and not self._memory.workload
+
+    @property
+    def version(self) -> int:
+        """Grows with every change of the status."""
+        return self._version
+
+    async def changed(self, version: int) -> None:
+        """Wait until the status is newer than that."""
+        while self._version <= version:
+            await self._changed.wait()
+
+    # -- what a monitor commands ------------------------------------------------------------------------------------
+
+    async def configure(self, body: Mapping[str, Any], peer: Peer) -> None:
+        """Take a health tree, and where probes go. Nothing changes by the same again. Raises Refused."""
+        configuration = {key: body.get(key) for key in ("tree", "outputs", "grace")}
+        async with self._configuring:
+            if configuration != self._memory.configuration:
+                try:
+                    plan = await asyncio.to_thread(Plan.of, configuration)
+                except ValueError as error:
+                    raise Refused(str(error)) from error
+                self._health.configure(plan)
+                self._memory.configuration = configuration
+                self._save()
+                self._notify()
+        probe = body.get("probe") or {"host": peer.host, "port": names.PROBE_PORT}
+        self._aim(probe)
+
+    async def start(self, body: Mapping[str, Any], peer: Peer) -> None:
+        """Start what is held, and belong to who asked for it. Harmless when repeated. Raises Refused."""
+        if not self._identity.held:
+            raise Refused(f"pod {self._identity.pod} isn't held: its containers started with it")
+        if not self._memory.workload:
+            self._memory = self._bound(body, peer)
+            _logger.info("claimed by %s (%s)", peer.workload, peer.claim)
+        try:
+            self._holds.start(self._memory.variables(self._identity.held))
+        except OSError as error:
+            raise Refused(f"starting what is held: {error}") from error
+        self._notify()
+        self._look()
+
+    def _bound(self, body: Mapping[str, Any], peer: Peer) -> Memory:
+        """What is known once the pod belongs to who starts it. Kept before the first process starts, so that no later
+        agent of this pod can give it to another.
+        """
+        environment, ros = body.get("environment", {}), body.get("ros", {})
+        if not _is_environment(ros) or not isinstance(environment, dict):
+            raise Refused("environment is a mapping of containers to variables, ros one of variables")
+        for container, variables in environment.items():
+            if not _is_environment(variables):
+                raise Refused(f"environment of {container}: expected a mapping of variables to texts")
+        bound = dataclasses.replace(
+            self._memory,
+            workload=peer.workload,
+            claim=peer.claim,
+            environment=environment,
+            ros=ros,
+            started_at=time.time(),
+        )
+        try:
+            for variables in bound.variables(self._identity.held).values():
+                holding.env_file(variables)
+            bound.save(self._identity.directory)
+        except (ValueError, OSError) as error:
+            raise Refused(str(error)) from error
+        return bound
+
+    async def probe(self, body: Mapping[str, Any], peer: Peer) -> None:
+        """Send gate probes for a while. Raises Refused."""
+        self._aim({"host": body.get("host") or peer.host, "port": body.get("port", names.PROBE_PORT)})
+        try:
+            self._probes.burst(float(body.get("interval", 0.001)), float(body.get("duration", 1.0)))
+        except (TypeError, ValueError) as error:
+            raise Refused(str(error)) from error
+
+    # -- inside -----------------------------------------------------------------------------------------------------
+
+    def _aim(self, probe: object) -> None:
+        try:
+            if not isinstance(probe, dict):
+                raise TypeError(f"probe is a mapping of host and port, not {probe!r}")
+            self._probes.aim(str(probe.get("host")), int(probe.get("port", names.PROBE_PORT)))
+        except (TypeError, ValueError) as error:
+            raise Refused(str(error)) from error
+
+    def _look(self) -> None:
+        """Judge the instance from now on, as part of its robot's graph."""
+        if self._looking is None:
+            _enter(self._memory.ros)
+            self._looking = asyncio.create_task(self._health.run(), name="health")
+
+    def _health_changed(self) -> None:
+        judgement, memory = self._health.judgement, self._memory
+        if (judgement.process_up_at, judgement.ready_at) != (memory.process_up_at, memory.ready_at):
+            memory.process_up_at, memory.ready_at = judgement.process_up_at, judgement.ready_at
+            self._save()
+        self._notify()
+
+    def _save(self) -> None:
+        """Keep what is known. A full volume must not end an agent."""
+        try:
+            self._memory.save(self._identity.directory)
+        except OSError as error:
+            _logger.error("%s: what is known would not outlast a restart: %s", self._identity.directory, error)
+
+    def _notify(self) -> None:
+        self._version += 1
+        self._changed.set()
+        self._changed = asyncio.Event()
+
+
+def _is_environment(value: object) -> bool:
+    return isinstance(value, dict) and all(isinstance(entry, str) for entry in value.values())
+
+
+def _enter(ros: Mapping[str, str]) -> None:
+    """Make a robot's ROS environment this process's own; read by the middleware when the node is made."""
+    os.environ.update(ros)
+    if os.environ.get("ROS_DISCOVERY_SERVER"):
+        # Behind a discovery server only a super client sees the whole graph.
+        os.environ["ROS_SUPER_CLIENT"] = "TRUE"

@@ -1,0 +1,133 @@
+"""A pod without Kubernetes: a real agent process, a folder for the emptyDir, real held containers."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import socket
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import pytest
+
+from understudy.api import holding
+from understudy.cluster.agents import AgentLink
+
+UID = "0b5d9f5e-7c1e-4a8e-9f2b-5d2f3f6f9a10"
+TOKEN = b"correct horse battery staple"
+PACKAGE = Path(__file__).parents[3] / "operator"
+
+
+def free_port() -> int:
+    with socket.socket() as sock:
+        sock.bind(("127.0.0.1", 0))
+        port: int = sock.getsockname()[1]
+        return port
+
+
+class Pod:
+    """What is in one pod."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.volume = folder / "volume"
+        self.volume.mkdir()
+        (folder / "token").write_bytes(TOKEN + b"\n")
+        self.port, self.health_port = free_port(), free_port()
+        self.agent: subprocess.Popen[bytes] | None = None
+        self.environment = {"UNDERSTUDY_HELD_CONTAINERS": "app"}
+        self._processes: list[subprocess.Popen[bytes]] = []
+
+    def start_agent(self) -> subprocess.Popen[bytes]:
+        environment = {
+            **os.environ,
+            "PYTHONPATH": str(PACKAGE),
+            "UNDERSTUDY_POD": "pool-abcde",
+            "UNDERSTUDY_POD_UID": UID,
+            "UNDERSTUDY_POD_IP": "127.0.0.1",
+            "UNDERSTUDY_NAMESPACE": "default",
+            "UNDERSTUDY_DIR": str(self.volume),
+            "UNDERSTUDY_TOKEN_FILE": str(self.folder / "token"),
+            "UNDERSTUDY_AGENT_PORT": str(self.port),
+            "UNDERSTUDY_AGENT_HEALTH_PORT": str(self.health_port),
+            **self.environment,
+        }
+        with (self.folder / "agent.log").open("ab") as log:
+            self.agent = subprocess.Popen(
+                [sys.executable, "-m", "understudy.main", "agent"], env=environment, stdout=log, stderr=log
+            )
+        self._processes.append(self.agent)
+        return self.agent
+
+    def start_container(
+        self, command: Sequence[str], args: Sequence[str] = (), *, container: str = "app"
+    ) -> subprocess.Popen[bytes]:
+        wrapped = holding.held_command(container, command, args, [], directory=str(self.volume))
+        with (self.folder / f"{container}.log").open("ab") as log:
+            process = subprocess.Popen(wrapped, stdout=log, stderr=log)
+        self._processes.append(process)
+        return process
+
+    def output(self, container: str = "app") -> str:
+        return (self.folder / f"{container}.log").read_text()
+
+    def kill(self, process: subprocess.Popen[bytes]) -> None:
+        process.kill()
+        process.wait()
+
+    def end(self) -> None:
+        for process in self._processes:
+            self.kill(process)
+
+    def link(self, workload: str = "robot", claim: str = "uid/1", token: bytes = TOKEN, **more) -> AgentLink:
+        return AgentLink("127.0.0.1", self.port, token, workload, claim, **more)
+
+    async def page(self, path: str) -> tuple[int, str]:
+        """Status and text of a page of the agent's; 0 while it doesn't answer."""
+
+        def get() -> tuple[int, str]:
+            try:
+                with urllib.request.urlopen(f"http://127.0.0.1:{self.health_port}{path}", timeout=5) as answer:
+                    return answer.status, answer.read().decode()
+            except urllib.error.HTTPError as error:
+                return error.code, error.read().decode()
+            except OSError:
+                return 0, ""
+
+        return await asyncio.to_thread(get)
+
+
+async def eventually(condition, within: float = 10.0):
+    """Wait until it holds; what it returned."""
+    end = time.monotonic() + within
+    while True:
+        value = condition()
+        if asyncio.iscoroutine(value):
+            value = await value
+        if value:
+            return value
+        assert time.monotonic() < end, f"not within {within} s"
+        await asyncio.sleep(0.02)
+
+
+@pytest.fixture
+def pod(tmp_path: Path) -> Iterator[Pod]:
+    made = Pod(tmp_path)
+    yield made
+    made.end()
+    if (tmp_path / "agent.log").exists():
+        print((tmp_path / "agent.log").read_text())
+
+
+@pytest.fixture
+async def links():
+    """Closes the links that a test made."""
+    made: list[AgentLink] = []
+    yield made
+    for link in made:
+        await link.close()

@@ -1,0 +1,317 @@
+"""A real agent process, really held shells and a real client over the loopback; no ROS."""
+
+import asyncio
+import json
+import signal
+import stat
+
+import pytest
+
+from tests.unit.agent.conftest import TOKEN, UID, Pod, eventually
+from understudy.api import agents as wire
+from understudy.cluster.agents import AgentGone, AgentRefused
+
+SAY = ["sh", "-c", 'echo "domain $ROS_DOMAIN_ID, $GREETING"; exec sleep 60']
+ROS = {"ROS_DOMAIN_ID": "77", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}
+
+
+async def test_a_held_container_is_started_with_the_robots_settings(pod: Pod, links):
+    pod.start_agent()
+    pod.start_container(SAY)
+    links.append(link := pod.link())
+    await link.wait_connected(10)
+    assert (link.pod, link.uid) == ("pool-abcde", UID)
+    held = await link.wait_for(lambda s: s.ready, 10)
+    assert (held.phase, held.started_at, held.configured) == ("Held", None, False)
+    await link.start({"app": {"GREETING": "it's me"}}, ROS)
+    status = await link.wait_for(lambda s: s.phase == "Starting", 5)
+    assert not status.ready
+    assert status.started_at is not None
+    await eventually(lambda: pod.output() == "domain 77, it's me\n")
+
+
+async def test_several_containers_each_get_their_own(pod: Pod, links):
+    pod.environment["UNDERSTUDY_HELD_CONTAINERS"] = "app driver"
+    pod.start_agent()
+    pod.start_container(SAY)
+    links.append(link := pod.link())
+    await link.wait_connected(10)
+    assert link.status is not None
+    assert link.status.reason == "not waiting (yet): app, driver" or "driver" in link.status.reason
+    pod.start_container(SAY, container="driver")
+    await link.wait_for(lambda s: s.ready, 10)
+    await link.start({"app": {"GREETING": "a"}, "driver": {"GREETING": "b", "ROS_DOMAIN_ID": "5"}}, ROS)
+    await eventually(lambda: pod.output() == "domain 77, a\n")
+    await eventually(lambda: pod.output("driver") == "domain 5, b\n")
+
+
+async def test_readiness_follows_the_held_containers(pod: Pod):
+    pod.start_agent()
+    assert (await eventually(lambda: pod.page("/healthz")))[0] in (0, 200)
+    await eventually(lambda: _is(pod, 503))
+    container = pod.start_container(SAY)
+    await eventually(lambda: _is(pod, 200))
+    pod.kill(container)
+    await eventually(lambda: _is(pod, 503))
+    pod.start_container(SAY)
+    await eventually(lambda: _is(pod, 200))
+    assert (await pod.page("/nothing"))[0] == 404
+
+
+async def _is(pod: Pod, status: int) -> bool:
+    return (await pod.page("/ready"))[0] == status
+
+
+async def test_a_wrong_token_is_refused(pod: Pod, links):
+    pod.start_agent()
+    links.append(right := pod.link())
+    await right.wait_connected(10)
+    links.append(wrong := pod.link(token=b"guess"))
+    with pytest.raises(AgentGone, match="wrong mac"):
+        await wrong.wait_connected(1)
+    with pytest.raises(AgentGone, match="wrong mac"):
+        await wrong.start({}, {})
+
+
+async def test_the_mac_is_of_this_workload_and_claim(pod: Pod):
+    pod.start_agent()
+    reader, writer = await _connection(pod)
+    nonce = json.loads(await reader.readline())["nonce"]
+    proof = wire.mac(TOKEN, nonce, "robot", "uid/1")
+    writer.write(wire.encode({"workload": "robot", "claim": "uid/2", "mac": proof}))
+    assert "wrong mac" in json.loads(await reader.readline())["error"]
+    assert await reader.read() == b""
+    writer.close()
+
+
+async def _connection(pod: Pod):
+    async def connect():
+        try:
+            return await asyncio.open_connection("127.0.0.1", pod.port)
+        except OSError:
+            return None
+
+    return await eventually(connect)
+
+
+@pytest.mark.parametrize(
+    "said",
+    [b"\n", b"[]\n", b"{}\n", b'{"mac": "\xff"}\n', b'{"mac": 5}\n', b"x" * 10_000, b"[" * 3000 + b"\n", b'{"mac": "\\u00fc"}\n'],
+)
+async def test_nonsense_ends_the_session_and_nothing_else(pod: Pod, links, said):
+    pod.start_agent()
+    reader, writer = await _connection(pod)
+    await reader.readline()
+    writer.write(said)
+    async with asyncio.timeout(5):
+        while await reader.read(1000):
+            pass
+    writer.close()
+    links.append(link := pod.link())
+    await link.wait_connected(5)
+
+
+async def test_a_stranger_that_says_nothing_is_not_waited_for(pod: Pod):
+    pod.start_agent()
+    reader, _ = await _connection(pod)
+    await reader.readline()
+    async with asyncio.timeout(5):
+        assert await reader.read() == b""
+
+
+async def test_strangers_do_not_keep_a_monitor_out(pod: Pod, links):
+    pod.start_agent()
+    strangers = [await _connection(pod) for _ in range(60)]
+    links.append(link := pod.link())
+    await link.wait_connected(2)
+    for _, writer in strangers:
+        writer.close()
+
+
+async def test_nonsense_of_a_monitor_is_answered(pod: Pod, links):
+    pod.start_agent()
+    links.append(link := pod.link())
+    await link.wait_connected(10)
+    for op, body in [
+        ("dance", {}),
+        ("configure", {"tree": 5, "outputs": [], "grace": 1}),
+        ("configure", {"tree": {"topic": {"nam": "/x"}}, "outputs": [], "grace": 1}),
+        ("configure", {"tree": {"topic": {"name": "/x", "gap": "1s"}}, "outputs": 3, "grace": 1}),
+        ("configure", {"tree": {"topic": {"name": "/x", "gap": "1s"}}, "outputs": [{}], "grace": 1}),
+        ("configure", {"tree": {"topic": {"name": "/x", "gap": "1s"}}, "outputs": [], "grace": "long"}),
+        ("start", {"environment": [], "ros": {}}),
+        ("start", {"environment": {"app": {"A": 1}}, "ros": {}}),
+        ("start", {"environment": {"app": {"A=B": "1"}}, "ros": {}}),
+        ("start", {"environment": {}, "ros": None}),
+        ("probe", {"host": "robot.example", "port": 8149, "interval": 0.001, "duration": 1}),
+        ("probe", {"host": "127.0.0.1", "port": 0, "interval": 0.001, "duration": 1}),
+        ("probe", {"host": "127.0.0.1", "port": 8149, "interval": 0.000001, "duration": 1}),
+        ("probe", {"host": "127.0.0.1", "port": 8149, "interval": 0.001, "duration": 1e9}),
+        ("probe", {"host": "127.0.0.1", "port": 8149, "interval": "x", "duration": 1}),
+    ]:
+        with pytest.raises(AgentRefused, match=op):
+            await link._request(op, body)
+    status = await link.ask()
+    assert (status.phase, status.configured) == ("Held", False)
+    assert not (pod.volume / "env-app").exists()
+
+
+async def test_only_who_started_it_commands_it(pod: Pod, links):
+    pod.start_agent()
+    pod.start_container(SAY)
+    first, second, waiting = pod.link(), pod.link("other", "uid2/9"), pod.link("robot", "uid/2")
+    links.extend([first, second, waiting])
+    for link in links:
+        await link.wait_connected(10)
+    await asyncio.gather(first.start({"app": {"GREETING": "first"}}, ROS))
+    for link in (second, waiting):
+        with pytest.raises((AgentRefused, AgentGone)):
+            await link.start({"app": {"GREETING": "second"}}, ROS)
+        await eventually(lambda link=link: "claimed by robot (uid/1)" in link.problem)
+    await eventually(lambda: pod.output() == "domain 77, first\n")
+    links.append(late := pod.link("other", "uid2/9"))
+    with pytest.raises(AgentGone, match="claimed by robot"):
+        await late.wait_connected(1)
+    links.append(restarted := pod.link())
+    await restarted.wait_connected(2)
+    assert first.connected
+
+
+async def test_of_two_who_start_it_at_once_one_wins(pod: Pod, links):
+    pod.start_agent()
+    pod.start_container(SAY)
+    links.extend(pod.link(f"robot-{i}", f"uid/{i}") for i in range(4))
+    for link in links:
+        await link.wait_connected(10)
+    results = await asyncio.gather(
+        *(link.start({"app": {"GREETING": link.workload}}, ROS) for link in links), return_exceptions=True
+    )
+    winners = [link.workload for link, result in zip(links, results, strict=True) if result is None]
+    assert len(winners) == 1
+    await eventually(lambda: pod.output() == f"domain 77, {winners[0]}\n")
+
+
+async def test_a_start_can_be_repeated(pod: Pod, links):
+    pod.start_agent()
+    pod.start_container(SAY)
+    links.append(link := pod.link())
+    await link.wait_connected(10)
+    await link.start({"app": {"GREETING": "once"}}, ROS)
+    begun = (await link.ask()).started_at
+    await link.start({"app": {"GREETING": "twice"}}, ROS)
+    assert (await link.ask()).started_at == begun
+    await eventually(lambda: pod.output() == "domain 77, once\n")
+
+
+async def test_a_container_that_comes_after_the_start_goes_straight_on(pod: Pod, links):
+    pod.start_agent()
+    links.append(link := pod.link())
+    await link.wait_connected(10)
+    await link.start({"app": {"GREETING": "early"}}, ROS)
+    container = pod.start_container(SAY)
+    await eventually(lambda: pod.output() == "domain 77, early\n")
+    pod.kill(container)
+    pod.start_container(SAY)
+    await eventually(lambda: pod.output() == "domain 77, early\n" * 2)
+
+
+async def test_a_killed_agent_comes_back_with_what_it_knew(pod: Pod, links):
+    agent = pod.start_agent()
+    pod.start_container(SAY)
+    links.append(link := pod.link())
+    await link.wait_for(lambda s: s.ready, 10)
+    await link.start({"app": {"GREETING": "kept"}}, ROS)
+    begun = (await link.ask()).started_at
+    asking = asyncio.gather(*(link.ask() for _ in range(3)), return_exceptions=True)
+    await asyncio.sleep(0)
+    pod.kill(agent)
+    async with asyncio.timeout(1):
+        await asking
+    await eventually(lambda: not link.connected, 1)
+    assert link.status is None
+    with pytest.raises(AgentGone):
+        await link.ask()
+    assert stat.S_IMODE((pod.volume / "agent.json").stat().st_mode) == 0o600
+    pod.start_agent()
+    links.append(other := pod.link("other", "x/1"))
+    status = await link.wait_for(lambda s: True, 10)
+    assert (status.phase, status.started_at) == ("Starting", begun)
+    with pytest.raises(AgentGone, match="claimed by robot"):
+        await other.wait_connected(1.5)
+
+
+async def test_a_held_pods_agent_is_killed_and_the_pod_can_still_be_claimed(pod: Pod, links):
+    pod.kill(pod.start_agent())
+    pod.start_container(SAY)
+    await eventually((pod.volume / "waiting-app").exists)
+    pod.start_agent()
+    links.append(link := pod.link())
+    assert (await link.wait_for(lambda s: s.ready, 10)).phase == "Held"
+    await link.start({"app": {"GREETING": "late"}}, ROS)
+    await eventually(lambda: pod.output() == "domain 77, late\n")
+
+
+async def test_a_start_that_was_cut_short_is_finished(pod: Pod, links):
+    """Killed after the claim was kept and before the process was woken."""
+    agent = pod.start_agent()
+    links.append(link := pod.link())
+    await link.wait_connected(10)
+    await link.start({"app": {"GREETING": "cut"}}, ROS)
+    pod.kill(agent)
+    (pod.volume / "env-app").unlink()
+    pod.start_container(SAY)
+    await eventually((pod.volume / "waiting-app").exists)
+    pod.start_agent()
+    await eventually(lambda: pod.output() == "domain 77, cut\n")
+
+
+async def test_memory_that_cannot_be_read_does_not_stop_an_agent(pod: Pod, links):
+    (pod.volume / "agent.json").write_text("{")
+    pod.start_agent()
+    links.append(link := pod.link())
+    await link.wait_connected(10)
+
+
+async def test_a_pod_that_is_not_held_belongs_to_its_workload(pod: Pod, links):
+    pod.environment = {"UNDERSTUDY_WORKLOAD": "robot", **ROS}
+    pod.start_agent()
+    links.extend([link := pod.link(claim=""), other := pod.link("other", "")])
+    status = await link.wait_for(lambda s: True, 10)
+    assert status.phase == "Starting"
+    with pytest.raises(AgentRefused, match="isn't held"):
+        await link.start({}, {})
+    with pytest.raises(AgentGone, match="is an instance of robot, not of other"):
+        await other.wait_connected(1)
+    assert (await pod.page("/ready"))[0] == 503
+
+
+async def test_ends_when_told(pod: Pod, links):
+    agent = pod.start_agent()
+    links.append(link := pod.link())
+    await link.wait_connected(10)
+    agent.send_signal(signal.SIGTERM)
+    assert await asyncio.to_thread(agent.wait, 5) == 0
+
+
+async def test_ends_when_told_while_it_looks_at_an_instance(pod: Pod, links):
+    pod.environment = {"UNDERSTUDY_WORKLOAD": "robot", **ROS}
+    agent = pod.start_agent()
+    links.append(link := pod.link())
+    await link.configure({"topic": {"name": "/x", "gap": "1s"}}, [], 1.0) if link.connected else None
+    await link.wait_for(lambda s: s.reason.startswith("waiting for the monitor"), 20)
+    agent.send_signal(signal.SIGTERM)
+    assert await asyncio.to_thread(agent.wait, 5) == 0
+
+
+@pytest.mark.parametrize(
+    ("environment", "said"),
+    [
+        ({"UNDERSTUDY_HELD_CONTAINERS": ""}, "neither UNDERSTUDY_WORKLOAD nor UNDERSTUDY_HELD_CONTAINERS"),
+        ({"UNDERSTUDY_POD_UID": "short"}, "pod UID 'short'"),
+        ({"UNDERSTUDY_POD": ""}, "UNDERSTUDY_POD not set"),
+    ],
+)
+async def test_says_what_is_missing_in_its_environment(pod: Pod, environment, said):
+    pod.environment |= environment
+    assert await asyncio.to_thread(pod.start_agent().wait, 10) == 2
+    assert said in (pod.folder / "agent.log").read_text()
