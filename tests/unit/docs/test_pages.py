@@ -1,0 +1,70 @@
+"""The pages keep up with the code: links lead somewhere, and manifests in them are what the models say."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from understudy.api.policies import FailurePolicySpec
+from understudy.api.pools import FallbackPoolSpec
+from understudy.api.workloads import RobotWorkloadSpec
+from understudy.trees.loading import load
+
+REPOSITORY = Path(__file__).parents[3]
+PAGES = [REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").rglob("*.md"))]
+MODELS = {"RobotWorkload": RobotWorkloadSpec, "FailurePolicy": FailurePolicySpec, "FallbackPool": FallbackPoolSpec}
+FENCE = re.compile(r"```yaml\n(.*?)```", re.DOTALL)
+
+
+def name(page: Path) -> str:
+    return str(page.relative_to(REPOSITORY))
+
+
+def manifests() -> list[Any]:
+    found = []
+    for page in PAGES:
+        for text in FENCE.findall(page.read_text()):
+            if "apiVersion: understudy.dev" not in text:
+                continue
+            found += [
+                pytest.param(item, id=f"{name(page)}-{item['metadata']['name']}") for item in yaml.safe_load_all(text)
+            ]
+    return found
+
+
+def covers(read: Any, written: Any) -> bool:
+    if isinstance(written, dict):
+        return isinstance(read, dict) and all(k in read and covers(read[k], v) for k, v in written.items())
+    if isinstance(written, list):
+        return isinstance(read, list) and len(read) == len(written) and all(map(covers, read, written))
+    return bool(read == written)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_links_lead_somewhere(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text()):
+        path = target.partition("#")[0]
+        if path and "://" not in target:
+            assert (page.parent / path).exists(), target
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_yaml_in_pages_is_yaml(page: Path) -> None:
+    for text in FENCE.findall(page.read_text()):
+        list(yaml.safe_load_all(text))
+
+
+@pytest.mark.parametrize("item", manifests())
+def test_manifests_in_pages_are_what_the_models_say(item: dict[str, Any]) -> None:
+    # The models ignore unknown fields; whatever was written must come back.
+    assert covers(MODELS[item["kind"]].model_validate(item["spec"]).to_wire(), item["spec"])
+    if item["kind"] == "FailurePolicy":
+        load(item["spec"]["monitoring"]["yaml"])
+
+
+def test_there_are_manifests_in_the_pages() -> None:
+    assert len(manifests()) >= 4
