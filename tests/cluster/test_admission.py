@@ -1,0 +1,278 @@
+"""What a monitor's account may do to pods, asked of a real API server in its name."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+
+import pytest
+
+from tests.cluster.conftest import Release
+from tests.support.cluster import Cluster, Object, Refused, account, until
+from understudy.api import names
+from understudy.api.base import API_VERSION
+from understudy.controller import monitors
+
+MINE = "robot-17"
+OTHER = "robot-18"
+
+# On no node: what is asked here is who may write a pod, not what it does.
+NOWHERE = {"containers": [{"name": "c", "image": "none.invalid/none"}], "nodeSelector": {"no": "node"}}
+
+
+@pytest.fixture
+def monitor(cluster: Cluster, release: Release, namespace: str) -> str:
+    """The user name of the monitor of MINE, with the rights that the operator gives it; its workload refers to Deployment nav2."""
+    for _, item in monitors.access(MINE, source=("Deployment", "nav2"), pools=["spare"]):
+        item = copy.deepcopy(item)
+        for subject in item.get("subjects", ()):
+            subject["namespace"] = namespace
+        cluster.create(item, namespace)
+    user = account(namespace, names.monitor_account(MINE))
+
+    # Roles and policies take effect once the API server's own watches have seen them.
+    probe = _pod(cluster, namespace, "probe", {})
+
+    def effective() -> bool:
+        try:
+            cluster.delete(probe, user=user, dry_run=True)
+        except Refused as error:
+            return "may delete only pods" in error.message
+        return False
+
+    until(effective, "the admission policy to be enforced")
+    return user
+
+
+@pytest.fixture
+def statefulset_monitor(cluster: Cluster, monitor: str, namespace: str) -> str:
+    """The same where the workload refers to StatefulSet nav2."""
+    for kind, item in monitors.access(MINE, source=("StatefulSet", "nav2"), pools=[]):
+        if kind == "Role":
+            path = cluster.path(item["apiVersion"], kind, namespace, item["metadata"]["name"])
+            cluster.request("PUT", path, body=item)
+    return monitor
+
+
+def _pod(cluster: Cluster, namespace: str, name: str, labels: dict[str, str]) -> Object:
+    metadata: Object = {"name": name, "labels": labels}
+    return cluster.create({"apiVersion": "v1", "kind": "Pod", "metadata": metadata, "spec": NOWHERE}, namespace)
+
+
+def _instance(cluster: Cluster, namespace: str, workload: str, name: str = "instance") -> Object:
+    return _pod(cluster, namespace, name, {names.WORKLOAD: workload, names.INSTANCE: name})
+
+
+def _held(cluster: Cluster, namespace: str) -> Object:
+    return _pod(cluster, namespace, "spare-1", {names.POOL: "spare", names.HELD: "true", names.INSTANCE: "spare-1"})
+
+
+def _controlled(cluster: Cluster, namespace: str, kind: str, name: str) -> Object:
+    """The pod that a real controller makes."""
+    labels = {"app": name}
+    controller: Object = {
+        "apiVersion": "apps/v1",
+        "kind": kind,
+        "metadata": {"name": name},
+        "spec": {
+            "replicas": 1,
+            "selector": {"matchLabels": labels},
+            "template": {"metadata": {"labels": labels}, "spec": NOWHERE},
+        },
+    }
+    if kind == "StatefulSet":
+        controller["spec"]["serviceName"] = name
+    cluster.create(controller, namespace)
+    (pod,) = until(lambda: cluster.list("v1", "Pod", namespace, labels=f"app={name}"), f"the pod of {kind} {name}")
+    return {"apiVersion": "v1", "kind": "Pod", **pod}
+
+
+def _owner(workload: str) -> Object:
+    uid = "5c3d1f6e-0000-4000-8000-000000000002"
+    return {"apiVersion": API_VERSION, "kind": "RobotWorkload", "name": workload, "uid": uid, "controller": True}
+
+
+def _claim(workload: str, pod: Object) -> Object:
+    return {
+        "metadata": {
+            "uid": pod["metadata"]["uid"],
+            "labels": {names.HELD: None, names.WORKLOAD: workload},
+            "annotations": {names.CLAIM: "uid/1"},
+            "ownerReferences": [_owner(workload)],
+        }
+    }
+
+
+def _refusal(action: Callable[[], object]) -> str:
+    with pytest.raises(Refused) as refused:
+        action()
+    assert refused.value.status == 403
+    assert refused.value.reason == "Forbidden"
+    return refused.value.message
+
+
+def test_a_monitor_deletes_its_own_pod(cluster: Cluster, namespace: str, monitor: str) -> None:
+    pod = _instance(cluster, namespace, MINE)
+    cluster.delete(pod, user=monitor)
+    until(lambda: cluster.find("v1", "Pod", "instance", namespace) is None, "the pod to be gone")
+
+
+def test_a_monitor_does_not_delete_the_pod_of_another(cluster: Cluster, namespace: str, monitor: str) -> None:
+    pod = _instance(cluster, namespace, OTHER)
+    message = _refusal(lambda: cluster.delete(pod, user=monitor))
+    assert (
+        f"the monitor of RobotWorkload {namespace}/{MINE} may delete only pods labelled understudy.dev/workload={MINE}; "
+        f"pod {namespace}/instance has {OTHER}"
+    ) in message
+    assert cluster.find("v1", "Pod", "instance", namespace) is not None
+
+
+def test_a_monitor_does_not_delete_a_pod_of_nobody(cluster: Cluster, namespace: str, monitor: str) -> None:
+    message = _refusal(lambda: cluster.delete(_pod(cluster, namespace, "database", {}), user=monitor))
+    assert f"pod {namespace}/database has no such label" in message
+
+
+def test_a_monitor_does_not_delete_an_unclaimed_pod(cluster: Cluster, namespace: str, monitor: str) -> None:
+    assert "may delete only pods" in _refusal(lambda: cluster.delete(_held(cluster, namespace), user=monitor))
+
+
+def test_a_monitor_claims_an_unclaimed_pod(cluster: Cluster, namespace: str, monitor: str) -> None:
+    pod = _held(cluster, namespace)
+    # Only judged and not stored: the garbage collector would take away a pod whose owner doesn't exist.
+    claimed = cluster.patch(pod, _claim(MINE, pod), user=monitor, dry_run=True)
+    assert claimed["metadata"]["labels"][names.WORKLOAD] == MINE
+    assert names.HELD not in claimed["metadata"]["labels"]
+    assert [(o["kind"], o["name"]) for o in claimed["metadata"]["ownerReferences"]] == [("RobotWorkload", MINE)]
+
+
+def test_a_monitor_does_not_claim_for_another(cluster: Cluster, namespace: str, monitor: str) -> None:
+    pod = _held(cluster, namespace)
+    message = _refusal(lambda: cluster.patch(pod, _claim(OTHER, pod), user=monitor))
+    assert f"may set the label understudy.dev/workload only to {MINE} and never remove it" in message
+    assert f"pod {namespace}/spare-1 would have {OTHER}" in message
+
+
+def test_a_claimed_pod_has_one_owner_for_good(cluster: Cluster, namespace: str, monitor: str) -> None:
+    pod = _held(cluster, namespace)
+    claimed = cluster.patch(pod, {"metadata": {"labels": {names.HELD: None, names.WORKLOAD: OTHER}}})
+    # Without a resourceVersion, as a monitor that has lost its way might.
+    message = _refusal(lambda: cluster.patch(claimed, _claim(MINE, claimed), user=monitor))
+    assert f"may change only pods labelled understudy.dev/workload={MINE}" in message
+    assert f"pod {namespace}/spare-1 has {OTHER}" in message
+
+
+def test_a_claim_takes_the_pod_whole(cluster: Cluster, namespace: str, monitor: str) -> None:
+    pod = _held(cluster, namespace)
+    still_held = _claim(MINE, pod)
+    del still_held["metadata"]["labels"][names.HELD]
+    assert "must remove the label understudy.dev/held with the claim" in _refusal(
+        lambda: cluster.patch(pod, still_held, user=monitor)
+    )
+    foreign = _claim(MINE, pod)
+    foreign["metadata"]["ownerReferences"][0]["name"] = OTHER
+    assert f"only with a claim and only to RobotWorkload {MINE}" in _refusal(
+        lambda: cluster.patch(pod, foreign, user=monitor)
+    )
+    only_annotated = {"metadata": {"annotations": {names.CLAIM: "uid/1"}}}
+    assert f"pod {namespace}/spare-1 would have none" in _refusal(
+        lambda: cluster.patch(pod, only_annotated, user=monitor)
+    )
+
+
+@pytest.mark.parametrize("value", [OTHER, None], ids=["to-another", "to-none"])
+def test_a_monitor_does_not_give_its_pod_away(cluster: Cluster, namespace: str, monitor: str, value: str | None) -> None:
+    pod = _instance(cluster, namespace, MINE)
+    message = _refusal(lambda: cluster.patch(pod, {"metadata": {"labels": {names.WORKLOAD: value}}}, user=monitor))
+    assert f"would have {value or 'none'}" in message
+
+
+def test_the_instance_label_is_the_name_of_the_pod(cluster: Cluster, namespace: str, monitor: str) -> None:
+    pod = _instance(cluster, namespace, MINE)
+    message = _refusal(lambda: cluster.patch(pod, {"metadata": {"labels": {names.INSTANCE: "twin"}}}, user=monitor))
+    assert "may set the label understudy.dev/instance only to the name of the pod" in message
+    assert "would have twin" in message
+
+
+def test_a_monitor_annotates_its_pod_and_changes_nothing_else(cluster: Cluster, namespace: str, monitor: str) -> None:
+    pod = _instance(cluster, namespace, MINE)
+    changed = cluster.patch(pod, {"metadata": {"annotations": {"note": "failed"}}}, user=monitor)
+    assert changed["metadata"]["annotations"]["note"] == "failed"
+    image = {"spec": {"containers": [pod["spec"]["containers"][0] | {"image": "evil.invalid/evil"}]}}
+    deadline = {"spec": {"activeDeadlineSeconds": 1}}
+    finalizer = {"metadata": {"finalizers": ["example.com/stay"]}}
+    owner = {"metadata": {"ownerReferences": [_owner(MINE)]}}
+    for body in (image, deadline, finalizer):
+        message = _refusal(lambda body=body: cluster.patch(pod, body, user=monitor))  # type: ignore[misc]
+        assert "may change only labels, annotations and owners" in message
+    assert "only with a claim" in _refusal(lambda: cluster.patch(pod, owner, user=monitor))
+
+
+def test_a_monitor_labels_pods_of_the_deployment_it_refers_to(cluster: Cluster, namespace: str, monitor: str) -> None:
+    pod = _controlled(cluster, namespace, "Deployment", "nav2")
+    labels = {names.WORKLOAD: MINE, names.INSTANCE: pod["metadata"]["name"]}
+    changed = cluster.patch(pod, {"metadata": {"labels": labels}}, user=monitor)
+    assert labels.items() <= changed["metadata"]["labels"].items()
+
+
+@pytest.mark.parametrize("deployment", ["other", "nav2-other", "nav"])
+def test_a_monitor_does_not_label_pods_of_other_deployments(
+    cluster: Cluster, namespace: str, monitor: str, deployment: str
+) -> None:
+    pod = _controlled(cluster, namespace, "Deployment", deployment)
+    message = _refusal(lambda: cluster.patch(pod, {"metadata": {"labels": {names.WORKLOAD: MINE}}}, user=monitor))
+    assert "pods of the controller it refers to" in message
+    assert "has no such label" in message
+
+
+def test_a_monitor_does_not_label_a_pod_without_a_controller(cluster: Cluster, namespace: str, monitor: str) -> None:
+    pod = _pod(cluster, namespace, "nav2-abc-1", {"pod-template-hash": "abc"})
+    assert "may change only pods" in _refusal(
+        lambda: cluster.patch(pod, {"metadata": {"labels": {names.WORKLOAD: MINE}}}, user=monitor)
+    )
+
+
+def test_a_monitor_labels_pods_of_the_statefulset_it_refers_to(
+    cluster: Cluster, namespace: str, statefulset_monitor: str
+) -> None:
+    pod = _controlled(cluster, namespace, "StatefulSet", "nav2")
+    body = {"metadata": {"labels": {names.WORKLOAD: MINE, names.INSTANCE: "nav2-0"}}}
+
+    def labelled() -> bool:
+        try:
+            cluster.patch(pod, body, user=statefulset_monitor)
+        except Refused as error:
+            assert "pods of the controller it refers to" in error.message
+            return False
+        return True
+
+    until(labelled, "the changed Role to count")
+    other = _controlled(cluster, namespace, "StatefulSet", "other")
+    body["metadata"]["labels"][names.INSTANCE] = "other-0"
+    assert "pods of the controller it refers to" in _refusal(
+        lambda: cluster.patch(other, body, user=statefulset_monitor)
+    )
+
+
+def test_a_monitor_has_no_rights_in_another_namespace(cluster: Cluster, release: Release, monitor: str) -> None:
+    pod = {"apiVersion": "v1", "kind": "Pod", "metadata": {"name": "any", "namespace": release.namespace}}
+    assert "cannot delete resource" in _refusal(lambda: cluster.delete(pod, user=monitor))
+
+
+def test_everybody_else_is_left_alone(cluster: Cluster, namespace: str, monitor: str) -> None:
+    pod = _instance(cluster, namespace, OTHER)
+    changed = cluster.patch(pod, {"metadata": {"labels": {names.WORKLOAD: None}}})
+    assert names.WORKLOAD not in changed["metadata"]["labels"]
+    cluster.delete(changed)
+
+
+def test_the_policy_has_no_type_errors(cluster: Cluster, release: Release) -> None:
+    def status() -> Object:
+        policy = cluster.get(
+            "admissionregistration.k8s.io/v1", "ValidatingAdmissionPolicy", f"{release.name}-monitors"
+        )
+        found: Object = policy.get("status") or {}
+        return found if found.get("observedGeneration") == policy["metadata"]["generation"] else {}
+
+    checked = until(status, "the controller manager to check the policy's types")
+    assert not checked.get("typeChecking", {}).get("expressionWarnings"), checked
+
