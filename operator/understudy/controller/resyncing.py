@@ -76,8 +76,14 @@ async def resync(client: Client, store: Store, namespaces: Sequence[str]) -> lis
     for resource, selectors in LISTED:
         for namespace in namespaces or (None,):
             answers = [await client.list(resource, namespace, labels=selector) for selector in selectors]
-            items = [item for answer in answers for item in answer.get("items") or []]
+            items = [item for answer in answers for item in _items(answer)]
             # the first list's version: what was made between two lists is newer and stays
             version = int(answers[0]["metadata"]["resourceVersion"])
             sights += store.replace(resource, items, version, namespace)
     return sights
+
+
+def _items(answer: Object) -> list[Object]:
+    """The objects of a list, which leaves out what kind they are."""
+    kind = answer["kind"].removesuffix("List")
+    return [{"apiVersion": answer["apiVersion"], "kind": kind, **item} for item in answer.get("items") or []]
