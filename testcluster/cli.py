@@ -7,6 +7,8 @@ from collections.abc import Callable
 
 from testcluster.progress import Progress
 from testcluster.providers.base import ClusterError, Provider
+from testcluster.providers.current import CurrentProvider
+from testcluster.providers.kind import KindProvider
 from testcluster.providers.local import LocalProvider
 
 _FAULTS: dict[str, tuple[str, Callable[[Provider, str], None]]] = {
@@ -20,21 +22,48 @@ _FAULTS: dict[str, tuple[str, Callable[[Provider, str], None]]] = {
 
 
 def select(name: str | None, cluster: str | None, progress: Progress) -> Provider:
-    """The provider of a name, or the one that suits this machine."""
-    return LocalProvider(cluster, progress)
+    """The provider of a name, or the one that suits this machine: kind where it works, else local.
+
+    Raises:
+        ClusterError: none can be used here; the message says what each lacks.
+    """
+    if name is None:
+        obstacles = {"kind": KindProvider.obstacle(), "local": LocalProvider.obstacle()}
+        name = next((candidate for candidate, obstacle in obstacles.items() if obstacle is None), None)
+        if name is None:
+            lacks = "; ".join(f"{candidate}: {obstacle}" for candidate, obstacle in obstacles.items())
+            raise ClusterError(
+                f"no cluster can be made on this machine ({lacks}); "
+                "--provider current uses the one that kubectl is pointed at"
+            )
+    if name == "kind":
+        return KindProvider(cluster, progress)
+    return LocalProvider(cluster, progress) if name == "local" else CurrentProvider(progress)
 
 
 def add_selection(parser: argparse.ArgumentParser) -> None:
     """Adds the options that say which cluster is meant."""
-    parser.add_argument("--provider", choices=["kind", "local", "current"], default=os.environ.get("UNDERSTUDY_CLUSTER_PROVIDER") or None)
-    parser.add_argument("--name", default=os.environ.get("UNDERSTUDY_CLUSTER_NAME") or None)
+    parser.add_argument(
+        "--provider",
+        choices=["kind", "local", "current"],
+        default=os.environ.get("UNDERSTUDY_CLUSTER_PROVIDER") or None,
+        help="kind: in Docker; local: from source on this machine, as root; current: the one that KUBECONFIG names "
+        "(default: UNDERSTUDY_CLUSTER_PROVIDER, or kind where Docker and kind work, else local)",
+    )
+    parser.add_argument(
+        "--name",
+        default=os.environ.get("UNDERSTUDY_CLUSTER_NAME") or None,
+        help="of the cluster (default: UNDERSTUDY_CLUSTER_NAME, or understudy)",
+    )
 
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     common = argparse.ArgumentParser(add_help=False)
     add_selection(common)
-    top = argparse.ArgumentParser(prog="scripts/cluster", description="A real Kubernetes cluster for trying and testing.")
+    top = argparse.ArgumentParser(
+        prog="scripts/cluster", description="A real Kubernetes cluster for trying and testing."
+    )
     commands = top.add_subparsers(dest="command", required=True)
     commands.add_parser("up", parents=[common], help="make the cluster, or what is missing of it")
     commands.add_parser("down", parents=[common], help="remove all that up made")
@@ -42,7 +71,11 @@ def parser() -> argparse.ArgumentParser:
     load = commands.add_parser("load-image", parents=[common], help="bring images to every node")
     load.add_argument("image", nargs="+", help="an archive, or the name of an image that was built here")
     commands.add_parser("kubeconfig", parents=[common], help="print the path of the kubeconfig")
-    node = commands.add_parser("node", parents=[common], help="a fault of a node: " + "; ".join(f"{name}: {text}" for name, (text, _) in _FAULTS.items()))
+    node = commands.add_parser(
+        "node",
+        parents=[common],
+        help="a fault of a node: " + "; ".join(f"{name}: {text}" for name, (text, _) in _FAULTS.items()),
+    )
     node.add_argument("action", choices=list(_FAULTS))
     node.add_argument("node")
     return top

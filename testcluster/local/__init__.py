@@ -1,1 +1,4 @@
-"""The `local` provider: a real Kubernetes from Go modules and Debian packages, for machines without Docker. Linux and root only."""
+"""The `local` provider: a real Kubernetes from Go modules and Debian packages, for machines without Docker.
+
+Linux and root only.
+"""

@@ -29,7 +29,9 @@ def _trees() -> tuple[list[Path], Path | None]:
 def _unified() -> bool:
     """Whether version 2 has the controllers (on a hybrid machine it is mounted, and has none)."""
     first, second = _trees()
-    return second is not None and not any((tree / "cpu.shares").exists() or (tree / "memory.limit_in_bytes").exists() for tree in first)
+    return second is not None and not any(
+        (tree / "cpu.shares").exists() or (tree / "memory.limit_in_bytes").exists() for tree in first
+    )
 
 
 def _mounts() -> list[Path]:
@@ -48,7 +50,8 @@ def create(group: str) -> None:
             if _unified():
                 offered = (path / "cgroup.controllers").read_text().split()
                 for controller in offered:
-                    # One by one: a controller that cannot be delegated here (say, cpu beside real-time processes) spoils the whole write.
+                    # One by one: a controller that cannot be delegated here (say, cpu beside real-time processes)
+                    # spoils the whole write.
                     try:
                         (path / "cgroup.subtree_control").write_text(f"+{controller}")
                     except OSError:
@@ -88,12 +91,16 @@ def pids(group: str) -> set[int]:
             found.update(int(line) for line in (path / "cgroup.procs").read_text().split())
         except OSError:
             continue
-    # A process of another process-id namespace than ours shows as 0; there is none below us, but killing 0 would hit ourselves.
+    # A process of another process-id namespace than ours shows as 0; there is none below us, but killing 0 would hit
+    # ourselves.
     return found - {0}
 
 
 def freeze(group: str, frozen: bool) -> None:
-    """Stops every process of a group and of those below it where it stands, or lets them go on. A missing group is no error."""
+    """Stops every process of a group and of those below it where it stands, or lets them go on.
+
+    A missing group is no error.
+    """
     for tree in _mounts():
         path = tree / group
         if (path / "freezer.state").exists():
@@ -146,5 +153,7 @@ def remove(group: str, timeout: float = 5) -> None:
             except OSError:
                 continue
         if time.monotonic() > deadline and _folders(group):
-            raise TimeoutError(f"control group {group}: {_folders(group)[0]} cannot be removed; processes in it: {sorted(pids(group))}")
+            raise TimeoutError(
+                f"control group {group}: {_folders(group)[0]} cannot be removed; processes in it: {sorted(pids(group))}"
+            )
         time.sleep(0.02)

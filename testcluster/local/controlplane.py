@@ -86,7 +86,14 @@ def kubectl(layout: Layout, programs: Programs, *arguments: str, input: str | No
 def answers(layout: Layout, programs: Programs) -> bool:
     """Whether the API server says that it is ready."""
     return succeeds(
-        programs.hyperkube, "kubectl", f"--kubeconfig={layout.kubeconfig}", "--request-timeout=3s", "get", "--raw", "/readyz", timeout=8
+        programs.hyperkube,
+        "kubectl",
+        f"--kubeconfig={layout.kubeconfig}",
+        "--request-timeout=3s",
+        "get",
+        "--raw",
+        "/readyz",
+        timeout=8,
     )
 
 
@@ -108,11 +115,15 @@ def up(layout: Layout, programs: Programs, pki: Path, holder: int) -> None:
 
     def start(arguments: list[str]) -> None:
         if not runs[arguments[0]]:
-            processes.start(group, [*network.inside(holder), programs.hyperkube, *arguments], layout.log / f"{arguments[0]}.log")
+            processes.start(
+                group, [*network.inside(holder), programs.hyperkube, *arguments], layout.log / f"{arguments[0]}.log"
+            )
 
     start(_etcd(layout))
     start(_apiserver(layout, pki))
-    wait_until(lambda: answers(layout, programs), 90, f"the API server answers (its log: {layout.log}/kube-apiserver.log)")
+    wait_until(
+        lambda: answers(layout, programs), 90, f"the API server answers (its log: {layout.log}/kube-apiserver.log)"
+    )
     start(_controller_manager(pki))
     start(_scheduler(pki))
     layout.api_ready.touch()

@@ -1,4 +1,4 @@
-"""A container store with the images every node needs, made once; a node gets its own by hard links, which takes no time and no space.
+"""A container store with the images that new nodes begin with; a node gets its own by hard links, at once and for free.
 
 That is sound because a container store never writes to a blob or to a lower layer again; only its databases are copied.
 """
@@ -9,8 +9,12 @@ import json
 import os
 import shutil
 import tarfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
+from testcluster.images import containerd
+from testcluster.images import store as images
 from testcluster.local import cgroups, processes
 from testcluster.local.programs import Programs
 from testcluster.paths import cache
@@ -18,8 +22,8 @@ from testcluster.progress import Progress, wait_until
 from testcluster.shell import run, succeeds
 
 PAUSE_IMAGE = "localhost/understudy-pause:1"
+_LISTING = "understudy-images.json"
 COREDNS_IMAGE = "localhost/understudy-coredns:1"
-_BUILDERS = "understudy-golden"
 
 
 def _single_program_image(archive: Path, name: str, program: Path) -> None:
@@ -29,8 +33,8 @@ def _single_program_image(archive: Path, name: str, program: Path) -> None:
         entry = tarfile.TarInfo(program.name)
         entry.mode = 0o755
         entry.size = program.stat().st_size
-        with program.open("rb") as content:
-            tar.addfile(entry, content)
+        with program.open("rb") as executable:
+            tar.addfile(entry, executable)
     data = layer.getvalue()
     machine = {"x86_64": "amd64", "aarch64": "arm64"}.get(os.uname().machine, os.uname().machine)
     config = json.dumps(
@@ -49,41 +53,85 @@ def _single_program_image(archive: Path, name: str, program: Path) -> None:
             tar.addfile(entry, io.BytesIO(content))
 
 
+def _listed(store: Path) -> dict[str, str] | None:
+    """What a store was made with, by name and content hash, or None where it is missing or was not finished."""
+    try:
+        listed: dict[str, str] = json.loads((store / _LISTING).read_text())
+    except FileNotFoundError:
+        return None
+    return listed
+
+
 def _store(programs: Programs) -> Path:
     return cache() / "golden" / programs.hyperkube.parent.name
 
 
-def ensure(programs: Programs, progress: Progress) -> None:
-    """Makes the store unless it is there."""
-    store = _store(programs)
-    if store.exists():
-        return
-    with progress.step("preparing the images of the cluster itself"):
-        work = store.with_name(f"{store.name}.partial")
-        group = f"{_BUILDERS}/{store.name}"
+@contextmanager
+def _containerd(root: Path, work: Path) -> Iterator[list[str | Path]]:
+    """Runs a containerd on a store; gives the words that run its client."""
+    # With a dot: no cluster's group can have this name.
+    group = f"understudy.{work.name}"
+    cgroups.kill(group)
+    cgroups.create(group)
+    address = work / "socket"
+    config = work / "containerd.toml"
+    config.write_text(
+        f'version = 2\nroot = "{root}"\nstate = "{work}/state"\n'
+        f'disabled_plugins = ["io.containerd.grpc.v1.cri"]\n[grpc]\n  address = "{address}"\n'
+    )
+    try:
+        server = processes.start(group, ["containerd", "--config", config], cache() / "log" / "golden.log")
+        wait_until(
+            lambda: succeeds("ctr", "-a", address, "version"), 20, "containerd for the images of new nodes answers"
+        )
+        yield ["ctr", "-a", address]
+        # Its databases are complete on disk only once it has closed them.
+        run("kill", "-TERM", str(server))
+        wait_until(lambda: not cgroups.pids(group), 20, "containerd for the images of new nodes ends")
+    finally:
         cgroups.kill(group)
+        cgroups.remove(group)
+
+
+def ensure(programs: Programs, progress: Progress) -> None:
+    """Makes the store, or brings those images to it that the machine's image store has and it has not.
+
+    It is changed as a copy that then takes its place, so that neither an interruption nor a node that is cloned from it
+    meanwhile sees half of it.
+    """
+    store = _store(programs)
+    wanted = {reference.name: reference.digest for reference in images.references()}
+    if _listed(store) == wanted:
+        return
+    with progress.step("preparing the images that new nodes begin with"):
+        work = store.with_name(f"{store.name}.partial")
         shutil.rmtree(work, ignore_errors=True)
         work.mkdir(parents=True)
-        cgroups.create(group)
-        address = work / "socket"
-        config = work / "containerd.toml"
-        config.write_text(
-            f'version = 2\nroot = "{work}/root"\nstate = "{work}/state"\n'
-            f'disabled_plugins = ["io.containerd.grpc.v1.cri"]\n[grpc]\n  address = "{address}"\n'
-        )
-        try:
-            processes.start(group, ["containerd", "--config", config], cache() / "log" / "golden.log")
-            wait_until(lambda: succeeds("ctr", "-a", address, "version"), 20, "containerd for the cluster's own images answers")
-            for image, program in ((PAUSE_IMAGE, programs.pause), (COREDNS_IMAGE, programs.coredns)):
-                archive = work / "image.tar"
-                _single_program_image(archive, image, program)
-                run("ctr", "-a", address, "-n", "k8s.io", "images", "import", archive)
-        finally:
-            cgroups.kill(group)
-            cgroups.remove(group)
-            cgroups.remove(_BUILDERS)
-        (work / "root").rename(store)
+        root = work / "root"
+        if store.exists():
+            _copy(store, root)
+        with _containerd(root, work) as ctr:
+            if not store.exists():
+                for image, program in ((PAUSE_IMAGE, programs.pause), (COREDNS_IMAGE, programs.coredns)):
+                    archive = work / "image.tar"
+                    _single_program_image(archive, image, program)
+                    run(*ctr, "-n", "k8s.io", "images", "import", archive)
+            containerd.load(ctr, images.references())
+        (root / _LISTING).write_text(json.dumps(wanted))
+        former = work / "former"
+        if store.exists():
+            store.rename(former)
+        root.rename(store)
         shutil.rmtree(work)
+
+
+def _copy(store: Path, destination: Path) -> None:
+    run("cp", "-a", "--link", store, destination)
+    # Files that are written in place, and so must not be shared: databases, and the listing.
+    for shared in (*destination.rglob("*.db"), *destination.glob("*.json")):
+        copy = shared.with_name(f"{shared.name}.copy")
+        shutil.copy2(shared, copy)
+        copy.rename(shared)
 
 
 def clone(programs: Programs, destination: Path) -> None:
@@ -92,9 +140,5 @@ def clone(programs: Programs, destination: Path) -> None:
         return
     partial = destination.with_name(f"{destination.name}.partial")
     shutil.rmtree(partial, ignore_errors=True)
-    run("cp", "-a", "--link", _store(programs), partial)
-    for database in partial.rglob("*.db"):
-        copy = database.with_name(f"{database.name}.copy")
-        shutil.copy2(database, copy)
-        copy.rename(database)
+    _copy(_store(programs), partial)
     partial.rename(destination)

@@ -11,7 +11,8 @@ from testcluster.paths import cache
 from testcluster.shell import run
 
 DEFAULT_NAME = "understudy"
-# 198.18.0.0/15 is set aside for tests of network devices (RFC 2544, RFC 6890), so homes, companies and clouds do not use it.
+# 198.18.0.0/15 is set aside for tests of network devices (RFC 2544, RFC 6890), so homes, companies and clouds do not
+# use it.
 POOL = ipaddress.ip_network("198.18.0.0/15")
 # Of a cluster's /18, counted in /24: 0 nodes, 16-31 services, 32-63 pods of node 1-31.
 PREFIX = 18
@@ -25,7 +26,7 @@ class BadSetting(ValueError):
 
 @dataclass(frozen=True)
 class Layout:
-    """One cluster: its name, a small number that no other cluster of this machine has, its network and its number of nodes."""
+    """One cluster: its name, a number that no other cluster here has, its network and its number of nodes."""
 
     name: str
     slot: int
@@ -143,7 +144,9 @@ def node_number(name: str, layout: Layout) -> int:
     for node in layout.nodes:
         if name == node_name(node):
             return node
-    raise BadSetting(f"cluster {layout.name}: no node {name!r}; it has {', '.join(node_name(node) for node in layout.nodes)}")
+    raise BadSetting(
+        f"cluster {layout.name}: no node {name!r}; it has {', '.join(node_name(node) for node in layout.nodes)}"
+    )
 
 
 def folder(name: str) -> Path:
@@ -194,12 +197,16 @@ def decide(name: str) -> Layout:
         try:
             network = ipaddress.IPv4Network(wanted)
         except ValueError as error:
-            raise BadSetting(f"UNDERSTUDY_CLUSTER_NETWORK={wanted}: {error}; an IPv4 network such as 198.18.0.0/{PREFIX} is needed") from None
+            raise BadSetting(
+                f"UNDERSTUDY_CLUSTER_NETWORK={wanted}: {error}; an IPv4 network such as 198.18.0.0/{PREFIX} is needed"
+            ) from None
         if network.prefixlen != PREFIX:
             raise BadSetting(f"UNDERSTUDY_CLUSTER_NETWORK={wanted}: a /{PREFIX} is needed")
         clash = [str(other) for other in taken if network.overlaps(other)]
         if clash:
-            raise BadSetting(f"UNDERSTUDY_CLUSTER_NETWORK={wanted}: this machine already reaches {', '.join(clash)} in it")
+            raise BadSetting(
+                f"UNDERSTUDY_CLUSTER_NETWORK={wanted}: this machine already reaches {', '.join(clash)} in it"
+            )
     else:
         network = _free_network(taken)
     asked = os.environ.get("UNDERSTUDY_CLUSTER_NODES", "3")

@@ -1,9 +1,9 @@
 """The cluster's network: a bridge that stands for the switch, a link to each node, and one to this machine.
 
-The bridge lives in a network namespace of its own, that of the control plane, so that this machine's packet filter never sees frames
-between nodes. Namespaces are held by processes, not by mounted files: nothing is left to unmount, and a node that loses power loses its
-packet filter and connection tracking too. `ip netns add` is never used: its first use mounts /run/netns over itself, and every
-container runtime on the machine then fails to remove its pods.
+The bridge lives in a network namespace of its own, that of the control plane, so that this machine's packet filter
+never sees frames between nodes. Namespaces are held by processes, not by mounted files: nothing is left to unmount, and
+a node that loses power loses its packet filter and connection tracking too. `ip netns add` is never used: its first use
+mounts /run/netns over itself, and every container runtime on the machine then fails to remove its pods.
 """
 
 import ipaddress
@@ -60,7 +60,7 @@ def _node_link(node: int) -> str:
 
 
 def up(layout: Layout) -> int:
-    """Makes the bridge and this machine's link to it, as far as they are missing; returns the process that holds the namespace."""
+    """Makes the bridge and the link to it, as far as they are missing; returns the process that holds the namespace."""
     group = control_plane_group(layout)
     cgroups.create(group)
     pid = holder(layout)
@@ -79,24 +79,34 @@ def up(layout: Layout) -> int:
             ],
             pid,
         )
-        run(*inside(pid), "sh", "-c", "echo 1 >/proc/sys/net/ipv4/ip_forward; "
-            "for f in /proc/sys/net/bridge/bridge-nf-call-*tables; do [ ! -e $f ] || echo 0 >$f; done")
+        run(
+            *inside(pid),
+            "sh",
+            "-c",
+            "echo 1 >/proc/sys/net/ipv4/ip_forward; "
+            "for f in /proc/sys/net/bridge/bridge-nf-call-*tables; do [ ! -e $f ] || echo 0 >$f; done",
+        )
     if "host" not in links or layout.host_link not in _links():
         remove_host_link(layout)
         _batch([f"link add {layout.host_link} type veth peer name host netns {pid}"])
         _batch([f"link set host master {BRIDGE} up"], pid)
-        _batch([
-            f"addr add {layout.host_ip}/24 dev {layout.host_link}",
-            f"link set {layout.host_link} up",
-            *(f"route replace {layout.pod_network(node)} via {layout.node_ip(node)}" for node in layout.nodes),
-        ])
+        _batch(
+            [
+                f"addr add {layout.host_ip}/24 dev {layout.host_link}",
+                f"link set {layout.host_link} up",
+                *(f"route replace {layout.pod_network(node)} via {layout.node_ip(node)}" for node in layout.nodes),
+            ]
+        )
     routes = (f"route replace {layout.pod_network(node)} via {layout.node_ip(node)}" for node in layout.nodes)
     _batch(list(routes), pid)
     return pid
 
 
 def attach_node(layout: Layout, node: int, pid: int) -> None:
-    """Gives a node, whose first process is given, its link, address and routes. The node's script waits for the link."""
+    """Gives a node, whose first process is given, its link, address and routes.
+
+    The node's script waits for the link.
+    """
     control_plane = holder(layout)
     if control_plane is None:
         raise RuntimeError(f"cluster {layout.name}: its network is not up; run `scripts/cluster up` first")
@@ -109,7 +119,11 @@ def attach_node(layout: Layout, node: int, pid: int) -> None:
             f"addr add {layout.node_ip(node)}/24 dev eth0",
             "link set eth0 up",
             f"route add default via {layout.control_plane_ip}",
-            *(f"route add {layout.pod_network(other)} via {layout.node_ip(other)}" for other in layout.nodes if other != node),
+            *(
+                f"route add {layout.pod_network(other)} via {layout.node_ip(other)}"
+                for other in layout.nodes
+                if other != node
+            ),
         ],
         pid,
     )
@@ -151,7 +165,10 @@ def remove_host_link(layout: Layout) -> None:
             return
         addresses = [entry["local"] for entry in ours[0].get("addr_info", [])]
         if any(ipaddress.IPv4Address(address) not in layout.network for address in addresses):
-            raise RuntimeError(f"link {layout.host_link} has {', '.join(addresses)}, outside {layout.network}: it is not ours to remove")
+            raise RuntimeError(
+                f"link {layout.host_link} has {', '.join(addresses)}, outside {layout.network}: "
+                "it is not ours to remove"
+            )
         try:
             run("ip", "link", "del", layout.host_link)
         except CommandFailed:

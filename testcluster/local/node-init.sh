@@ -2,9 +2,9 @@
 # The first process of a node: in its own network, mount, host name and process-id namespaces it makes the mounts of a machine of its own
 # and starts the node's programs. When it is killed the kernel kills every process of the node, as a loss of power would.
 #
-# usage: node-init.sh NODE STATE CACHE API_READY HYPERKUBE [NETPOL KUBECONFIG]
+# usage: node-init.sh NODE STATE CACHE API_READY HYPERKUBE NETPOL_KUBECONFIG
 set -u
-node=$1 state=$2 cache=$3 api_ready=$4 hyperkube=$5 netpol=${6:-} netpol_kubeconfig=${7:-}
+node=$1 state=$2 cache=$3 api_ready=$4 hyperkube=$5 netpol_kubeconfig=$6
 log=$state/log
 
 # Sockets, pod logs and plugin folders have fixed paths, so each node needs its own /run, /var/log and /var/lib. The machine's own mounts
@@ -46,9 +46,8 @@ until [ -e "$api_ready" ] && [ -e /sys/class/net/eth0 ]; do sleep 0.1; done
 keep kubelet "$hyperkube" kubelet --config="$state/etc/kubelet.yaml" --kubeconfig="$state/etc/kubelet.conf" \
     --hostname-override="$node" --node-ip="$(<"$state/etc/ip")"
 keep kube-proxy "$hyperkube" kube-proxy --config="$state/etc/kube-proxy.yaml"
-if [ -n "$netpol" ]; then
-    keep netpol "$netpol" --kubeconfig "$netpol_kubeconfig" --node "$node"
-fi
+# A link that is exchanged when the enforcer is built anew, so that a running node gets the new one.
+keep netpol "$state/etc/understudy-netpol" --kubeconfig "$netpol_kubeconfig" --node "$node"
 
 trap 'exit 0' TERM
 # Orphans are handed to this process; waiting for them keeps them from staying as zombies.

@@ -10,7 +10,7 @@ from testcluster.paths import cache
 from testcluster.shell import run
 
 _INIT = Path(__file__).resolve().parent / "node-init.sh"
-_MIB = 1024 * 1024
+_NAMESPACES = "unshare --net --mount --uts --ipc --pid --fork --mount-proc --propagation private".split()
 
 
 def group(layout: Layout, node: int) -> str:
@@ -24,7 +24,10 @@ def init(layout: Layout, node: int) -> int | None:
 
 
 def _reserved_memory(nodes: int) -> int:
-    """Memory (MiB) a node may not give to pods, for the nodes together to have no more than the machine: each reports all of it."""
+    """Memory (MiB) that a node may not give to pods.
+
+    Each node reports all of the machine's; so together they would have too much.
+    """
     for line in Path("/proc/meminfo").read_text().splitlines():
         if line.startswith("MemTotal:"):
             total = int(line.split()[1]) // 1024
@@ -136,10 +139,37 @@ def _configure(layout: Layout, node: int) -> None:
     shutil.copy2(_INIT, etc / "init.sh")
 
 
+def _exchange_netpol(layout: Layout, node: int, programs: Programs) -> bool:
+    """Gives a node the current enforcer of network policies; returns whether it had another one."""
+    link = layout.node_state(node) / "etc" / "understudy-netpol"
+    if link.is_symlink() and link.readlink() == programs.netpol:
+        return False
+    partial = link.with_name("understudy-netpol.partial")
+    partial.unlink(missing_ok=True)
+    partial.symlink_to(programs.netpol)
+    partial.rename(link)
+    return True
+
+
+def renew(layout: Layout, node: int, programs: Programs) -> bool:
+    """Exchanges what can be exchanged in a running node; returns whether anything was.
+
+    The node's first process starts the enforcer of network policies again when it ends; its rules stay in force
+    meanwhile.
+    """
+    if not _exchange_netpol(layout, node, programs):
+        return False
+    pid = processes.find(f"{group(layout, node)}/system", "--kubeconfig", str(layout.state / "pki" / "netpol.conf"))
+    if pid is not None:
+        run("kill", "-TERM", str(pid), check=False)
+    return True
+
+
 def up(layout: Layout, node: int, programs: Programs) -> bool:
     """Switches a node on unless it is; returns whether it had to be."""
     running = init(layout, node)
     if running is not None and network.node_connected(layout, node) and not cgroups.frozen(group(layout, node)):
+        renew(layout, node, programs)
         return False
     if running is not None and cgroups.frozen(group(layout, node)):
         cgroups.freeze(group(layout, node), False)
@@ -150,15 +180,22 @@ def up(layout: Layout, node: int, programs: Programs) -> bool:
     if running is None:
         down(layout, node)
         _configure(layout, node)
+        _exchange_netpol(layout, node, programs)
         golden.clone(programs, layout.node_state(node) / "containerd")
         for part in ("system", "pods"):
             cgroups.create(f"{group(layout, node)}/{part}")
-        netpol = [programs.netpol, layout.state / "pki" / "netpol.conf"] if programs.netpol else []
         pid = processes.start(
             f"{group(layout, node)}/system",
             [
-                "unshare", "--net", "--mount", "--uts", "--ipc", "--pid", "--fork", "--mount-proc", "--propagation", "private",
-                "bash", layout.node_state(node) / "etc" / "init.sh", node_name(node), layout.node_state(node), cache(), layout.api_ready, programs.hyperkube, *netpol,
+                *_NAMESPACES,
+                "bash",
+                layout.node_state(node) / "etc" / "init.sh",
+                node_name(node),
+                layout.node_state(node),
+                cache(),
+                layout.api_ready,
+                programs.hyperkube,
+                layout.state / "pki" / "netpol.conf",
             ],
             layout.node_state(node) / "log" / "init.log",
         )

@@ -24,10 +24,26 @@ _CLIENTS = {
 def _certificate(folder: Path, name: str, subject: str, alternative: str = "") -> None:
     run("openssl", "req", *_KEY, "-keyout", f"{name}.key", "-out", f"{name}.csr", "-subj", subject, cwd=folder)
     extensions = folder / f"{name}.ext"
-    extensions.write_text("extendedKeyUsage=serverAuth,clientAuth\n" + (f"subjectAltName={alternative}\n" if alternative else ""))
+    extensions.write_text(
+        "extendedKeyUsage=serverAuth,clientAuth\n" + (f"subjectAltName={alternative}\n" if alternative else "")
+    )
     run(
-        "openssl", "x509", "-req", "-in", f"{name}.csr", "-CA", "ca.crt", "-CAkey", "ca.key", "-days", _DAYS,
-        "-out", f"{name}.crt", "-extfile", extensions.name, cwd=folder,
+        "openssl",
+        "x509",
+        "-req",
+        "-in",
+        f"{name}.csr",
+        "-CA",
+        "ca.crt",
+        "-CAkey",
+        "ca.key",
+        "-days",
+        _DAYS,
+        "-out",
+        f"{name}.crt",
+        "-extfile",
+        extensions.name,
+        cwd=folder,
     )
     (folder / f"{name}.csr").unlink()
     extensions.unlink()
@@ -63,8 +79,28 @@ def create(layout: Layout) -> Path:
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True, mode=0o700)
     cluster = layout.cgroup
-    run("openssl", "req", "-x509", *_KEY, "-keyout", "ca.key", "-out", "ca.crt", "-days", _DAYS, "-subj", f"/CN={cluster}-ca", cwd=folder)
-    names = ["kubernetes", "kubernetes.default", "kubernetes.default.svc", "kubernetes.default.svc.cluster.local", "localhost"]
+    run(
+        "openssl",
+        "req",
+        "-x509",
+        *_KEY,
+        "-keyout",
+        "ca.key",
+        "-out",
+        "ca.crt",
+        "-days",
+        _DAYS,
+        "-subj",
+        f"/CN={cluster}-ca",
+        cwd=folder,
+    )
+    names = [
+        "kubernetes",
+        "kubernetes.default",
+        "kubernetes.default.svc",
+        "kubernetes.default.svc.cluster.local",
+        "localhost",
+    ]
     addresses = ["127.0.0.1", layout.control_plane_ip, layout.kubernetes_ip]
     alternative = ",".join([f"DNS:{name}" for name in names] + [f"IP:{address}" for address in addresses])
     _certificate(folder, "apiserver", "/CN=kube-apiserver", alternative)

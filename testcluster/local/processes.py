@@ -1,7 +1,7 @@
 """Starting and finding the cluster's long-running programs.
 
-There are no pid files: a program is found by its control group and its command line, so what an interrupted run left behind is found
-too, and a number that the kernel gave to somebody else's process is never mistaken for ours.
+There are no pid files: a program is found by its control group and its command line, so what an interrupted run left
+behind is found too, and a number that the kernel gave to somebody else's process is never mistaken for ours.
 """
 
 import os

@@ -35,11 +35,13 @@ class Programs:
     pause: Path
     coredns: Path
     helm: Path
-    netpol: Path | None
+    netpol: Path
 
 
 def _required(module: str) -> str:
-    found = re.search(rf"^\s*(?:require )?{re.escape(module)} v(\S+)", (_HERE / "hyperkube" / "go.mod").read_text(), re.MULTILINE)
+    found = re.search(
+        rf"^\s*(?:require )?{re.escape(module)} v(\S+)", (_HERE / "hyperkube" / "go.mod").read_text(), re.MULTILINE
+    )
     if not found:
         raise ValueError(f"hyperkube/go.mod requires no {module}")
     return found[1]
@@ -93,11 +95,16 @@ def ensure(progress: Progress) -> Programs:
     """
     packages.ensure(_DEBIAN, progress)
     built = golang.build(
-        "hyperkube", _HERE / "hyperkube", ["./cmd/...", _HELM], _version_flags(), progress,
+        "hyperkube",
+        _HERE / "hyperkube",
+        ["./cmd/...", _HELM],
+        _version_flags(),
+        progress,
         "Kubernetes, etcd, CoreDNS, kubectl and Helm; 5 to 8 minutes on 2 cores, once",
     )
-    netpol = None
-    if (_HERE / "netpol" / "main.go").exists():
-        netpol = golang.build("netpol", _HERE / "netpol", ["."], ["-ldflags=-s -w"], progress, "a minute, once") / "understudy-netpol"
+    netpol = (
+        golang.build("netpol", _HERE / "netpol", ["."], ["-ldflags=-s -w"], progress, "a minute, once")
+        / "understudy-netpol"
+    )
     _link_tools(built / "hyperkube", built / "helm")
     return Programs(built / "hyperkube", built / "pause", built / "coredns", built / "helm", netpol)

@@ -2,9 +2,10 @@
 
 import json
 import string
+from datetime import datetime
 from pathlib import Path
 
-from testcluster.local import controlplane, golden
+from testcluster.local import controlplane, dns, golden
 from testcluster.local.layout import Layout, node_name
 from testcluster.local.programs import Programs
 from testcluster.progress import wait_until
@@ -12,10 +13,15 @@ from testcluster.progress import wait_until
 _MANIFEST = Path(__file__).resolve().parent / "system.yaml"
 
 
+def dns_replicas(layout: Layout) -> int:
+    """How many DNS pods a cluster has: two where there are two nodes, for one to outlive a node."""
+    return min(2, layout.node_count)
+
+
 def apply(layout: Layout, programs: Programs) -> None:
     """Applies the manifests."""
     text = string.Template(_MANIFEST.read_text()).substitute(
-        dns_ip=layout.dns_ip, dns_replicas=min(2, layout.node_count), coredns_image=golden.COREDNS_IMAGE
+        dns_ip=layout.dns_ip, dns_replicas=dns_replicas(layout), coredns_image=golden.COREDNS_IMAGE
     )
     controlplane.kubectl(layout, programs, "apply", "--server-side", "--force-conflicts", "-f", "-", input=text)
 
@@ -26,22 +32,71 @@ def ready_nodes(layout: Layout, programs: Programs) -> set[str]:
     return {
         item["metadata"]["name"]
         for item in listed["items"]
-        if any(condition["type"] == "Ready" and condition["status"] == "True" for condition in item["status"].get("conditions", []))
+        if any(
+            condition["type"] == "Ready" and condition["status"] == "True"
+            for condition in item["status"].get("conditions", [])
+        )
         and not item["spec"].get("taints")
     }
 
 
-def wait_ready(layout: Layout, programs: Programs, seconds: float = 90) -> None:
-    """Returns when all nodes are Ready and DNS serves.
+def _renewed_nodes(layout: Layout, programs: Programs, since: datetime) -> set[str]:
+    """The nodes whose kubelet showed a sign of life since a moment; a lost one is called Ready for a while."""
+    listed = json.loads(controlplane.kubectl(layout, programs, "-n", "kube-node-lease", "get", "leases", "-o", "json"))
+    return {
+        item["metadata"]["name"]
+        for item in listed["items"]
+        if item["spec"].get("renewTime") and datetime.fromisoformat(item["spec"]["renewTime"]) >= since
+    }
+
+
+def _dns_serves(layout: Layout, programs: Programs) -> bool:
+    """Whether every DNS pod is known as ready and answers."""
+    slices = json.loads(
+        controlplane.kubectl(
+            layout,
+            programs,
+            "-n",
+            "kube-system",
+            "get",
+            "endpointslices",
+            "-l",
+            "kubernetes.io/service-name=kube-dns",
+            "-o",
+            "json",
+        )
+    )
+    ready = [
+        address
+        for item in slices["items"]
+        for endpoint in item["endpoints"] or ()
+        if endpoint.get("conditions", {}).get("ready")
+        for address in endpoint["addresses"]
+    ]
+    return len(ready) >= dns_replicas(layout) and all(
+        dns.answers(address, "kubernetes.default.svc.cluster.local") for address in ready
+    )
+
+
+def wait_ready(layout: Layout, programs: Programs, since: datetime, seconds: float = 120) -> None:
+    """Returns when all nodes are Ready, with a sign of life after a moment, and DNS serves.
 
     Raises:
         TimeoutError: with what is missing.
     """
     wanted = {node_name(node) for node in layout.nodes}
+
+    def missing() -> set[str]:
+        return wanted - (ready_nodes(layout, programs) & _renewed_nodes(layout, programs, since))
+
     try:
-        wait_until(lambda: ready_nodes(layout, programs) >= wanted, seconds, "all nodes are Ready", interval=0.3)
+        wait_until(lambda: not missing(), seconds, "all nodes are Ready", interval=0.3)
     except TimeoutError as error:
-        missing = sorted(wanted - ready_nodes(layout, programs))
-        logs = ", ".join(str(layout.state / name / "log") for name in missing)
-        raise TimeoutError(f"{error}; missing: {', '.join(missing)}; their logs: {logs}") from None
-    controlplane.kubectl(layout, programs, "-n", "kube-system", "rollout", "status", "deployment/coredns", f"--timeout={seconds:g}s")
+        logs = ", ".join(str(layout.state / name / "log") for name in sorted(missing()))
+        raise TimeoutError(f"{error}; missing: {', '.join(sorted(missing()))}; their logs: {logs}") from None
+    wait_until(
+        lambda: _dns_serves(layout, programs),
+        seconds,
+        "DNS serves (kubectl -n kube-system describe pods)",
+        interval=0.3,
+    )

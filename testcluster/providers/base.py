@@ -53,7 +53,8 @@ class Provider(ABC):
         """Brings images to every node, as far as they are not there.
 
         Args:
-            images: for each, the path of an archive in the format of `docker save`, or the name of an image that was built here.
+            images: for each, the path of an archive in the format of `docker save`, or the name of an image that was
+            built here.
         """
 
     @abstractmethod

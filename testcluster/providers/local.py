@@ -6,10 +6,14 @@ import shutil
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from testcluster.images import containerd, engines, store
-from testcluster.local import cgroups, controlplane, golden, layout as layouts, network, node as nodes, pki, programs as tools, system
+from testcluster.local import cgroups, controlplane, golden, network, pki, system
+from testcluster.local import layout as layouts
+from testcluster.local import node as nodes
+from testcluster.local import programs as tools
 from testcluster.local.layout import Layout, node_name, node_number
 from testcluster.paths import cache
 from testcluster.progress import Progress
@@ -40,7 +44,9 @@ class LocalProvider(Provider):
     def _require_root(self) -> None:
         obstacle = self.obstacle()
         if obstacle:
-            raise ClusterError(f"provider local: {obstacle}; with Docker and kind installed, --provider kind works without")
+            raise ClusterError(
+                f"provider local: {obstacle}; with Docker and kind installed, --provider kind works without"
+            )
 
     @contextmanager
     def _locked(self) -> Iterator[None]:
@@ -64,7 +70,8 @@ class LocalProvider(Provider):
     def up(self) -> None:
         self._require_root()
         with self._locked():
-            # Building comes before anything is made: it takes longest, and most likely fails for want of something on the machine.
+            # Building comes before anything is made: it takes longest, and most likely fails for want of something on
+            # the machine.
             programs = tools.ensure(self._progress)
             golden.ensure(programs, self._progress)
             found = layouts.load(self._cluster)
@@ -82,11 +89,16 @@ class LocalProvider(Provider):
         certificates = pki.create(layout)
         holder = network.up(layout)
         started = [node for node in layout.nodes if nodes.up(layout, node, programs)]
+        # A node that ran all along renews its lease every second; one that was started now counts from its first sign
+        # of life.
+        since = datetime.now(UTC) if started else datetime.now(UTC) - timedelta(seconds=10)
         controlplane.up(layout, programs, certificates, holder)
         system.apply(layout, programs)
         if started:
-            self._progress(f"cluster {layout.name}: waiting for {', '.join(node_name(node) for node in started)} and for DNS")
-        system.wait_ready(layout, programs)
+            self._progress(
+                f"cluster {layout.name}: waiting for {', '.join(node_name(node) for node in started)} and for DNS"
+            )
+        system.wait_ready(layout, programs, since)
 
     def _remove(self, layout: Layout) -> None:
         cgroups.kill(layout.cgroup)
@@ -111,17 +123,21 @@ class LocalProvider(Provider):
         if layout is None:
             return Status(False, f"cluster {self._cluster}: there is none")
         programs = tools.ensure(self._progress)
-        details = [f"{name}: {'runs' if runs else 'does not run'}" for name, runs in controlplane.running(layout).items()]
+        details = [
+            f"{name}: {'runs' if runs else 'does not run'}" for name, runs in controlplane.running(layout).items()
+        ]
         answers = controlplane.answers(layout, programs)
         ready = system.ready_nodes(layout, programs) if answers else set()
         for node in layout.nodes:
             power = "on" if nodes.init(layout, node) else "off"
             cable = "" if network.node_connected(layout, node) else ", cable out"
+            readiness = "Ready" if node_name(node) in ready else "not Ready"
             frozen = ", frozen" if cgroups.frozen(nodes.group(layout, node)) else ""
-            details.append(f"{node_name(node)} ({layout.node_ip(node)}): {power}{cable}{frozen}, {'Ready' if node_name(node) in ready else 'not Ready'}")
+            details.append(f"{node_name(node)} ({layout.node_ip(node)}): {power}{cable}{frozen}, {readiness}")
         whole = answers and len(ready) == layout.node_count
         details.append(f"kubeconfig: {layout.kubeconfig}")
-        summary = f"cluster {layout.name}: Kubernetes {tools.kubernetes_version()} at {layout.api} {'is ready' if whole else 'is not ready'}"
+        how = "is ready" if whole else "is not ready"
+        summary = f"cluster {layout.name}: Kubernetes {tools.kubernetes_version()} at {layout.api} {how}"
         return Status(whole, summary, details)
 
     def load_images(self, images: Sequence[str]) -> None:
@@ -149,7 +165,10 @@ class LocalProvider(Provider):
         engine = engines.choose(self.engine, self._progress)
         identity = engine.identity(image)
         if identity is None:
-            raise ClusterError(f"image {image}: neither an archive nor an image that {engine.name} has; scripts/images builds the project's own")
+            raise ClusterError(
+                f"image {image}: neither an archive nor an image that {engine.name} has; "
+                "scripts/images builds the project's own"
+            )
         known = store.get(image)
         if known and known.config == identity:
             return [known]

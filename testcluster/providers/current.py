@@ -1,0 +1,76 @@
+"""Provider `current`: the cluster that kubectl is pointed at, whatever it is.
+
+It is used, never made, changed or removed.
+"""
+
+import json
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from testcluster import packages
+from testcluster.progress import Progress
+from testcluster.providers.base import ClusterError, Provider, Status
+from testcluster.shell import CommandFailed, run
+
+
+class CurrentProvider(Provider):
+    """Somebody else's cluster."""
+
+    name = "current"
+
+    def __init__(self, progress: Progress) -> None:
+        self._progress = progress
+
+    def _kubectl(self, *arguments: str) -> str:
+        if not packages.find("kubectl"):
+            raise packages.MissingPrograms(
+                "provider current: the program `kubectl` is missing; it comes with your cluster's tools"
+            )
+        return run("kubectl", f"--kubeconfig={self.kubeconfig()}", *arguments, timeout=30)
+
+    def up(self) -> None:
+        status = self.status()
+        if not status.ready:
+            raise ClusterError("\n".join([status.summary, *status.details]))
+        self._progress(status.summary)
+
+    def down(self) -> None:
+        self._progress("this cluster was not made by this program; it is left as it is")
+
+    def status(self) -> Status:
+        try:
+            listed = json.loads(self._kubectl("get", "nodes", "-o", "json"))["items"]
+        except CommandFailed as error:
+            return Status(False, f"the cluster of {self.kubeconfig()} does not answer", [str(error)])
+        ready = [
+            item["metadata"]["name"]
+            for item in listed
+            if any(
+                condition["type"] == "Ready" and condition["status"] == "True"
+                for condition in item["status"]["conditions"]
+            )
+        ]
+        return Status(bool(ready), f"the cluster of {self.kubeconfig()}: {len(ready)} of {len(listed)} nodes are ready")
+
+    def load_images(self, images: Sequence[str]) -> None:
+        context = self._kubectl("config", "current-context").strip()
+        kind = context.removeprefix("kind-")
+        for image in images:
+            archive = Path(image).is_file()
+            if kind != context and packages.find("kind"):
+                run("kind", "load", "image-archive" if archive else "docker-image", "--name", kind, image)
+            elif packages.find("minikube") and context in run("minikube", "profile", "list", check=False).split():
+                run("minikube", "--profile", context, "image", "load", image)
+            else:
+                raise ClusterError(
+                    f"image {image}: how images come to the nodes of context {context} is not known here; "
+                    "push it to a registry that they reach, and name it in the chart's value `image`"
+                )
+            self._progress(f"{image}: loaded")
+
+    def kubeconfig(self) -> Path:
+        for named in [*os.environ.get("KUBECONFIG", "").split(":"), os.path.expanduser("~/.kube/config")]:
+            if named and Path(named).is_file():
+                return Path(named)
+        raise ClusterError("provider current: there is no kubeconfig; name one in KUBECONFIG")
