@@ -78,13 +78,13 @@ def _robot(kubectl: Kubectl, strategy: str) -> Robot:
 @pytest.fixture
 def without_operator(release: Kubectl) -> Iterator[None]:
     """The operator scaled to nothing for as long as the test uses this; call it after the robot is protected."""
-    release("scale", "deployment", "understudy", "--replicas=0")
+    release("scale", "deployment", "understudy-operator", "--replicas=0")
     eventually(
         lambda: not release.list("pods", "app.kubernetes.io/name=understudy"), within=60, what="no operator is left"
     )
     yield
-    release("scale", "deployment", "understudy", "--replicas=2")
+    release("scale", "deployment", "understudy-operator", "--replicas=2")
     try:
-        release("rollout", "status", "deployment/understudy", "--timeout=60s", timeout=70)
+        release("rollout", "status", "deployment/understudy-operator", "--timeout=60s", timeout=70)
     except Failed as error:
         pytest.fail(str(error))
