@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import platform
 import subprocess
 import sys
@@ -22,14 +23,14 @@ OUT = REPOSITORY / "out"
 
 
 class Progress:
-    """Lines with the seconds since the start."""
+    """Lines with the seconds since the start, that of the script that runs this if there is one."""
 
     def __init__(self) -> None:
-        self._start = time.monotonic()
+        self._start = float(os.environ.get("UNDERSTUDY_STARTED") or time.time())
 
     def __call__(self, text: str) -> None:
         """Print one."""
-        print(f"[{time.monotonic() - self._start:5.0f} s] {text}", flush=True)
+        print(f"[{time.time() - self._start:5.0f} s] {text}", flush=True)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -56,6 +57,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         failures, log = _perform(play, strategies, say)
     except (CommandFailed, NotSo) as error:
+        system = stage.release_namespace
         print(play.scene())
         say(f"FAILED: {error}")
         print(
@@ -63,7 +65,7 @@ def main(arguments: list[str] | None = None) -> int:
             f"    {_environment(stage)}\n"
             f"    kubectl -n {NAMESPACE} describe robotworkload {WORKLOAD}\n"
             f"    kubectl -n {NAMESPACE} logs deploy/{WORKLOAD}-monitor\n"
-            f"    kubectl -n {stage.release_namespace} logs deploy/understudy --all-pods\n"
+            f"    kubectl -n {system} logs -l app.kubernetes.io/component=operator --prefix --tail=200\n"
             "and scripts/demo begins anew."
         )
         return 1
@@ -161,11 +163,12 @@ Let it fail in other ways:
     kubectl patch robotworkload {WORKLOAD} --type merge \\
         -p '{{"spec":{{"failurePolicyRef":{{"name":"quickstart-executing"}}}}}}'
     kubectl get robotworkload {WORKLOAD} -w                 # until its standby is ready: Executing (1/1)
-    kubectl scale -n {stage.release_namespace} deploy/understudy --replicas 0  # no operator is needed for a failover
+    # no operator is needed for a failover
+    kubectl scale -n {stage.release_namespace} deploy/understudy-operator --replicas 0
     # frozen, not killed: the pod stays Running and Ready, and only the robot notices
     kubectl exec $(kubectl get robotworkload {WORKLOAD} -o jsonpath='{{.status.active}}') -c drive -- sh -c \\
         'for p in /proc/[0-9]*; do grep -q "[q]uickstart.application" $p/cmdline && kill -STOP ${{p#/proc/}}; done'
-    kubectl scale -n {stage.release_namespace} deploy/understudy --replicas 2
+    kubectl scale -n {stage.release_namespace} deploy/understudy-operator --replicas 2
 Remove it:
 {removal}
 """
