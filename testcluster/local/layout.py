@@ -163,9 +163,13 @@ def load(name: str) -> Layout | None:
     return Layout(name, int(kept["slot"]), ipaddress.IPv4Network(kept["network"]), int(kept["nodes"]))
 
 
+def names() -> list[str]:
+    """The names of all clusters of this machine."""
+    return [path.parent.name for path in (cache() / "clusters").glob("*/layout.json")]
+
+
 def _others(name: str) -> list[Layout]:
-    names = [path.parent.name for path in (cache() / "clusters").glob("*/layout.json")]
-    return [found for found in (load(other) for other in names if other != name) if found]
+    return [found for found in (load(other) for other in names() if other != name) if found]
 
 
 def _routed() -> list[ipaddress.IPv4Network]:

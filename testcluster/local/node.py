@@ -10,7 +10,18 @@ from testcluster.paths import cache
 from testcluster.shell import run
 
 _INIT = Path(__file__).resolve().parent / "node-init.sh"
-_NAMESPACES = "unshare --net --mount --uts --ipc --pid --fork --mount-proc --propagation private".split()
+_NAMESPACES = [
+    "unshare",
+    "--net",
+    "--mount",
+    "--uts",
+    "--ipc",
+    "--pid",
+    "--fork",
+    "--mount-proc",
+    "--propagation",
+    "private",
+]
 
 
 def group(layout: Layout, node: int) -> str:

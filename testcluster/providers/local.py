@@ -10,7 +10,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from testcluster.images import containerd, engines, store
-from testcluster.local import cgroups, controlplane, golden, network, pki, system
+from testcluster.local import cgroups, controlplane, golden, limits, network, pki, system
 from testcluster.local import layout as layouts
 from testcluster.local import node as nodes
 from testcluster.local import programs as tools
@@ -81,6 +81,7 @@ class LocalProvider(Provider):
                 found = None
             layout = found or layouts.decide(self._cluster)
             layout.save()
+            limits.ensure(self._progress)
             self._start(layout, programs)
             self._progress(f"cluster {self._cluster} is ready: export KUBECONFIG={layout.kubeconfig}")
 
@@ -116,6 +117,8 @@ class LocalProvider(Provider):
                 self._progress(f"cluster {self._cluster}: there is none")
                 return
             self._remove(layout)
+            if not layouts.names():
+                limits.restore()
             self._progress(f"cluster {self._cluster} is gone; what was built stays in {cache()}")
 
     def status(self) -> Status:

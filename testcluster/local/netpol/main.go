@@ -17,6 +17,7 @@ import (
 	coreclient "k8s.io/client-go/kubernetes/typed/core/v1"
 	networkingclient "k8s.io/client-go/kubernetes/typed/networking/v1"
 	"k8s.io/client-go/tools/clientcmd"
+	"k8s.io/klog/v2"
 
 	"understudy/testcluster/understudy-netpol/internal/enforcer"
 )
@@ -32,6 +33,7 @@ func main() {
 	cleanup := flag.Bool("cleanup", false, "remove the rules and exit")
 	flag.Parse()
 	slog.SetDefault(slog.New(slog.NewJSONHandler(os.Stderr, nil)))
+	klog.SetSlogLogger(slog.Default()) // what client-go says
 
 	err := func() error {
 		if *cleanup {

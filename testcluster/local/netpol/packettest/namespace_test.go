@@ -34,7 +34,10 @@ func newNamespace(t testing.TB, directory, name string) *namespace {
 		t.Fatal(err)
 	}
 	t.Cleanup(func() { file.Close() })
-	return &namespace{path, file}
+	n := &namespace{path, file}
+	// Otherwise IPv6 does nothing for a second or two, until every interface is sure of its address.
+	n.sysctl(t, "net.ipv6.conf.all.accept_dad=0", "net.ipv6.conf.default.accept_dad=0")
+	return n
 }
 
 // run runs a command in the namespace, with a text on its input.

@@ -10,6 +10,7 @@ import (
 	"os"
 	"strconv"
 	"sync"
+	"sync/atomic"
 	"testing"
 	"time"
 
@@ -36,6 +37,11 @@ func TestMain(m *testing.M) {
 	}
 	m.Run()
 }
+
+var (
+	updateOptions metav1.UpdateOptions
+	deleteOptions metav1.DeleteOptions
+)
 
 // world is what the tests live in.
 type world struct {
@@ -239,7 +245,7 @@ func (w *world) setPolicy(t testing.TB, object *networkingv1.NetworkPolicy) (com
 	object.ResourceVersion = w.version()
 	from := [2]int{len(w.nodes[0].seen()), len(w.nodes[1].seen())}
 	client := w.api.NetworkingV1().NetworkPolicies(object.Namespace)
-	_, err := client.Update(context.Background(), object, metav1.UpdateOptions{})
+	_, err := client.Update(context.Background(), object, updateOptions)
 	if apierrors.IsNotFound(err) {
 		_, err = client.Create(context.Background(), object, metav1.CreateOptions{})
 	}
@@ -272,7 +278,7 @@ func (w *world) setPolicies(t testing.TB, objects []*networkingv1.NetworkPolicy)
 func (w *world) deletePolicy(t testing.TB, object *networkingv1.NetworkPolicy) {
 	t.Helper()
 	from := [2]int{len(w.nodes[0].seen()), len(w.nodes[1].seen())}
-	must(t, w.api.NetworkingV1().NetworkPolicies(object.Namespace).Delete(context.Background(), object.Name, metav1.DeleteOptions{}))
+	must(t, w.api.NetworkingV1().NetworkPolicies(object.Namespace).Delete(context.Background(), object.Name, deleteOptions))
 	for i, n := range w.nodes {
 		n.wait(t, from[i], func(c enforcer.Commit) bool {
 			for _, cause := range c.Causes {
@@ -291,7 +297,7 @@ func (w *world) setPod(t testing.TB, object *corev1.Pod, noticed int) {
 	object.ResourceVersion = w.version()
 	from := len(w.nodes[noticed].seen())
 	client := w.api.CoreV1().Pods(object.Namespace)
-	_, err := client.Update(context.Background(), object, metav1.UpdateOptions{})
+	_, err := client.Update(context.Background(), object, updateOptions)
 	if apierrors.IsNotFound(err) {
 		_, err = client.Create(context.Background(), object, metav1.CreateOptions{})
 	}
@@ -320,13 +326,22 @@ type watches struct {
 	mu    sync.Mutex
 	begun int
 	more  chan struct{}
+	open  map[string][]watch.Interface // by resource
+	away  *atomic.Bool
+	// How many watches were cut. The fake API cannot tell what has happened since, as the real one can, so it says that
+	// this is too long ago.
+	expired map[string]int
 }
 
 func countWatches(api *fake.Clientset) *watches {
-	c := &watches{more: make(chan struct{})}
+	c := &watches{more: make(chan struct{}), open: map[string][]watch.Interface{}, expired: map[string]int{}}
 	api.PrependWatchReactor("*", func(action k8stesting.Action) (bool, watch.Interface, error) {
+		if err := c.refuse(action.GetResource().Resource); err != nil {
+			return true, nil, err
+		}
 		w, err := api.Tracker().Watch(action.GetResource(), action.GetNamespace())
 		c.mu.Lock()
+		c.open[action.GetResource().Resource] = append(c.open[action.GetResource().Resource], w)
 		c.begun++
 		close(c.more)
 		c.more = make(chan struct{})
@@ -357,5 +372,33 @@ func (c *watches) wait(t testing.TB, n int) {
 		case <-deadline:
 			t.Fatalf("%d of %d watches after 10 s", begun, n)
 		}
+	}
+}
+
+func (c *watches) refuse(resource string) error {
+	c.mu.Lock()
+	defer c.mu.Unlock()
+	if c.away != nil && c.away.Load() {
+		return apierrors.NewServiceUnavailable("away")
+	}
+	if c.expired[resource] > 0 {
+		c.expired[resource]--
+		return apierrors.NewResourceExpired("too old")
+	}
+	return nil
+}
+
+// cut ends all watches; new ones are refused while away.
+func (c *watches) cut(away *atomic.Bool) {
+	c.mu.Lock()
+	var cut []watch.Interface
+	for resource, open := range c.open {
+		c.expired[resource] = len(open)
+		cut = append(cut, open...)
+	}
+	c.open, c.away = map[string][]watch.Interface{}, away
+	c.mu.Unlock()
+	for _, w := range cut {
+		w.Stop()
 	}
 }

@@ -85,8 +85,8 @@ func (g *Engine) Run(ctx context.Context, clients Clients) error {
 
 	reconcile := time.NewTicker(g.options.Reconcile)
 	defer reconcile.Stop()
-	const firstRetry, lastRetry = 50 * time.Millisecond, 5 * time.Second
-	retryIn := firstRetry
+	const lastRetry = 5 * time.Second
+	retryIn := time.Duration(0) // at once, then more and more slowly
 	var retry <-chan time.Time
 	for {
 		var err error
@@ -110,14 +110,14 @@ func (g *Engine) Run(ctx context.Context, clients Clients) error {
 		}
 		retry = nil
 		if err == nil {
-			retryIn = firstRetry
+			retryIn = 0
 			continue
 		}
 		// Whatever the kernel holds now, a full replacement puts it right.
 		g.applied = nil
 		g.report.failure(err)
 		slog.Error("transaction failed, replacing the whole table next", "error", err.Error(), "retryIn", retryIn.String())
-		retry, retryIn = time.After(retryIn), min(2*retryIn, lastRetry)
+		retry, retryIn = time.After(retryIn), min(2*retryIn+50*time.Millisecond, lastRetry)
 	}
 }
 

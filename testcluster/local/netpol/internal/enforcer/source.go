@@ -96,11 +96,11 @@ func listWatch(list cache.ListWithContextFunc, watch cache.WatchFuncWithContext)
 
 const (
 	firstWait = 100 * time.Millisecond
-	lastWait  = 2 * time.Second
+	lastWait  = time.Second
 )
 
 // run lists and watches until the context ends. The reflector's own waiting after errors grows to a minute, far too long
-// after a restart of the API server; here it ends at two seconds.
+// after a restart of the API server; here it ends at one second.
 func (s *source) run(ctx context.Context, from cache.ListerWatcherWithContext, example runtime.Object) {
 	reflector := cache.NewReflectorWithOptions(&patient{from, s}, example, s, cache.ReflectorOptions{Name: s.kind})
 	for wait := firstWait; ctx.Err() == nil; {

@@ -350,12 +350,16 @@ func (x *Index) endpoint(pod *tracked) *Endpoint {
 		return pod.endpoint
 	}
 	endpoint := &Endpoint{Pod: pod.Key}
-	policies := slices.SortedFunc(maps.Values(x.inSpace[pod.Namespace]), func(a, b *compiled) int { return compareKeys(a.key, b.key) })
-	for _, policy := range policies {
+	var policies []*compiled
+	for _, policy := range x.inSpace[pod.Namespace] {
 		if policy.selects.Matches(pod.Labels) {
-			endpoint.Ingress.add(policy.ingress)
-			endpoint.Egress.add(policy.egress)
+			policies = append(policies, policy)
 		}
+	}
+	slices.SortFunc(policies, func(a, b *compiled) int { return compareKeys(a.key, b.key) })
+	for _, policy := range policies {
+		endpoint.Ingress.add(policy.ingress)
+		endpoint.Egress.add(policy.egress)
 	}
 	pod.endpoint = endpoint
 	return endpoint

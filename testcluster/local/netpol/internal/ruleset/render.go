@@ -16,7 +16,6 @@
 package ruleset
 
 import (
-	"cmp"
 	"crypto/sha256"
 	"encoding/binary"
 	"encoding/hex"
@@ -41,22 +40,47 @@ const (
 	selfSet     = "self"     // (a, a) for each of them: a pod can always reach itself
 )
 
-// Renderer turns models into rulesets. It remembers what it has rendered, since parts of a model stay the same.
+// Renderer turns models into rulesets. It remembers the last one's parts, since most parts of a model stay the same.
 type Renderer struct {
 	podInterfaces string
-	peers         map[peerKey]*nft.Set
-	names         map[nameKey]*nft.Set
-	chains        map[string]*nft.Chain
+	memory
 }
 
-type peerKey struct {
-	set    *policy.Addresses
+// memory has what was rendered, by the part of the model it was rendered from.
+type memory struct {
+	peers    map[partOf[*policy.Addresses]]*nft.Set
+	names    map[partOf[*policy.Targets]]*nft.Set
+	profiles map[profileKey]profile
+	policies map[partOf[*policy.Rules]]*policyChains
+}
+
+type partOf[T any] struct {
+	part   T
 	family nft.Family
 }
 
-type nameKey struct {
-	set    *policy.Targets
-	family nft.Family
+type profileKey struct {
+	endpoint *policy.Endpoint
+	side     string
+	family   nft.Family
+}
+
+// profile is a chain shared by all pods that the same policies select.
+type profile struct {
+	name  string
+	chain *nft.Chain
+}
+
+// policyChains is one direction of a policy, and the names of all that it refers to.
+type policyChains struct {
+	name   string
+	chains map[string]*nft.Chain // its own and those of its rules' ports
+	peers  map[string]policy.PeerID
+	names  map[string]policy.PortName
+}
+
+func newMemory() memory {
+	return memory{map[partOf[*policy.Addresses]]*nft.Set{}, map[partOf[*policy.Targets]]*nft.Set{}, map[profileKey]profile{}, map[partOf[*policy.Rules]]*policyChains{}}
 }
 
 // NewRenderer takes the prefix of the names of the interfaces that pods are behind. What passes such an interface without
@@ -68,13 +92,12 @@ func NewRenderer(podInterfaces string) *Renderer {
 
 // Render lays the model out. The ruleset shares unchanged parts with the one rendered before.
 func (r *Renderer) Render(model *policy.Model) *nft.Ruleset {
-	p := &pass{Renderer: r, model: model, out: nft.NewRuleset(),
-		peers: map[peerKey]*nft.Set{}, names: map[nameKey]*nft.Set{}, chains: map[string]*nft.Chain{}}
+	p := &pass{podInterfaces: r.podInterfaces, model: model, out: nft.NewRuleset(), before: r.memory, memory: newMemory()}
 	p.base()
 	for _, f := range families {
 		p.family(f)
 	}
-	r.peers, r.names, r.chains = p.peers, p.names, p.chains
+	r.memory = p.memory
 	return p.out
 }
 
@@ -109,12 +132,24 @@ var sides = []side{
 
 // pass is one rendering.
 type pass struct {
-	*Renderer
-	model  *policy.Model
-	out    *nft.Ruleset
-	peers  map[peerKey]*nft.Set
-	names  map[nameKey]*nft.Set
-	chains map[string]*nft.Chain
+	podInterfaces string
+	model         *policy.Model
+	out           *nft.Ruleset
+	before        memory
+	memory
+}
+
+// recall returns what was made of this part before, or makes it.
+func recall[K comparable, V any](before, now map[K]V, key K, make func() V) V {
+	if made, is := now[key]; is {
+		return made
+	}
+	made, is := before[key]
+	if !is {
+		made = make()
+	}
+	now[key] = made
+	return made
 }
 
 func rule(comment string, exprs ...[]nft.Expr) nft.Rule {
@@ -188,7 +223,7 @@ func (p *pass) family(f family) {
 			action := nft.Accept
 			if isolation.Isolated {
 				alone = true
-				action = p.profile(f, side, isolation.Rules)
+				action = p.profile(f, side, endpoint, isolation.Rules)
 			}
 			maps[i].Elements = append(maps[i].Elements, nft.Element{Key: key, Action: action})
 		}
@@ -210,146 +245,127 @@ func (p *pass) fixedSets(f family) (local, isolated, self *nft.Set) {
 	return local, isolated, self
 }
 
-// profile is the chain of all pods that the same policies select.
-func (p *pass) profile(f family, side side, rules []*policy.Rules) nft.Action {
+// profile sends to the chain of all pods that the same policies select.
+func (p *pass) profile(f family, side side, endpoint *policy.Endpoint, rules []*policy.Rules) nft.Action {
 	if len(rules) == 0 {
 		return nft.Continue // to the drop
 	}
-	var content strings.Builder
-	for _, r := range rules {
-		content.WriteString(r.ID + " ")
-	}
-	name := fmt.Sprintf("pods_%s%s_%s", side.name, f.suffix, digest(content.String()))
-	p.chain(name, func() *nft.Chain {
+	made := recall(p.before.profiles, p.profiles, profileKey{endpoint, side.name, f.Family}, func() profile {
+		var content strings.Builder
 		chain := &nft.Chain{}
 		for _, r := range rules {
-			chain.Rules = append(chain.Rules, rule("", e(nft.Do(nft.Jump(p.policyChain(f, side, r))))))
+			content.WriteString(r.ID + " ")
+			chain.Rules = append(chain.Rules, rule("", e(nft.Do(nft.Jump(policyName(f, side, r))))))
 		}
-		return chain
+		return profile{fmt.Sprintf("pods_%s%s_%s", side.name, f.suffix, digest(content.String())), chain}
 	})
-	for _, r := range rules { // also when the profile itself was remembered
-		p.policyChain(f, side, r)
+	if p.out.Chains[made.name] == nil {
+		p.out.Chains[made.name] = made.chain
+		for _, r := range rules {
+			p.policy(f, side, r)
+		}
 	}
-	return nft.Jump(name)
+	return nft.Jump(made.name)
 }
 
-// chain puts a chain into the ruleset, the one rendered earlier where there is one: its name says its content.
-func (p *pass) chain(name string, make func() *nft.Chain) {
-	if p.out.Chains[name] != nil {
-		return
-	}
-	chain := p.Renderer.chains[name]
-	if chain == nil {
-		chain = make()
-	}
-	p.out.Chains[name], p.chains[name] = chain, chain
+func policyName(f family, side side, rules *policy.Rules) string {
+	return fmt.Sprintf("%s%s_%s", side.name, f.suffix, rules.ID)
 }
 
-func (p *pass) policyChain(f family, side side, rules *policy.Rules) string {
-	name := fmt.Sprintf("%s%s_%s", side.name, f.suffix, rules.ID)
-	if p.out.Chains[name] != nil {
-		return name
+// policy puts a policy's chains into the ruleset, and the sets they name.
+func (p *pass) policy(f family, side side, rules *policy.Rules) {
+	made := recall(p.before.policies, p.policies, partOf[*policy.Rules]{rules, f.Family}, func() *policyChains {
+		return makePolicy(f, side, rules)
+	})
+	for name, chain := range made.chains {
+		p.out.Chains[name] = chain
 	}
-	for _, r := range rules.Rules { // sets and ports change, or must stay, when the chain is remembered
+	for name, id := range made.peers {
+		if p.out.Sets[name] == nil {
+			p.out.Sets[name] = p.peerSet(f, p.model.Peers[id])
+		}
+	}
+	for name, port := range made.names {
+		if p.out.Sets[name] == nil {
+			p.out.Sets[name] = p.nameSet(f, port.Protocol, p.model.Names[port])
+		}
+	}
+}
+
+func makePolicy(f family, side side, rules *policy.Rules) *policyChains {
+	chain := &nft.Chain{}
+	made := &policyChains{name: policyName(f, side, rules), peers: map[string]policy.PeerID{}, names: map[string]policy.PortName{}}
+	made.chains = map[string]*nft.Chain{made.name: chain}
+	for i, r := range rules.Rules {
+		comment := fmt.Sprintf("%s %s[%d]", rules.Policy, side.name, i)
+		verdict := nft.Do(nft.Accept)
+		if !r.AllPorts {
+			verdict = nft.Do(nft.Jump(made.ports(f, r)))
+		}
+		if r.AllPeers {
+			chain.Rules = append(chain.Rules, rule(comment, e(verdict)))
+		}
+		load := nft.CtSource(f.Family, side.peer, nft.R0)
 		for _, id := range r.Peers {
-			p.peerSet(f, id)
+			set := fmt.Sprintf("peers%s_%s", f.suffix, digest(string(id)))
+			made.peers[set] = id
+			chain.Rules = append(chain.Rules, rule(comment, e(load, nft.In(set, nft.R0), verdict)))
 		}
-		p.portChain(f, r)
+		for _, block := range r.Blocks {
+			if f.of(block.From) {
+				chain.Rules = append(chain.Rules, rule(comment, e(load, nft.Between(nft.R0, block.From.AsSlice(), block.To.AsSlice()), verdict)))
+			}
+		}
 	}
-	p.chain(name, func() *nft.Chain {
-		chain := &nft.Chain{}
-		for i, r := range rules.Rules {
-			comment := fmt.Sprintf("%s %s[%d]", rules.Policy, side.name, i)
-			verdict := nft.Do(nft.Accept)
-			if !r.AllPorts {
-				verdict = nft.Do(nft.Jump(p.portChain(f, r)))
-			}
-			if r.AllPeers {
-				chain.Rules = append(chain.Rules, rule(comment, e(verdict)))
-			}
-			load := nft.CtSource(f.Family, side.peer, nft.R0)
-			for _, id := range r.Peers {
-				chain.Rules = append(chain.Rules, rule(comment, e(load, nft.In(p.peerSet(f, id), nft.R0), verdict)))
-			}
-			for _, block := range r.Blocks {
-				if f.of(block.From) {
-					chain.Rules = append(chain.Rules, rule(comment, e(load, nft.Between(nft.R0, block.From.AsSlice(), block.To.AsSlice()), verdict)))
-				}
-			}
+	return made
+}
+
+// ports makes the chain that accepts the ports of a rule. Rules with the same ports share it.
+func (m *policyChains) ports(f family, r policy.Rule) string {
+	chain := &nft.Chain{}
+	for _, ports := range r.Ports {
+		exprs := e(nft.CtProtocol(nft.R0), nft.Equal(nft.R0, []byte{byte(ports.Protocol)}))
+		if ports.From == ports.To {
+			exprs = append(exprs, nft.CtSourcePort(nft.Reply, nft.R0), nft.Equal(nft.R0, port(ports.From)))
+		} else if ports.From > 0 || ports.To < 65535 {
+			exprs = append(exprs, nft.CtSourcePort(nft.Reply, nft.R0), nft.Between(nft.R0, port(ports.From), port(ports.To)))
 		}
-		return chain
-	})
+		chain.Rules = append(chain.Rules, rule("", exprs, e(nft.Do(nft.Accept))))
+	}
+	for _, name := range r.Names {
+		set := fmt.Sprintf("named%s_%s_%s", f.suffix, name.Protocol, name.Name)
+		m.names[set] = name
+		chain.Rules = append(chain.Rules, rule("", e(nft.CtSource(f.Family, nft.Reply, nft.R0), nft.CtProtocol(f.second),
+			nft.CtSourcePort(nft.Reply, f.third), nft.In(set, nft.R0), nft.Do(nft.Accept))))
+	}
+	name := fmt.Sprintf("ports%s_%s", f.suffix, digest(fmt.Sprintf("%v %v", r.Ports, r.Names)))
+	m.chains[name] = chain
 	return name
 }
 
-// portChain accepts the ports of a rule; empty for a rule about all ports.
-func (p *pass) portChain(f family, r policy.Rule) string {
-	if r.AllPorts {
-		return ""
-	}
-	names := make([]string, len(r.Names))
-	for i, name := range r.Names {
-		names[i] = p.nameSet(f, name)
-	}
-	name := fmt.Sprintf("ports%s_%s", f.suffix, digest(fmt.Sprintf("%v %v", r.Ports, names)))
-	p.chain(name, func() *nft.Chain {
-		chain := &nft.Chain{}
-		for _, ports := range r.Ports {
-			exprs := e(nft.CtProtocol(nft.R0), nft.Equal(nft.R0, []byte{byte(ports.Protocol)}))
-			if ports.From == ports.To {
-				exprs = append(exprs, nft.CtSourcePort(nft.Reply, nft.R0), nft.Equal(nft.R0, port(ports.From)))
-			} else if ports.From > 0 || ports.To < 65535 {
-				exprs = append(exprs, nft.CtSourcePort(nft.Reply, nft.R0), nft.Between(nft.R0, port(ports.From), port(ports.To)))
-			}
-			chain.Rules = append(chain.Rules, rule("", exprs, e(nft.Do(nft.Accept))))
-		}
-		for _, set := range names {
-			chain.Rules = append(chain.Rules, rule("", e(nft.CtSource(f.Family, nft.Reply, nft.R0), nft.CtProtocol(f.second),
-				nft.CtSourcePort(nft.Reply, f.third), nft.In(set, nft.R0), nft.Do(nft.Accept))))
-		}
-		return chain
-	})
-	return name
-}
-
-func (p *pass) peerSet(f family, id policy.PeerID) string {
-	name := fmt.Sprintf("peers%s_%s", f.suffix, digest(string(id)))
-	if p.out.Sets[name] != nil {
-		return name
-	}
-	key := peerKey{p.model.Peers[id], f.Family}
-	set := p.Renderer.peers[key]
-	if set == nil {
-		set = &nft.Set{Key: []nft.Type{f.address}}
-		for _, addr := range key.set.List {
+func (p *pass) peerSet(f family, peers *policy.Addresses) *nft.Set {
+	return recall(p.before.peers, p.peers, partOf[*policy.Addresses]{peers, f.Family}, func() *nft.Set {
+		set := &nft.Set{Key: []nft.Type{f.address}}
+		for _, addr := range peers.List {
 			if f.of(addr) {
 				set.Elements = append(set.Elements, nft.Element{Key: string(addr.AsSlice())})
 			}
 		}
-	}
-	p.out.Sets[name], p.peers[key] = set, set
-	return name
+		return set
+	})
 }
 
-func (p *pass) nameSet(f family, name policy.PortName) string {
-	text := fmt.Sprintf("named%s_%s_%s", f.suffix, name.Protocol, name.Name)
-	if p.out.Sets[text] != nil {
-		return text
-	}
-	key := nameKey{p.model.Names[name], f.Family}
-	set := p.Renderer.names[key]
-	if set == nil {
-		set = &nft.Set{Key: []nft.Type{f.address, nft.TypeProtocol, nft.TypePort}}
-		for _, target := range key.set.List {
+func (p *pass) nameSet(f family, protocol policy.Protocol, targets *policy.Targets) *nft.Set {
+	return recall(p.before.names, p.names, partOf[*policy.Targets]{targets, f.Family}, func() *nft.Set {
+		set := &nft.Set{Key: []nft.Type{f.address, nft.TypeProtocol, nft.TypePort}}
+		for _, target := range targets.List {
 			if f.of(target.Addr) {
 				set.Elements = append(set.Elements, nft.Element{Key: string(target.Addr.AsSlice()) +
-					string([]byte{byte(name.Protocol), 0, 0, 0}) + string(port(target.Port)) + "\x00\x00"})
+					string([]byte{byte(protocol), 0, 0, 0}) + string(port(target.Port)) + "\x00\x00"})
 			}
 		}
-		slices.SortFunc(set.Elements, func(a, b nft.Element) int { return cmp.Compare(a.Key, b.Key) })
-	}
-	p.out.Sets[text], p.names[key] = set, set
-	return text
+		return set // in order: targets are sorted by address and port
+	})
 }
 
 func port(number uint16) []byte { return binary.BigEndian.AppendUint16(nil, number) }
