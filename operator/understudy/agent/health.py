@@ -195,7 +195,7 @@ class Health:
         judgement = self.judgement
         self._look_for_presence(graph, host, plan)
         if self._present and judgement.process_up_at is None:
-            judgement.process_up_at = time.time()
+            judgement.process_up_at = now
             self._on_change()
         verdict = plan.tree.evaluate(own, now=now, since=self._since)
         judgement.outputs = own.counts()

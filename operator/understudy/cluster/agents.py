@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import itertools
 import logging
+import os
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -216,9 +217,11 @@ class AgentLink:
             if "status" in message and "id" not in message:
                 self._status = AgentStatus.from_wire(message["status"])
                 self._notify()
-            elif (answer := self._answers.get(message.get("id", 0))) is not None and not answer.done():
-                answer.set_result(message)
-            elif "error" in message and "id" not in message:
+            elif isinstance(number := message.get("id"), int):
+                answer = self._answers.get(number)
+                if answer is not None and not answer.done():
+                    answer.set_result(message)
+            elif "error" in message:
                 raise AgentRefused(str(message["error"]))
 
     def _disconnect(self, writer: asyncio.StreamWriter | None) -> None:
@@ -249,6 +252,6 @@ async def _line(reader: asyncio.StreamReader) -> bytes:
 def _words(error: BaseException) -> str:
     """An error without the address, which the log line has already."""
     if isinstance(error, OSError) and error.errno is not None:
-        return (error.strerror or repr(error)).split("(")[0].strip()
+        return os.strerror(error.errno)
     return str(error) or repr(error)
 

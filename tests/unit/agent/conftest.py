@@ -43,7 +43,7 @@ class Pod:
         self.environment = {"UNDERSTUDY_HELD_CONTAINERS": "app"}
         self._processes: list[subprocess.Popen[bytes]] = []
 
-    def start_agent(self) -> subprocess.Popen[bytes]:
+    def start_agent(self, *, inside: Sequence[str] = ()) -> subprocess.Popen[bytes]:
         environment = {
             **os.environ,
             "PYTHONPATH": str(PACKAGE),
@@ -59,17 +59,17 @@ class Pod:
         }
         with (self.folder / "agent.log").open("ab") as log:
             self.agent = subprocess.Popen(
-                [sys.executable, "-m", "understudy.main", "agent"], env=environment, stdout=log, stderr=log
+                [*inside, sys.executable, "-m", "understudy.main", "agent"], env=environment, stdout=log, stderr=log
             )
         self._processes.append(self.agent)
         return self.agent
 
     def start_container(
-        self, command: Sequence[str], args: Sequence[str] = (), *, container: str = "app"
+        self, command: Sequence[str], args: Sequence[str] = (), *, container: str = "app", inside: Sequence[str] = ()
     ) -> subprocess.Popen[bytes]:
         wrapped = holding.held_command(container, command, args, [], directory=str(self.volume))
         with (self.folder / f"{container}.log").open("ab") as log:
-            process = subprocess.Popen(wrapped, stdout=log, stderr=log)
+            process = subprocess.Popen([*inside, *wrapped], stdout=log, stderr=log)
         self._processes.append(process)
         return process
 

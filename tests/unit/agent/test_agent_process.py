@@ -96,7 +96,16 @@ async def _connection(pod: Pod):
 
 @pytest.mark.parametrize(
     "said",
-    [b"\n", b"[]\n", b"{}\n", b'{"mac": "\xff"}\n', b'{"mac": 5}\n', b"x" * 10_000, b"[" * 3000 + b"\n", b'{"mac": "\\u00fc"}\n'],
+    [
+        b"\n",
+        b"[]\n",
+        b"{}\n",
+        b'{"mac": "\xff"}\n',
+        b'{"mac": 5}\n',
+        b'{"mac": "\\u00fc"}\n',
+        b"x" * 10_000,
+        b"[" * 3000 + b"\n",
+    ],
 )
 async def test_nonsense_ends_the_session_and_nothing_else(pod: Pod, links, said):
     pod.start_agent()

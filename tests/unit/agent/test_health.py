@@ -1,0 +1,228 @@
+"""The agent judges real ROS 2 processes that were held and started, or run beside it."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.unit.agent.conftest import Pod, eventually
+from tests.unit.ros.network import network
+from understudy.api.agents import AgentStatus
+
+pytestmark = pytest.mark.ros
+
+NODES = str(Path(__file__).parent / "nodes.py")
+TALK = [sys.executable, NODES, "talk", "/cmd_vel", "20"]
+OUTPUTS = [{"topic": "/cmd_vel", "type": "std_msgs/msg/String"}]
+TREE = {"topic": {"name": "/cmd_vel", "gap": "300ms"}}
+
+
+@pytest.fixture
+def ros() -> dict[str, str]:
+    return {
+        "ROS_DOMAIN_ID": str(10 + os.getpid() % 90),
+        "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
+    }
+
+
+def runs(status: AgentStatus) -> bool:
+    return status.phase == "Running" and status.ready
+
+
+def ups(pod: Pod) -> list[float]:
+    """When the application said that it was up."""
+    return [float(line.split()[1]) for line in pod.output().splitlines() if line.startswith("up ")]
+
+
+async def test_a_held_talker_is_started_and_seen_to_be_up_and_ready(pod: Pod, links, ros):
+    pod.start_agent()
+    pod.start_container(TALK)
+    links.append(link := pod.link())
+    await link.wait_for(lambda s: s.ready, 10)
+    await link.configure(TREE, OUTPUTS, 20.0)
+    assert (await link.ask()).configured
+    begun = time.time()
+    await link.start({}, ros)
+    up = await link.wait_for(lambda s: s.process_up_at is not None, 30)
+    ready = await link.wait_for(runs, 10)
+    assert (await pod.page("/ready"))[0] == 200
+    assert begun < ready.started_at < up.process_up_at <= ready.ready_at
+    # Whichever of the two was in the graph last, the agent says so at once.
+    assert up.process_up_at - ups(pod)[0] < 2.0
+    assert ready.ready_at - up.process_up_at < 1.0
+    assert (ready.phase, ready.reason) == ("Running", "")
+    counted = await link.wait_for(lambda s: s.outputs["/cmd_vel"].count > 20, 10)
+    assert counted.outputs["/cmd_vel"].last == pytest.approx(time.time(), abs=1.5)
+
+
+async def test_an_application_that_dies_is_not_ready_until_it_is_back(pod: Pod, links, ros):
+    pod.start_agent()
+    container = pod.start_container(TALK)
+    links.append(link := pod.link())
+    await link.wait_connected(10)
+    await link.configure(TREE, OUTPUTS, 20.0)
+    await link.start({}, ros)
+    first = (await link.wait_for(runs, 30)).ready_at
+    pod.kill(container)
+    died = time.time()
+    failed = await link.wait_for(lambda s: not s.ready, 5)
+    assert time.time() - died < 0.6
+    assert failed.reason == "no /cmd_vel for 300 ms"
+    assert (await pod.page("/ready")) == (503, "Running: no /cmd_vel for 300 ms\n")
+    pod.start_container(TALK)
+    back = await link.wait_for(lambda s: s.ready, 30)
+    assert back.ready_at == first
+
+
+async def test_a_killed_agent_finds_the_running_instance(pod: Pod, links, ros):
+    agent = pod.start_agent()
+    pod.start_container(TALK)
+    links.append(link := pod.link())
+    await link.wait_connected(10)
+    await link.configure(TREE, OUTPUTS, 20.0)
+    await link.start({}, ros)
+    before = await link.wait_for(runs, 30)
+    pod.kill(agent)
+    await eventually(lambda: not link.connected)
+    pod.start_agent()
+    # With no monitor to configure it again, as while that one is down.
+    await link.close()
+    await eventually(lambda: is_ready(pod), 30)
+    links.append(again := pod.link())
+    after = await again.wait_for(lambda s: s.ready, 10)
+    assert (after.started_at, after.process_up_at, after.ready_at) == (
+        before.started_at,
+        before.process_up_at,
+        before.ready_at,
+    )
+
+
+async def is_ready(pod: Pod) -> bool:
+    return (await pod.page("/ready"))[0] == 200
+
+
+async def test_an_instance_that_is_not_held_is_judged_from_its_start(pod: Pod, links, ros, monkeypatch):
+    for key, value in ros.items():
+        monkeypatch.setenv(key, value)
+    pod.environment = {"UNDERSTUDY_WORKLOAD": "robot"}
+    pod.start_agent()
+    links.append(link := pod.link(claim=""))
+    await link.wait_for(lambda s: s.reason == "waiting for the monitor to say what healthy is", 20)
+    await link.configure({"parallel": [TREE, {"topic": {"name": "/scan", "gap": "1s"}}]}, OUTPUTS, 0.5)
+    await link.wait_for(lambda s: s.reason == "nothing in this pod publishes or serves /cmd_vel", 5)
+    (pod.volume / "env-app").touch()
+    pod.start_container(TALK)
+    waiting = await link.wait_for(lambda s: s.process_up_at is not None, 20)
+    assert not waiting.ready
+    status = await link.wait_for(lambda s: "/scan" in s.reason and "/cmd_vel" not in s.reason, 5)
+    assert "type of /scan is not known" in status.reason
+    (pod.volume / "env-robot").touch()
+    pod.start_container([*TALK[:-2], "/scan", "20"], container="robot")
+    ready = await link.wait_for(lambda s: s.ready, 20)
+    assert list(ready.outputs) == ["/cmd_vel"]
+
+
+async def test_a_new_tree_keeps_a_healthy_instance_ready(pod: Pod, links, ros):
+    pod.start_agent()
+    pod.start_container(TALK)
+    seen = []
+    links.append(link := pod.link(on_change=lambda link: seen.append(link.status and link.status.ready)))
+    await link.wait_connected(10)
+    await link.configure(TREE, OUTPUTS, 20.0)
+    await link.start({}, ros)
+    await link.wait_for(runs, 30)
+    seen.clear()
+    await link.configure({"topic": {"name": "/cmd_vel", "rate": "> 10 Hz", "window": "1s"}}, OUTPUTS, 20.0)
+    await asyncio.sleep(2.5)
+    assert len(seen) >= 2
+    assert all(seen)
+    await link.configure({"topic": {"name": "/cmd_vel", "rate": "> 40 Hz", "window": "1s"}}, OUTPUTS, 1.0)
+    failed = await link.wait_for(lambda s: not s.ready, 5)
+    assert failed.reason.startswith("/cmd_vel at ")
+
+
+async def test_a_served_output_counts_as_up(pod: Pod, links, ros):
+    pod.start_agent()
+    pod.start_container([sys.executable, NODES, "serve", "/snap"])
+    pod.environment["UNDERSTUDY_HELD_CONTAINERS"] = "app"
+    links.append(link := pod.link())
+    await link.wait_connected(10)
+    await link.configure(
+        {"topic": {"name": "/cmd_vel", "gap": "300ms"}}, [{"service": "/snap", "type": "std_srvs/srv/Trigger"}], 1.0
+    )
+    await link.start({}, ros)
+    status = await link.wait_for(lambda s: s.process_up_at is not None, 30)
+    assert abs(status.process_up_at - ups(pod)[0]) < 2.0
+    assert not status.ready
+
+
+async def test_a_type_that_is_not_installed_is_said(pod: Pod, links, ros, monkeypatch):
+    for key, value in ros.items():
+        monkeypatch.setenv(key, value)
+    pod.environment = {"UNDERSTUDY_WORKLOAD": "robot"}
+    pod.start_agent()
+    (pod.volume / "env-app").touch()
+    pod.start_container(TALK)
+    links.append(link := pod.link(claim=""))
+    await link.wait_connected(10)
+    tree = {"parallel": [TREE, {"topic": {"name": "/bumper", "type": "robots_msgs/msg/Bumper", "gap": "1s"}}]}
+    await link.configure(tree, OUTPUTS, 20.0)
+    status = await link.wait_for(lambda s: "robots_msgs" in s.reason, 20)
+    assert "is not installed" in status.reason
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="network namespaces need root")
+async def test_outputs_count_from_this_pod_and_inputs_from_the_robot(pod: Pod, ros, monkeypatch):
+    """Three hosts: this pod, another instance of the workload that leaked through, the robot."""
+    del ros["ROS_AUTOMATIC_DISCOVERY_RANGE"]
+    for key, value in ros.items():
+        monkeypatch.setenv(key, value)
+    tree = {"parallel": [TREE, {"topic": {"name": "/scan", "type": "std_msgs/msg/String", "gap": "1s"}}]}
+    configuration = {"tree": tree, "outputs": OUTPUTS, "grace": 60.0}
+    (pod.volume / "agent.json").write_text(json.dumps({"configuration": configuration}))
+    pod.environment = {"UNDERSTUDY_WORKLOAD": "robot"}
+    with network() as lan:
+        own, other, robot = lan.host("10.77.0.2"), lan.host("10.77.0.3"), lan.host("10.77.100.1")
+
+        async def says(text: str) -> bool:
+            return text in (await asyncio.to_thread(ready))
+
+        def ready() -> str:
+            command = ["python3", "-c", FETCH, str(pod.health_port)]
+            return subprocess.run([*own, *command], capture_output=True, text=True).stdout
+
+        pod.start_agent(inside=own)
+        for host, topic, name in ((other, "/cmd_vel", "other"), (robot, "/scan", "robot")):
+            (pod.volume / f"env-{name}").touch()
+            pod.start_container([*TALK[:-2], topic, "20"], container=name, inside=host)
+        await eventually(lambda: pod.output("other").startswith("up") and pod.output("robot").startswith("up"), 20)
+        await eventually(lambda: says("nothing in this pod publishes or serves /cmd_vel"), 20)
+        await asyncio.sleep(2)
+        assert await says("nothing in this pod publishes or serves /cmd_vel")
+        (pod.volume / "env-app").touch()
+        app = pod.start_container(TALK, inside=own)
+        await eventually(lambda: says("200 ready"), 20)
+        pod.kill(app)
+        # The other instance's commands go on.
+        await eventually(lambda: says("503 Running: no /cmd_vel for 300 ms"), 5)
+
+
+FETCH = """
+import sys, urllib.error, urllib.request
+try:
+    answer = urllib.request.urlopen(f"http://127.0.0.1:{sys.argv[1]}/ready")
+except urllib.error.HTTPError as error:
+    answer = error
+except OSError:
+    sys.exit()
+print(answer.status, answer.read().decode())
+"""
