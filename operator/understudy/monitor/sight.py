@@ -76,6 +76,11 @@ class Sight:
         return [*self._problems, *self._watching.problems, *self._watching.sources.problems()]
 
     @property
+    def waiting(self) -> list[str]:
+        """Topics that can't be watched before somebody publishes them."""
+        return self._watching.waiting
+
+    @property
     def summary(self) -> str:
         """What is watched."""
         topics = [topic.name for topic in self._tree.topics] if self._tree else []

@@ -274,17 +274,22 @@ class Supervisor:
         item = self._view.object
         self._reporter.generation = item["metadata"].get("generation") if item else None
         self._reporter.set(strategy=usable)
-        missing = self._sight.problems
-        if missing:
-            if self._reporter.condition("Monitored", "False", "TypeNotInstalled", " ".join(missing)):
-                self._reporter.event("Warning", "TypeNotInstalled", " ".join(missing))
-        else:
-            self._reporter.condition("Monitored", "True", "Watching", self._sight.summary)
+        self._say_watched()
         active_uid = self._gate.state.active_uid
         last = {i.uid: found for i in instances if (found := self._parts.probes.last(i.uid)) is not None}
         judged = enforcement.judge(instances, active_uid, last, now=time.time(), since=self._gate_changed)
         if judged[1] != "Settling" and self._reporter.condition("GateEnforced", *judged) and judged[0] == "False":
             self._reporter.event("Warning", f"Gate{judged[1]}", judged[2])
+
+    def _say_watched(self) -> None:
+        if problems := self._sight.problems:
+            reason = "TypeNotInstalled" if any("not installed" in problem for problem in problems) else "NotWatched"
+            if self._reporter.condition("Monitored", "False", reason, " ".join(problems)):
+                self._reporter.event("Warning", reason, " ".join(problems))
+        elif waiting := self._sight.waiting:
+            self._reporter.condition("Monitored", "Unknown", "WaitingForTopics", " ".join(waiting))
+        else:
+            self._reporter.condition("Monitored", "True", "Watching", self._sight.summary)
 
     # -- recovering -------------------------------------------------------------------------------------------------
 

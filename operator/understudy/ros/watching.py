@@ -73,6 +73,7 @@ class _Topic:
     want: WatchedTopic
     subscription: Any = None
     problem: str = ""
+    waiting: str = ""
     sources: dict[bytes, SourceRecord] = field(default_factory=dict)
     counted: TopicRecord = field(default_factory=TopicRecord)
     """Samples that count for the instance in control."""
@@ -116,6 +117,11 @@ class Watching:
         """Why a topic is not watched, in plain words that say what to do."""
         return [topic.problem for topic in self._topics.values() if topic.problem]
 
+    @property
+    def waiting(self) -> list[str]:
+        """Topics that can't be watched before somebody publishes them, in plain words."""
+        return [topic.waiting for topic in self._topics.values() if topic.waiting]
+
     def _change(self, topic: _Topic, want: WatchedTopic) -> None:
         again = topic.subscription is None or want.type != topic.want.type or depth(want) > depth(topic.want)
         topic.want = want
@@ -128,15 +134,16 @@ class Watching:
 
     def _subscribe(self, topic: _Topic) -> None:
         want = topic.want
-        topic.problem = ""
+        topic.problem = topic.waiting = ""
         type_name = want.type or self._graph.type_of(want.name)
         if type_name is None:
             found = sorted({endpoint.type for endpoint in self._graph.publishers(want.name)})
-            topic.problem = (
-                f"the publishers of {want.name} disagree about its type ({', '.join(found)}): give the type in the tree"
-                if found
-                else f"the type of {want.name} is not known, since nobody publishes it yet: give the type in the tree"
-            )
+            if found:
+                topic.problem = f"the publishers of {want.name} disagree about its type ({', '.join(found)}): give the type in the tree"
+            else:
+                topic.waiting = (
+                    f"the type of {want.name} is not known, since nobody publishes it yet: give the type in the tree"
+                )
             return
         try:
             topic.subscription = self._graph.subscribe(want.name, type_name, depth=depth(want))
