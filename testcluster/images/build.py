@@ -7,6 +7,7 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+from testcluster import locks
 from testcluster.images import engines, pip
 from testcluster.images.catalog import Image, images, with_parents
 from testcluster.images.engines import Engine
@@ -94,7 +95,8 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         provider = cli.select(options.provider, options.name, progress)
         engine = engines.choose(options.engine or provider.engine, progress)
-        build(engine, with_parents(wanted), progress, options.force)
+        with locks.held("images", progress):
+            build(engine, with_parents(wanted), progress, options.force)
         if options.load:
             provider.load_images([image.name for image in wanted])
     except (CommandFailed, RuntimeError, TimeoutError, ValueError) as error:

@@ -9,10 +9,11 @@ import json
 import os
 import shutil
 import tarfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from testcluster import locks
 from testcluster.images import containerd
 from testcluster.images import store as images
 from testcluster.local import cgroups, processes
@@ -66,12 +67,15 @@ def _store(programs: Programs) -> Path:
     return cache() / "golden" / programs.hyperkube.parent.name
 
 
+def _group(work: Path) -> str:
+    # With a dot: no cluster's group can have this name.
+    return f"understudy.{work.name}"
+
+
 @contextmanager
 def _containerd(root: Path, work: Path) -> Iterator[list[str | Path]]:
     """Runs a containerd on a store; gives the words that run its client."""
-    # With a dot: no cluster's group can have this name.
-    group = f"understudy.{work.name}"
-    cgroups.kill(group)
+    group = _group(work)
     cgroups.create(group)
     address = work / "socket"
     config = work / "containerd.toml"
@@ -99,12 +103,20 @@ def ensure(programs: Programs, progress: Progress) -> None:
     It is changed as a copy that then takes its place, so that neither an interruption nor a node that is cloned from it
     meanwhile sees half of it.
     """
+    with locks.held("golden", progress), locks.held("images", progress):
+        wanted = images.references()
+        listing = {reference.name: reference.digest for reference in wanted}
+        if _listed(_store(programs)) != listing:
+            _renew(programs, wanted, listing, progress)
+
+
+def _renew(
+    programs: Programs, wanted: Sequence[images.Reference], listing: Mapping[str, str], progress: Progress
+) -> None:
     store = _store(programs)
-    wanted = {reference.name: reference.digest for reference in images.references()}
-    if _listed(store) == wanted:
-        return
     with progress.step("preparing the images that new nodes begin with"):
         work = store.with_name(f"{store.name}.partial")
+        cgroups.kill(_group(work))
         shutil.rmtree(work, ignore_errors=True)
         work.mkdir(parents=True)
         root = work / "root"
@@ -116,8 +128,8 @@ def ensure(programs: Programs, progress: Progress) -> None:
                     archive = work / "image.tar"
                     _single_program_image(archive, image, program)
                     run(*ctr, "-n", "k8s.io", "images", "import", archive)
-            containerd.load(ctr, images.references())
-        (root / _LISTING).write_text(json.dumps(wanted))
+            containerd.load(ctr, wanted)
+        (root / _LISTING).write_text(json.dumps(listing))
         former = work / "former"
         if store.exists():
             store.rename(former)
@@ -140,5 +152,6 @@ def clone(programs: Programs, destination: Path) -> None:
         return
     partial = destination.with_name(f"{destination.name}.partial")
     shutil.rmtree(partial, ignore_errors=True)
-    _copy(_store(programs), partial)
+    with locks.held("golden"):
+        _copy(_store(programs), partial)
     partial.rename(destination)

@@ -1,4 +1,4 @@
-"""Limits of the kernel that three nodes on one machine reach, raised while there is a cluster and put back with the last one."""
+"""Limits of the kernel that several nodes on one machine reach: raised for a cluster, put back with the last one."""
 
 import json
 from pathlib import Path
@@ -32,9 +32,7 @@ def ensure(progress: Progress) -> None:
         try:
             _path(limit).write_text(str(wanted))
         except OSError as error:
-            progress(
-                f"{_path(limit)} is {value} and cannot be raised to {wanted} ({error}); nodes may fail with `too many open files`"
-            )
+            progress(f"{_path(limit)} is {value}, not {wanted} ({error}): nodes may fail with `too many open files`")
 
 
 def restore() -> None:

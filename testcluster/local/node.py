@@ -10,18 +10,7 @@ from testcluster.paths import cache
 from testcluster.shell import run
 
 _INIT = Path(__file__).resolve().parent / "node-init.sh"
-_NAMESPACES = [
-    "unshare",
-    "--net",
-    "--mount",
-    "--uts",
-    "--ipc",
-    "--pid",
-    "--fork",
-    "--mount-proc",
-    "--propagation",
-    "private",
-]
+_NAMESPACES = ["--net", "--mount", "--uts", "--ipc", "--pid", "--fork", "--mount-proc", "--propagation", "private"]
 
 
 def group(layout: Layout, node: int) -> str:
@@ -32,6 +21,15 @@ def group(layout: Layout, node: int) -> str:
 def init(layout: Layout, node: int) -> int | None:
     """The node's first process, or None when the node is off."""
     return processes.init_of(f"{group(layout, node)}/system")
+
+
+def _container_store(layout: Layout, node: int) -> Path:
+    return layout.node_state(node) / "containerd"
+
+
+def has_images(layout: Layout, node: int) -> bool:
+    """Whether a node was on before, and so has images."""
+    return _container_store(layout, node).exists()
 
 
 def _reserved_memory(nodes: int) -> int:
@@ -47,9 +45,10 @@ def _reserved_memory(nodes: int) -> int:
     raise RuntimeError("/proc/meminfo has no line MemTotal")
 
 
-def _containerd(state: Path) -> str:
+def _containerd(layout: Layout, node: int) -> str:
+    state = layout.node_state(node)
     return f"""version = 2
-root = "{state}/containerd"
+root = "{_container_store(layout, node)}"
 state = "/run/containerd"
 [grpc]
   address = "/run/containerd/containerd.sock"
@@ -141,7 +140,7 @@ def _configure(layout: Layout, node: int) -> None:
     # For pods that take the node's resolver. There is none beyond the cluster: nothing outside can be reached.
     (etc / "resolv.conf").write_text("nameserver 127.0.0.1\n")
     (etc / "ip").write_text(layout.node_ip(node))
-    (etc / "containerd.toml").write_text(_containerd(state))
+    (etc / "containerd.toml").write_text(_containerd(layout, node))
     (etc / "cni" / "10-pods.conflist").write_text(_cni(layout, node))
     (etc / "kubelet.yaml").write_text(_kubelet(layout, node))
     (etc / "kube-proxy.yaml").write_text(_kube_proxy(layout, node))
@@ -192,12 +191,13 @@ def up(layout: Layout, node: int, programs: Programs) -> bool:
         down(layout, node)
         _configure(layout, node)
         _exchange_netpol(layout, node, programs)
-        golden.clone(programs, layout.node_state(node) / "containerd")
+        golden.clone(programs, _container_store(layout, node))
         for part in ("system", "pods"):
             cgroups.create(f"{group(layout, node)}/{part}")
         pid = processes.start(
             f"{group(layout, node)}/system",
             [
+                "unshare",
                 *_NAMESPACES,
                 "bash",
                 layout.node_state(node) / "etc" / "init.sh",

@@ -1,14 +1,14 @@
 """Provider `local`: everything from source and packages, on this machine, without Docker. Linux and root only."""
 
-import fcntl
 import os
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
+from testcluster import locks
 from testcluster.images import containerd, engines, store
 from testcluster.local import cgroups, controlplane, golden, limits, network, pki, system
 from testcluster.local import layout as layouts
@@ -48,18 +48,9 @@ class LocalProvider(Provider):
                 f"provider local: {obstacle}; with Docker and kind installed, --provider kind works without"
             )
 
-    @contextmanager
-    def _locked(self) -> Iterator[None]:
-        """One change at a time per machine: slots and networks are chosen by looking at what others have."""
-        path = cache() / "clusters" / "lock"
-        path.parent.mkdir(exist_ok=True)
-        with path.open("w") as lock:
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                self._progress("waiting for another run of this program")
-                fcntl.flock(lock, fcntl.LOCK_EX)
-            yield
+    def _locked(self) -> AbstractContextManager[None]:
+        """One change of a cluster at a time."""
+        return locks.held(f"cluster-{self._cluster}", self._progress)
 
     def _layout(self) -> Layout:
         found = layouts.load(self._cluster)
@@ -73,21 +64,24 @@ class LocalProvider(Provider):
             # Building comes before anything is made: it takes longest, and most likely fails for want of something on
             # the machine.
             programs = tools.ensure(self._progress)
-            golden.ensure(programs, self._progress)
             found = layouts.load(self._cluster)
             if found is not None and network.holder(found) is None and found.state.exists():
                 self._progress(f"cluster {self._cluster}: removing what is left of an earlier one")
                 self._remove(found)
                 found = None
-            layout = found or layouts.decide(self._cluster)
-            layout.save()
-            limits.ensure(self._progress)
+            # A network and a number are free as long as no other new cluster has chosen them.
+            with locks.held("clusters"):
+                layout = found or layouts.decide(self._cluster)
+                layout.save()
+                limits.ensure(self._progress)
             self._start(layout, programs)
             self._progress(f"cluster {self._cluster} is ready: export KUBECONFIG={layout.kubeconfig}")
 
     def _start(self, layout: Layout, programs: tools.Programs) -> None:
         self._progress(f"cluster {layout.name}: control plane at {layout.api}")
         certificates = pki.create(layout)
+        if not all(nodes.has_images(layout, node) for node in layout.nodes):
+            golden.ensure(programs, self._progress)
         holder = network.up(layout)
         started = [node for node in layout.nodes if nodes.up(layout, node, programs)]
         # A node that ran all along renews its lease every second; one that was started now counts from its first sign
@@ -117,8 +111,9 @@ class LocalProvider(Provider):
                 self._progress(f"cluster {self._cluster}: there is none")
                 return
             self._remove(layout)
-            if not layouts.names():
-                limits.restore()
+            with locks.held("clusters"):
+                if not layouts.names():
+                    limits.restore()
             self._progress(f"cluster {self._cluster} is gone; what was built stays in {cache()}")
 
     def status(self) -> Status:
@@ -145,18 +140,19 @@ class LocalProvider(Provider):
 
     def load_images(self, images: Sequence[str]) -> None:
         layout = self._layout()
-        wanted = [reference for image in images for reference in self._take(image)]
-        store.prune()
-
-        def load(node: int) -> list[store.Reference]:
-            # The node's own client would do, but only in its own mounts does the socket have this path.
-            return containerd.load([*nodes.mounts(layout, node), "ctr"], wanted)
-
         on = [node for node in layout.nodes if nodes.init(layout, node)]
         if not on:
             raise ClusterError(f"cluster {layout.name}: no node is on")
-        with ThreadPoolExecutor() as pool:
-            loaded = list(pool.map(load, on))
+        with locks.held("images", self._progress):
+            wanted = [reference for image in images for reference in self._take(image)]
+            store.prune()
+
+            def load(node: int) -> list[store.Reference]:
+                # The node's container runtime has its socket in the node's own mounts.
+                return containerd.load([*nodes.mounts(layout, node), "ctr"], wanted)
+
+            with ThreadPoolExecutor() as pool:
+                loaded = list(pool.map(load, on))
         for reference in wanted:
             news = [node_name(node) for node, missing in zip(on, loaded, strict=True) if reference in missing]
             self._progress(f"{reference.name}: {'loaded into ' + ', '.join(news) if news else 'was there'}")
