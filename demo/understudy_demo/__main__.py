@@ -14,7 +14,7 @@ from typing import Any
 
 from understudy_demo import plot, timeline
 from understudy_demo.kubectl import CommandFailed, Kubectl, run
-from understudy_demo.play import NAMESPACE, STRATEGIES, WORKLOAD, Failure, NotSo, Play
+from understudy_demo.play import FAILURES, NAMESPACE, STRATEGIES, WORKLOAD, Failure, NotSo, Play
 from understudy_demo.recovery import OVERLAP_ALLOWED
 from understudy_demo.robotview import RobotLog, parse
 from understudy_demo.stage import REPOSITORY, Stage
@@ -39,6 +39,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--keep", action="store_true")
     parser.add_argument("--provider", choices=["kind", "local", "current"])
     parser.add_argument("--only", action="append", choices=list(STRATEGIES))
+    parser.add_argument("--how", choices=FAILURES, default="deleted")
     options = parser.parse_args(arguments)
     strategies = [name for name in STRATEGIES if not options.only or name in options.only]
 
@@ -55,7 +56,7 @@ def main(arguments: list[str] | None = None) -> int:
     kubectl = Kubectl(NAMESPACE, stage.environment)
     play = Play(kubectl, say)
     try:
-        failures, log = _perform(play, strategies, say)
+        failures, log = _perform(play, strategies, options.how, say)
     except (CommandFailed, NotSo) as error:
         system = stage.release_namespace
         print(play.scene())
@@ -84,14 +85,14 @@ def main(arguments: list[str] | None = None) -> int:
     return 1 if problems else 0
 
 
-def _perform(play: Play, strategies: list[str], say: Progress) -> tuple[list[Failure], RobotLog]:
+def _perform(play: Play, strategies: list[str], how: str, say: Progress) -> tuple[list[Failure], RobotLog]:
     play.clear()
     say(f"the quickstart: robot and application in namespace {NAMESPACE}")
     play.begin(strategies[0])
     failures = []
     for strategy in strategies:
         play.prepare(strategy)
-        failure = play.fail(strategy)
+        failure = play.fail(strategy, how)
         failures.append(failure)
         print(f"\n{timeline.render(failure.recovered, failure.handover)}\n", flush=True)
     text = play.raw_log()

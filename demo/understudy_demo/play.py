@@ -26,6 +26,19 @@ STRATEGIES = {
 }
 """The strategies by the name of their manifest, and as a recovery names them."""
 
+FAILURES = ("deleted", "frozen", "killed")
+"""How the application can be made to fail: its pod deleted by force (as in the paper), its process stopped or killed."""
+
+_SIGNAL = """
+for process in /proc/[0-9]*; do
+    tr "\\0" " " <$process/cmdline | grep -q "^[^ ]*python3 -m understudy_quickstart.application" || continue
+    kill -$1 ${process#/proc/} && exit 0
+done
+echo "no process of the application here" >&2
+exit 1
+"""
+"""Sends a signal from inside the pod, whose containers share their processes."""
+
 _BEFORE = 4.0  # seconds of driving before each failure, so that the picture has a before
 _AFTER = 3.0  # and after
 
@@ -39,9 +52,11 @@ class Failure:
     """One failure of the play."""
 
     strategy: str
+    how: str
+    """One of FAILURES."""
     pod: str
     killed: float
-    """When the pod's deletion was asked for, unix seconds."""
+    """When the failure was brought about, unix seconds by this machine's clock."""
     entry: dict[str, Any]
     recovered: Recovered
     handover: Handover
@@ -51,6 +66,7 @@ class Failure:
         """For the report."""
         return {
             "strategy": self.strategy,
+            "how": self.how,
             "pod": self.pod,
             "killed": self.killed,
             "recovery": self.entry,
@@ -93,20 +109,26 @@ class Play:
         self._until("the robot is driven", self._driven, within=60)
         time.sleep(_BEFORE)
 
-    def fail(self, strategy: str) -> Failure:
-        """Kill the pod that drives the robot, as the paper does, and wait for the recovery."""
+    def fail(self, strategy: str, how: str = "deleted") -> Failure:
+        """Let the pod that drives the robot fail in one of FAILURES' ways, and wait for the recovery."""
         before = self._workload().get("status", {})
         pod = before["active"]
         number = max((int(r.get("number", 0)) for r in before.get("recoveries") or []), default=0)
-        self._say(f"{strategy}: kubectl delete pod {pod} --grace-period=0 --force")
+        if how == "deleted":
+            command = ["delete", "pod", pod, "--grace-period=0", "--force", "--wait=false"]
+            self._say(f"{strategy}: kubectl delete pod {pod} --grace-period=0 --force")
+        else:
+            signal = "STOP" if how == "frozen" else "KILL"
+            command = ["exec", pod, "-c", "drive", "--", "sh", "-c", _SIGNAL, "sh", signal]
+            self._say(f"{strategy}: SIG{signal} to the application in {pod}")
         killed = time.time()
-        self._kubectl("delete", "pod", pod, "--grace-period=0", "--force", "--wait=false")
+        self._kubectl(*command)
         entry = self._recovery_after(number)
         time.sleep(_AFTER)
         recovered = Recovered.read(entry)
         handover = recovered.handover(self.log())
         problems = recovered.problems(handover, strategy=STRATEGIES[strategy])
-        return Failure(strategy, pod, killed, entry, recovered, handover, problems)
+        return Failure(strategy, how, pod, killed, entry, recovered, handover, problems)
 
     def log(self) -> RobotLog:
         """What the robot has written down."""

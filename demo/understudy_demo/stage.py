@@ -67,6 +67,9 @@ class Stage:
         ours = [r for r in releases if r["chart"].startswith("understudy-")]
         if ours:
             self.release_namespace = ours[0]["namespace"]
+            if not self._is_demos(ours[0]["name"]):
+                self._say(f"chart: {ours[0]['name']} in {self.release_namespace} isn't the demo's; using it as it is")
+                return
             self._say(f"chart: upgrading {ours[0]['name']} in {self.release_namespace}")
         else:
             self._say(f"chart: installing {RELEASE} in {RELEASE_NAMESPACE}")
@@ -84,6 +87,13 @@ class Stage:
         command = ["helm", "upgrade", "--install", name, str(REPOSITORY / "charts" / "understudy"), *settings]
         command += ["--namespace", self.release_namespace, "--create-namespace", "--wait", "--timeout", "180s"]
         run(command, self.environment, timeout=240)
+
+    def _is_demos(self, name: str) -> bool:
+        """Whether an installed release runs images that were built here; another one isn't ours to upgrade."""
+        command = ["helm", "get", "values", name, "-n", self.release_namespace, "-o", "json"]
+        values = json.loads(run(command, self.environment)) or {}
+        repository = values.get("images", {}).get("operator", {}).get("repository", "")
+        return str(repository).startswith("localhost/")
 
     def _operator_image(self) -> str:
         """Identifies the image that scripts/images built last."""
