@@ -27,7 +27,8 @@ STRATEGIES = {
 """The strategies by the name of their manifest, and as a recovery names them."""
 
 FAILURES = ("deleted", "frozen", "killed")
-"""How the application can be made to fail: its pod deleted by force (as in the paper), its process stopped or killed."""
+"""How the application can be made to fail: its pod deleted by force (as in the paper), or its process stopped or
+killed, which at first only the robot notices."""
 
 _SIGNAL = """
 for process in /proc/[0-9]*; do
