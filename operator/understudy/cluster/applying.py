@@ -56,7 +56,12 @@ def stamped(body: Object) -> Object:
 
 
 def differences(live: Any, desired: Any, path: str = "") -> list[str]:
-    """Paths where the live object lacks what is desired; what only the live one has (defaults, status) is none."""
+    """Paths where the live object lacks what is desired; what only the live one has (defaults, status) is none.
+
+    The API server leaves out what is empty, so that counts as there.
+    """
+    if live is None and not desired:
+        return []
     if isinstance(desired, dict):
         if not isinstance(live, dict):
             return [path] if desired else []

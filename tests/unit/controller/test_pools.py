@@ -1,0 +1,278 @@
+"""Shared pools: never too many, never a claimed one, never without what could still be claimed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+
+import pytest
+
+from tests.unit.controller.world import (
+    IMAGES,
+    NOW,
+    TEMPLATE,
+    Names,
+    applied,
+    claimed_pod,
+    created,
+    deleted,
+    gate,
+    held_pod,
+    hot,
+    source_pod,
+    spare,
+    standby_pod,
+    workload,
+)
+from understudy.api import names
+from understudy.cluster.client import Object
+from understudy.controller import instances, objects, ownership, pools
+from understudy.controller.desired import Plan
+
+
+def observe(
+    pool: Object,
+    pods: Sequence[Object] = (),
+    *,
+    workloads: Sequence[Object] = (),
+    expected: int = 0,
+    now: float = NOW,
+    active: frozenset[str] = frozenset(),
+    owned: dict[tuple[str, str], Object] | None = None,
+    source: Object | None = None,
+    source_selector: Object | None = None,
+) -> pools.Observed:
+    return pools.Observed(
+        pool=pool,
+        workloads={objects.name(item): item for item in workloads},
+        pods=pods,
+        owned=owned or {},
+        now=now,
+        expected=expected,
+        active=active,
+        source=source,
+        source_selector=source_selector,
+    )
+
+
+def plan(observed: pools.Observed) -> Plan:
+    return pools.plan(observed, pools.understand(observed, IMAGES), Names().fresh())
+
+
+def present(pool: Object) -> str:
+    built = pools.understand(observe(pool), IMAGES).built
+    assert built is not None
+    return instances.template_hash(built)
+
+
+def status(observed: pools.Observed) -> Object:
+    return pools.status(observed, pools.understand(observed, IMAGES), [])
+
+
+def condition(observed: pools.Observed, type_: str) -> Object:
+    found: Object = next(c for c in status(observed)["conditions"] if c["type"] == type_)
+    return found
+
+
+def test_an_empty_pool_is_filled() -> None:
+    pool = spare(replicas=2)
+    made = created(plan(observe(pool)), "pods")
+    assert len(made) == 2
+    for pod in made:
+        labels = pod["metadata"]["labels"]
+        assert labels[names.HELD] == "true"
+        assert names.WORKLOAD not in labels
+        assert ownership.controls(objects.uid(pool), pod)
+
+
+def test_pods_that_were_created_and_not_seen_yet_count() -> None:
+    assert len(created(plan(observe(spare(replicas=3), expected=2)), "pods")) == 1
+
+
+@pytest.mark.parametrize("extra", [0, 1, 5])
+def test_however_old_the_sight_is_there_are_never_too_many(extra: int) -> None:
+    pool = spare(replicas=2)
+    seen = [held_pod(f"spare-{i}", of=pool, template_hash=present(pool)) for i in range(2 + extra)]
+    assert not created(plan(observe(pool, seen)), "pods")
+
+
+def test_claimed_pods_neither_count_nor_are_touched() -> None:
+    pool = spare(replicas=1)
+    claimed = [claimed_pod(f"spare-c{i}", of=pool, by=workload()) for i in range(3)]
+    made = plan(observe(pool, claimed))
+    assert len(created(made, "pods")) == 1
+    assert not deleted(made)
+
+
+def test_a_pod_that_somebody_labelled_as_held_is_not_taken_for_ours() -> None:
+    pool = spare(replicas=1)
+    foreign = held_pod("spare-x", of=pool)
+    foreign["metadata"]["ownerReferences"] = []
+    made = plan(observe(pool, [foreign]))
+    assert len(created(made, "pods")) == 1
+    assert not deleted(made)
+
+
+def test_a_smaller_pool_loses_those_first_that_are_not_ready() -> None:
+    pool = spare(replicas=1)
+    good = held_pod("spare-a", of=pool, template_hash=present(pool))
+    bad = held_pod("spare-b", of=pool, template_hash=present(pool), ready=False)
+    assert deleted(plan(observe(pool, [good, bad]))) == ["spare-b"]
+
+
+def test_pods_of_an_old_template_go_one_by_one_as_new_ones_become_ready() -> None:
+    pool = spare(replicas=2)
+    old = [held_pod(f"spare-o{i}", of=pool, template_hash="old") for i in range(2)]
+    made = plan(observe(pool, old))
+    assert len(created(made, "pods")) == 2
+    assert not deleted(made)
+    new = [held_pod(f"spare-n{i}", of=pool, template_hash=present(pool), ready=i == 0) for i in range(2)]
+    assert len(deleted(plan(observe(pool, old + new)))) == 1
+    new[1] = held_pod("spare-n1", of=pool, template_hash=present(pool))
+    assert deleted(plan(observe(pool, old + new))) == ["spare-o0", "spare-o1"]
+
+
+def test_pods_of_the_old_template_may_be_claimed_until_one_of_the_new_is_ready() -> None:
+    pool = spare(replicas=2)
+    old = [held_pod("spare-o", of=pool, template_hash="old")]
+    starting = [held_pod("spare-n", of=pool, template_hash=present(pool), ready=False)]
+
+    def claimable(pods: list[Object]) -> str:
+        policy = applied(plan(observe(pool, pods)), "networkpolicies")["spare-held"]
+        found: str = policy["metadata"]["annotations"][names.TEMPLATE_HASH]
+        return found
+
+    assert claimable([]) == present(pool)
+    assert claimable(old + starting) == "old"
+    assert claimable([*old, held_pod("spare-n", of=pool, template_hash=present(pool))]) == present(pool)
+
+
+def test_a_pod_that_ended_is_replaced_after_a_rest() -> None:
+    pool = spare(replicas=1)
+    ended = held_pod("spare-a", of=pool, template_hash=present(pool), phase="Failed", age=3)
+    made = plan(observe(pool, [ended]))
+    assert not created(made, "pods")
+    assert made.again_after == pytest.approx(7)
+    made = plan(observe(pool, [ended], now=NOW + 8))
+    assert len(created(made, "pods")) == 1
+    assert deleted(made) == ["spare-a"]
+
+
+def test_held_containers_wait_and_have_no_probes() -> None:
+    pool = spare()
+    container = pool["spec"]["template"]["spec"]["containers"][0]
+    container |= {"livenessProbe": {"exec": {}}, "startupProbe": {"exec": {}}, "readinessProbe": {"exec": {}}}
+    container["lifecycle"] = {"postStart": {"exec": {}}, "preStop": {"exec": {}}}
+    pool["spec"]["warmPaths"] = ["/opt/app"]
+    (pod, _) = created(plan(observe(pool)), "pods")
+    app, agent = pod["spec"]["containers"]
+    assert app["command"][:2] == ["/bin/sh", "-c"]
+    assert app["command"][-4:] == ["/opt/app", "--", "run", "--fast"]
+    assert "args" not in app
+    assert not [key for key in app if key.endswith("Probe")]
+    assert app["lifecycle"] == {"preStop": {"exec": {}}}
+    held = next(entry for entry in agent["env"] if entry["name"] == "UNDERSTUDY_HELD_CONTAINERS")
+    assert held["value"] == "app"
+    assert "ROS_DOMAIN_ID" not in json.dumps(pod["spec"])
+
+
+def test_held_pods_hear_only_their_agent() -> None:
+    policy = applied(plan(observe(spare())), "networkpolicies")["spare-held"]
+    assert policy["spec"]["podSelector"]["matchLabels"] == {names.POOL: "spare", names.HELD: "true"}
+    assert policy["spec"]["policyTypes"] == ["Ingress", "Egress"]
+    assert "egress" not in policy["spec"]
+    ports = [port["port"] for port in policy["spec"]["ingress"][0]["ports"]]
+    assert ports == [names.AGENT_PORT, names.AGENT_HEALTH_PORT]
+
+
+def test_a_template_taken_from_a_referring_workload_loses_the_labels_that_would_have_it_adopted() -> None:
+    pool = spare(templateFrom={"workload": "w"})
+    del pool["spec"]["template"]
+    observed = observe(pool, workloads=[workload()], source=TEMPLATE, source_selector={"matchLabels": {"app": "nav"}})
+    assert "app" not in created(plan(observed), "pods")[0]["metadata"]["labels"]
+
+
+class TestBadInput:
+    def kept(self, pool: Object) -> list[Object]:
+        return [held_pod("spare-a", of=pool, template_hash="old"), held_pod("spare-b", of=pool, template_hash="old")]
+
+    @pytest.mark.parametrize(
+        ("change", "reason", "word"),
+        [
+            ({"template": {"spec": {"containers": [{"name": "app", "image": "a"}]}}}, "TemplateInvalid", "command"),
+            (
+                {"template": {"spec": {"hostNetwork": True, "containers": [{"name": "a", "command": ["a"]}]}}},
+                "TemplateInvalid",
+                "hostNetwork",
+            ),
+            ({"template": None, "templateFrom": {"workload": "gone"}}, "TemplateSourceNotFound", '"gone"'),
+            (
+                {"readiness": "Initialized", "replicas": None, "template": None, "perWorkload": 1},
+                "ReadinessNotSupported",
+                "Executing",
+            ),
+            ({"replicas": -1}, "SpecInvalid", "spec.replicas"),
+        ],
+    )
+    def test_it_is_said_and_what_is_there_is_kept(self, change: Object, reason: str, word: str) -> None:
+        pool = spare(**change)
+        pool["spec"] = {key: value for key, value in pool["spec"].items() if value is not None}
+        observed = observe(pool, self.kept(pool), workloads=[workload()])
+        assert plan(observed).writes == []
+        accepted = condition(observed, "Accepted")
+        assert (accepted["status"], accepted["reason"]) == ("False", reason)
+        assert word in accepted["message"]
+
+    def test_a_selector_that_matches_nothing_is_said(self) -> None:
+        ready = condition(observe(spare(), workloads=[workload(labels={"task": "other"})]), "Ready")
+        assert (ready["status"], ready["reason"]) == ("False", "NoMatchingWorkload")
+        assert "task=critical" in ready["message"]
+
+    def test_an_image_that_can_not_start_is_said(self) -> None:
+        pool = spare(replicas=1)
+        pod = held_pod("spare-a", of=pool, template_hash=present(pool), ready=False, waiting="ErrImageNeverPull")
+        ready = condition(observe(pool, [pod], workloads=[workload()]), "Ready")
+        assert ready["reason"] == "ErrImageNeverPull"
+        assert "spare-a" in ready["message"]
+        assert "load it there" in ready["message"]
+
+
+class TestNumbers:
+    def test_of_a_shared_pool(self) -> None:
+        pool = spare(replicas=3)
+        pods = [
+            held_pod("spare-a", of=pool, template_hash="h"),
+            held_pod("spare-b", of=pool, template_hash="other"),
+            held_pod("spare-c", of=pool, template_hash="h", ready=False),
+            claimed_pod("spare-d", of=pool, by=workload()),
+        ]
+        policy = {"metadata": {"name": "spare-held", "annotations": {names.TEMPLATE_HASH: "h"}}}
+        found = status(observe(pool, pods, workloads=[workload()], owned={("networkpolicies", "spare-held"): policy}))
+        assert {key: found[key] for key in ("replicas", "desired", "ready", "claimed")} == {
+            "replicas": 3,
+            "desired": 3,
+            "ready": 1,
+            "claimed": 1,
+        }
+        assert found["selector"] == f"{names.POOL}=spare,{names.HELD}=true"
+
+    def test_of_a_pool_per_workload(self) -> None:
+        pool = hot(per_workload=1)
+        one, two, other = workload("a"), workload("b"), workload("c", labels={"task": "other"})
+        driving, waiting = standby_pod("a-s", of=one), standby_pod("b-s", of=two)
+        found = status(observe(pool, [driving, waiting], workloads=[one, two, other], active=frozenset({"uid-a-s"})))
+        assert {key: found[key] for key in ("replicas", "desired", "ready", "claimed")} == {
+            "replicas": 2,
+            "desired": 2,
+            "ready": 1,
+            "claimed": 1,
+        }
+        assert found["conditions"][1]["status"] == "True"
+
+
+def test_gates_tell_which_pods_are_driving() -> None:
+    item = workload()
+    active = source_pod("w-a")
+    assert objects.active(gate(item, active=active, epoch=1)) == ("w-a", "uid-w-a")
+    assert objects.active(gate(item)) == ("", "")
+    assert objects.active(None) == ("", "")

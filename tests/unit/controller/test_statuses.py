@@ -1,0 +1,155 @@
+"""What users are told: what is protected, by what, and what is missing."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.unit.controller.world import (
+    World,
+    gate,
+    held_pod,
+    hot,
+    pod,
+    policy,
+    source_pod,
+    spare,
+    standby_pod,
+    workload,
+)
+from understudy.cluster.client import Object
+from understudy.controller import statuses
+from understudy.controller.desired import Problem
+
+
+def world(*others: Object, standby: Object | None = None, **active: object) -> World:
+    made = World(workload(), *others)
+    made.build()
+    driving = source_pod("w-a", **active)  # type: ignore[arg-type]
+    made.pods = [driving, *([standby] if standby else [])]
+    made.own(gate(made.workload, active=driving, epoch=1))
+    return made
+
+
+def test_protected_by_a_ready_standby() -> None:
+    found = world(policy("hot", "Restart"), hot(), standby=standby_pod("w-s", of=workload()))
+    protected = found.condition("Protected")
+    assert protected["status"] == "True"
+    assert protected["message"] == "If it failed now, Fallback from pool hot would be used: pod w-s (Executing)."
+    assert found.status()["standby"] == "Executing (1/1)"
+
+
+def test_not_protected_while_the_standby_is_not_ready_but_the_next_strategy_is_told() -> None:
+    found = world(policy("hot", "Restart"), hot(), standby=standby_pod("w-s", of=workload(), ready=False))
+    protected = found.condition("Protected")
+    assert (protected["status"], protected["reason"]) == ("False", "StandbyNotReady")
+    assert "If it failed now, Restart would be used" in protected["message"]
+    assert found.status()["standby"] == "Executing (0/1)"
+
+
+def test_after_a_failover_the_replacement_is_the_standby() -> None:
+    found = world(policy("hot"), hot())
+    driving = standby_pod("w-s", of=workload())
+    found.pods = [driving, source_pod("w-b")]
+    found.own(gate(found.workload, active=driving, epoch=2))
+    assert found.condition("Protected")["status"] == "True"
+    assert found.status()["standby"] == "Executing (1/1)"
+
+
+def test_nobody_would_notice_without_a_monitor() -> None:
+    found = world(policy("hot"), hot(), standby=standby_pod("w-s", of=workload()))
+    found.monitors = [pod("w-monitor-1", ready=False)]
+    protected = found.condition("Protected")
+    assert (protected["status"], protected["reason"]) == ("False", "MonitorNotReady")
+    assert "nobody would notice" in protected["message"]
+
+
+def test_a_monitor_whose_image_is_missing_is_named() -> None:
+    found = world(policy("Restart"))
+    found.monitors = [pod("w-monitor-1", ready=False, waiting="ErrImageNeverPull")]
+    assert "w-monitor-1" in found.condition("Protected")["message"]
+
+
+@pytest.mark.parametrize(
+    ("waiting", "reason"),
+    [
+        ("ErrImagePull", "ImagePullBackOff"),
+        ("ImagePullBackOff", "ImagePullBackOff"),
+        ("ErrImageNeverPull", "ErrImageNeverPull"),
+        ("CrashLoopBackOff", "CrashLoopBackOff"),
+        ("CreateContainerConfigError", "CreateContainerConfigError"),
+    ],
+)
+def test_an_image_that_can_not_start_is_told_with_its_pod(waiting: str, reason: str) -> None:
+    found = world(policy("Restart"), ready=False, waiting=waiting)
+    protected = found.condition("Protected")
+    assert (protected["status"], protected["reason"]) == ("False", reason)
+    assert "pod w-a" in protected["message"]
+    assert "app:1" in protected["message"]
+
+
+def test_a_broken_new_template_does_not_unprotect_while_the_old_standby_is_ready() -> None:
+    found = world(policy("hot"), hot(), standby=standby_pod("w-s", of=workload()))
+    found.pods.append(standby_pod("w-n", of=workload(), ready=False, waiting="ErrImageNeverPull"))
+    assert found.condition("Protected")["status"] == "True"
+
+
+def test_a_shared_pool_in_the_column() -> None:
+    found = world(policy("spare", "Restart"), spare(replicas=2))
+    pool = spare(replicas=2)
+    found.unclaimed = {"spare": [held_pod("spare-a", of=pool), held_pod("spare-b", of=pool, ready=False)]}
+    assert found.status()["standby"] == "Uninitialized (1/2)"
+    assert found.condition("Protected")["status"] == "True"
+
+
+def test_restart_only_in_the_column() -> None:
+    found = world(policy("Restart"))
+    assert found.status()["standby"] == "None"
+    assert found.condition("Protected")["status"] == "True"
+
+
+def test_a_pool_that_does_not_serve_it_is_told_with_what_to_do() -> None:
+    found = world(policy("spare"), spare(workloadSelector={"matchLabels": {"a": "b"}}))
+    protected = found.condition("Protected")
+    assert protected["reason"] == "PoolDoesNotServe"
+    assert "no strategy of its policy could be carried out" in protected["message"]
+
+
+def test_a_taken_name_is_told_in_both_conditions() -> None:
+    problem = Problem("NameTaken", 'NetworkPolicy "w-gate" exists')
+    found = World(workload(), policy("Restart"))
+    assert found.condition("Accepted", problem)["reason"] == "NameTaken"
+    assert found.condition("Reconciled", problem)["message"] == problem.message
+
+
+def test_a_condition_keeps_its_time_until_its_status_changes() -> None:
+    found = world(policy("Restart"))
+    first = statuses.timed(found.workload, found.status())
+    for condition in first["conditions"]:
+        condition["lastTransitionTime"] = "2020-01-01T00:00:00Z"
+    found.workload["status"] = first
+    found.monitors = []
+    second = {c["type"]: c for c in statuses.timed(found.workload, found.status())["conditions"]}
+    assert second["Accepted"]["lastTransitionTime"] == "2020-01-01T00:00:00Z"
+    assert second["Protected"]["lastTransitionTime"] != "2020-01-01T00:00:00Z"
+
+
+class TestTransitions:
+    def told(self, before: list[tuple[str, str, str]], after: tuple[str, str, str]) -> int:
+        def wire(found: tuple[str, str, str]) -> Object:
+            return {"type": found[0], "status": found[1], "reason": found[2]}
+
+        live = {"status": {"conditions": [wire(found) for found in before]}}
+        return len(statuses.transitions(live, {"conditions": [wire(after)]}))
+
+    def test_what_is_only_not_finished_yet_is_no_event(self) -> None:
+        assert self.told([], ("Protected", "False", "MonitorNotReady")) == 0
+        assert self.told([("Protected", "False", "MonitorNotReady")], ("Protected", "False", "StandbyNotReady")) == 0
+
+    def test_lost_protection_is_one(self) -> None:
+        assert self.told([("Protected", "True", "FirstStrategyReady")], ("Protected", "False", "StandbyNotReady")) == 1
+
+    def test_bad_input_is_one_at_once(self) -> None:
+        assert self.told([], ("Accepted", "False", "PolicyNotFound")) == 1
+
+    def test_the_same_again_is_none(self) -> None:
+        assert self.told([("Accepted", "False", "PolicyNotFound")], ("Accepted", "False", "PolicyNotFound")) == 0

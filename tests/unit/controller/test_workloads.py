@@ -1,0 +1,473 @@
+"""What a RobotWorkload comes to, and above all what never happens to it."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from tests.unit.controller.world import (
+    NAMESPACE,
+    World,
+    applied,
+    claimed_pod,
+    created,
+    custom,
+    deleted,
+    gate,
+    hot,
+    patched,
+    pod,
+    policy,
+    source_pod,
+    spare,
+    standby_pod,
+    workload,
+)
+from understudy.api import names
+from understudy.cluster.client import Object
+from understudy.controller import objects, workloads
+from understudy.controller.references import Referred
+
+
+def every_object(world: World) -> list[Object]:
+    plan = world.plan()
+    return [write.body for write in plan.writes if hasattr(write, "body") and "metadata" in write.body]
+
+
+def test_all_parts_of_a_workload_are_built() -> None:
+    world = World(workload(), policy("hot", "Restart"), hot())
+    plan = world.plan()
+    assert set(applied(plan, "replicasets")) == {"w"}
+    assert set(applied(plan, "networkpolicies")) == {"w-standby"}
+    assert [objects.name(body) for body in created(plan, "networkpolicies")] == ["w-gate"]
+    assert set(applied(plan, "configmaps")) == {"w-robot-env", "w-robot-profiles", "w-settings"}
+    assert set(applied(plan, "deployments")) == {"w-monitor", "w-discovery"}
+    assert set(applied(plan, "services")) == {"w-discovery"}
+    assert set(applied(plan, "serviceaccounts")) == {"w-understudy-monitor"}
+    assert set(applied(plan, "roles")) == set(applied(plan, "rolebindings")) == {"w-monitor"}
+    assert [objects.name(body) for body in created(plan, "secrets")] == ["w-agent"]
+    assert [objects.name(body) for body in created(plan, "pods")] == ["w-new01"]
+
+
+def test_everything_is_owned_by_the_workload_and_blocks_nothing() -> None:
+    for body in every_object(World(workload(), policy("hot"), hot())):
+        (owner,) = body["metadata"]["ownerReferences"]
+        assert (owner["kind"], owner["name"], owner["controller"]) == ("RobotWorkload", "w", True), body["kind"]
+        assert owner["blockOwnerDeletion"] is False
+        assert body["metadata"]["namespace"] == NAMESPACE
+
+
+def test_nothing_ever_has_a_finalizer() -> None:
+    assert "finalizers" not in json.dumps(every_object(World(workload(), policy("hot", "spare"), hot(), spare())))
+
+
+def test_policies_come_before_the_pods_that_they_hold_back() -> None:
+    plan = World(workload(), policy("hot"), hot()).plan()
+    order = [write.resource.plural for write in plan.writes]
+    assert max(i for i, plural in enumerate(order) if plural == "networkpolicies") < min(
+        order.index("replicasets"), order.index("pods")
+    )
+
+
+def test_no_instance_is_made_before_the_discovery_server_has_an_address() -> None:
+    world = World(workload(), policy("hot"), hot())
+    world.owned.clear()
+    plan = world.plan()
+    assert {write.resource.plural for write in plan.writes} == {"services", "deployments"}
+    assert world.condition("Reconciled")["reason"] == "InProgress"
+
+
+def test_an_address_that_robots_know_is_asked_for_again() -> None:
+    world = World(workload(), policy("hot"), hot())
+    world.build()
+    del world.owned[("services", "w-discovery")]
+    assert applied(world.plan(), "services")["w-discovery"]["spec"]["clusterIP"] == "10.96.0.9"
+
+
+def test_a_discovery_server_that_is_no_longer_managed_is_deleted() -> None:
+    world = World(workload(), policy("hot"), hot())
+    world.build()
+    world.workload["spec"]["ros"] = {"discovery": {"mode": "External", "server": "10.0.0.7:11811"}}
+    plan = world.plan()
+    assert sorted(deleted(plan)) == ["w-discovery", "w-discovery"]
+    assert applied(plan, "configmaps")["w-robot-env"]["data"]["ROS_DISCOVERY_SERVER"] == "10.0.0.7:11811"
+
+
+class TestGate:
+    def test_it_is_made_closed(self) -> None:
+        (made,) = created(World(workload(), policy("Restart")).plan(), "networkpolicies")
+        assert made["spec"]["podSelector"]["matchLabels"] == {names.WORKLOAD: "w", names.INSTANCE: names.GATE_CLOSED}
+        assert made["metadata"]["annotations"][names.EPOCH] == "0"
+
+    def test_it_is_never_written_again(self) -> None:
+        world = World(workload(), policy("hot"), hot())
+        active = source_pod("w-a")
+        world.pods = [active]
+        world.own(gate(world.workload, active=active, epoch=41))
+        plan = world.plan()
+        assert "w-gate" not in applied(plan, "networkpolicies")
+        assert not created(plan, "networkpolicies")
+        assert not patched(plan, "networkpolicies")
+
+    def test_its_rules_are_repaired_without_its_selector_and_annotations(self) -> None:
+        world = World(workload(), policy("Restart"))
+        active = source_pod("w-a")
+        broken = gate(world.workload, active=active, epoch=41)
+        broken["spec"]["egress"] = []
+        broken["metadata"]["labels"] = {}
+        world.own(broken)
+        patch = patched(world.plan(), "networkpolicies")["w-gate"]
+        assert patch["spec"] == {"policyTypes": ["Egress"], "egress": [{}], "ingress": None}
+        assert "podSelector" not in patch["spec"]
+        assert set(patch["metadata"]) == {"labels"}
+
+    def test_a_new_one_does_not_make_older_commits_valid_again(self) -> None:
+        world = World(workload(status={"gate": {"epoch": 41, "active": "w-a"}}), policy("Restart"))
+        (made,) = created(world.plan(), "networkpolicies")
+        assert made["metadata"]["annotations"][names.EPOCH] == "41"
+
+
+class TestStandbys:
+    def test_as_many_as_the_pool_says_for_each_workload(self) -> None:
+        assert len(created(World(workload(), policy("hot"), hot(per_workload=3)).plan(), "pods")) == 3
+
+    def test_none_for_a_workload_that_the_pool_does_not_select(self) -> None:
+        world = World(workload(labels={"task": "other"}), policy("hot"), hot())
+        assert not created(world.plan(), "pods")
+
+    def test_pods_that_were_created_and_not_seen_yet_count(self) -> None:
+        world = World(workload(), policy("hot"), hot(per_workload=2))
+        world.expected = {"hot": 2}
+        assert not created(world.plan(), "pods")
+
+    def test_the_active_one_counts_so_that_instances_stay_one_more(self) -> None:
+        world = World(workload(), policy("hot"), hot())
+        active = standby_pod("w-s", of=world.workload)
+        world.pods = [active, source_pod("w-a")]
+        world.own(gate(world.workload, active=active, epoch=2))
+        plan = world.plan()
+        assert not created(plan, "pods")
+        assert not deleted(plan)
+
+    def test_the_active_one_is_not_replaced_for_an_old_template(self) -> None:
+        world = World(workload(), policy("hot"), hot())
+        active = standby_pod("w-s", of=world.workload, template_hash="old")
+        world.pods = [active]
+        world.own(gate(world.workload, active=active, epoch=2))
+        assert not deleted(world.plan())
+
+    def test_an_old_one_goes_only_after_its_replacement_is_ready(self) -> None:
+        world = World(workload(), policy("hot"), hot())
+        active, old = source_pod("w-a"), standby_pod("w-old", of=world.workload, template_hash="old")
+        world.own(gate(world.workload, active=active, epoch=1))
+        world.pods = [active, old]
+        plan = world.plan()
+        assert len(created(plan, "pods")) == 1
+        assert not deleted(plan)
+        new = standby_pod("w-new", of=world.workload, template_hash=world.template_hash, ready=False)
+        world.pods = [active, old, new]
+        assert not deleted(world.plan())
+        world.pods[-1] = standby_pod("w-new", of=world.workload, template_hash=world.template_hash)
+        assert deleted(world.plan()) == ["w-old"]
+
+    def test_none_is_deleted_while_a_recovery_is_under_way(self) -> None:
+        world = World(workload(status={"health": "Recovering"}), policy("hot"), hot())
+        world.own(gate(world.workload, active=source_pod("w-a"), epoch=1))
+        old = standby_pod("w-old", of=world.workload, template_hash="old")
+        new = standby_pod("w-new", of=world.workload, template_hash=world.template_hash)
+        world.pods = [old, new]
+        assert not deleted(world.plan())
+
+    def test_those_of_a_pool_that_no_longer_serves_go_but_never_the_active_one(self) -> None:
+        world = World(workload(labels={"task": "other"}), policy("hot"), hot())
+        active, idle = standby_pod("w-s", of=world.workload), standby_pod("w-t", of=world.workload)
+        world.pods = [active, idle]
+        world.own(gate(world.workload, active=active, epoch=2))
+        assert deleted(world.plan()) == ["w-t"]
+
+    def test_claimed_pods_are_not_touched(self) -> None:
+        world = World(workload(), policy("hot", "spare"), hot(), spare())
+        claimed = claimed_pod("spare-1", of=spare(), by=world.workload)
+        world.pods = [claimed]
+        world.own(gate(world.workload, active=source_pod("w-a"), epoch=2))
+        plan = world.plan()
+        assert not deleted(plan)
+        assert "spare-1" not in patched(plan, "pods")
+
+    def test_labels_keep_them_out_of_the_replica_set(self) -> None:
+        world = World(workload(), policy("hot"), hot())
+        plan = world.plan()
+        (standby,) = created(plan, "pods")
+        selector = applied(plan, "replicasets")["w"]["spec"]["selector"]["matchLabels"]
+        assert not selector.items() <= standby["metadata"]["labels"].items()
+        assert standby["metadata"]["labels"][names.INSTANCE] == standby["metadata"]["name"]
+        template = applied(plan, "replicasets")["w"]["spec"]["template"]["metadata"]["labels"]
+        assert selector.items() <= template.items()
+
+
+class TestReplicas:
+    def test_the_template_is_applied_without_replicas(self) -> None:
+        assert "replicas" not in applied(World(workload(), policy("Restart")).plan(), "replicasets")["w"]["spec"]
+
+    def scaled(self, world: World) -> Object | None:
+        return patched(world.plan(), "replicasets").get("w")
+
+    def world(self, *others: Object, replicas: int, active: Object | None) -> World:
+        world = World(workload(), *others)
+        world.build()
+        world.owned[("replicasets", "w")]["spec"]["replicas"] = replicas
+        world.own(gate(world.workload, active=active, epoch=3))
+        world.pods = [active] if active else []
+        return world
+
+    def test_none_while_a_claimed_pod_drives_and_no_standby_is_wanted(self) -> None:
+        claimed = claimed_pod("spare-1", of=spare(), by=workload())
+        world = self.world(policy("spare"), spare(), replicas=1, active=claimed)
+        assert self.scaled(world) == {"spec": {"replicas": 0}}
+
+    def test_one_while_a_claimed_pod_drives_and_a_standby_is_wanted(self) -> None:
+        claimed = claimed_pod("spare-1", of=spare(), by=workload())
+        world = self.world(policy("hot", "spare"), hot(), spare(), replicas=0, active=claimed)
+        assert self.scaled(world) == {"spec": {"replicas": 1}}
+
+    def test_one_again_when_the_claimed_pod_is_gone(self) -> None:
+        claimed = claimed_pod("spare-1", of=spare(), by=workload(), deletionTimestamp="2026-01-01T00:00:00Z")
+        world = self.world(policy("spare"), spare(), replicas=0, active=claimed)
+        assert self.scaled(world) == {"spec": {"replicas": 1}}
+
+    @pytest.mark.parametrize("replicas", [0, 1])
+    def test_as_it_is_while_the_gate_is_closed(self, replicas: int) -> None:
+        assert self.scaled(self.world(policy("spare"), spare(), replicas=replicas, active=None)) is None
+
+
+class TestBadInputKeepsWhatProtects:
+    def built(self, *others: Object) -> World:
+        world = World(workload(), *others)
+        active = source_pod("w-a")
+        world.pods = [active, standby_pod("w-s", of=world.workload)]
+        world.build()
+        world.own(gate(world.workload, active=active, epoch=1))
+        world.pods[1] = standby_pod("w-s", of=world.workload, template_hash=world.template_hash)
+        return world
+
+    def test_a_missing_policy_takes_nothing_away(self) -> None:
+        world = self.built(policy("hot", "spare"), hot(), spare())
+        before = world.owned[("configmaps", "w-settings")]["data"]
+        world.others = [hot(), spare()]
+        plan = world.plan()
+        assert not deleted(plan)
+        assert applied(plan, "configmaps")["w-settings"]["data"] == before
+        rules = applied(plan, "roles")["w-monitor"]["rules"]
+        assert rules == world.owned[("roles", "w-monitor")]["rules"]
+        assert world.condition("Accepted")["reason"] == "PolicyNotFound"
+        assert world.condition("Protected")["status"] == "False"
+
+    def test_a_policy_with_a_bad_tree_takes_nothing_away(self) -> None:
+        world = self.built(policy("hot"), hot())
+        world.others = [policy("hot", tree={"topik": {}}), hot()]
+        assert not deleted(world.plan())
+        accepted = world.condition("Accepted")
+        assert accepted["reason"] == "PolicyNotAccepted"
+        assert "spec.monitoring.yaml" in accepted["message"]
+        assert "topik" in accepted["message"]
+
+    def test_a_bad_template_changes_nothing(self) -> None:
+        world = self.built(policy("hot"), hot())
+        world.workload["spec"]["template"]["spec"]["hostNetwork"] = True
+        assert world.plan().writes == []
+        assert world.condition("Accepted")["reason"] == "TemplateInvalid"
+        assert "hostNetwork" in world.condition("Accepted")["message"]
+        assert world.condition("Protected")["status"] == "True"
+
+    def test_a_template_that_the_api_server_refuses_changes_nothing(self) -> None:
+        import dataclasses
+
+        from tests.unit.controller.world import IMAGES
+        from understudy.controller.desired import Problem
+
+        world = self.built(policy("hot"), hot())
+        world.workload["spec"]["template"]["spec"]["containers"][0]["image"] = " bad"
+        understood = dataclasses.replace(world.understood(), problem=Problem("TemplateInvalid", "its own words"))
+        assert workloads.plan(world.observed(), understood, IMAGES, world.names.fresh()).writes == []
+
+    def test_a_stored_spec_that_does_not_fit_the_kind_changes_nothing(self) -> None:
+        world = self.built(policy("hot"), hot())
+        actions = [{"action": f"/a{i}", "type": "nav2_msgs/action/NavigateToPose"} for i in range(25)]
+        world.workload["spec"]["outputs"] = actions
+        assert world.plan().writes == []
+        assert world.condition("Accepted")["reason"] == "SpecInvalid"
+        assert "spec.outputs" in world.condition("Accepted")["message"]
+
+    def test_a_pool_that_is_not_there_leaves_the_next_strategy(self) -> None:
+        world = self.built(policy("missing", "hot"), hot())
+        protected = world.condition("Protected")
+        assert (protected["status"], protected["reason"]) == ("False", "NoPool")
+        assert '"missing"' in protected["message"]
+        assert "If it failed now, Fallback from pool hot would be used" in protected["message"]
+
+
+class TestSettings:
+    def settings(self, world: World) -> Object:
+        found: Object = json.loads(applied(world.plan(), "configmaps")["w-settings"]["data"]["settings.json"])
+        return found
+
+    def test_they_name_the_pools_of_the_policy_that_serve_it(self) -> None:
+        other = spare("other", workloadSelector={"matchLabels": {"task": "none"}})
+        world = World(workload(), policy("spare", "other", "hot"), hot(), spare(), other)
+        held = {"metadata": {"name": "spare-held", "annotations": {names.TEMPLATE_HASH: "abc"}}}
+        world.held_policies = {"spare": held}
+        assert self.settings(world)["pools"] == [
+            {"name": "spare", "readiness": "Uninitialized", "templateHash": "abc"},
+            {"name": "hot", "readiness": "Executing", "templateHash": ""},
+        ]
+
+    def test_they_have_the_environment_of_a_claimed_pod(self) -> None:
+        world = World(workload(), policy("Restart"))
+        env = [
+            {"name": "ROBOT", "value": "17"},
+            {"name": "IP", "valueFrom": {"fieldRef": {"fieldPath": "status.podIP"}}},
+            {"name": "URL", "value": "http://$(IP)"},
+            {"name": "RMW_IMPLEMENTATION", "value": "rmw_other"},
+        ]
+        world.workload["spec"]["template"]["spec"]["containers"][0]["env"] = env
+        found = self.settings(world)["containerEnvironment"]["app"]
+        assert found["ROBOT"] == "17"
+        assert found["ROS_DISCOVERY_SERVER"] == "10.96.0.9:11811"
+        assert found["RMW_IMPLEMENTATION"] == "rmw_other"
+        assert {"IP", "URL"}.isdisjoint(found)
+
+
+class TestReference:
+    def deployment(self, **spec: object) -> Object:
+        made = {
+            "replicas": 1,
+            "selector": {"matchLabels": {"app": "nav", "robot": "17"}},
+            "template": {
+                "metadata": {"labels": {"app": "nav", "robot": "17", "team": "a"}},
+                "spec": {"containers": [{"name": "app", "image": "app:1"}]},
+            },
+            **spec,
+        }
+        return custom("Deployment", "nav2", made) | {"apiVersion": "apps/v1"}
+
+    def world(self, referred: Referred, *pods: Object) -> World:
+        item = workload(workloadRef={"kind": "Deployment", "name": "nav2"})
+        return World(item, policy("hot"), hot(), pods=pods, reference=referred)
+
+    def user_pod(self, name: str, **more: object) -> Object:
+        owner = {"apiVersion": "apps/v1", "kind": "ReplicaSet", "name": "nav2-1", "uid": "uid-rs", "controller": True}
+        return pod(name, owner=owner, **more)  # type: ignore[arg-type]
+
+    def test_the_controller_itself_is_never_written(self) -> None:
+        plan = self.world(Referred(self.deployment(), [self.user_pod("nav2-1-x")])).plan()
+        assert "nav2" not in applied(plan, "deployments")
+        assert "nav2" not in patched(plan, "deployments")
+        assert "nav2" not in deleted(plan)
+        assert not applied(plan, "replicasets")
+
+    def test_its_pods_get_the_labels_that_the_gate_selects_by(self) -> None:
+        plan = self.world(Referred(self.deployment(), [self.user_pod("nav2-1-x")])).plan()
+        assert patched(plan, "pods")["nav2-1-x"] == {
+            "metadata": {"labels": {names.WORKLOAD: "w", names.INSTANCE: "nav2-1-x"}}
+        }
+
+    def test_labelled_pods_are_left_alone(self) -> None:
+        labelled = self.user_pod("nav2-1-x", labels={names.WORKLOAD: "w", names.INSTANCE: "nav2-1-x"})
+        plan = self.world(Referred(self.deployment(), [labelled]), labelled).plan()
+        assert not patched(plan, "pods")
+
+    def test_pods_of_an_earlier_reference_lose_the_labels(self) -> None:
+        earlier = self.user_pod("old-1-x", labels={names.WORKLOAD: "w", names.INSTANCE: "old-1-x"})
+        plan = self.world(Referred(self.deployment(), []), earlier).plan()
+        assert patched(plan, "pods")["old-1-x"] == {
+            "metadata": {"labels": {names.WORKLOAD: None, names.INSTANCE: None}}
+        }
+
+    def test_pods_of_a_workload_that_is_gone_lose_the_labels_but_ours_keep_them(self) -> None:
+        labelled = self.user_pod("nav2-1-x", labels={names.WORKLOAD: "w", names.INSTANCE: "nav2-1-x"})
+        ours = [source_pod("w-a"), standby_pod("w-s", of=workload())]
+        assert set(patched(workloads.abandoned("w", [labelled, *ours]), "pods")) == {"nav2-1-x"}
+
+    def test_its_standbys_would_not_be_adopted(self) -> None:
+        plan = self.world(Referred(self.deployment(), [])).plan()
+        (standby,) = created(plan, "pods")
+        assert {"app", "robot"}.isdisjoint(standby["metadata"]["labels"])
+        assert standby["metadata"]["labels"]["team"] == "a"
+
+    def test_its_pods_are_held_back_from_birth(self) -> None:
+        found = applied(self.world(Referred(self.deployment(), [])).plan(), "networkpolicies")
+        assert found["w-standby-ref"]["spec"]["podSelector"] == {"matchLabels": {"app": "nav", "robot": "17"}}
+        peers = [peer["podSelector"]["matchExpressions"] for peer in found["w-standby"]["spec"]["ingress"][0]["from"]]
+        not_ours = {"key": names.WORKLOAD, "operator": "NotIn", "values": ["w"]}
+        assert peers == [
+            [not_ours, {"key": "app", "operator": "NotIn", "values": ["nav"]}],
+            [not_ours, {"key": "robot", "operator": "NotIn", "values": ["17"]}],
+        ]
+        assert found["w-standby-ref"]["spec"]["egress"] == found["w-standby"]["spec"]["egress"]
+
+    @pytest.mark.parametrize(
+        ("referred", "rivals", "reason"),
+        [
+            (Referred(None), [], "ReferenceNotFound"),
+            (
+                Referred(custom("Deployment", "nav2", {"replicas": 2, "selector": {"matchLabels": {"a": "b"}}})),
+                [],
+                "ReplicasNotOne",
+            ),
+            (
+                Referred(custom("Deployment", "nav2", {"replicas": 1, "selector": {"matchLabels": {"a": "b"}}})),
+                ["older"],
+                "ReferenceTaken",
+            ),
+        ],
+    )
+    def test_what_can_not_be_protected_is_said(self, referred: Referred, rivals: list[str], reason: str) -> None:
+        world = self.world(referred)
+        world.rivals = rivals
+        assert world.condition("Accepted")["reason"] == reason
+        assert "nav2" in world.condition("Accepted")["message"]
+        assert not created(world.plan(), "pods")
+
+
+def test_a_workload_on_its_way_out_gets_nothing_new() -> None:
+    world = World(workload(), policy("hot"), hot())
+    world.workload["metadata"]["deletionTimestamp"] = "2026-01-01T00:00:00Z"
+    assert world.plan().writes == []
+
+
+def test_the_token_of_the_agents_is_never_rotated() -> None:
+    world = World(workload(), policy("hot"), hot())
+    world.build()
+    assert not created(world.plan(), "secrets")
+
+
+def test_the_monitor_may_touch_its_own_workload_only() -> None:
+    world = World(workload(), policy("spare", "hot"), hot(), spare())
+    (role,) = applied(world.plan(), "roles").values()
+    only = {
+        (r, v): rule.get("resourceNames") for rule in role["rules"] for r in rule["resources"] for v in rule["verbs"]
+    }
+    assert only["networkpolicies", "patch"] == ["w-gate"]
+    assert only["robotworkloads/status", "patch"] == ["w"]
+    assert only["secrets", "get"] == ["w-agent", "spare-pool-agent"]
+    assert only["replicasets/scale", "patch"] == ["w"]
+    assert only["configmaps", "get"] == ["w-settings"]
+    assert ("secrets", "list") not in only
+    assert ("pods", "create") not in only
+
+
+def test_the_monitor_starts_anew_when_the_gated_ports_change() -> None:
+    world = World(workload(), policy("Restart"))
+    before = applied(world.plan(), "deployments")["w-monitor"]["spec"]["template"]
+    world.workload["spec"]["outputs"].insert(0, {"topic": "/arm", "type": "std_msgs/msg/String"})
+    assert applied(world.plan(), "deployments")["w-monitor"]["spec"]["template"] != before
+
+
+def test_the_same_world_makes_the_same_plan() -> None:
+    first = World(workload(), policy("hot", "spare"), hot(), spare()).plan()
+    second = World(workload(), policy("hot", "spare"), hot(), spare()).plan()
+    assert json.dumps([w.body for w in first.writes], sort_keys=True) == json.dumps(  # type: ignore[union-attr]
+        [w.body for w in second.writes],  # type: ignore[union-attr]
+        sort_keys=True,
+    )
