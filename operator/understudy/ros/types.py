@@ -10,6 +10,10 @@ import difflib
 import importlib
 from typing import Any
 
+from understudy.ros.lean import leave_out_generator
+
+leave_out_generator()
+
 
 class TypeNotInstalled(LookupError):
     """A ROS type that this image doesn't have."""

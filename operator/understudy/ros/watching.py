@@ -65,6 +65,16 @@ class SourceRecord(TopicRecord):
         self.sequences: dict[bytes, int] = {}
         """The last sequence number of each of the host's writers, by GID."""
 
+    def number(self, gid: bytes, sequence: int) -> None:
+        """Note a sample's number, and the ones missing before it."""
+        before = self.sequences.get(gid)
+        if before is None:
+            if len(self.sequences) >= MOST_WRITERS:
+                self.sequences.clear()
+        elif sequence > before + 1:
+            self.lost += sequence - before - 1
+        self.sequences[gid] = sequence
+
 
 @dataclass
 class _Topic:
@@ -137,13 +147,11 @@ class Watching:
         topic.problem = topic.waiting = ""
         type_name = want.type or self._graph.type_of(want.name)
         if type_name is None:
-            found = sorted({endpoint.type for endpoint in self._graph.publishers(want.name)})
+            found = {endpoint.type for endpoint in self._graph.publishers(want.name)}
+            why = "nobody publishes it yet"
             if found:
-                topic.problem = f"the publishers of {want.name} disagree about its type ({', '.join(found)}): give the type in the tree"
-            else:
-                topic.waiting = (
-                    f"the type of {want.name} is not known, since nobody publishes it yet: give the type in the tree"
-                )
+                why = f"its publishers disagree ({', '.join(sorted(found))})"
+            topic.problem = f"the type of {want.name} is not known, since {why}: give the type in the tree"
             return
         try:
             topic.subscription = self._graph.subscribe(want.name, type_name, depth=depth(want))
@@ -190,12 +198,15 @@ class Watching:
         return not candidates or self._active in candidates
 
     def _count_again(self, topic: _Topic) -> None:
-        counted = TopicRecord(topic.want.window)
+        """Put together what counts: the record of the only source that does, where there is just one, as it is."""
         accepted = [source for source in topic.sources.values() if source.accepted]
+        if len(accepted) == 1:
+            topic.counted = accepted[0]
+            return
+        counted = topic.counted = TopicRecord(topic.want.window)
         for arrival in sorted(arrival for source in accepted for arrival in source.arrivals):
             counted.add(arrival)
         counted.count = sum(source.count for source in accepted)
-        topic.counted = counted
 
     # -- receiving --------------------------------------------------------------------------------------------------
 
@@ -214,30 +225,30 @@ class Watching:
         return taken
 
     def _drain(self, topic: _Topic, low: float, high: float) -> int:
-        take, sources, counted = self._taker.take, topic.sources, topic.counted
-        handle = topic.subscription.handle
+        take, sources, handle = self._taker.take, topic.sources, topic.subscription.handle
+        bounded = low > -math.inf
         taken = 0
         # A writer that is faster than we are must not keep us here.
         most = 4 * depth(topic.want)
         with handle:
-            while taken < most and (sample := take(handle, with_data=False)) is not None:
+            pointer = handle.pointer
+            while taken < most and (sample := take(pointer, with_data=False)) is not None:
                 taken += 1
-                received = min(max(sample.received, low), high)
-                host = sample.gid[HOST]
-                source = sources.get(host)
-                if source is None:
-                    source = sources[host] = SourceRecord(max(topic.want.window, HISTORY))
-                    source.accepted = self._accepted(host)
+                received, _, gid, sequence, _ = sample
+                if bounded:
+                    received = min(max(received, low), high)
+                source = sources.get(gid[HOST]) or self._new_source(topic, gid[HOST])
                 source.add(received)
-                before = source.sequences.get(sample.gid)
-                if before is not None and sample.sequence > before + 1:
-                    source.lost += sample.sequence - before - 1
-                elif before is None and len(source.sequences) >= MOST_WRITERS:
-                    source.sequences.clear()
-                source.sequences[sample.gid] = sample.sequence
-                if source.accepted:
-                    counted.add(received)
+                source.number(gid, sequence)
+                if source.accepted and topic.counted is not source:
+                    topic.counted.add(received)
         return taken
+
+    def _new_source(self, topic: _Topic, host: bytes) -> SourceRecord:
+        source = topic.sources[host] = SourceRecord(max(topic.want.window, HISTORY))
+        source.accepted = self._accepted(host)
+        self._count_again(topic)
+        return source
 
     def _set_clock(self) -> tuple[float, float]:
         """Follow a step of the clock; the bounds between which the times of samples in the queues can lie.
@@ -252,9 +263,9 @@ class Watching:
         self._clock = offset
         self._drained += step
         for topic in self._topics.values():
-            topic.counted.shift(step)
             for source in topic.sources.values():
                 source.shift(step)
+            self._count_again(topic)
         return self._drained, time.time()
 
     # -- what was received ------------------------------------------------------------------------------------------

@@ -6,6 +6,7 @@ Detection is not bound to a tick. After each look at the topics, ask :meth:`Heal
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from py_trees.behaviour import Behaviour
@@ -48,6 +49,9 @@ class Verdict:
     """When the last good sample was received (Unix seconds), of a failure; None where there never was one."""
 
 
+_HEALTHY = Verdict("Healthy", "", "", None)
+
+
 class HealthTree:
     """What healthy means, over py_trees behaviours.
 
@@ -61,7 +65,11 @@ class HealthTree:
         self.topics = topics
         """What to subscribe to, each topic once."""
         self._glance = glance
-        self._leaves = [node for node in root.iterate() if isinstance(node, TopicLeaf)]
+        nodes = list(root.iterate())
+        self._leaves = [node for node in nodes if isinstance(node, TopicLeaf)]
+        # Without an inverter a tree is healthy when all its leaves are, which is nearly always so, and is told without
+        # a tick of all its nodes.
+        self._upright = not any(isinstance(node, Inverter) for node in nodes)
 
     @property
     def grace(self) -> float:
@@ -73,9 +81,14 @@ class HealthTree:
 
         Look at the topics first, then take ``now``: what has arrived but wasn't noted counts as missing.
         """
+        shown = all(leaf.status == Status.SUCCESS for leaf in self._leaves)
+        if shown and self._healthy_until(observations, now, since) is not None:
+            for leaf in self._leaves:
+                leaf.remember()
+            return _HEALTHY
         state = self._tick(observations, now, since)
         if state == "Healthy":
-            return Verdict(state, "", "", None)
+            return _HEALTHY
         leaves = _decisive(self.root)
         onset = _onset(self.root) if state == "Failed" else None
         return Verdict(state, "; ".join(reason for _, reason in leaves), leaves[0][0].name, onset)
@@ -85,21 +98,51 @@ class HealthTree:
 
         Holds until the next message or evaluation; then ask again.
         """
-        worst = BADNESS["Failed"]
+        until = self._healthy_until(observations, now, since)
+        if until is not None:
+            moment = _first_loss(self.root, until)
+            return moment if math.isfinite(moment) else None
         present = BADNESS[self._tick(observations, now, since)]
-        if present == worst:
+        if present == BADNESS["Failed"]:
             return None
+        found = None
         for moment in sorted({moment for leaf in self._leaves for moment in leaf.changes()}):
             if BADNESS[self._tick(observations, moment, since, real=False)] > present:
-                return moment
-        return None
+                found = moment
+                break
+        self._tick(observations, now, since)  # so that the nodes show what is, not what was tried out
+        return found
 
-    def _tick(self, observations: Observations, now: float, since: float, *, real: bool = True) -> State:
+    def _healthy_until(self, observations: Observations, now: float, since: float) -> dict[str, float] | None:
+        """By path, when each leaf stops being healthy; None unless all of them are, and the tree by that."""
+        if not self._upright:
+            return None
+        self._look(observations, now, since, real=True)
+        found = {}
+        for leaf in self._leaves:
+            until = leaf.healthy_until()
+            if until is None:
+                return None
+            found[leaf.name] = until
+        return found
+
+    def _look(self, observations: Observations, now: float, since: float, *, real: bool) -> None:
         glance = self._glance
         glance.observations, glance.now, glance.since, glance.real = observations, now, since, real
+
+    def _tick(self, observations: Observations, now: float, since: float, *, real: bool = True) -> State:
+        self._look(observations, now, since, real=real)
         for _ in self.root.tick():
             pass
         return STATE[self.root.status]
+
+
+def _first_loss(node: Behaviour, until: dict[str, float]) -> float:
+    """When a node over healthy leaves stops being healthy: alternatives with their last, all else with the first."""
+    if isinstance(node, TopicLeaf):
+        return until[node.name]
+    losses = [_first_loss(child, until) for child in node.children]
+    return max(losses) if isinstance(node, AnyOf) else min(losses)
 
 
 def _decisive(node: Behaviour, *, inverted: bool = False) -> list[tuple[TopicLeaf, str]]:

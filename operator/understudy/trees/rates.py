@@ -119,20 +119,25 @@ class Window:
 
     def holds(self, arrivals: Sequence[float], now: float) -> bool:
         """Whether the count in the window that ends now is inside the band."""
-        return self.least <= self.count(arrivals, now) and not self.exceeded(arrivals, now)
+        return now < self.until(arrivals) and not self.exceeded(arrivals, now)
+
+    def until(self, arrivals: Sequence[float]) -> float:
+        """When the count falls below the band if nothing more arrives: as the last sample that it needs leaves."""
+        if not self.least:
+            return math.inf
+        return self.leaves(arrivals[-self.least]) if len(arrivals) >= self.least else -math.inf
 
     def exceeded(self, arrivals: Sequence[float], now: float) -> bool:
         """Whether the count in the window that ends now is above the band."""
-        return self.most is not None and self.count(arrivals, now) > self.most
+        most = self.most
+        return most is not None and len(arrivals) > most and now < self.leaves(arrivals[-most - 1])
 
     def changes(self, arrivals: Sequence[float]) -> list[float]:
         """When the count enters or leaves the band if nothing more arrives (past moments among them)."""
-        moments = []
+        moments = [self.until(arrivals)]
         if self.most is not None and len(arrivals) > self.most:
-            moments.append(self.leaves(arrivals[len(arrivals) - self.most - 1]))
-        if 0 < self.least <= len(arrivals):
-            moments.append(self.leaves(arrivals[len(arrivals) - self.least]))
-        return moments
+            moments.append(self.leaves(arrivals[-self.most - 1]))
+        return [moment for moment in moments if math.isfinite(moment)]
 
     def rate(self, arrivals: Sequence[float], now: float) -> float:
         """The rate in Hz over the window that ends now."""

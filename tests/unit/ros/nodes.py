@@ -2,7 +2,8 @@
 
 publish TOPIC RATE [BYTES]    std_msgs/String, best effort and reliable readers match
 robot TOPIC SERVICE ACTION    subscribes, serves, and calls: every reader that an output can have on a robot's side
-watch SECONDS JSON            Watching, told by JSON what to watch and who the instances are; prints what it saw as JSON
+watch SECONDS JSON            Watching, told by JSON what to watch (publishing hosts by topic), who the instances are,
+                              and which are in control in turn; prints what it saw as JSON
 """
 
 from __future__ import annotations
@@ -63,6 +64,11 @@ def watch(duration: str, text: str) -> None:
     instances, active = wish["instances"], wish["active"]
     watching.attribute(instances, active[0])
     print("ready", flush=True)
+    end = time.monotonic() + 20  # discovery may need a second round of announcements
+    while any(len(watching.records(name)) < count for name, count in wish["topics"].items()):
+        assert time.monotonic() < end, "the publishers were not found"
+        watching.drain()
+        time.sleep(0.05)
     seen = []
     for pod in active:
         watching.attribute(instances, pod)

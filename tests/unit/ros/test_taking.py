@@ -23,7 +23,7 @@ def taken(subscription, *, count: int, timeout: float = 10.0, **how):
     taker, samples, end = Taker(), [], time.monotonic() + timeout
     with subscription.handle:
         while len(samples) < count and time.monotonic() < end:
-            sample = taker.take(subscription.handle, **how)
+            sample = taker.take(subscription.handle.pointer, **how)
             if sample is not None:
                 samples.append(sample)
             else:
@@ -81,7 +81,7 @@ def test_data_is_left_out_where_it_is_not_wanted(graph, subscription, eventually
 
 def test_empty_queue_gives_none(subscription):
     with subscription.handle:
-        assert Taker().take(subscription.handle) is None
+        assert Taker().take(subscription.handle.pointer) is None
 
 
 def test_queue_keeps_the_newest(graph, subscription, eventually):

@@ -209,6 +209,22 @@ def test_trying_out_the_deadline_leaves_no_trace():
     assert world.at(3.5).state == "Starting"
 
 
+def test_trying_out_the_deadline_leaves_the_nodes_as_they_are():
+    world = World({"selector": [gap("/a", "200ms"), {"inverter": gap("/b")}]}).arrive("/a", 1.0).arrive("/b", 1.0)
+    world.at(1.1)
+    before = [node.status for node in world.tree.root.iterate()]
+    world.deadline(1.1)
+    assert [node.status for node in world.tree.root.iterate()] == before
+
+
+def test_nodes_show_a_leaf_that_has_come_back():
+    world = World({"selector": [gap("/a"), gap("/b")]}).arrive("/a", 1.0).arrive("/b", 2.0)
+    assert world.at(2.1).state == "Healthy"
+    world.arrive("/a", 2.2)
+    world.at(2.3)
+    assert [node.status.name for node in world.tree.root.iterate()] == ["SUCCESS"] * 3
+
+
 def test_feedback_of_the_behaviours_says_why():
     world = World({"parallel": [gap("/scan"), gap("/odom")]}).arrive("/scan", 1.0)
     world.at(1.2)

@@ -1,0 +1,207 @@
+"""What a bench found: a table for people, and ``bench/results/NAME.json`` with every raw value beside each figure.
+
+    report = Report("monitor")
+    report.figure("detection", values, unit="ms", must={"p95": 15})
+    report.baseline("detection", others, unit="ms", of="rclpy callbacks")
+    print(report.table())
+    print(report.write())
+
+A baseline is what another way of doing the same gave in the same run, or what a paper says. ``held`` tells whether
+every figure is within its bounds.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import statistics
+import subprocess
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+HERE = Path(__file__).resolve().parent
+
+
+def quantile(values: Sequence[float], fraction: float) -> float:
+    """The value below which this fraction of the values lies, linearly between the two nearest ranks."""
+    ordered = sorted(values)
+    place = fraction * (len(ordered) - 1)
+    low = int(place)
+    high = min(low + 1, len(ordered) - 1)
+    return ordered[low] + (ordered[high] - ordered[low]) * (place - low)
+
+
+@dataclass
+class Figure:
+    """One quantity, measured several times."""
+
+    name: str
+    values: list[float]
+    unit: str
+    must: dict[str, float] = field(default_factory=dict)
+    """Greatest allowed values, by n, p50, p95, max or mean."""
+    limit: str = ""
+    """What it is to be compared with, in words."""
+    of: str = ""
+    """What was measured, where it isn't ours."""
+
+    @property
+    def summary(self) -> dict[str, float]:
+        """n, p50, p95, max and mean."""
+        return {
+            "n": len(self.values),
+            "p50": quantile(self.values, 0.5),
+            "p95": quantile(self.values, 0.95),
+            "max": max(self.values),
+            "mean": statistics.fmean(self.values),
+        }
+
+    @property
+    def held(self) -> bool:
+        """Whether every bound is kept."""
+        return all(self.summary[key] <= most for key, most in self.must.items())
+
+    def remark(self) -> str:
+        """Its bounds and whether they are kept, for the table."""
+        bounds = [
+            f"{key} <= {most:g}: {'ok' if self.summary[key] <= most else 'MISSED'}" for key, most in self.must.items()
+        ]
+        return ", ".join([*bounds, *([self.limit] if self.limit else [])])
+
+    def json(self) -> dict[str, Any]:
+        """The figure with its raw values."""
+        extra = {key: value for key, value in {"must": self.must, "limit": self.limit, "of": self.of}.items() if value}
+        return {
+            **self.summary,
+            "unit": self.unit,
+            **extra,
+            **({"held": self.held} if self.must else {}),
+            "values": self.values,
+        }
+
+
+class Report:
+    """The figures of one run of a bench."""
+
+    def __init__(self, name: str) -> None:
+        """``name`` is the bench's, and of its file of results."""
+        self.name = name
+        self._date = datetime.now(UTC)
+        self._figures: list[Figure] = []
+        self._baselines: list[Figure] = []
+        self._notes: dict[str, str] = {}
+
+    def figure(
+        self, name: str, values: Sequence[float], *, unit: str, must: Mapping[str, float] | None = None, limit: str = ""
+    ) -> Report:
+        """Add a figure of ours; ``must`` bounds it, such as ``{"p95": 15}``, ``limit`` is what it stands beside."""
+        self._figures.append(_figure(name, values, unit, dict(must or {}), limit, ""))
+        return self
+
+    def baseline(self, name: str, values: Sequence[float], *, unit: str, of: str) -> Report:
+        """Add a figure of something else, for comparison; ``of`` says of what, and from where."""
+        self._baselines.append(_figure(name, values, unit, {}, "", of))
+        return self
+
+    def note(self, name: str, text: str) -> Report:
+        """Add what one must know to read the figures, such as how the load was made."""
+        self._notes[name] = text
+        return self
+
+    @property
+    def held(self) -> bool:
+        """Whether every figure is within its bounds."""
+        return all(figure.held for figure in self._figures)
+
+    def table(self) -> str:
+        """The figures and baselines as a table, with the notes below."""
+        head = ["figure", "n", "p50", "p95", "max", "unit", ""]
+        rows = [head]
+        for figure in [*self._figures, *self._baselines]:
+            summary = figure.summary
+            name = f"  {figure.name} ({figure.of})" if figure.of else figure.name
+            numbers = [f"{summary['n']}", *(f"{summary[key]:.4g}" for key in ("p50", "p95", "max"))]
+            rows.append([name, *numbers, figure.unit, figure.remark()])
+        widths = [max(len(row[column]) for row in rows) for column in range(len(head))]
+        lines = []
+        for row in rows:
+            cells = [
+                cell.rjust(width) if 0 < i < 5 else cell.ljust(width)
+                for i, (cell, width) in enumerate(zip(row, widths, strict=True))
+            ]
+            lines.append("  ".join(cells).rstrip())
+        lines.insert(1, "-" * max(len(line) for line in lines))
+        notes = [f"{name}: {text}" for name, text in {**_machine_notes(), "commit": commit(), **self._notes}.items()]
+        return "\n".join([f"bench {self.name}", *lines, "", *notes])
+
+    def json(self) -> dict[str, Any]:
+        """Everything, as it is written."""
+        return {
+            "bench": self.name,
+            "date": self._date.isoformat(timespec="seconds"),
+            "commit": commit(),
+            "machine": machine(),
+            "notes": self._notes,
+            "figures": {figure.name: figure.json() for figure in self._figures},
+            "baselines": {f"{figure.name} ({figure.of})": figure.json() for figure in self._baselines},
+        }
+
+    def write(self, folder: Path = HERE / "results") -> Path:
+        """Write ``NAME.json``; where it is, relative to where one is if it's below."""
+        folder.mkdir(parents=True, exist_ok=True)
+        file = folder / f"{self.name}.json"
+        file.write_text(json.dumps(self.json(), indent=1) + "\n")
+        return file.relative_to(Path.cwd()) if file.is_relative_to(Path.cwd()) else file
+
+
+def _figure(name: str, values: Sequence[float], unit: str, must: dict[str, float], limit: str, of: str) -> Figure:
+    if not values:
+        raise ValueError(f"figure {name!r} has no values: nothing was measured")
+    if unknown := set(must) - {"n", "p50", "p95", "max", "mean"}:
+        raise ValueError(f"figure {name!r}: must bounds {', '.join(sorted(unknown))}; known are n, p50, p95, max, mean")
+    return Figure(name, [float(value) for value in values], unit, must, limit, of)
+
+
+def machine() -> dict[str, Any]:
+    """What the bench ran on: processor, cores, memory, kernel, system, Python."""
+    return {
+        "processor": _line("/proc/cpuinfo", "model name") or platform.processor() or platform.machine(),
+        "cores": os.cpu_count(),
+        "memory_gib": round(int((_line("/proc/meminfo", "MemTotal") or "0 kB").split()[0]) / 2**20, 1),
+        "kernel": platform.release(),
+        "system": platform.freedesktop_os_release().get("PRETTY_NAME", platform.system()),
+        "python": platform.python_version(),
+        "load_1_min": round(os.getloadavg()[0], 2),
+    }
+
+
+def _machine_notes() -> dict[str, str]:
+    found = machine()
+    return {
+        "machine": f"{found['processor']}, {found['cores']} cores, {found['memory_gib']} GiB, {found['system']}, "
+        f"kernel {found['kernel']}, Python {found['python']}, load {found['load_1_min']}"
+    }
+
+
+def _line(file: str, key: str) -> str | None:
+    """What a ``key : value`` file of /proc says of a key."""
+    try:
+        with open(file) as lines:
+            return next((line.split(":", 1)[1].strip() for line in lines if line.startswith(key)), None)
+    except OSError:
+        return None
+
+
+def commit() -> str:
+    """The commit that was run, with ``-dirty`` where files differ from it; ``unknown`` outside a clone."""
+    found = subprocess.run(
+        ["git", "describe", "--always", "--abbrev=12", "--dirty", "--exclude=*"],
+        cwd=HERE,
+        capture_output=True,
+        text=True,
+    )
+    return found.stdout.strip() or "unknown"

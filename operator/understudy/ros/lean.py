@@ -1,0 +1,37 @@
+"""Keeps the ROS code generator out of memory.
+
+The first message that is used imports its type support through ``rosidl_generator_py``, a package whose one small
+function for that comes with a template engine and an IDL parser: 20 MB resident, in every monitor and every agent.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import sys
+from types import ModuleType
+
+_GENERATOR = "rosidl_generator_py"
+_NEEDED = f"{_GENERATOR}.import_type_support_impl"
+
+
+def leave_out_generator() -> bool:
+    """Import of ``rosidl_generator_py`` only what types need at run time; whether that was possible.
+
+    Call it before any type is used. Where the package is loaded already, or is made otherwise, nothing is changed.
+    """
+    if _GENERATOR in sys.modules:
+        return _NEEDED in sys.modules and not hasattr(sys.modules[_GENERATOR], "generate_py")
+    spec = importlib.util.find_spec(_GENERATOR)
+    if spec is None or spec.submodule_search_locations is None:
+        return False
+    package = ModuleType(_GENERATOR, "Only what types need at run time; see understudy.ros.lean.")
+    package.__path__ = spec.submodule_search_locations
+    package.__spec__ = spec
+    sys.modules[_GENERATOR] = package
+    try:
+        package.import_type_support = importlib.import_module(_NEEDED).import_type_support  # type: ignore[attr-defined]
+    except (ImportError, AttributeError):
+        del sys.modules[_GENERATOR]
+        return False
+    return True

@@ -1,0 +1,50 @@
+"""Types work without the code generator, which stays out of memory."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.ros
+
+PACKAGE = Path(__file__).parents[3] / "operator"
+
+
+def run(code: str) -> dict:
+    environment = {**os.environ, "PYTHONPATH": str(PACKAGE), "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"}
+    found = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    return json.loads(found.stdout)
+
+
+SAY = """
+import json, sys
+print(json.dumps({
+    "works": len(serialize_message(Twist())),
+    "loaded": sorted({"em", "lark", "rosidl_generator_py"} & set(sys.modules)),
+}))
+"""
+
+
+def test_messages_work_and_the_generator_is_not_loaded():
+    found = run(
+        "import understudy.ros.graph\n"
+        "from understudy.ros.types import message_class\n"
+        "from rclpy.serialization import serialize_message\n"
+        "Twist = message_class('geometry_msgs/msg/Twist')\n" + SAY
+    )
+    assert found == {"works": 52, "loaded": ["rosidl_generator_py"]}
+
+
+def test_a_generator_that_is_loaded_is_left_alone():
+    found = run(
+        "import rosidl_generator_py\n"
+        "from understudy.ros.lean import leave_out_generator\n"
+        "assert not leave_out_generator()\n"
+        "assert rosidl_generator_py.generate_py\n"
+        "from geometry_msgs.msg import Twist\n"
+        "from rclpy.serialization import serialize_message\n" + SAY
+    )
+    assert "lark" in found["loaded"]

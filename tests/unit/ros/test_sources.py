@@ -1,0 +1,128 @@
+"""A sample is attributed to the pod that sent it, by the pod's address alone; what can't be told is said."""
+
+import itertools
+import json
+import os
+
+import pytest
+
+from tests.unit.ros.network import network
+from understudy.ros.sources import VENDOR, Sources, host_id
+
+SEEN = {
+    # Host ids that Fast DDS 2.14 put into GIDs on hosts with these addresses.
+    ("192.0.2.2",): "78fd",
+    ("192.0.2.2", "198.18.0.254"): "23e3",
+}
+
+
+def gid(ip: str, tail: int = 1) -> bytes:
+    return VENDOR + host_id(ip) + tail.to_bytes(12, "big")
+
+
+def twins() -> tuple[str, str]:
+    """Two addresses of one network with the same host id."""
+    known: dict[bytes, str] = {}
+    for third, fourth in itertools.product(range(256), range(1, 255)):
+        ip = f"10.77.{third}.{fourth}"
+        other = known.setdefault(host_id(ip), ip)
+        if other != ip:
+            return other, ip
+    raise AssertionError("no two are the same")
+
+
+@pytest.mark.parametrize(("ips", "expected"), SEEN.items())
+def test_host_id_is_fast_dds_own(ips, expected):
+    assert host_id(*ips).hex() == expected
+
+
+def test_sample_is_attributed_by_address():
+    sources = Sources({"p": "10.77.0.2", "f": "10.77.0.3"})
+    assert (sources.pod(gid("10.77.0.2")), sources.pod(gid("10.77.0.3", 9)), sources.pod(gid("10.77.0.4"))) == (
+        "p",
+        "f",
+        None,
+    )
+    assert sources.ambiguous == []
+    assert list(sources.problems()) == []
+
+
+def test_pods_with_the_same_host_id_are_not_told_apart_but_reported():
+    first, second = twins()
+    sources = Sources({"a": first, "b": second, "c": "192.0.2.2"})
+    assert sources.pod(gid(first)) is None
+    assert sources.candidates(gid(second)) == ("a", "b")
+    assert sources.ambiguous == [("a", "b")]
+    (problem,) = sources.problems()
+    assert problem.startswith(f"a ({first}), b ({second}) can't be told apart")
+    assert sources.pod(gid("192.0.2.2")) == "c"
+
+
+def test_writer_of_another_implementation_is_nobody():
+    other = b"\x01\x10" + gid("10.77.0.2")[2:]
+    assert Sources({"p": "10.77.0.2"}).candidates(other) == ()
+
+
+@pytest.mark.parametrize("ip", ["", "fd00::1", "10.77.0"])
+def test_pod_without_an_ipv4_address_is_unknown(ip):
+    sources = Sources({"p": ip, "f": "10.77.0.3"})
+    assert sources.unknown == ["p"]
+    assert sources.pod(gid("10.77.0.3")) == "f"
+
+
+needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="network namespaces need root")
+
+
+@pytest.fixture
+def lan(dds, monkeypatch):
+    """Hosts on one switch, where nodes find each other by multicast."""
+    monkeypatch.delenv("ROS_AUTOMATIC_DISCOVERY_RANGE")
+    with network() as made:
+        yield made
+
+
+def watched(processes, lan, *, seconds=2.0, **wish):
+    watcher = processes.node("watch", str(seconds), json.dumps(wish), inside=lan.host("10.77.200.1"))
+    return json.loads(processes.line(watcher, 60))
+
+
+@pytest.mark.ros
+@needs_root
+def test_real_publishers_on_hosts_of_their_own_are_told_apart(lan, processes):
+    pytest.importorskip("rclpy")
+    pods = {"primary": "10.77.0.2", "fallback": "10.77.0.3"}
+    for ip in pods.values():
+        processes.node("publish", "/cmd_vel", "20", inside=lan.host(ip))
+    processes.node("publish", "/scan", "10", inside=lan.host("10.77.100.1"))
+    first, second = watched(
+        processes, lan, topics={"/cmd_vel": 2, "/scan": 1}, instances=pods, active=["primary", "fallback"]
+    )
+
+    assert set(first["hosts"]["/cmd_vel"]) == {(VENDOR + host_id(ip)).hex() for ip in pods.values()}
+    assert set(first["hosts"]["/scan"]) == {(VENDOR + host_id("10.77.100.1")).hex()}
+    for seen in (first, second):
+        assert all(lost == 0 for hosts in seen["hosts"].values() for _, lost in hosts.values())
+        assert all(seen["now"] - last < 0.3 for last in seen["last"]["/cmd_vel"].values())
+        # The robot's own topic counts whoever is in control, and is no pod's.
+        assert seen["counted"]["/scan"] == sum(count for count, _ in seen["hosts"]["/scan"].values())
+        assert seen["others"]["/scan"] is None
+    for seen, active, other in ((first, "primary", "fallback"), (second, "fallback", "primary")):
+        assert seen["counted"]["/cmd_vel"] == seen["hosts"]["/cmd_vel"][(VENDOR + host_id(pods[active])).hex()][0]
+        assert seen["others"]["/cmd_vel"][1] == other
+    for pod in pods:
+        assert 0 <= second["first"]["/cmd_vel"][pod] - second["switched"] < 0.3
+
+
+@pytest.mark.ros
+@needs_root
+def test_real_publishers_with_the_same_host_id_count_and_are_reported(lan, processes):
+    pytest.importorskip("rclpy")
+    ips = twins()
+    for ip in ips:
+        processes.node("publish", "/cmd_vel", "20", inside=lan.host(ip))
+    pods = dict(zip(("primary", "fallback"), ips, strict=True))
+    (seen,) = watched(processes, lan, topics={"/cmd_vel": 1}, instances=pods, active=["primary"])
+    assert seen["last"]["/cmd_vel"] == {"primary": None, "fallback": None}
+    assert seen["others"]["/cmd_vel"] is None
+    assert seen["counted"]["/cmd_vel"] > 30
+    assert "can't be told apart" in seen["problems"][0]

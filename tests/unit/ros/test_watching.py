@@ -1,0 +1,146 @@
+"""Topics are watched without being spun: what was received when, from how often one looks."""
+
+import signal
+import time
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from understudy.ros import watching as module
+from understudy.ros.watching import Watching, depth
+from understudy.trees.health import WatchedTopic
+from understudy.trees.loading import load
+
+pytestmark = pytest.mark.ros
+
+STRING = "std_msgs/msg/String"
+
+
+@pytest.fixture
+def watching(graph):
+    made = Watching(graph)
+    yield made
+    made.close()
+
+
+def watch(watching, seconds, tick=0.05):
+    end = time.time() + seconds
+    while time.time() < end:
+        watching.drain()
+        time.sleep(tick)
+
+
+@pytest.mark.parametrize(("rate", "expected"), [(None, 13), (1.0, 10), (50.0, 13), (400.0, 100), (10_000.0, 1000)])
+def test_queue_bridges_a_stall(rate, expected):
+    assert depth(WatchedTopic("/t", STRING, 0.0, rate)) == expected
+
+
+def test_arrivals_are_those_of_receipt_however_rarely_one_looks(watching, processes, eventually):
+    watching.follow([WatchedTopic("/chat", STRING, 5.0, 50.0)])
+    processes.node("publish", "/chat", "50")
+    eventually(lambda: watching.drain() and watching.topic("/chat").count > 5)
+    before = watching.topic("/chat").count
+    watch(watching, 2.0, tick=0.2)
+    record = watching.topic("/chat")
+    assert record.count - before == pytest.approx(100, abs=15)
+    gaps = [later - earlier for earlier, later in zip(record.arrivals, list(record.arrivals)[1:], strict=False)]
+    assert sorted(gaps)[len(gaps) // 2] == pytest.approx(0.02, abs=0.005)
+    (source,) = watching.records("/chat").values()
+    assert (source.count, source.lost) == (record.count, 0)
+
+
+def test_samples_that_never_came_are_counted(watching, processes, eventually):
+    watching.follow([WatchedTopic("/chat", STRING, 0.0, None)])
+    processes.node("publish", "/chat", "100")
+    eventually(lambda: watching.drain() and watching.topic("/chat").count > 5)
+    time.sleep(1.0)  # 13 of 100 fit
+    watching.drain()
+    (source,) = watching.records("/chat").values()
+    assert source.lost == pytest.approx(87, abs=15)
+
+
+def test_type_is_learnt_from_the_graph_where_the_tree_gives_none(watching, processes, eventually):
+    watching.follow([WatchedTopic("/chat", None, 0.0, None)])
+    assert watching.problems == [
+        "the type of /chat is not known, since nobody publishes it yet: give the type in the tree"
+    ]
+    processes.node("publish", "/chat", "20")
+    eventually(lambda: watching.drain() and watching.topic("/chat").count)
+    assert watching.problems == []
+
+
+def test_topic_whose_type_is_not_installed_is_a_problem_and_the_others_are_watched(watching, processes, eventually):
+    watching.follow([WatchedTopic("/plan", "nav2_msgs/msg/Plan", 0.0, None), WatchedTopic("/chat", STRING, 0.0, None)])
+    (problem,) = watching.problems
+    assert problem.startswith("/plan: nav2_msgs/msg/Plan is not installed in the monitor's image")
+    assert problem.endswith("set spec.monitor.image to that")
+    processes.node("publish", "/chat", "20")
+    eventually(lambda: watching.drain() and watching.topic("/chat").count)
+    assert watching.topic("/plan").last is None
+
+
+def test_following_other_topics_keeps_what_is_known_of_the_same(watching, processes, eventually):
+    watching.follow([WatchedTopic("/chat", STRING, 0.0, None), WatchedTopic("/talk", STRING, 0.0, None)])
+    processes.node("publish", "/chat", "20")
+    eventually(lambda: watching.drain() and watching.topic("/chat").count > 3)
+    before = watching.topic("/chat").count
+    watching.follow([WatchedTopic("/chat", STRING, 2.0, None)])
+    assert watching.topic("/talk") is None
+    assert watching.topic("/chat").count == before
+    assert watching.topic("/chat").window >= 2.0
+    assert len(watching.topic("/chat").arrivals) > 1
+    watch(watching, 0.5)
+    assert watching.topic("/chat").count > before
+
+
+def test_larger_queue_is_taken_when_a_faster_rate_is_expected(watching, graph):
+    watching.follow([WatchedTopic("/chat", STRING, 0.0, None)])
+    watching.follow([WatchedTopic("/chat", STRING, 2.0, 400.0)])
+    (subscription,) = graph.node.subscriptions
+    assert subscription.qos_profile.depth == 100
+
+
+@pytest.mark.parametrize("step", [3600.0, -3600.0])
+def test_step_of_the_clock_is_neither_a_gap_nor_a_burst(watching, processes, eventually, monkeypatch, step):
+    watching.follow([WatchedTopic("/chat", STRING, 1.0, None)])
+    processes.node("publish", "/chat", "50")
+    eventually(lambda: watching.drain() and watching.topic("/chat").count > 60)
+
+    class Stepped:
+        """The clock after it was set; samples in the queue are still stamped by the old one."""
+
+        monotonic = staticmethod(time.monotonic)
+
+        @staticmethod
+        def time():
+            return time.time() + step
+
+    time.sleep(0.1)
+    monkeypatch.setattr(module, "time", Stepped)
+    watching.drain()
+    record, now = watching.topic("/chat"), Stepped.time()
+    assert 0 <= now - record.last < 0.15
+    assert list(record.arrivals) == sorted(record.arrivals)
+    assert 0 <= now - record.arrivals[0] < 10
+    assert sum(now - 1 < arrival <= now for arrival in record.arrivals) == pytest.approx(50, abs=10)
+
+
+def test_frozen_publisher_is_noticed_at_the_deadline(watching, processes, eventually):
+    tree = load({"topic": {"name": "/chat", "type": STRING, "gap": "200ms"}})
+    watching.follow(tree.topics)
+    publisher = processes.node("publish", "/chat", "50")
+    since = time.time()
+    eventually(lambda: watching.drain() and watching.topic("/chat").count > 10)
+    publisher.send_signal(signal.SIGSTOP)
+    while True:
+        watching.drain()
+        now = time.time()
+        verdict = tree.evaluate(watching, now=now, since=since)
+        if verdict.state == "Failed":
+            break
+        due = tree.deadline(watching, now=now, since=since)
+        time.sleep(max(0.0, min(due - now + 0.0005, 0.05)))
+    assert verdict.reason == "no /chat for 200 ms"
+    assert verdict.onset == watching.topic("/chat").last
+    assert 0 <= now - (verdict.onset + 0.2) < 0.1  # the bench measures it; here a busy machine must not matter
