@@ -30,7 +30,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         default=os.environ.get("UNDERSTUDY_CLUSTER_PROVIDER") or None,
         help="which cluster to test on: the project's own, one of kind, or that of the current kubeconfig",
     )
-    group.addoption("--kubeconfig", type=Path, default=None, help="kubeconfig of the cluster (default: asks scripts/cluster)")
+    group.addoption(
+        "--kubeconfig", type=Path, default=None, help="kubeconfig of the cluster (default: asks scripts/cluster)"
+    )
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -83,7 +85,11 @@ def kubeconfig(pytestconfig: pytest.Config) -> Path:
     if given is None and provider is None and os.environ.get("KUBECONFIG"):
         given = Path(os.environ["KUBECONFIG"].split(os.pathsep)[0])
     if given is None:
-        command = [str(REPOSITORY / "scripts" / "cluster"), "kubeconfig", *(["--provider", provider] if provider else [])]
+        command = [
+            str(REPOSITORY / "scripts" / "cluster"),
+            "kubeconfig",
+            *(["--provider", provider] if provider else []),
+        ]
         done = subprocess.run(command, capture_output=True, text=True)
         if done.returncode:
             unavailable(f"there is no cluster ({done.stderr.strip()}): scripts/test cluster brings one up")

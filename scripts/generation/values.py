@@ -61,9 +61,7 @@ def documented(text: str) -> Iterator[Value]:
 
 def table(text: str) -> str:
     """The table as Markdown."""
-    rows = [
-        f"| `{value.path}` | {value.description} | `{json.dumps(value.default)}` |" for value in documented(text)
-    ]
+    rows = [f"| `{value.path}` | {value.description} | `{json.dumps(value.default)}` |" for value in documented(text)]
     return "\n".join(["| value | what it does | default |", "| --- | --- | --- |", *rows])
 
 

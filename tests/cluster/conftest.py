@@ -52,9 +52,14 @@ def release(cluster: Cluster, helm: str, kubeconfig: Path) -> Iterator[Release]:
     if not there:
         done = _helm(helm, kubeconfig, "uninstall", NAME, "--wait")
         assert done.returncode == 0, done.stderr
-        for kind in KINDS:
-            cluster.delete(_definition(cluster, kind.plural))
-        cluster.delete({"apiVersion": "v1", "kind": "Namespace", "metadata": {"name": NAMESPACE}})
+        leftovers = [_definition(cluster, kind.plural) for kind in KINDS]
+        leftovers.append({"apiVersion": "v1", "kind": "Namespace", "metadata": {"name": NAMESPACE}})
+        for item in leftovers:
+            cluster.delete(item)
+        # What is on its way out would be in the way of the next who installs.
+        for item in leftovers:
+            what = (item["apiVersion"], item["kind"], item["metadata"]["name"])
+            until(lambda what=what: cluster.find(*what) is None, f"{what[2]} to be gone")  # type: ignore[misc]
 
 
 def _definition(cluster: Cluster, plural: str) -> Object:

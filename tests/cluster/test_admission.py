@@ -180,7 +180,9 @@ def test_a_claim_takes_the_pod_whole(cluster: Cluster, namespace: str, monitor: 
 
 
 @pytest.mark.parametrize("value", [OTHER, None], ids=["to-another", "to-none"])
-def test_a_monitor_does_not_give_its_pod_away(cluster: Cluster, namespace: str, monitor: str, value: str | None) -> None:
+def test_a_monitor_does_not_give_its_pod_away(
+    cluster: Cluster, namespace: str, monitor: str, value: str | None
+) -> None:
     pod = _instance(cluster, namespace, MINE)
     message = _refusal(lambda: cluster.patch(pod, {"metadata": {"labels": {names.WORKLOAD: value}}}, user=monitor))
     assert f"would have {value or 'none'}" in message
@@ -240,8 +242,7 @@ def test_a_monitor_labels_pods_of_the_statefulset_it_refers_to(
     def labelled() -> bool:
         try:
             cluster.patch(pod, body, user=statefulset_monitor)
-        except Refused as error:
-            assert "pods of the controller it refers to" in error.message
+        except Refused:
             return False
         return True
 
@@ -267,12 +268,9 @@ def test_everybody_else_is_left_alone(cluster: Cluster, namespace: str, monitor:
 
 def test_the_policy_has_no_type_errors(cluster: Cluster, release: Release) -> None:
     def status() -> Object:
-        policy = cluster.get(
-            "admissionregistration.k8s.io/v1", "ValidatingAdmissionPolicy", f"{release.name}-monitors"
-        )
+        policy = cluster.get("admissionregistration.k8s.io/v1", "ValidatingAdmissionPolicy", f"{release.name}-monitors")
         found: Object = policy.get("status") or {}
         return found if found.get("observedGeneration") == policy["metadata"]["generation"] else {}
 
     checked = until(status, "the controller manager to check the policy's types")
     assert not checked.get("typeChecking", {}).get("expressionWarnings"), checked
-

@@ -54,9 +54,7 @@ def test_good_manifests_are_taken_whole(cluster: Cluster, file: Path) -> None:
 @pytest.mark.parametrize("file", BAD, ids=lambda file: file.stem)
 def test_bad_manifests_are_refused_with_the_field_and_what_would_be_right(cluster: Cluster, file: Path) -> None:
     (item,) = load(file)
-    expected = [
-        line.removeprefix(_REFUSED) for line in file.read_text().splitlines() if line.startswith(_REFUSED)
-    ]
+    expected = [line.removeprefix(_REFUSED) for line in file.read_text().splitlines() if line.startswith(_REFUSED)]
     assert expected, "say what the refusal must contain"
     with pytest.raises(Refused) as refused:
         cluster.create(item, "default", strict=True, dry_run=True)
@@ -130,7 +128,9 @@ def test_a_pool_per_workload_does_not_scale(cluster: Cluster, make) -> None:
 def test_status_is_written_apart_from_the_spec(cluster: Cluster, make) -> None:
     workload = make("workload-of-a-deployment")
     cluster.patch(workload, {"status": {"health": "Healthy"}})
-    assert "status" not in cluster.get(API_VERSION, "RobotWorkload", workload["metadata"]["name"], workload["metadata"]["namespace"])
+    assert "status" not in cluster.get(
+        API_VERSION, "RobotWorkload", workload["metadata"]["name"], workload["metadata"]["namespace"]
+    )
     after = cluster.patch(workload, {"status": {"health": "Healthy"}, "spec": {"outputs": []}}, subresource="status")
     assert after["status"] == {"health": "Healthy"}
     assert after["spec"] == workload["spec"]
@@ -171,8 +171,18 @@ def test_operator_and_monitor_each_own_their_part_of_the_status(cluster: Cluster
         ({"health": "Fine"}, "status.health"),
         ({"lastRecoveryTime": "yesterday"}, "status.lastRecoveryTime"),
         ({"conditions": [{"type": "Ready", "status": "True"}]}, "status.conditions[0].reason"),
-        ({"conditions": [{"type": "R", "status": "yes", "reason": "R", "lastTransitionTime": "2026-01-02T03:04:05Z"}]}, "status.conditions[0].status"),
-        ({"recoveries": [{"id": str(i), "reason": "r", "result": "Recovered"} for i in range(11)]}, "status.recoveries"),
+        (
+            {
+                "conditions": [
+                    {"type": "R", "status": "yes", "reason": "R", "lastTransitionTime": "2026-01-02T03:04:05Z"}
+                ]
+            },
+            "status.conditions[0].status",
+        ),
+        (
+            {"recoveries": [{"id": str(i), "reason": "r", "result": "Recovered"} for i in range(11)]},
+            "status.recoveries",
+        ),
     ],
     ids=["health", "time", "condition-without-a-reason", "condition-status", "too-many-recoveries"],
 )
@@ -270,7 +280,9 @@ def test_people_with_the_cluster_role_view_may_see_and_edit_may_change(cluster: 
     until(settled, "the roles view and edit to be put together")
     assert {verb for _, verb in rules("view")} == {"get", "list", "watch"}
     assert ("fallbackpools/scale", "patch") in rules("edit")
-    assert not any(resource == "robotworkloads/status" and verb in ("patch", "update") for resource, verb in rules("edit"))
+    assert not any(
+        resource == "robotworkloads/status" and verb in ("patch", "update") for resource, verb in rules("edit")
+    )
 
 
 def _condition(kind: str, status: str) -> Object:

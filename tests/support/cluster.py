@@ -94,7 +94,9 @@ class Cluster:
         path = self.path(item["apiVersion"], item["kind"], namespace or item["metadata"].get("namespace"))
         return self.request("POST", path, body=item, params=params, user=user)
 
-    def apply(self, item: Object, namespace: str | None = None, *, subresource: str = "", manager: str = "tests") -> Object:
+    def apply(
+        self, item: Object, namespace: str | None = None, *, subresource: str = "", manager: str = "tests"
+    ) -> Object:
         """Server-side apply."""
         path = self.path(
             item["apiVersion"],
@@ -114,7 +116,9 @@ class Cluster:
         path = self._path_of(item, subresource)
         return self.request("PATCH", path, body=body, params=params, content_type=MERGE, user=user)
 
-    def get(self, api_version: str, kind: str, name: str, namespace: str | None = None, subresource: str = "") -> Object:
+    def get(
+        self, api_version: str, kind: str, name: str, namespace: str | None = None, subresource: str = ""
+    ) -> Object:
         """An object. Raises Refused with 404 where it isn't there."""
         return self.request("GET", self.path(api_version, kind, namespace, name, subresource))
 
@@ -127,9 +131,7 @@ class Cluster:
                 return None
             raise
 
-    def list(
-        self, api_version: str, kind: str, namespace: str | None = None, *, labels: str = ""
-    ) -> list[Object]:
+    def list(self, api_version: str, kind: str, namespace: str | None = None, *, labels: str = "") -> list[Object]:
         """The objects of a kind in a namespace."""
         params = {"labelSelector": labels} if labels else {}
         items: list[Object] = self.request("GET", self.path(api_version, kind, namespace), params=params)["items"]

@@ -46,9 +46,7 @@ _UNIT_SECONDS = {"ms": 0.001, "s": 1.0, "m": 60.0, "h": 3600.0}
 
 Duration = Annotated[
     str,
-    Field(
-        pattern=DURATION_PATTERN, max_length=32, json_schema_extra=matching(DURATION_PATTERN, DURATION_MESSAGE)
-    ),
+    Field(pattern=DURATION_PATTERN, max_length=32, json_schema_extra=matching(DURATION_PATTERN, DURATION_MESSAGE)),
 ]
 """A length of time such as ``500ms``, ``1.5s`` or ``1m30s``."""
 
@@ -78,7 +76,9 @@ class Model(BaseModel):
 
 
 OBJECT_NAME_PATTERN = r"^[a-z0-9]([-a-z0-9.]*[a-z0-9])?$"
-OBJECT_NAME_MESSAGE = "names of objects have lower-case letters, digits, dashes and dots only, and begin and end with a letter or digit"
+OBJECT_NAME_MESSAGE = (
+    "names of objects have lower-case letters, digits, dashes and dots only, and begin and end with a letter or digit"
+)
 
 ObjectName = Annotated[
     str,

@@ -101,7 +101,9 @@ def root(kind: Kind) -> Schema:
             "apiVersion": {"type": "string", "description": f"{GROUP}/{VERSION}"},
             "kind": {"type": "string", "description": kind.name},
             # The one field of the metadata that rules may name.
-            "metadata": {"type": "object", "properties": {"name": {"type": "string"}}} if kind.rules else {"type": "object"},
+            "metadata": {"type": "object", "properties": {"name": {"type": "string"}}}
+            if kind.rules
+            else {"type": "object"},
             "spec": structural(kind.spec),
             "status": _without_defaults(structural(kind.status)),
         },

@@ -31,7 +31,8 @@ class LabelSelectorRequirement(Model):
     model_config = Model.model_config | {
         "json_schema_extra": rules(
             (
-                "self.operator in ['In', 'NotIn'] ? has(self.values) && size(self.values) > 0 : !has(self.values) || size(self.values) == 0",
+                "self.operator in ['In', 'NotIn'] ? has(self.values) && size(self.values) > 0 "
+                ": !has(self.values) || size(self.values) == 0",
                 "values are required for the operators In and NotIn, and only for them",
                 ".values",
             ),
@@ -39,9 +40,7 @@ class LabelSelectorRequirement(Model):
     }
 
     key: str = Field(min_length=1, max_length=317, description="Label key.")
-    operator: Literal["In", "NotIn", "Exists", "DoesNotExist"] = Field(
-        description="In, NotIn, Exists or DoesNotExist."
-    )
+    operator: Literal["In", "NotIn", "Exists", "DoesNotExist"] = Field(description="In, NotIn, Exists or DoesNotExist.")
     values: list[Annotated[str, Field(max_length=63)]] | None = Field(
         default=None, max_length=64, description="Values for In and NotIn."
     )

@@ -15,20 +15,18 @@ Health = Literal["Unknown", "Starting", "Healthy", "Failed", "Recovering"]
 ROS_TYPE_PATTERN = r"^[a-zA-Z][a-zA-Z0-9_]*/(msg|srv|action)/[A-Z][a-zA-Z0-9]*$"
 ROS_NAME_PATTERN = r"^/[a-zA-Z_][a-zA-Z0-9_]*(/[a-zA-Z_][a-zA-Z0-9_]*)*$"
 ROS_NAME_MESSAGE = "write the full name, such as /cmd_vel: a slash, then letters, digits and underscores"
-ROS_TYPE_MESSAGE = "write the full ROS type, such as geometry_msgs/msg/Twist, std_srvs/srv/Trigger or nav2_msgs/action/NavigateToPose"
+ROS_TYPE_MESSAGE = (
+    "write the full ROS type, such as geometry_msgs/msg/Twist, std_srvs/srv/Trigger or nav2_msgs/action/NavigateToPose"
+)
 
 RosName = Annotated[
     str,
-    Field(
-        pattern=ROS_NAME_PATTERN, max_length=256, json_schema_extra=matching(ROS_NAME_PATTERN, ROS_NAME_MESSAGE)
-    ),
+    Field(pattern=ROS_NAME_PATTERN, max_length=256, json_schema_extra=matching(ROS_NAME_PATTERN, ROS_NAME_MESSAGE)),
 ]
 """A fully qualified name of a topic, service or action."""
 
 _BYTE = r"(25[0-5]|2[0-4][0-9]|1[0-9][0-9]|[1-9]?[0-9])"
-CIDR_PATTERN = (
-    rf"^(({_BYTE}\.){{3}}{_BYTE}/([1-9]|[12][0-9]|3[0-2])|[0-9a-fA-F:]*:[0-9a-fA-F:]*/([1-9]|[1-9][0-9]|1[01][0-9]|12[0-8]))$"
-)
+CIDR_PATTERN = rf"^(({_BYTE}\.){{3}}{_BYTE}/([1-9]|[12][0-9]|3[0-2])|[0-9a-fA-F:]*:[0-9a-fA-F:]*/([1-9]|[1-9][0-9]|1[01][0-9]|12[0-8]))$"
 CIDR_MESSAGE = "write addresses as a CIDR, such as 192.168.10.0/24 or 192.168.10.7/32; /0 would contain the pods too"
 
 Cidr = Annotated[

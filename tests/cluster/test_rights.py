@@ -1,0 +1,63 @@
+"""What the operator's account may do, asked of a real API server in its name."""
+
+from __future__ import annotations
+
+import copy
+
+import pytest
+
+from tests.cluster.conftest import Release
+from tests.support.cluster import Cluster, Object, Refused, account
+from understudy.controller import monitors
+
+
+@pytest.fixture
+def operator(release: Release) -> str:
+    """The user name of the operator."""
+    return account(release.namespace, release.operator)
+
+
+def _access(kind: str, namespace: str) -> list[Object]:
+    items = [copy.deepcopy(item) for _, item in monitors.access("robot-17", source=(kind, "nav2"), pools=["spare"])]
+    for item in items:
+        for subject in item.get("subjects", ()):
+            subject["namespace"] = namespace
+    return items
+
+
+@pytest.mark.parametrize("kind", ["ReplicaSet", "Deployment", "StatefulSet"])
+def test_the_operator_may_give_a_monitor_its_rights(cluster: Cluster, namespace: str, operator: str, kind: str) -> None:
+    """Kubernetes lets nobody grant what they don't hold, and the operator may not escalate."""
+    for item in _access(kind, namespace):
+        cluster.create(item, namespace, user=operator)
+
+
+def test_the_operator_may_not_grant_more_than_it_holds(cluster: Cluster, namespace: str, operator: str) -> None:
+    (role,) = [item for item in _access("Deployment", namespace) if item["kind"] == "Role"]
+    role["rules"].append({"apiGroups": [""], "resources": ["pods/exec"], "verbs": ["create"]})
+    with pytest.raises(Refused, match="attempting to grant RBAC permissions not currently held") as refused:
+        cluster.create(role, namespace, user=operator)
+    assert refused.value.status == 403
+
+
+def test_the_operator_never_changes_what_users_said(cluster: Cluster, namespace: str, operator: str) -> None:
+    pool: Object = {
+        "apiVersion": "understudy.dev/v1alpha1",
+        "kind": "FallbackPool",
+        "metadata": {"name": "none"},
+        "spec": {"readiness": "Executing", "perWorkload": 0, "workloadSelector": {"matchLabels": {"no": "workload"}}},
+    }
+    made = cluster.create(pool, namespace)
+    with pytest.raises(Refused, match='cannot patch resource "fallbackpools"'):
+        cluster.patch(made, {"spec": {"perWorkload": 1}}, user=operator)
+    changed = cluster.patch(made, {"status": {"desired": 0}}, subresource="status", user=operator)
+    assert changed["status"]["desired"] == 0
+
+
+def test_the_lease_is_written_in_the_operator_s_namespace_only(
+    cluster: Cluster, namespace: str, release: Release, operator: str
+) -> None:
+    lease: Object = {"apiVersion": "coordination.k8s.io/v1", "kind": "Lease", "metadata": {"name": "rights-tested"}}
+    cluster.create(lease, release.namespace, user=operator, dry_run=True)
+    with pytest.raises(Refused, match='cannot create resource "leases"'):
+        cluster.create(lease, namespace, user=operator, dry_run=True)

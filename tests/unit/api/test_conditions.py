@@ -1,0 +1,70 @@
+"""Conditions keep the time of their last transition."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from pydantic import ValidationError
+
+from understudy.api.conditions import Condition, condition, merged, now
+
+LONG_AGO = "2020-01-01T00:00:00Z"
+
+
+def _old(type_: str, status: bool) -> Condition:
+    return condition(type_, status, "Before", "old", generation=1).model_copy(update={"last_transition_time": LONG_AGO})
+
+
+def test_now_is_written_as_kubernetes_does() -> None:
+    assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ", now())
+
+
+@pytest.mark.parametrize(
+    ("given", "status"), [(True, "True"), (False, "False"), ("Unknown", "Unknown"), ("True", "True")]
+)
+def test_a_truth_becomes_a_status(given: object, status: str) -> None:
+    assert condition("Ready", given, "Tested").status == status  # type: ignore[arg-type]
+
+
+def test_the_same_status_keeps_its_time_and_takes_the_rest() -> None:
+    (result,) = merged([_old("Ready", True)], [condition("Ready", True, "After", "new", generation=2)])
+    assert result.last_transition_time == LONG_AGO
+    assert (result.reason, result.message, result.observed_generation) == ("After", "new", 2)
+
+
+def test_another_status_takes_the_time_of_now() -> None:
+    (result,) = merged([_old("Ready", True)], [condition("Ready", False, "After")])
+    assert result.last_transition_time != LONG_AGO
+    assert result.status == "False"
+
+
+def test_new_types_come_in_and_old_ones_go() -> None:
+    result = merged(
+        [_old("Gone", True), _old("Ready", True)], [condition("Ready", True, "R"), condition("New", True, "R")]
+    )
+    assert [c.type for c in result] == ["Ready", "New"]
+
+
+def test_merging_leaves_what_was_given_alone() -> None:
+    new = condition("Ready", True, "After")
+    before = new.last_transition_time
+    merged([_old("Ready", True)], [new])
+    assert new.last_transition_time == before
+
+
+@pytest.mark.parametrize("reason", ["", "two words", "9Lives", "Trailing:"])
+def test_a_reason_is_one_word(reason: str) -> None:
+    with pytest.raises(ValidationError):
+        condition("Ready", True, reason)
+
+
+def test_on_the_wire() -> None:
+    assert _old("Ready", True).to_wire() == {
+        "type": "Ready",
+        "status": "True",
+        "reason": "Before",
+        "message": "old",
+        "lastTransitionTime": LONG_AGO,
+        "observedGeneration": 1,
+    }

@@ -1,0 +1,100 @@
+"""What is generated is up to date, and ``scripts/generate --check`` would notice if it weren't."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from scripts.generation import outputs, reference, values
+from understudy.api.kinds import KINDS
+
+REPOSITORY = Path(__file__).resolve().parents[3]
+
+
+def _generate(*arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, str(REPOSITORY / "scripts" / "generate"), *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60)
+
+
+@pytest.fixture
+def copy(tmp_path: Path) -> Path:
+    """A copy of the files that are generated, and of what is read for that."""
+    for path in [*outputs(REPOSITORY), Path("charts/understudy/values.yaml")]:
+        (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(REPOSITORY / path, tmp_path / path)
+    return tmp_path
+
+
+def test_what_is_checked_in_is_what_the_models_say() -> None:
+    stale = [
+        str(path)
+        for path, text in outputs(REPOSITORY).items()
+        if not (REPOSITORY / path).is_file() or (REPOSITORY / path).read_text() != text
+    ]
+    assert not stale, "run scripts/generate and commit the result"
+
+
+def test_check_passes_when_nothing_changed_and_writes_nothing(copy: Path) -> None:
+    before = {path: path.stat().st_mtime_ns for path in copy.rglob("*")}
+    done = _generate("--check", "--root", str(copy))
+    assert (done.returncode, done.stderr) == (0, "")
+    assert {path: path.stat().st_mtime_ns for path in copy.rglob("*")} == before
+
+
+@pytest.mark.parametrize(
+    ("path", "was", "became"),
+    [
+        ("crds/understudy.dev_robotworkloads.yaml", "maximum: 101", "maximum: 102"),
+        ("charts/understudy/README.md", "| `crds.keep` |", "| `crds.kept` |"),
+    ],
+    ids=["definition", "table-of-values"],
+)
+def test_check_names_the_file_that_drifted_and_writing_mends_it(copy: Path, path: str, was: str, became: str) -> None:
+    good = (copy / path).read_text()
+    assert was in good
+    (copy / path).write_text(good.replace(was, became))
+    done = _generate("--check", "--root", str(copy))
+    assert done.returncode == 1
+    assert done.stderr == f"{path} is out of date: run scripts/generate and commit the result\n"
+    assert _generate("--root", str(copy)).returncode == 0
+    assert (copy / path).read_text() == good
+
+
+def test_check_names_a_file_that_is_missing(copy: Path) -> None:
+    missing = "crds/understudy.dev_fallbackpools.yaml"
+    (copy / missing).unlink()
+    done = _generate("--check", "--root", str(copy))
+    assert done.returncode == 1
+    assert missing in done.stderr
+
+
+def test_the_reference_has_every_field_and_every_refusal() -> None:
+    page = reference.page()
+    for kind in KINDS:
+        assert f"## {kind.name}\n" in page
+    for text in (
+        "| `spec.outputs[].type` | string | required |",
+        '| `spec.monitoring.startupGrace` | string | `"30s"` |',
+        "| `status.recoveries[].parts.detection` | number |",
+        "- `spec.ros.domainId`: domainId 2 can't be gated",
+    ):
+        assert text in page
+
+
+def test_values_are_documented_by_the_comments_above_them() -> None:
+    table = values.table("# -- How\n# many.\nreplicas: 2\nimage:\n  # -- Its tag.\n  tag: a\n")
+    assert table.splitlines()[2:] == ["| `replicas` | How many. | `2` |", '| `image.tag` | Its tag. | `"a"` |']
+
+
+def test_a_value_without_a_description_is_an_error() -> None:
+    with pytest.raises(ValueError, match=r"image\.tag has no description"):
+        values.table("image:\n  # -- Its name.\n  name: a\n  tag: b\n")
+
+
+def test_a_page_without_markers_is_an_error() -> None:
+    with pytest.raises(ValueError, match="must have the two lines"):
+        values.between_markers("nothing here", "table")

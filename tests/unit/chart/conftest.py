@@ -1,0 +1,48 @@
+"""The chart as Helm renders it."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+CHART = Path(__file__).resolve().parents[3] / "charts" / "understudy"
+
+Object = dict[str, Any]
+Run = Callable[..., subprocess.CompletedProcess[str]]
+Render = Callable[..., list[Object]]
+
+
+@pytest.fixture(scope="session")
+def run(helm: str) -> Run:
+    """Runs ``helm template``."""
+
+    def template(*settings: str, release: str = "understudy") -> subprocess.CompletedProcess[str]:
+        words = [word for setting in settings for word in ("--set", setting)]
+        command = [helm, "template", release, str(CHART), "--namespace", "system", "--kube-version", "1.34", *words]
+        return subprocess.run(command, capture_output=True, text=True, timeout=60)
+
+    return template
+
+
+@pytest.fixture(scope="session")
+def render(run: Run) -> Render:
+    """The objects that the chart renders to with some values."""
+
+    def objects(*settings: str, release: str = "understudy") -> list[Object]:
+        done = run(*settings, release=release)
+        assert done.returncode == 0, done.stderr
+        return [item for item in yaml.safe_load_all(done.stdout) if item]
+
+    return objects
+
+
+def one(items: list[Object], kind: str, name: str | None = None) -> Object:
+    """The one object of a kind (and name)."""
+    found = [item for item in items if item["kind"] == kind and name in (None, item["metadata"]["name"])]
+    assert len(found) == 1, [item["metadata"]["name"] for item in found]
+    return found[0]

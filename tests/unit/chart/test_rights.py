@@ -1,0 +1,106 @@
+"""The operator's ClusterRole holds what the code needs and grants, and little more."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import pytest
+
+from tests.unit.chart.conftest import Render, one
+from understudy.cluster.client import EVENTS, LEASES, POLICIES, POOLS, WORKLOADS, Resource
+from understudy.controller import handlers, monitors, resyncing
+
+Right = tuple[str, str, str]
+"""API group, resource and verb."""
+
+OURS = (WORKLOADS, POLICIES, POOLS)
+
+
+def _rights(rules: Iterable[dict[str, Any]]) -> set[Right]:
+    return {
+        (group, resource, verb)
+        for rule in rules
+        for group in rule["apiGroups"]
+        for resource in rule["resources"]
+        for verb in rule["verbs"]
+    }
+
+
+def _each(resource: Resource, *verbs: str) -> set[Right]:
+    return {(resource.group, resource.plural, verb) for verb in verbs}
+
+
+@pytest.fixture(scope="module")
+def held(render: Render) -> set[Right]:
+    """What the operator's ClusterRole holds."""
+    role = one(render(), "ClusterRole", "understudy-operator")
+    assert not any("resourceNames" in rule for rule in role["rules"])
+    return _rights(role["rules"])
+
+
+def _granted() -> set[Right]:
+    """What the operator grants to monitors of all sorts."""
+    found: set[Right] = set()
+    for kind in ("ReplicaSet", "Deployment", "StatefulSet"):
+        roles = [item for k, item in monitors.access("w", source=(kind, "s"), pools=["p"]) if k == "Role"]
+        assert len(roles) == 1
+        found |= _rights(roles[0]["rules"])
+    return found
+
+
+def _used() -> set[Right]:
+    """What the operator's own code asks for."""
+    found = set.union(*(_each(resource, "list", "watch") for resource in handlers.WATCHED))
+    for resource, _ in resyncing.LISTED:
+        found |= _each(resource, "get", "list")
+        if resource not in OURS:  # what it makes, changes and clears away
+            found |= _each(resource, "create", "patch", "delete")
+    for resource in OURS:
+        found.add((resource.group, f"{resource.plural}/status", "patch"))
+    found |= _each(EVENTS, "create", "patch")
+    found |= {("apps", resource, "get") for resource in ("deployments", "statefulsets")}
+    found |= {("apiextensions.k8s.io", "customresourcedefinitions", verb) for verb in ("list", "watch")}
+    return found
+
+
+def test_everything_that_is_granted_to_monitors_is_held(held: set[Right]) -> None:
+    assert _granted() - held == set()
+
+
+def test_everything_that_the_code_asks_for_is_held(held: set[Right]) -> None:
+    assert _used() - held == set()
+
+
+def test_nothing_is_held_that_is_neither_used_nor_granted(held: set[Right]) -> None:
+    assert held - _used() - _granted() == set()
+
+
+def test_nobody_can_be_given_more_than_that(held: set[Right]) -> None:
+    assert not any("*" in right for right in held)
+    assert not {verb for _, _, verb in held} & {"escalate", "bind", "impersonate", "deletecollection"}
+    # The spec is the user's.
+    assert {verb for _, resource, verb in held if resource in {kind.plural for kind in OURS}} == {
+        "get",
+        "list",
+        "watch",
+    }
+
+
+def test_the_lease_is_in_the_operator_s_own_namespace(render: Render) -> None:
+    role = one(render(), "Role")
+    assert role["metadata"]["namespace"] == "system"
+    assert _rights(role["rules"]) == _each(LEASES, "get", "create", "patch")
+
+
+def test_people_s_roles_cover_the_three_kinds(render: Render) -> None:
+    items = render()
+    view, edit = (one(items, "ClusterRole", f"understudy-{name}") for name in ("view", "edit"))
+    assert view["metadata"]["labels"]["rbac.authorization.k8s.io/aggregate-to-view"] == "true"
+    assert edit["metadata"]["labels"]["rbac.authorization.k8s.io/aggregate-to-edit"] == "true"
+    assert "rbac.authorization.k8s.io/aggregate-to-view" not in edit["metadata"]["labels"]
+    assert {verb for _, _, verb in _rights(view["rules"])} == {"get", "list", "watch"}
+    for kind in OURS:
+        assert _each(kind, "get", "list", "watch") <= _rights(view["rules"])
+        assert _each(kind, "create", "update", "patch", "delete") <= _rights(edit["rules"])
+    assert not any(resource.endswith("/status") for _, resource, _ in _rights(edit["rules"]))

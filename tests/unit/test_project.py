@@ -1,0 +1,60 @@
+"""The project's own files agree with each other."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import tomllib
+from pathlib import Path
+
+import pytest
+import yaml
+
+import understudy
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
+CONSTRAINTS = [
+    line for line in (REPOSITORY / "constraints.txt").read_text().splitlines() if line and not line.startswith("#")
+]
+
+
+def _normal(name: str) -> str:
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def test_constraints_are_versions_and_nothing_else() -> None:
+    assert CONSTRAINTS
+    odd = [line for line in CONSTRAINTS if not re.fullmatch(r"[a-z0-9-]+==[0-9][0-9A-Za-z.+!]*", line)]
+    assert odd == []
+
+
+@pytest.mark.parametrize("group", ["dependencies", *PROJECT["optional-dependencies"]])
+def test_everything_that_is_asked_for_is_pinned(group: str) -> None:
+    asked = PROJECT["dependencies"] if group == "dependencies" else PROJECT["optional-dependencies"][group]
+    pinned = {line.partition("==")[0] for line in CONSTRAINTS}
+    names = {_normal(re.split(r"[<>=!~;\[ ]", text, maxsplit=1)[0]) for text in asked}
+    assert names - pinned == set(), "run scripts/constraints"
+
+
+def test_the_chart_is_of_the_package_s_version() -> None:
+    chart = yaml.safe_load((REPOSITORY / "charts" / "understudy" / "Chart.yaml").read_text())
+    assert chart["version"] == chart["appVersion"] == understudy.__version__
+
+
+@pytest.mark.parametrize("script", ["test", "lib.sh", "constraints"])
+def test_shell_scripts_are_valid(script: str) -> None:
+    subprocess.run(["bash", "-n", str(REPOSITORY / "scripts" / script)], check=True)
+
+
+def test_an_unknown_suite_is_refused() -> None:
+    done = subprocess.run([str(REPOSITORY / "scripts" / "test"), "everything"], capture_output=True, text=True)
+    assert done.returncode == 1
+    assert "unknown suite everything: give lint, unit, cluster, e2e or all" in done.stderr
+
+
+def test_the_ci_runs_all() -> None:
+    text = (REPOSITORY / ".ci" / "run").read_text()
+    assert "scripts/test all" in text
+    for path in (".ci/run", "scripts/test", "scripts/generate", "scripts/constraints"):
+        assert (REPOSITORY / path).stat().st_mode & 0o111, f"{path} must be executable"
