@@ -62,12 +62,12 @@ def test_samples_that_never_came_are_counted(watching, processes, eventually):
 
 def test_type_is_learnt_from_the_graph_where_the_tree_gives_none(watching, processes, eventually):
     watching.follow([WatchedTopic("/chat", None, 0.0, None)])
-    assert watching.problems == [
+    assert watching.waiting == [
         "the type of /chat is not known, since nobody publishes it yet: give the type in the tree"
     ]
     processes.node("publish", "/chat", "20")
     eventually(lambda: watching.drain() and watching.topic("/chat").count)
-    assert watching.problems == []
+    assert watching.waiting == watching.problems == []
 
 
 def test_topic_whose_type_is_not_installed_is_a_problem_and_the_others_are_watched(watching, processes, eventually):
