@@ -12,7 +12,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from testcluster import locks, packages
+from testcluster import atomic, locks, packages
 from testcluster.paths import cache
 from testcluster.progress import Progress
 from testcluster.shell import CommandFailed, run, run_logged
@@ -111,7 +111,7 @@ def _forget_unused(used: Path, name: str) -> None:
     """Marks a build as used now, and removes those of the same name that were not for a month."""
     used.touch()
     for other in used.parent.glob(f"{name}-*"):
-        if time.time() - other.stat().st_mtime > _FORGET_AFTER:
+        if not atomic.is_partial(other) and time.time() - other.stat().st_mtime > _FORGET_AFTER:
             shutil.rmtree(other)
 
 
@@ -125,10 +125,7 @@ def _build(
     estimate: str,
 ) -> None:
     go = compiler(progress)
-    partial = destination.with_name(f"{name}.partial")
-    shutil.rmtree(partial, ignore_errors=True)
-    partial.mkdir(parents=True)
-    with progress.step(f"building {name} with {go} ({estimate})"):
+    with atomic.folder(destination) as partial, progress.step(f"building {name} with {go} ({estimate})"):
         run_logged(
             ["nice", "-n", "5", go, "build", "-trimpath", "-buildvcs=false", *flags, "-o", f"{partial}/", *targets],
             cache() / "log" / f"build-{name}.log",
@@ -137,4 +134,3 @@ def _build(
             # or a vendor folder asked for by the environment, go.sum would not be the last word.
             env={"CGO_ENABLED": "0", "GOFLAGS": "-mod=readonly", "GOWORK": "off"},
         )
-    partial.rename(destination)

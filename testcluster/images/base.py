@@ -4,9 +4,10 @@ import hashlib
 import os
 import re
 import shutil
+import tempfile
 from pathlib import Path
 
-from testcluster import packages
+from testcluster import atomic, packages
 from testcluster.paths import cache
 from testcluster.progress import Progress
 from testcluster.shell import run, run_logged
@@ -65,29 +66,39 @@ def archive(progress: Progress) -> Path:
         {"debootstrap": "debootstrap", "/usr/share/keyrings/debian-archive-keyring.gpg": "debian-archive-keyring"},
         progress,
     )
-    work = destination.with_suffix(".partial")
-    root = work / "root"
     with progress.step("making a base image from Debian packages (about a minute, once)"):
-        if (root / "proc").is_mount():
-            # An interrupted debootstrap may have left it.
-            run("umount", root / "proc")
-        shutil.rmtree(work, ignore_errors=True)
-        root.mkdir(parents=True)
-        mirror = _mirror()
-        command: list[str | Path] = [
-            "debootstrap",
-            "--variant=minbase",
-            f"--include={_PACKAGES}",
-            _SUITE,
-            root,
-            *([mirror] if mirror else []),
-        ]
-        run_logged(["nice", *command], cache() / "log" / "debootstrap.log", env=_proxy())
-        for name in _UNNEEDED:
-            for path in (root / name).glob("*"):
-                shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink()
-        packed = work / "base.tar"
-        run("tar", "--directory", root, "--sort=name", "--mtime=@0", "--numeric-owner", "-cf", packed, ".")
-        packed.rename(destination)
-        shutil.rmtree(work)
+        # Under a name of this run alone: an interrupted run's debootstrap may still be at work in its own.
+        root = Path(tempfile.mkdtemp(prefix="understudy-base-", dir=destination.parent))
+        try:
+            _install(root)
+            with atomic.file(destination) as packed:
+                run("tar", "--directory", root, "--sort=name", "--mtime=@0", "--numeric-owner", "-cf", packed, ".")
+        finally:
+            _remove(root)
+        for left in destination.parent.glob("understudy-base-*"):
+            _remove(left)
     return destination
+
+
+def _install(root: Path) -> None:
+    mirror = _mirror()
+    command = ["debootstrap", "--variant=minbase", f"--include={_PACKAGES}", _SUITE, str(root)]
+    run_logged(["nice", *command, *([mirror] if mirror else [])], cache() / "log" / "debootstrap.log", env=_proxy())
+    root.chmod(0o755)
+    for name in _UNNEEDED:
+        for path in (root / name).glob("*"):
+            if path.is_dir() and not path.is_symlink():
+                shutil.rmtree(path)
+            else:
+                path.unlink()
+
+
+def _remove(root: Path) -> None:
+    """Removes a system that was being installed, unless something is still mounted in it (debootstrap mounts /proc)."""
+    for line in reversed(Path("/proc/self/mounts").read_text().splitlines()):
+        mount = Path(line.split()[1])
+        if root in mount.parents:
+            run("umount", mount, check=False)
+            if mount.is_mount():
+                return
+    shutil.rmtree(root, ignore_errors=True)

@@ -7,7 +7,7 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from testcluster import locks
+from testcluster import atomic, locks
 from testcluster.images import engines, pip
 from testcluster.images.catalog import Image, images, with_parents
 from testcluster.images.engines import Engine
@@ -27,10 +27,7 @@ class _Built:
 
     def record(self, engine: Engine, image: Image, fingerprint: str, identity: str) -> None:
         kept = {**self._all(), f"{engine.name} {image.name}": {"inputs": fingerprint, "image": identity}}
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        partial = self.path.with_suffix(".partial")
-        partial.write_text(json.dumps(kept, indent=1))
-        partial.rename(self.path)
+        atomic.write(self.path, json.dumps(kept, indent=1) + "\n")
 
     def _all(self) -> dict[str, dict[str, str]]:
         try:

@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from testcluster import atomic
 from testcluster.paths import cache
 
 _MANIFEST = "application/vnd.docker.distribution.manifest.v2+json"
@@ -56,12 +57,8 @@ def _reference_file(name: str) -> Path:
 
 def _put(data: bytes) -> str:
     digest = "sha256:" + hashlib.sha256(data).hexdigest()
-    path = _blob(digest)
-    if not path.exists():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        partial = path.with_name(f"partial.{os.getpid()}")
-        partial.write_bytes(data)
-        partial.rename(path)
+    if not _blob(digest).exists():
+        atomic.write(_blob(digest), data)
     return digest
 
 
@@ -73,19 +70,16 @@ def _put_layer(archive: tarfile.TarFile, member: str, expected: str) -> None:
     source = archive.extractfile(member)
     if source is None:
         raise NotAnImage(f"layer {member} is not a file")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f"partial.{os.getpid()}")
-    digest = hashlib.sha256()
-    with partial.open("wb") as out:
-        while chunk := source.read(1 << 20):
-            digest.update(chunk)
-            out.write(chunk)
-    if f"sha256:{digest.hexdigest()}" != expected:
-        partial.unlink()
-        raise NotAnImage(
-            f"layer {member} has the hash sha256:{digest.hexdigest()}; the image's configuration says {expected}"
-        )
-    partial.rename(path)
+    with atomic.file(path) as partial:
+        digest = hashlib.sha256()
+        with partial.open("wb") as out:
+            while chunk := source.read(1 << 20):
+                digest.update(chunk)
+                out.write(chunk)
+        if f"sha256:{digest.hexdigest()}" != expected:
+            raise NotAnImage(
+                f"layer {member} has the hash sha256:{digest.hexdigest()}; the image's configuration says {expected}"
+            )
 
 
 def add(path: Path) -> list[Reference]:
@@ -103,9 +97,7 @@ def add(path: Path) -> list[Reference]:
                     f"{path}: it has no manifest.json, so it is no archive in the format of `docker save`"
                 ) from None
             assert listed is not None
-            references = [
-                _add(archive, entry, name) for entry in json.load(listed) for name in entry.get("RepoTags") or ()
-            ]
+            references = [_add(archive, entry, name) for entry in json.load(listed) for name in entry["RepoTags"] or ()]
     except tarfile.TarError as error:
         raise NotAnImage(f"{path}: {error}") from None
     if not references:
@@ -134,11 +126,7 @@ def _add(archive: tarfile.TarFile, entry: dict[str, object], name: str) -> Refer
         }
     ).encode()
     reference = Reference(name, _put(manifest), len(manifest), configuration)
-    path = _reference_file(name)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_suffix(".partial")
-    partial.write_text(json.dumps(asdict(reference)))
-    partial.rename(path)
+    atomic.write(_reference_file(name), json.dumps(asdict(reference)) + "\n")
     return reference
 
 
@@ -159,11 +147,16 @@ def _parts(reference: Reference) -> Iterator[str]:
     yield from (layer["digest"] for layer in manifest["layers"])
 
 
+def forget(reference: Reference) -> None:
+    """Removes an image; its layers go with the next `prune`."""
+    _reference_file(reference.name).unlink(missing_ok=True)
+
+
 def prune() -> None:
     """Removes layers that no image of the store has any more."""
     wanted = {part.removeprefix("sha256:") for reference in references() for part in _parts(reference)}
     for path in (_folder() / "blobs").glob("*"):
-        if path.name not in wanted and not path.name.startswith("partial."):
+        if path.name not in wanted and not atomic.is_partial(path):
             path.unlink()
 
 

@@ -9,11 +9,12 @@ import json
 import os
 import shutil
 import tarfile
+import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from testcluster import locks
+from testcluster import atomic, locks
 from testcluster.images import containerd
 from testcluster.images import store as images
 from testcluster.local import cgroups, processes
@@ -67,34 +68,34 @@ def _store(programs: Programs) -> Path:
     return cache() / "golden" / programs.hyperkube.parent.name
 
 
-def _group(work: Path) -> str:
-    # With a dot: no cluster's group can have this name.
-    return f"understudy.{work.name}"
+# With a dot: no cluster's group can have this name.
+_GROUP = "understudy.golden"
 
 
 @contextmanager
-def _containerd(root: Path, work: Path) -> Iterator[list[str | Path]]:
+def _containerd(root: Path) -> Iterator[list[str | Path]]:
     """Runs a containerd on a store; gives the words that run its client."""
-    group = _group(work)
-    cgroups.create(group)
-    address = work / "socket"
-    config = work / "containerd.toml"
-    config.write_text(
-        f'version = 2\nroot = "{root}"\nstate = "{work}/state"\n'
-        f'disabled_plugins = ["io.containerd.grpc.v1.cri"]\n[grpc]\n  address = "{address}"\n'
-    )
-    try:
-        server = processes.start(group, ["containerd", "--config", config], cache() / "log" / "golden.log")
-        wait_until(
-            lambda: succeeds("ctr", "-a", address, "version"), 20, "containerd for the images of new nodes answers"
+    cgroups.kill(_GROUP)
+    cgroups.create(_GROUP)
+    with tempfile.TemporaryDirectory(prefix="understudy-", ignore_cleanup_errors=True) as name:
+        work = Path(name)
+        config = work / "containerd.toml"
+        config.write_text(
+            f'version = 2\nroot = "{root}"\nstate = "{work}/state"\n'
+            f'disabled_plugins = ["io.containerd.grpc.v1.cri"]\n[grpc]\n  address = "{work}/socket"\n'
         )
-        yield ["ctr", "-a", address]
-        # Its databases are complete on disk only once it has closed them.
-        run("kill", "-TERM", str(server))
-        wait_until(lambda: not cgroups.pids(group), 20, "containerd for the images of new nodes ends")
-    finally:
-        cgroups.kill(group)
-        cgroups.remove(group)
+        try:
+            server = processes.start(_GROUP, ["containerd", "--config", config], cache() / "log" / "golden.log")
+            client: list[str | Path] = ["ctr", "-a", work / "socket"]
+            what = "containerd for the images of new nodes"
+            wait_until(lambda: succeeds(*client, "version"), 20, f"{what} answers")
+            yield client
+            # Its databases are complete on disk only once it has closed them.
+            run("kill", "-TERM", str(server))
+            wait_until(lambda: not cgroups.pids(_GROUP), 20, f"{what} ends")
+        finally:
+            cgroups.kill(_GROUP)
+            cgroups.remove(_GROUP)
 
 
 def ensure(programs: Programs, progress: Progress) -> None:
@@ -114,33 +115,37 @@ def _renew(
     programs: Programs, wanted: Sequence[images.Reference], listing: Mapping[str, str], progress: Progress
 ) -> None:
     store = _store(programs)
+    following, former = (store.with_name(f"{store.name}.{name}") for name in ("following", "former"))
     with progress.step("preparing the images that new nodes begin with"):
-        work = store.with_name(f"{store.name}.partial")
-        cgroups.kill(_group(work))
-        shutil.rmtree(work, ignore_errors=True)
-        work.mkdir(parents=True)
-        root = work / "root"
-        if store.exists():
-            _copy(store, root)
-        with _containerd(root, work) as ctr:
-            if not store.exists():
-                for image, program in ((PAUSE_IMAGE, programs.pause), (COREDNS_IMAGE, programs.coredns)):
-                    archive = work / "image.tar"
-                    _single_program_image(archive, image, program)
-                    run(*ctr, "-n", "k8s.io", "images", "import", archive)
-            containerd.load(ctr, wanted)
-        (root / _LISTING).write_text(json.dumps(listing))
-        former = work / "former"
+        shutil.rmtree(following, ignore_errors=True)
+        shutil.rmtree(former, ignore_errors=True)
+        with atomic.folder(following) as root:
+            if store.exists():
+                _copy(store, root)
+            with _containerd(root) as client:
+                if not store.exists():
+                    _import_own(client, programs)
+                containerd.load(client, wanted)
+            (root / _LISTING).write_text(json.dumps(listing))
         if store.exists():
             store.rename(former)
-        root.rename(store)
-        shutil.rmtree(work)
+        following.rename(store)
+        shutil.rmtree(former, ignore_errors=True)
+
+
+def _import_own(client: list[str | Path], programs: Programs) -> None:
+    """Brings the cluster's own images to a container runtime."""
+    with tempfile.TemporaryDirectory(prefix="understudy-") as folder:
+        for image, program in ((PAUSE_IMAGE, programs.pause), (COREDNS_IMAGE, programs.coredns)):
+            archive = Path(folder) / "image.tar"
+            _single_program_image(archive, image, program)
+            run(*client, "-n", "k8s.io", "images", "import", archive)
 
 
 def _copy(store: Path, destination: Path) -> None:
-    run("cp", "-a", "--link", store, destination)
-    # Files that are written in place, and so must not be shared: databases, and the listing.
-    for shared in (*destination.rglob("*.db"), *destination.glob("*.json")):
+    """Fills an empty folder with a store's content, by hard links as far as nobody writes to it in place."""
+    run("cp", "-a", "--link", f"{store}/.", destination)
+    for shared in (*destination.rglob("*.db"), destination / _LISTING):
         copy = shared.with_name(f"{shared.name}.copy")
         shutil.copy2(shared, copy)
         copy.rename(shared)
@@ -150,8 +155,5 @@ def clone(programs: Programs, destination: Path) -> None:
     """Gives a node its store, unless it has one."""
     if destination.exists():
         return
-    partial = destination.with_name(f"{destination.name}.partial")
-    shutil.rmtree(partial, ignore_errors=True)
-    with locks.held("golden"):
+    with atomic.folder(destination) as partial, locks.held("golden"):
         _copy(_store(programs), partial)
-    partial.rename(destination)

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+from testcluster import atomic
 from testcluster.paths import cache
 from testcluster.shell import run
 
@@ -123,11 +124,8 @@ class Layout:
 
     def save(self) -> None:
         """Writes the decisions down for later calls."""
-        self.state.mkdir(parents=True, exist_ok=True)
         text = json.dumps({"slot": self.slot, "network": str(self.network), "nodes": self.node_count})
-        partial = self.state / "layout.json.partial"
-        partial.write_text(text + "\n")
-        partial.rename(self.state / "layout.json")
+        atomic.write(self.state / "layout.json", text + "\n")
 
 
 def node_name(node: int) -> str:

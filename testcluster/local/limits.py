@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+from testcluster import atomic
 from testcluster.paths import cache
 from testcluster.progress import Progress
 
@@ -26,9 +27,7 @@ def ensure(progress: Progress) -> None:
         if value >= wanted:
             continue
         kept: dict[str, int] = json.loads(_former().read_text()) if _former().exists() else {}
-        partial = _former().with_suffix(".partial")
-        partial.write_text(json.dumps({limit: value, **kept}))
-        partial.rename(_former())
+        atomic.write(_former(), json.dumps({limit: value, **kept}) + "\n")
         try:
             _path(limit).write_text(str(wanted))
         except OSError as error:

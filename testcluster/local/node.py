@@ -3,6 +3,7 @@
 import shutil
 from pathlib import Path
 
+from testcluster import atomic
 from testcluster.local import cgroups, golden, network, processes
 from testcluster.local.layout import Layout, node_name
 from testcluster.local.programs import Programs
@@ -154,10 +155,7 @@ def _exchange_netpol(layout: Layout, node: int, programs: Programs) -> bool:
     link = layout.node_state(node) / "etc" / "understudy-netpol"
     if link.is_symlink() and link.readlink() == programs.netpol:
         return False
-    partial = link.with_name("understudy-netpol.partial")
-    partial.unlink(missing_ok=True)
-    partial.symlink_to(programs.netpol)
-    partial.rename(link)
+    atomic.link(link, programs.netpol)
     return True
 
 

@@ -1,9 +1,9 @@
 """Keys, certificates and kubeconfigs of a cluster. They are made once per cluster and go with it."""
 
 import base64
-import shutil
 from pathlib import Path
 
+from testcluster import atomic
 from testcluster.local.layout import Layout, node_name
 from testcluster.shell import run
 
@@ -75,9 +75,12 @@ def create(layout: Layout) -> Path:
     final = layout.state / "pki"
     if final.exists():
         return final
-    folder = layout.state / "pki.partial"
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir(parents=True, mode=0o700)
+    with atomic.folder(final) as folder:
+        _write(layout, folder)
+    return final
+
+
+def _write(layout: Layout, folder: Path) -> None:
     cluster = layout.cgroup
     run(
         "openssl",
@@ -113,5 +116,3 @@ def create(layout: Layout) -> Path:
         _kubeconfig(folder, name, cluster, layout.api)
     run("openssl", "genrsa", "-out", "service-accounts.key", "2048", cwd=folder)
     run("openssl", "rsa", "-in", "service-accounts.key", "-pubout", "-out", "service-accounts.pub", cwd=folder)
-    folder.rename(final)
-    return final

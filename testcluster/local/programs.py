@@ -5,7 +5,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from testcluster import golang, packages
+from testcluster import atomic, golang, packages
 from testcluster.paths import cache
 from testcluster.progress import Progress
 
@@ -72,14 +72,8 @@ def _link_tools(hyperkube: Path, helm: Path) -> None:
     wrapper = f'#!/bin/sh\nexec {json.dumps(str(hyperkube))} kubectl "$@"\n'
     kubectl = tools / "kubectl"
     if not kubectl.exists() or kubectl.read_text() != wrapper:
-        partial = tools / "kubectl.partial"
-        partial.write_text(wrapper)
-        partial.chmod(0o755)
-        partial.rename(kubectl)
-    link = tools / "helm.partial"
-    link.unlink(missing_ok=True)
-    link.symlink_to(helm)
-    link.rename(tools / "helm")
+        atomic.write(kubectl, wrapper, 0o755)
+    atomic.link(tools / "helm", helm)
 
 
 def tools_folder() -> Path:

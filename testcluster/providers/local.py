@@ -20,6 +20,9 @@ from testcluster.progress import Progress
 from testcluster.providers.base import ClusterError, Provider, Status
 
 
+_OWN_IMAGES = "localhost/understudy-"
+
+
 class LocalProvider(Provider):
     """A control plane and some nodes, each node in its own namespaces with its own container runtime and kubelet."""
 
@@ -153,6 +156,10 @@ class LocalProvider(Provider):
 
             with ThreadPoolExecutor() as pool:
                 loaded = list(pool.map(load, on))
+            for reference in wanted:
+                if not reference.name.startswith(_OWN_IMAGES):
+                    # Only the project's own images are kept, for new nodes to begin with.
+                    store.forget(reference)
         for reference in wanted:
             news = [node_name(node) for node, missing in zip(on, loaded, strict=True) if reference in missing]
             self._progress(f"{reference.name}: {'loaded into ' + ', '.join(news) if news else 'was there'}")
