@@ -15,10 +15,8 @@ class Identity:
 
     workload: str
     """RobotWorkload that the pod was made for; empty for a pod that may be claimed."""
-    namespace: str
     pod: str
     uid: str
-    ip: str
     held: tuple[str, ...]
     """Containers that wait for a claim."""
     directory: Path
@@ -39,10 +37,8 @@ class Identity:
             )
         return cls(
             workload=workload,
-            namespace=environment.get("UNDERSTUDY_NAMESPACE", ""),
             pod=environment["UNDERSTUDY_POD"],
             uid=environment["UNDERSTUDY_POD_UID"],
-            ip=environment.get("UNDERSTUDY_POD_IP", ""),
             held=held,
             directory=Path(environment.get("UNDERSTUDY_DIR", names.AGENT_DIR)),
             token_file=Path(environment.get("UNDERSTUDY_TOKEN_FILE", f"{names.SECRET_DIR}/token")),

@@ -115,6 +115,7 @@ class Sessions:
         self._served = served
         self._pending: dict[asyncio.StreamWriter, None] = {}
         self._sessions: list[_Session] = []
+        self._last_refusal = ""
 
     async def serve(self, port: int = names.AGENT_PORT, *, host: str | None = None) -> asyncio.Server:
         """Listen, on all addresses where none is given. Raises OSError."""
@@ -170,11 +171,17 @@ class Sessions:
         peer = Peer(str(answer.get("workload", "")), str(answer.get("claim", "")), host)
         refusal = self._check(nonce, peer, str(answer.get("mac", "")))
         if refusal is not None:
-            _logger.warning("refused %s (workload %r, claim %r): %s", host, peer.workload, peer.claim, refusal)
+            self._note_refusal(f"{host} (workload {peer.workload!r}, claim {peer.claim!r}): {refusal}")
             writer.write(wire.encode({"error": refusal}))
             await writer.drain()
             return None
         return _Session(peer, reader, writer)
+
+    def _note_refusal(self, text: str) -> None:
+        """Once; who is refused tries again and again."""
+        if text != self._last_refusal:
+            self._last_refusal = text
+            _logger.warning("refused %s", text)
 
     def _check(self, nonce: str, peer: Peer, proof: str) -> str | None:
         try:

@@ -49,8 +49,6 @@ class Pod:
             "PYTHONPATH": str(PACKAGE),
             "UNDERSTUDY_POD": "pool-abcde",
             "UNDERSTUDY_POD_UID": UID,
-            "UNDERSTUDY_POD_IP": "127.0.0.1",
-            "UNDERSTUDY_NAMESPACE": "default",
             "UNDERSTUDY_DIR": str(self.volume),
             "UNDERSTUDY_TOKEN_FILE": str(self.folder / "token"),
             "UNDERSTUDY_AGENT_PORT": str(self.port),

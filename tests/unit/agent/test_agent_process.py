@@ -4,12 +4,16 @@ import asyncio
 import json
 import signal
 import stat
+import time
+from types import SimpleNamespace
 
 import pytest
 
 from tests.unit.agent.conftest import TOKEN, UID, Pod, eventually
+from understudy.agent import running
 from understudy.api import agents as wire
 from understudy.cluster.agents import AgentGone, AgentRefused
+from understudy.cluster.probes import ProbeReceiver, ProbeSender
 
 SAY = ["sh", "-c", 'echo "domain $ROS_DOMAIN_ID, $GREETING"; exec sleep 60']
 ROS = {"ROS_DOMAIN_ID": "77", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}
@@ -306,7 +310,6 @@ async def test_ends_when_told_while_it_looks_at_an_instance(pod: Pod, links):
     pod.environment = {"UNDERSTUDY_WORKLOAD": "robot", **ROS}
     agent = pod.start_agent()
     links.append(link := pod.link())
-    await link.configure({"topic": {"name": "/x", "gap": "1s"}}, [], 1.0) if link.connected else None
     await link.wait_for(lambda s: s.reason.startswith("waiting for the monitor"), 20)
     agent.send_signal(signal.SIGTERM)
     assert await asyncio.to_thread(agent.wait, 5) == 0
@@ -324,3 +327,36 @@ async def test_says_what_is_missing_in_its_environment(pod: Pod, environment, sa
     pod.environment |= environment
     assert await asyncio.to_thread(pod.start_agent().wait, 10) == 2
     assert said in (pod.folder / "agent.log").read_text()
+
+
+async def test_probes_go_where_the_monitor_says(pod: Pod, links):
+    receiver = ProbeReceiver()
+    port = await receiver.listen(port=0, host="127.0.0.1")
+    pod.start_agent()
+    links.append(link := pod.link())
+    await link.wait_connected(10)
+    await link.configure({"topic": {"name": "/x", "gap": "1s"}}, [], 1.0, probe=("127.0.0.1", port))
+    first = await receiver.wait(UID, 0, 2)
+    assert await receiver.wait(UID, first + 0.01, 2) - first == pytest.approx(1.0, abs=0.3)
+    asked = time.time()
+    await link.probe("127.0.0.1", port, 0.002, 0.5)
+    assert await receiver.wait(UID, asked, 1) - asked < 0.2
+    await asyncio.sleep(0.8)
+    assert receiver.count_since(UID, asked) > 100
+    receiver.close()
+
+
+async def test_a_forsaken_agent_stops_probing(monkeypatch):
+    monkeypatch.setattr(running, "FORSAKEN", 0.1)
+    monkeypatch.setattr(running, "_HOUSEKEEPING", 0.02)
+    probes = ProbeSender(UID)
+    probes.aim("127.0.0.1", 9)
+    sessions = SimpleNamespace(count=1)
+    task = asyncio.create_task(running._rest_when_forsaken(sessions, probes))
+    await asyncio.sleep(0.2)
+    assert probes.target is not None
+    sessions.count = 0
+    await asyncio.sleep(0.2)
+    assert probes.target is None
+    task.cancel()
+    probes.close()

@@ -5,9 +5,11 @@ from __future__ import annotations
 import asyncio
 import json
 import os
+import socket
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -214,6 +216,34 @@ async def test_outputs_count_from_this_pod_and_inputs_from_the_robot(pod: Pod, r
         pod.kill(app)
         # The other instance's commands go on.
         await eventually(lambda: says("503 Running: no /cmd_vel for 300 ms"), 5)
+
+
+SERVER = Path(sys.executable).parent / "fast-discovery-server"
+
+
+@pytest.fixture
+def discovery_server(pod: Pod) -> Iterator[str]:
+    """Its address."""
+    if not SERVER.exists():
+        pytest.skip("there is no fast-discovery-server")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+        sock.bind(("127.0.0.1", 0))
+        port = sock.getsockname()[1]
+    with (pod.folder / "server.log").open("wb") as log:
+        server = subprocess.Popen([SERVER, "-i", "0", "-l", "127.0.0.1", "-p", str(port)], stdout=log, stderr=log)
+    yield f"127.0.0.1:{port}"
+    server.kill()
+    server.wait()
+
+
+async def test_behind_a_discovery_server_it_sees_its_instance(pod: Pod, links, ros, discovery_server):
+    pod.start_agent()
+    pod.start_container(TALK)
+    links.append(link := pod.link())
+    await link.wait_connected(10)
+    await link.configure(TREE, OUTPUTS, 20.0)
+    await link.start({}, {**ros, "ROS_DISCOVERY_SERVER": discovery_server})
+    await link.wait_for(runs, 30)
 
 
 FETCH = """
