@@ -1,0 +1,244 @@
+"""Templates, gates, selectors, policies and troubles by themselves."""
+
+from __future__ import annotations
+
+import copy
+
+import pytest
+
+from tests.unit.controller.world import IMAGES, TEMPLATE, hot, pod, policy, spare
+from understudy.api import names
+from understudy.api.workloads import Ros
+from understudy.cluster.client import Object
+from understudy.controller import discovery, gates, instances, monitors, policies, references, robots, selectors
+from understudy.controller.troubles import trouble
+
+ENVIRONMENT = {"ROS_DOMAIN_ID": "7", "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp", "ROS_DISCOVERY_SERVER": "10.0.0.1:11811"}
+RECIPE = instances.Recipe(
+    workload="w", namespace="fleet", images=IMAGES, secret="w-agent", environment=ENVIRONMENT, pool="hot"
+)
+
+
+def environment(container: Object) -> dict[str, str]:
+    return {entry["name"]: entry.get("value", "") for entry in container["env"]}
+
+
+class TestInstances:
+    def test_the_users_template_is_not_changed(self) -> None:
+        before = copy.deepcopy(TEMPLATE)
+        instances.build(TEMPLATE, RECIPE)
+        assert before == TEMPLATE
+
+    def test_the_users_environment_wins(self) -> None:
+        template = copy.deepcopy(TEMPLATE)
+        template["spec"]["containers"][0]["env"] = [{"name": "ROS_DOMAIN_ID", "value": "42"}]
+        app = instances.build(template, RECIPE)["spec"]["containers"][0]
+        assert [entry["value"] for entry in app["env"] if entry["name"] == "ROS_DOMAIN_ID"] == ["42"]
+        assert environment(app)["ROS_DISCOVERY_SERVER"] == "10.0.0.1:11811"
+
+    def test_the_agent_runs_without_rights(self) -> None:
+        agent = instances.build(TEMPLATE, RECIPE)["spec"]["containers"][-1]
+        assert agent["name"] == names.AGENT_CONTAINER
+        context = agent["securityContext"]
+        assert context["runAsNonRoot"]
+        assert context["readOnlyRootFilesystem"]
+        assert context["capabilities"] == {"drop": ["ALL"]}
+        assert not context["allowPrivilegeEscalation"]
+
+    def test_the_agent_sees_the_whole_graph(self) -> None:
+        agent = instances.build(TEMPLATE, RECIPE)["spec"]["containers"][-1]
+        assert environment(agent)["ROS_SUPER_CLIENT"] == "TRUE"
+        assert "ROS_SUPER_CLIENT" not in environment(instances.build(TEMPLATE, RECIPE)["spec"]["containers"][0])
+
+    def test_the_hash_changes_with_whatever_changes_the_pod(self) -> None:
+        first = instances.template_hash(instances.build(TEMPLATE, RECIPE))
+        assert first == instances.template_hash(instances.build(copy.deepcopy(TEMPLATE), RECIPE))
+        other = copy.deepcopy(TEMPLATE)
+        other["spec"]["containers"][0]["image"] = "app:2"
+        assert first != instances.template_hash(instances.build(other, RECIPE))
+
+    def test_instances_prefer_other_nodes_and_keep_the_users_preferences(self) -> None:
+        template = copy.deepcopy(TEMPLATE)
+        own = {"weight": 1, "podAffinityTerm": {"topologyKey": "zone"}}
+        template["spec"]["affinity"] = {
+            "podAntiAffinity": {"preferredDuringSchedulingIgnoredDuringExecution": [own]},
+            "nodeAffinity": {"x": "y"},
+        }
+        affinity = instances.build(template, RECIPE)["spec"]["affinity"]
+        preferred = affinity["podAntiAffinity"]["preferredDuringSchedulingIgnoredDuringExecution"]
+        assert preferred[0] == own
+        assert preferred[1]["podAffinityTerm"]["labelSelector"] == {"matchLabels": {names.WORKLOAD: "w"}}
+        assert affinity["nodeAffinity"] == {"x": "y"}
+
+    @pytest.mark.parametrize(
+        ("spec", "word"),
+        [
+            ({"containers": []}, "containers is empty"),
+            ({"containers": [{"name": names.AGENT_CONTAINER}]}, "sidecar"),
+            ({"containers": [{"name": "a", "ports": [{"containerPort": names.AGENT_PORT}]}]}, "8950"),
+            ({"containers": [{"name": "a"}], "volumes": [{"name": "understudy"}]}, "volumes"),
+            ({"containers": [{"name": "a"}], "hostNetwork": True}, "hostNetwork"),
+        ],
+    )
+    def test_what_can_not_be_an_instance_is_said_with_its_place(self, spec: Object, word: str) -> None:
+        found = instances.problem({"spec": spec}, held=False, path="spec.template")
+        assert found is not None
+        assert found.startswith("spec.template.spec")
+        assert word in found
+
+
+class TestGates:
+    def test_everything_but_the_gated_ports_is_open_to_all_but_the_own_instances(self) -> None:
+        (found,) = gates.standby_policies("w", ["192.168.7.0/24"], None)
+        spec = found["spec"]
+        assert spec["podSelector"] == {"matchLabels": {names.WORKLOAD: "w"}}
+        assert [(p["protocol"], p["port"], p["endPort"]) for p in spec["egress"][0]["ports"]] == [
+            ("TCP", 1, 65535),
+            ("UDP", 1, 7949),
+            ("UDP", 8150, 65535),
+        ]
+        pods, robot = spec["egress"][0]["to"]
+        assert pods["namespaceSelector"] == {}
+        assert pods["podSelector"]["matchExpressions"] == [
+            {"key": names.WORKLOAD, "operator": "NotIn", "values": ["w"]}
+        ]
+        assert robot == {"ipBlock": {"cidr": "192.168.7.0/24"}}
+        assert "ports" not in spec["ingress"][0]
+
+    def test_the_gate_allows_everything_to_the_one_it_names(self) -> None:
+        spec = gates.closed_gate("w", epoch=0)["spec"]
+        assert (spec["policyTypes"], spec["egress"]) == (["Egress"], [{}])
+
+
+class TestSelectors:
+    @pytest.mark.parametrize(
+        ("selector", "labels", "matched"),
+        [
+            ({}, {}, True),
+            ({"matchLabels": {"a": "1"}}, {"a": "1", "b": "2"}, True),
+            ({"matchLabels": {"a": "1"}}, {"a": "2"}, False),
+            ({"matchExpressions": [{"key": "a", "operator": "NotIn", "values": ["1"]}]}, {}, True),
+            ({"matchExpressions": [{"key": "a", "operator": "In", "values": ["1", "2"]}]}, {"a": "2"}, True),
+            ({"matchExpressions": [{"key": "a", "operator": "Exists"}]}, {"b": ""}, False),
+            ({"matchExpressions": [{"key": "a", "operator": "DoesNotExist"}]}, {"b": ""}, True),
+        ],
+    )
+    def test_matching(self, selector: Object, labels: dict[str, str], matched: bool) -> None:
+        assert selectors.matches(selector, labels) is matched
+
+    @pytest.mark.parametrize("labels", [{}, {"a": "1"}, {"a": "2"}, {"b": "1"}, {"a": "1", "b": "x"}])
+    def test_the_opposite_holds_exactly_where_it_does_not(self, labels: dict[str, str]) -> None:
+        for requirement in selectors.requirements(
+            {
+                "matchLabels": {"a": "1"},
+                "matchExpressions": [
+                    {"key": "a", "operator": "NotIn", "values": ["2"]},
+                    {"key": "b", "operator": "Exists"},
+                    {"key": "b", "operator": "DoesNotExist"},
+                ],
+            }
+        ):
+            is_so = selectors.matches({"matchExpressions": [requirement]}, labels)
+            is_not = selectors.matches({"matchExpressions": [selectors.opposite(requirement)]}, labels)
+            assert is_so is not is_not
+
+    def test_text(self) -> None:
+        selector = {
+            "matchLabels": {"a": "1"},
+            "matchExpressions": [
+                {"key": "b", "operator": "In", "values": ["x", "y"]},
+                {"key": "c", "operator": "DoesNotExist"},
+                {"key": "d", "operator": "NotIn", "values": ["z"]},
+                {"key": "e", "operator": "Exists"},
+            ],
+        }
+        assert selectors.as_text(selector) == "a=1,b in (x,y),!c,d notin (z),e"
+
+
+class TestPolicies:
+    def test_strategies_in_short(self) -> None:
+        found = policy("hot", "spare", "gone", "Restart")
+        assert policies.in_short(found, {"hot": hot(), "spare": spare()}) == (
+            "Executing, Uninitialized, Fallback/gone, Restart"
+        )
+
+    def test_a_bad_tree_is_refused_with_its_place(self) -> None:
+        found = policy("Restart", tree={"parallel": [{"topic": {"name": "/scan", "gap": "500 parsecs"}}]})
+        (accepted,) = policies.conditions(found, {})
+        assert (accepted.status, accepted.reason) == ("False", "TreeInvalid")
+        assert "spec.monitoring.yaml.parallel[0].topic" in accepted.message
+
+    def test_a_missing_pool_is_told_with_what_was_meant(self) -> None:
+        (accepted,) = policies.conditions(policy("hott"), {"hot": hot()})
+        assert (accepted.status, accepted.reason) == ("False", "PoolNotFound")
+        assert 'did you mean "hot"?' in accepted.message
+
+    def test_a_good_one_is_accepted(self) -> None:
+        assert policies.conditions(policy("hot", "Restart"), {"hot": hot()})[0].status == "True"
+
+
+class TestRobots:
+    def test_managed_external_and_multicast(self) -> None:
+        managed = robots.ros_environment(Ros(), "10.0.0.1")
+        assert managed["ROS_DISCOVERY_SERVER"] == "10.0.0.1:11811"
+        assert robots.ros_environment(Ros(), "fd00::1")["ROS_DISCOVERY_SERVER"] == "[fd00::1]:11811"
+        external = Ros.model_validate({"domainId": 5, "discovery": {"mode": "External", "server": "h:1"}})
+        assert robots.ros_environment(external, None)["ROS_DISCOVERY_SERVER"] == "h:1"
+        assert robots.ros_environment(external, None)["ROS_DOMAIN_ID"] == "5"
+        multicast = Ros.model_validate({"discovery": {"mode": "Multicast"}})
+        assert "ROS_DISCOVERY_SERVER" not in robots.ros_environment(multicast, None)
+
+    def test_a_service_without_an_address_is_none(self) -> None:
+        assert discovery.address(None) is None
+        assert discovery.address({"spec": {"clusterIP": "None"}}) is None
+        assert discovery.address({"spec": {"clusterIP": "10.0.0.1"}}) == "10.0.0.1"
+
+
+class TestMonitors:
+    def test_the_account_is_what_the_admission_policy_recognizes(self) -> None:
+        (_, account), *_ = monitors.access("w", source=("ReplicaSet", "w"), pools=[])
+        assert account["metadata"]["name"] == "w" + names.MONITOR_ACCOUNT_ENDING
+
+    def test_a_referred_controller_is_read_and_never_scaled(self) -> None:
+        role = dict(monitors.access("w", source=("StatefulSet", "arm"), pools=[]))["Role"]
+        rules = {tuple(rule["resources"]): rule for rule in role["rules"]}
+        assert rules["statefulsets",]["resourceNames"] == ["arm"]
+        assert set(rules["statefulsets",]["verbs"]) == {"get", "list", "watch"}
+        assert ("replicasets/scale",) not in rules
+
+
+class TestTroubles:
+    def test_a_starting_pod_has_none(self) -> None:
+        assert trouble(pod("a", ready=False, waiting="ContainerCreating")) is None
+        assert trouble(pod("a", ready=False)) is None
+
+    def test_a_pod_that_no_node_takes(self) -> None:
+        item = pod("a", ready=False)
+        item["status"]["conditions"].append(
+            {"type": "PodScheduled", "status": "False", "reason": "Unschedulable", "message": "0/3 nodes"}
+        )
+        found = trouble(item)
+        assert found is not None
+        assert found.reason == "Unschedulable"
+        assert "0/3 nodes" in found.message
+
+    def test_the_words_do_not_change_from_try_to_try(self) -> None:
+        def crash(delay: str) -> Object:
+            item = pod("a", ready=False, waiting="CrashLoopBackOff")
+            item["status"]["containerStatuses"][0]["state"]["waiting"]["message"] = (
+                f"back-off {delay} restarting failed"
+            )
+            return item
+
+        assert trouble(crash("10s")) == trouble(crash("20s"))
+
+
+class TestReferences:
+    def test_only_pods_that_the_controller_really_controls(self) -> None:
+        deployment = {"metadata": {"name": "nav2", "uid": "d"}, "spec": {}}
+        own = {"metadata": {"name": "nav2-1", "uid": "r1", "ownerReferences": [{"uid": "d", "controller": True}]}}
+        other = {"metadata": {"name": "x-1", "uid": "r2", "ownerReferences": [{"uid": "z", "controller": True}]}}
+        mine = pod("a", owner={"uid": "r1", "controller": True})
+        pods = [mine, pod("b", owner={"uid": "r2", "controller": True}), pod("c")]
+        assert references.controlled(deployment, [own, other], pods) == [mine]
+        assert references.controlled({"metadata": {"uid": "r2"}}, [], pods) == [pods[1]]

@@ -1,0 +1,171 @@
+"""Late, repeated and missing sights of the cluster."""
+
+from __future__ import annotations
+
+from tests.unit.controller.world import held_pod, hot, pod, policy, source_pod, spare, standby_pod, workload
+from understudy.api import names
+from understudy.cluster.client import CONFIG_MAPS, NETWORK_POLICIES, PODS, POLICIES, POOLS, SECRETS, WORKLOADS, Object
+from understudy.controller import affected
+from understudy.controller.affected import Key
+from understudy.controller.expectations import LASTS, Expectations
+from understudy.controller.resyncing import kept
+from understudy.controller.stores import Sight, Store
+
+
+def at(item: Object, version: int) -> Object:
+    return {**item, "metadata": {**item["metadata"], "resourceVersion": str(version)}}
+
+
+def test_an_older_sight_changes_nothing() -> None:
+    store = Store()
+    store.put(PODS, at(pod("a", ready=True), 5))
+    assert store.put(PODS, at(pod("a", ready=False), 4)) is None
+    assert store.put(PODS, at(pod("a", ready=False), 5)) is None
+    found = store.get(PODS, "fleet", "a")
+    assert found is not None
+    assert found["metadata"]["resourceVersion"] == "5"
+
+
+def test_a_deleted_object_does_not_come_back_by_an_old_list() -> None:
+    store = Store()
+    store.put(PODS, at(pod("a"), 5))
+    store.remove(PODS, at(pod("a"), 8))
+    assert store.replace(PODS, [at(pod("a"), 5)], 6, None) == []
+    assert store.get(PODS, "fleet", "a") is None
+
+
+def test_a_later_object_of_the_same_name_is_another() -> None:
+    store = Store()
+    store.put(PODS, at(pod("a"), 5))
+    store.remove(PODS, at(pod("a"), 8))
+    again = at(pod("a"), 9)
+    again["metadata"]["uid"] = "uid-other"
+    assert store.put(PODS, again) is not None
+    assert store.remove(PODS, at(pod("a"), 8)) is None
+
+
+def test_a_list_does_not_lose_what_was_made_after_it() -> None:
+    store = Store()
+    store.put(PODS, at(pod("new"), 12))
+    store.replace(PODS, [], 10, None)
+    assert store.get(PODS, "fleet", "new") is not None
+
+
+def test_a_list_finds_what_a_watch_has_missed() -> None:
+    store = Store()
+    store.put(PODS, at(pod("a"), 5))
+    store.put(PODS, at(pod("b"), 5))
+    sights = store.replace(PODS, [at(pod("b", ready=False), 7), at(pod("c"), 8)], 10, None)
+    assert sorted(s.resource.plural + (s.new or s.old or {})["metadata"]["name"] for s in sights) == [
+        "podsa",
+        "podsb",
+        "podsc",
+    ]
+
+
+def test_a_list_of_one_namespace_says_nothing_of_others() -> None:
+    store = Store()
+    store.put(PODS, at(pod("a"), 5))
+    store.replace(PODS, [], 10, "elsewhere")
+    assert store.get(PODS, "fleet", "a") is not None
+
+
+def test_labels_and_owners_are_found_and_forgotten_with_their_objects() -> None:
+    store = Store()
+    item = workload()
+    store.put(PODS, at(standby_pod("w-s", of=item), 5))
+    assert len(store.labelled(PODS, "fleet", names.WORKLOAD, "w")) == 1
+    assert set(store.owned("uid-w")) == {("pods", "w-s")}
+    bare = at(pod("w-s"), 6)
+    store.put(PODS, bare)
+    assert store.labelled(PODS, "fleet", names.WORKLOAD, "w") == []
+    assert store.owned("uid-w") == {}
+
+
+def test_what_secrets_keep_is_not_kept() -> None:
+    store = Store()
+    store.put(
+        SECRETS,
+        at({"kind": "Secret", "metadata": {"name": "s", "namespace": "fleet", "uid": "u"}, "data": {"token": "x"}}, 1),
+    )
+    assert "data" not in (store.get(SECRETS, "fleet", "s") or {})
+
+
+def test_only_what_is_ours_is_kept() -> None:
+    assert kept(WORKLOADS, workload())
+    assert kept(PODS, source_pod("w-a"))
+    assert not kept(PODS, pod("stranger"))
+    assert not kept(CONFIG_MAPS, {"metadata": {"name": "c", "labels": {"a": "b"}}})
+
+
+class TestAffected:
+    def store(self) -> Store:
+        store = Store()
+        for resource, item in (
+            (WORKLOADS, workload("w")),
+            (WORKLOADS, workload("v", failurePolicyRef={"name": "other"})),
+            (POLICIES, policy("hot", "spare")),
+            (POLICIES, policy("hot", name="other")),
+            (POOLS, hot()),
+            (POOLS, spare()),
+        ):
+            store.put(resource, item)
+        return store
+
+    def keys(self, sight: Sight) -> set[tuple[str, str]]:
+        return {(key.plural, key.name) for key in affected.keys(sight, self.store())}
+
+    def test_an_instance_means_its_workload(self) -> None:
+        assert self.keys(Sight(PODS, None, source_pod("w-a"))) == {("robotworkloads", "w")}
+
+    def test_a_standby_means_its_workload_and_its_pool(self) -> None:
+        found = self.keys(Sight(PODS, None, standby_pod("w-s", of=workload())))
+        assert found == {("robotworkloads", "w"), ("fallbackpools", "hot")}
+
+    def test_a_held_pod_means_its_pool_and_the_workloads_whose_policy_names_it(self) -> None:
+        found = self.keys(Sight(PODS, None, held_pod("spare-a", of=spare())))
+        assert found == {("fallbackpools", "spare"), ("robotworkloads", "w")}
+
+    def test_a_claim_means_pool_and_workload(self) -> None:
+        before = held_pod("spare-a", of=spare())
+        after = at(pod("spare-a", labels={names.WORKLOAD: "v", names.POOL: "spare"}), 9)
+        found = self.keys(Sight(PODS, before, after))
+        assert {("fallbackpools", "spare"), ("robotworkloads", "v")} <= found
+
+    def test_a_policys_new_spec_means_its_workloads(self) -> None:
+        assert self.keys(Sight(POLICIES, None, policy("hot"))) == {
+            ("failurepolicies", "policy"),
+            ("robotworkloads", "w"),
+        }
+
+    def test_a_status_means_nothing_to_others(self) -> None:
+        old, new = workload("w"), workload("w", status={"health": "Healthy"})
+        assert self.keys(Sight(WORKLOADS, old, new)) == {("robotworkloads", "w")}
+
+    def test_what_a_workload_owns_means_the_workload(self) -> None:
+        from tests.unit.controller.world import gate
+
+        found = self.keys(Sight(NETWORK_POLICIES, None, gate(workload())))
+        assert ("robotworkloads", "w") in found
+
+    def test_a_pod_of_a_referred_deployment_is_known_before_it_has_labels(self) -> None:
+        store = Store()
+        store.put(WORKLOADS, workload("r", workloadRef={"kind": "Deployment", "name": "nav2"}))
+        owner = {"kind": "ReplicaSet", "name": "nav2-5d8f", "uid": "u", "controller": True}
+        new = pod("nav2-5d8f-x", labels={"pod-template-hash": "5d8f"}, owner=owner)
+        assert affected.referring(PODS, new, store) == {Key("robotworkloads", "fleet", "r")}
+        assert affected.referring(PODS, pod("stranger"), store) == set()
+
+
+def test_expectations_last_until_they_are_settled_or_too_old() -> None:
+    now = [0.0]
+    expectations = Expectations(clock=lambda: now[0])
+    key = Key("fallbackpools", "fleet", "spare")
+    expectations.expect(key, "spare", "spare-a")
+    expectations.expect(key, "spare", "spare-b")
+    assert expectations.count(key, "spare") == 2
+    expectations.settled(key, "spare", "spare-a")
+    assert expectations.count(key, "spare") == 1
+    assert expectations.count(key, "other") == 0
+    now[0] = LASTS
+    assert expectations.count(key, "spare") == 0
