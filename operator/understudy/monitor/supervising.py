@@ -48,6 +48,13 @@ KNOWN_GRACE = 3.0
 BACKOFF_FIRST, BACKOFF_MOST = 2.0, 60.0
 """Seconds before everything is tried again after no strategy verified."""
 
+STALLED = 0.03
+"""Seconds late at which this process counts as having been stalled. Then what the middleware received meanwhile may not
+be in its queues yet either, and silence is judged only after as long again."""
+
+STALL_MOST = 0.25
+"""Most seconds that a verdict is put off for a stall: a node that is starved for longer can't be waited for."""
+
 DEAD_AFTER = 0.1
 """Seconds without an output after which a pod whose object is gone counts as dead."""
 
@@ -97,6 +104,7 @@ class Supervisor:
         self._gate_changed = self._since
         self._active_uid = ""
         self._cooldown_told = False
+        self._trusted_from = 0.0
 
     async def run(self) -> None:
         """Watch and recover until cancelled."""
@@ -119,9 +127,12 @@ class Supervisor:
 
     async def _watch(self) -> Failure:
         """Look at every deadline until the workload has failed."""
+        next_look = time.time()
         while True:
             self.wake.clear()
             now = time.time()
+            if (late := now - next_look) > STALLED:
+                self._trusted_from = now + min(late, STALL_MOST)
             next_look = now + TICK
             policy = self._view.policy
             if policy is None or self._retired():
@@ -172,6 +183,8 @@ class Supervisor:
                 self._backoff = BACKOFF_FIRST
             return None, self._sight.deadline(now=now, since=self._since)
         detected = time.time()
+        if detected < self._trusted_from:
+            return None, self._trusted_from
         if self._failing_since is None:
             self._failing_since = detected
         debounce = seconds(policy.monitoring.debounce)
