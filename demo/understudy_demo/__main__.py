@@ -35,6 +35,14 @@ class Progress:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the demo; 0 when every recovery was good."""
+    try:
+        return _demo(arguments)
+    except KeyboardInterrupt:
+        print("\nInterrupted. What is there stays as it is, and scripts/demo begins anew.", flush=True)
+        return 130
+
+
+def _demo(arguments: list[str] | None) -> int:
     parser = argparse.ArgumentParser(prog="scripts/demo", add_help=False)
     parser.add_argument("--keep", action="store_true")
     parser.add_argument("--provider", choices=["kind", "local", "current"])
@@ -125,7 +133,7 @@ def _report(failures: list[Failure], log: RobotLog, problems: list[str], stage: 
         "taken": datetime.now(UTC).isoformat(timespec="seconds"),
         "commit": _said(["git", "-C", str(REPOSITORY), "describe", "--always", "--dirty"]),
         "machine": {"system": platform.platform(), "python": platform.python_version()},
-        "cluster": {"provider": provider, "version": _version(stage)},
+        "cluster": {"provider": provider, "status": stage.status(), "version": _version(stage)},
         "failures": [failure.to_json() for failure in failures],
         "commandsAtRobot": {source: len(times) for source, times in log.times().items()},
         "problems": problems,

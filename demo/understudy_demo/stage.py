@@ -47,6 +47,10 @@ class Stage:
             self._say("cluster: there already")
         self.environment["KUBECONFIG"] = self._script("cluster", "kubeconfig").strip()
 
+    def status(self) -> str:
+        """The cluster in a line."""
+        return self._script("cluster", "status", timeout=60).partition("\n")[0]
+
     def images(self) -> None:
         """The images, on every node."""
         self._say("images: scripts/images --load")
