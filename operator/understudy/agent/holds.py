@@ -67,7 +67,8 @@ class Holds:
         """Have waiting containers look for their environment. Harmless when repeated."""
         for container in self.containers:
             if (fifo := self._open(container)) is not None:
-                with contextlib.suppress(BlockingIOError):  # full of earlier ones, which do as well
+                # Full of earlier ones, which do as well; or the script has just seen the environment by itself.
+                with contextlib.suppress(BlockingIOError, BrokenPipeError):
                     os.write(fifo, b"\n")
                 os.close(fifo)
 

@@ -39,7 +39,10 @@ class Sidecar:
         self._changed = asyncio.Event()
 
     async def begin(self) -> None:
-        """Go on with what was begun: finish a start that was cut short, judge by the last tree."""
+        """Go on with what was begun: finish a start that was cut short, judge by the last tree.
+
+        Raises OSError when the shared volume can't be used; a restart of the container tries again.
+        """
         if self._memory.configuration is not None:
             try:
                 self._health.configure(await asyncio.to_thread(Plan.of, self._memory.configuration))

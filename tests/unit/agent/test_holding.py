@@ -1,6 +1,7 @@
 """The hold script under real shells."""
 
 import os
+import random
 import shutil
 import signal
 import subprocess
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from understudy.agent.holds import Holds
 from understudy.api import holding
 
 SHELLS = [
@@ -103,13 +105,16 @@ def test_waiting_costs_nothing(hold, tmp_path):
     assert Path(f"/proc/{process.pid}/status").read_text().split("nonvoluntary")[0].rpartition(":")[2] == switches
 
 
-@pytest.mark.parametrize("delay", [0, 0.001, 0.002, 0.004, 0.008, 0.016])
-def test_a_start_at_any_moment_is_seen(hold, tmp_path, delay):
-    for _ in range(5):
+@pytest.mark.parametrize("delay", [0, 0.001, 0.002, 0.003, 0.004, 0.008, 0.016])
+@pytest.mark.parametrize("prepared", [False, True])
+def test_a_start_at_any_moment_is_seen(hold, tmp_path, delay, prepared):
+    holds = Holds(tmp_path, ["app"])
+    for _ in range(8):
+        if prepared:
+            holds.prepare()
         process = hold(["true"])
-        time.sleep(delay)
-        write_env(tmp_path, {})
-        wake(tmp_path)
+        time.sleep(delay * random.random())
+        holds.start({})
         assert process.wait(DEADLINE) == 0
         for name in ("env-app", "waiting-app", "wake-app"):
             (tmp_path / name).unlink(missing_ok=True)
