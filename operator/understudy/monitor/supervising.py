@@ -9,6 +9,7 @@ import asyncio
 import contextlib
 import logging
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import aiohttp
@@ -105,6 +106,7 @@ class Supervisor:
         self._active_uid = ""
         self._cooldown_told = False
         self._trusted_from = 0.0
+        self._labelling: asyncio.Task[None] | None = None
 
     async def run(self) -> None:
         """Watch and recover until cancelled."""
@@ -148,7 +150,7 @@ class Supervisor:
                     next_look = min(next_look, deadline + WAKE_LATE)
             if now >= self._next_slow:
                 self._next_slow = now + SLOW
-                await self._housekeeping()
+                self._housekeeping()
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(max(0.0, next_look - time.time())):
                     await self.wake.wait()
@@ -270,13 +272,11 @@ class Supervisor:
         self._reporter.event("Normal", "InControl", f"{first.name} is in control, epoch {self._gate.state.epoch}")
         self._since = time.time()
 
-    async def _housekeeping(self) -> None:
+    def _housekeeping(self) -> None:
         """What has time: labels on new pods, links to agents, whether the gate is enforced, what would be done now."""
         instances = self._fleet.of_workload()
-        for instance in instances:
-            if not instance.terminating:
-                with contextlib.suppress(ApiError, aiohttp.ClientError, TimeoutError, OSError):
-                    await self._fleet.label(instance)
+        if self._labelling is None or self._labelling.done():
+            self._labelling = asyncio.create_task(self._label(instances))
         self._sidecars.follow(instances)
         policy, settings = self._view.policy, self._view.settings
         if policy is None or settings is None:
@@ -293,6 +293,13 @@ class Supervisor:
         judged = enforcement.judge(instances, active_uid, last, now=time.time(), since=self._gate_changed)
         if judged[1] != "Settling" and self._reporter.condition("GateEnforced", *judged) and judged[0] == "False":
             self._reporter.event("Warning", f"Gate{judged[1]}", judged[2])
+
+    async def _label(self, instances: Sequence[Instance]) -> None:
+        """Label new pods, beside the loop: an API server that is slow to answer must not delay a detection."""
+        for instance in instances:
+            if not instance.terminating:
+                with contextlib.suppress(ApiError, aiohttp.ClientError, TimeoutError, OSError):
+                    await self._fleet.label(instance)
 
     def _say_watched(self) -> None:
         if problems := self._sight.problems:
