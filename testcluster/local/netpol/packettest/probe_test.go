@@ -27,13 +27,14 @@ var ports = []uint16{1, 80, 1000, 7949, 7950, 8000, 8080, 8149, 8150, 9090, 6553
 // listeners answer whatever comes, and remember it.
 type listeners struct {
 	mu   sync.Mutex
-	got  map[string]int // by the text of the message
+	got  map[string]int       // by the text of the message
+	last map[string]time.Time // by the sender of a stream
 	hook func(from netip.AddrPort, text string, at time.Time)
 }
 
 func listen(t testing.TB, n *namespace) *listeners {
 	t.Helper()
-	l := &listeners{got: map[string]int{}}
+	l := &listeners{got: map[string]int{}, last: map[string]time.Time{}}
 	must(t, n.do(func() error {
 		for _, port := range ports {
 			conn, err := net.ListenUDP("udp", &net.UDPAddr{Port: int(port)})

@@ -37,8 +37,8 @@ type Engine struct {
 	applied *nft.Ruleset // what the kernel holds; nil when that is not known
 	report  *Report
 
-	// what is not yet in the kernel
-	pending []change
+	listed  int      // kinds whose objects have all been taken
+	pending []change // what is not yet in the kernel
 }
 
 // New makes an engine; it does nothing before Run.
@@ -121,18 +121,16 @@ func (g *Engine) Run(ctx context.Context, clients Clients) error {
 	}
 }
 
-func (g *Engine) synced() bool {
-	for _, source := range g.sources {
-		if !source.synced.Load() {
-			return false
-		}
-	}
-	return true
-}
+// synced tells whether all objects have been listed once, and all of them are in the index: rules made from a part of them
+// could open what is closed.
+func (g *Engine) synced() bool { return g.listed == len(g.sources) }
 
 // absorb brings what is waiting into the index.
 func (g *Engine) absorb() {
 	for _, change := range g.queue.take() {
+		if change.cause.Event == synced {
+			g.listed++
+		}
 		matters, problems := change.apply(g.index)
 		for _, problem := range problems {
 			slog.Error(problem.Error())

@@ -14,8 +14,11 @@ type Cause struct {
 	Namespace       string `json:"namespace,omitempty"`
 	Name            string `json:"name"`
 	ResourceVersion string `json:"resourceVersion,omitempty"`
-	Event           string `json:"event"` // set, delete or list
+	Event           string `json:"event"` // set, delete, list, synced or repair
 }
+
+// synced is the event after a kind's first list.
+const synced = "synced"
 
 // change is one thing that happened, and what it does to the index; apply tells whether it matters.
 type change struct {

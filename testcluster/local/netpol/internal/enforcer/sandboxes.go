@@ -42,27 +42,49 @@ func (s *sandboxes) start(ctx context.Context) error {
 	if err := os.MkdirAll(s.directory, 0o700); err != nil {
 		return fmt.Errorf("directory of CNI results: %w", err)
 	}
-	fd, err := unix.InotifyInit1(unix.IN_CLOEXEC | unix.IN_NONBLOCK)
-	if err != nil {
-		return fmt.Errorf("inotify: %w", err)
-	}
-	if _, err := unix.InotifyAddWatch(fd, s.directory, unix.IN_CLOSE_WRITE|unix.IN_MOVED_TO|unix.IN_DELETE|unix.IN_MOVED_FROM); err != nil {
-		unix.Close(fd)
-		return fmt.Errorf("watching %s: %w", s.directory, err)
-	}
-	file := os.NewFile(uintptr(fd), "inotify") // non-blocking, so that closing it ends a read
+	// The watch first: what comes after the list must not be missed.
+	file, watchErr := s.watch()
 	known := map[string]bool{}
-	if err := s.list(known); err != nil {
-		file.Close()
+	if err := s.list(known, true); err != nil {
+		if file != nil {
+			file.Close()
+		}
 		return err
+	}
+	if watchErr != nil {
+		slog.Warn("looking at CNI results ten times a second instead of watching them", "error", watchErr.Error())
+		go s.poll(ctx, known)
+		return nil
 	}
 	context.AfterFunc(ctx, func() { file.Close() })
 	go s.follow(file, known)
 	return nil
 }
 
-// list puts all that is there, and takes back what was known and is not.
-func (s *sandboxes) list(known map[string]bool) error {
+// watch fails where the machine's inotify instances (128 per user, by default) are used up.
+func (s *sandboxes) watch() (*os.File, error) {
+	fd, err := unix.InotifyInit1(unix.IN_CLOEXEC | unix.IN_NONBLOCK)
+	if err != nil {
+		return nil, fmt.Errorf("inotify: %w", err)
+	}
+	if _, err := unix.InotifyAddWatch(fd, s.directory, unix.IN_CLOSE_WRITE|unix.IN_MOVED_TO|unix.IN_DELETE|unix.IN_MOVED_FROM); err != nil {
+		unix.Close(fd)
+		return nil, fmt.Errorf("watching %s: %w", s.directory, err)
+	}
+	return os.NewFile(uintptr(fd), "inotify"), nil // non-blocking, so that closing it ends a read
+}
+
+func (s *sandboxes) poll(ctx context.Context, known map[string]bool) {
+	for ctx.Err() == nil {
+		sleep(ctx, 100*time.Millisecond)
+		if err := s.list(known, false); err != nil {
+			slog.Error("looking at CNI results", "error", err.Error())
+		}
+	}
+}
+
+// list puts what is there, if need be again, and takes back what was known and is not.
+func (s *sandboxes) list(known map[string]bool, again bool) error {
 	entries, err := os.ReadDir(s.directory)
 	if err != nil {
 		return fmt.Errorf("directory of CNI results: %w", err)
@@ -70,7 +92,9 @@ func (s *sandboxes) list(known map[string]bool) error {
 	present := map[string]bool{}
 	for _, entry := range entries {
 		present[entry.Name()] = true
-		s.read(entry.Name(), known)
+		if again || !known[entry.Name()] {
+			s.read(entry.Name(), known)
+		}
 	}
 	for name := range known {
 		if !present[name] {
@@ -94,7 +118,7 @@ func (s *sandboxes) follow(file *os.File, known map[string]bool) {
 			data = data[length:]
 			switch {
 			case mask&unix.IN_Q_OVERFLOW != 0:
-				if err := s.list(known); err != nil {
+				if err := s.list(known, true); err != nil {
 					slog.Error("reading CNI results anew", "error", err.Error())
 				}
 			case mask&(unix.IN_DELETE|unix.IN_MOVED_FROM) != 0:

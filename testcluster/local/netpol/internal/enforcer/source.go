@@ -31,7 +31,7 @@ type source struct {
 	known  map[policy.Key]struct{} // what was put; used by the reflector's goroutine only
 	set    func(object any) func(*policy.Index) (bool, []error)
 	remove func(key policy.Key) func(*policy.Index) bool
-	synced atomic.Bool
+	listed bool // used by the reflector's goroutine only
 	broken atomic.Bool
 }
 
@@ -223,8 +223,10 @@ func (s *source) Replace(list []any, _ string) error {
 			s.drop(key, Cause{s.kind, key.Namespace, key.Name, "", "delete"}, received)
 		}
 	}
-	if !s.synced.Swap(true) {
-		s.queue.put(change{cause: Cause{Kind: s.kind, Event: "synced"}, received: received,
+	if !s.listed {
+		// Through the queue, so that it is known only once all that comes before it has been taken.
+		s.listed = true
+		s.queue.put(change{cause: Cause{Kind: s.kind, Event: synced}, received: received,
 			apply: func(*policy.Index) (bool, []error) { return true, nil }})
 	}
 	return nil
