@@ -3,6 +3,7 @@
 Everything made at run time lives under one cache folder, so that it is easy to find and to remove.
 """
 
+import hashlib
 import os
 from pathlib import Path
 
@@ -15,3 +16,8 @@ def cache() -> Path:
     path = Path(base).resolve() / "understudy"
     path.mkdir(parents=True, exist_ok=True)
     return path
+
+
+def mark() -> str:
+    """A few characters that tell this cache from another user's or another checkout's, for names that the machine shares."""
+    return hashlib.sha256(str(cache()).encode()).hexdigest()[:6]

@@ -19,7 +19,7 @@ from testcluster.images import containerd
 from testcluster.images import store as images
 from testcluster.local import cgroups, processes
 from testcluster.local.programs import Programs
-from testcluster.paths import cache
+from testcluster.paths import cache, mark
 from testcluster.progress import Progress, wait_until
 from testcluster.shell import run, succeeds
 
@@ -68,15 +68,13 @@ def _store(programs: Programs) -> Path:
     return cache() / "golden" / programs.hyperkube.parent.name
 
 
-# With a dot: no cluster's group can have this name.
-_GROUP = "understudy.golden"
-
-
 @contextmanager
 def _containerd(root: Path) -> Iterator[list[str | Path]]:
     """Runs a containerd on a store; gives the words that run its client."""
-    cgroups.kill(_GROUP)
-    cgroups.create(_GROUP)
+    # With a dot: no cluster's group can have this name.
+    group = f"understudy.golden-{mark()}"
+    cgroups.kill(group)
+    cgroups.create(group)
     with tempfile.TemporaryDirectory(prefix="understudy-", ignore_cleanup_errors=True) as name:
         work = Path(name)
         config = work / "containerd.toml"
@@ -85,17 +83,17 @@ def _containerd(root: Path) -> Iterator[list[str | Path]]:
             f'disabled_plugins = ["io.containerd.grpc.v1.cri"]\n[grpc]\n  address = "{work}/socket"\n'
         )
         try:
-            server = processes.start(_GROUP, ["containerd", "--config", config], cache() / "log" / "golden.log")
+            server = processes.start(group, ["containerd", "--config", config], cache() / "log" / "golden.log")
             client: list[str | Path] = ["ctr", "-a", work / "socket"]
             what = "containerd for the images of new nodes"
             wait_until(lambda: succeeds(*client, "version"), 20, f"{what} answers")
             yield client
             # Its databases are complete on disk only once it has closed them.
             run("kill", "-TERM", str(server))
-            wait_until(lambda: not cgroups.pids(_GROUP), 20, f"{what} ends")
+            wait_until(lambda: not cgroups.pids(group), 20, f"{what} ends")
         finally:
-            cgroups.kill(_GROUP)
-            cgroups.remove(_GROUP)
+            cgroups.kill(group)
+            cgroups.remove(group)
 
 
 def ensure(programs: Programs, progress: Progress) -> None:

@@ -1,6 +1,7 @@
 """Names, addresses and folders of one local cluster. Everything else is derived from what is decided here."""
 
 import ipaddress
+import itertools
 import json
 import os
 from collections.abc import Iterable
@@ -8,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from testcluster import atomic
-from testcluster.paths import cache
+from testcluster.paths import cache, mark
 from testcluster.shell import run
 
 DEFAULT_NAME = "understudy"
@@ -27,12 +28,19 @@ class BadSetting(ValueError):
 
 @dataclass(frozen=True)
 class Layout:
-    """One cluster: its name, a number that no other cluster here has, its network and its number of nodes."""
+    """What is decided for one cluster.
+
+    Attributes:
+        slot: a number that no other cluster of this machine has.
+        network: all of its addresses.
+        cgroup: name of the control group of all of its processes.
+    """
 
     name: str
     slot: int
     network: ipaddress.IPv4Network
     node_count: int
+    cgroup: str
 
     def _subnet(self, index: int, prefix: int = 24) -> ipaddress.IPv4Network:
         return ipaddress.IPv4Network((int(self.network.network_address) + (index << 8), prefix))
@@ -101,12 +109,7 @@ class Layout:
     @property
     def host_link(self) -> str:
         """Name of this machine's end of its link into the cluster's network (15 characters at most)."""
-        return f"understudy{self.slot}"
-
-    @property
-    def cgroup(self) -> str:
-        """Name of the control group of every process of this cluster."""
-        return f"understudy-{self.name}"
+        return _host_link(self.slot)
 
     @property
     def kubeconfig(self) -> Path:
@@ -124,8 +127,17 @@ class Layout:
 
     def save(self) -> None:
         """Writes the decisions down for later calls."""
-        text = json.dumps({"slot": self.slot, "network": str(self.network), "nodes": self.node_count})
-        atomic.write(self.state / "layout.json", text + "\n")
+        decided = {
+            "slot": self.slot,
+            "network": str(self.network),
+            "nodes": self.node_count,
+            "cgroup": self.cgroup,
+        }
+        atomic.write(self.state / "layout.json", json.dumps(decided) + "\n")
+
+
+def _host_link(slot: int) -> str:
+    return f"understudy{slot}"
 
 
 def node_name(node: int) -> str:
@@ -158,7 +170,8 @@ def load(name: str) -> Layout | None:
         kept = json.loads((folder(name) / "layout.json").read_text())
     except FileNotFoundError:
         return None
-    return Layout(name, int(kept["slot"]), ipaddress.IPv4Network(kept["network"]), int(kept["nodes"]))
+    group = kept.get("cgroup", f"understudy-{name}")
+    return Layout(name, int(kept["slot"]), ipaddress.IPv4Network(kept["network"]), int(kept["nodes"]), group)
 
 
 def names() -> list[str]:
@@ -192,7 +205,8 @@ def decide(name: str) -> Layout:
         BadSetting: a setting is malformed or its addresses are in use.
     """
     others = _others(name)
-    slot = min(set(range(len(others) + 1)) - {other.slot for other in others})
+    used = {other.host_link for other in others} | {link["ifname"] for link in json.loads(run("ip", "-j", "link"))}
+    slot = next(number for number in itertools.count() if _host_link(number) not in used)
     taken = [other.network for other in others] + _routed()
     wanted = os.environ.get("UNDERSTUDY_CLUSTER_NETWORK")
     if wanted:
@@ -214,4 +228,4 @@ def decide(name: str) -> Layout:
     asked = os.environ.get("UNDERSTUDY_CLUSTER_NODES", "3")
     if not asked.isdigit() or not 1 <= int(asked) <= MAX_NODES:
         raise BadSetting(f"UNDERSTUDY_CLUSTER_NODES={asked}: a number from 1 to {MAX_NODES} is needed")
-    return Layout(name, slot, network, int(asked))
+    return Layout(name, slot, network, int(asked), f"understudy-{name}-{mark()}")

@@ -81,7 +81,7 @@ def create(layout: Layout) -> Path:
 
 
 def _write(layout: Layout, folder: Path) -> None:
-    cluster = layout.cgroup
+    cluster = layout.name
     run(
         "openssl",
         "req",

@@ -19,7 +19,6 @@ from testcluster.paths import cache
 from testcluster.progress import Progress
 from testcluster.providers.base import ClusterError, Provider, Status
 
-
 _OWN_IMAGES = "localhost/understudy-"
 
 
@@ -75,6 +74,9 @@ class LocalProvider(Provider):
             # A network and a number are free as long as no other new cluster has chosen them.
             with locks.held("clusters"):
                 layout = found or layouts.decide(self._cluster)
+                if found is None:
+                    # The cache may have been removed under a running cluster.
+                    cgroups.kill(layout.cgroup)
                 layout.save()
                 limits.ensure(self._progress)
             self._start(layout, programs)
