@@ -1,0 +1,848 @@
+"""The operator against a real API server, in a namespace of its own.
+
+Its pods are never started: those of workloads and pools name a scheduler that doesn't exist, so that the test is their
+kubelet and says which are ready; the monitor's image is nowhere. What runs in them is shown by the end-to-end tests.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+import uuid
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.cluster.conftest import NAMESPACE as SYSTEM
+from tests.cluster.conftest import REPOSITORY, Release
+from tests.support.cluster import Cluster, Object, Refused, until
+from understudy.api import names
+from understudy.api.base import API_VERSION
+from understudy.cluster import claims, gates
+from understudy.cluster.client import Access, Client
+from understudy.controller import handlers, running
+from understudy.controller.desired import Images
+
+APPS, CORE, NETWORK, RBAC = "apps/v1", "v1", "networking.k8s.io/v1", "rbac.authorization.k8s.io/v1"
+NOWHERE = "understudy.invalid/nowhere:1"
+IMAGES = Images(NOWHERE, "Never")
+BUILT = (
+    (CORE, "Service"),
+    (CORE, "ConfigMap"),
+    (CORE, "Secret"),
+    (CORE, "ServiceAccount"),
+    (APPS, "Deployment"),
+    (APPS, "ReplicaSet"),
+    (NETWORK, "NetworkPolicy"),
+    (RBAC, "Role"),
+    (RBAC, "RoleBinding"),
+)
+OURS = "app.kubernetes.io/managed-by=understudy"
+
+# -- what users write ---------------------------------------------------------------------------------------------------
+
+
+def template(**container: Any) -> Object:
+    app = {"name": "app", "image": NOWHERE, "imagePullPolicy": "Never", "command": ["run"], **container}
+    return {
+        "metadata": {"labels": {"app": "nav"}},
+        "spec": {"schedulerName": "nobody", "terminationGracePeriodSeconds": 0, "containers": [app]},
+    }
+
+
+def custom(kind: str, name: str, spec: Mapping[str, Any], labels: Mapping[str, str] | None = None) -> Object:
+    metadata = {"name": name, "labels": dict(labels or {})}
+    return {"apiVersion": API_VERSION, "kind": kind, "metadata": metadata, "spec": dict(spec)}
+
+
+def workload(name: str = "w", **spec: Any) -> Object:
+    found = {
+        "template": template(),
+        "outputs": [{"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist"}],
+        "failurePolicyRef": {"name": "policy"},
+        **spec,
+    }
+    if "workloadRef" in found:
+        del found["template"]
+    return custom("RobotWorkload", name, found, {"task": "critical"})
+
+
+def policy(*strategies: str, name: str = "policy", yaml: Object | None = None) -> Object:
+    tree = yaml or {"topic": {"name": "/cmd_vel", "type": "geometry_msgs/msg/Twist", "gap": "500ms"}}
+    listed: list[Object] = [
+        {"type": "Restart"} if s == "Restart" else {"type": "Fallback", "poolRef": {"name": s}} for s in strategies
+    ]
+    return custom("FailurePolicy", name, {"monitoring": {"yaml": tree}, "strategies": listed})
+
+
+SELECTOR = {"matchLabels": {"task": "critical"}}
+
+
+def hot(per_workload: int = 1) -> Object:
+    spec = {"readiness": "Executing", "perWorkload": per_workload, "workloadSelector": SELECTOR}
+    return custom("FallbackPool", "hot", spec)
+
+
+def spare(replicas: int = 2, **spec: Any) -> Object:
+    found = {"readiness": "Uninitialized", "replicas": replicas, "workloadSelector": SELECTOR, **spec}
+    if "templateFrom" not in found:
+        found.setdefault("template", template())
+    return custom("FallbackPool", "spare", found)
+
+
+def deployment(name: str = "nav2", replicas: int = 1) -> Object:
+    pods = template()
+    pods["metadata"]["labels"] = {"app": name}
+    spec = {"replicas": replicas, "selector": {"matchLabels": {"app": name}}, "template": pods}
+    return {"apiVersion": APPS, "kind": "Deployment", "metadata": {"name": name}, "spec": spec}
+
+
+# -- looking and touching -----------------------------------------------------------------------------------------------
+
+
+class Fleet:
+    """One namespace of the cluster, as a user sees it."""
+
+    def __init__(self, cluster: Cluster, namespace: str) -> None:
+        self.cluster, self.namespace = cluster, namespace
+
+    def create(self, *items: Object) -> None:
+        for item in items:
+            self.cluster.create(item, self.namespace, strict=True)
+
+    def get(self, kind: str, name: str, api_version: str = API_VERSION) -> Object:
+        return self.cluster.get(api_version, kind, name, self.namespace)
+
+    def find(self, kind: str, name: str, api_version: str = API_VERSION) -> Object | None:
+        return self.cluster.find(api_version, kind, name, self.namespace)
+
+    def pods(self, labels: str) -> list[Object]:
+        """Pods that are not on their way out."""
+        found = self.cluster.list(CORE, "Pod", self.namespace, labels=labels)
+        kind = {"apiVersion": CORE, "kind": "Pod"}  # which lists leave out
+        return [{**kind, **pod} for pod in found if not pod["metadata"].get("deletionTimestamp")]
+
+    def instances(self, workload: str = "w") -> list[Object]:
+        return self.pods(f"{names.WORKLOAD}={workload}")
+
+    def held(self, pool: str = "spare") -> list[Object]:
+        return self.pods(f"{names.POOL}={pool},{names.HELD}=true")
+
+    def gate(self, workload: str = "w") -> Object:
+        return self.get("NetworkPolicy", names.gate(workload), NETWORK)
+
+    def condition(self, kind: str, name: str, type_: str) -> Object:
+        found = (self.get(kind, name).get("status") or {}).get("conditions") or []
+        return next((c for c in found if c["type"] == type_), {})
+
+    def wait_condition(self, kind: str, name: str, type_: str, reason: str, status: str = "False") -> Object:
+        def said() -> Object | None:
+            found = self.condition(kind, name, type_)
+            return found if (found.get("status"), found.get("reason")) == (status, reason) else None
+
+        try:
+            return until(said, f"{kind} {name} to be {type_}={status} ({reason})", seconds=20) or {}
+        except AssertionError as error:
+            raise AssertionError(f"{error}: {self.get(kind, name).get('status')}") from error
+
+    def events(self, name: str) -> list[Object]:
+        found = self.cluster.list(CORE, "Event", self.namespace)
+        return [e for e in found if e["involvedObject"]["name"] == name and e["involvedObject"]["kind"] != "Pod"]
+
+    def wait_built(self, name: str = "w") -> None:
+        self.wait_condition("RobotWorkload", name, "Reconciled", "Reconciled", "True")
+
+    def make_ready(self, pod: Object, ready: bool = True) -> None:
+        """What a kubelet would say."""
+        conditions = [{"type": "Ready", "status": "True" if ready else "False"}]
+        self.cluster.patch(pod, {"status": {"phase": "Running", "conditions": conditions}}, subresource="status")
+
+    def make_monitor_ready(self, workload: str = "w") -> None:
+        labels = {names.COMPONENT: "monitor", names.MONITORED: workload}
+        pod = {"apiVersion": CORE, "kind": "Pod", "metadata": {"name": f"{workload}-monitor-here", "labels": labels}}
+        self.make_ready(self.cluster.create({**pod, "spec": template()["spec"]}, self.namespace))
+
+    def commit(self, pod: Object | None, workload: str = "w") -> None:
+        """What the monitor does at a switch."""
+
+        async def run() -> None:
+            async with Client(Access.from_kubeconfig(str(self.cluster.kubeconfig))) as client:
+                record = gates.read(self.gate(workload))
+                active, uid = (pod["metadata"]["name"], pod["metadata"]["uid"]) if pod else ("", "")
+                await gates.commit(
+                    client, self.namespace, workload, over=record, active=active, active_uid=uid, recovery=""
+                )
+
+        asyncio.run(run())
+
+    def claim(self, pod: Object, workload: str = "w") -> None:
+        """What the monitor does with a pod of a shared pool."""
+
+        async def run() -> None:
+            async with Client(Access.from_kubeconfig(str(self.cluster.kubeconfig))) as client:
+                uid = self.get("RobotWorkload", workload)["metadata"]["uid"]
+                await claims.claim(client, pod, workload=workload, workload_uid=uid, claim=f"{uid}/1")
+
+        asyncio.run(run())
+
+    def versions(self) -> dict[str, str]:
+        """The versions of all that the operator has a hand in."""
+        listed = [(API_VERSION, kind) for kind in ("RobotWorkload", "FailurePolicy", "FallbackPool")]
+        found = {}
+        for api_version, kind in [*listed, *BUILT]:
+            for item in self.cluster.list(api_version, kind, self.namespace):
+                if kind != "Deployment" and not item["metadata"]["name"].endswith("-crt"):
+                    found[f"{kind}/{item['metadata']['name']}"] = item["metadata"]["resourceVersion"]
+                elif kind == "Deployment":
+                    found[f"{kind}/{item['metadata']['name']}"] = str(item["metadata"]["generation"])
+        for pod in self.pods(names.COMPONENT):
+            found[f"Pod/{pod['metadata']['name']}"] = pod["metadata"]["uid"]
+        return found
+
+    def settled(self) -> dict[str, str]:
+        """The versions, once they have stayed the same for two seconds."""
+        end = time.monotonic() + 30
+        before = self.versions()
+        while time.monotonic() < end:
+            time.sleep(2)
+            now = self.versions()
+            if now == before:
+                return now
+            before = now
+        raise AssertionError("something changes again and again")
+
+
+def identities(items: list[Object]) -> set[str]:
+    return {item["metadata"]["uid"] for item in items}
+
+
+class Operator:
+    """An operator in a thread of this process, for one namespace."""
+
+    def __init__(self, kubeconfig: Path, namespace: str, *, resync_every: float = 30.0) -> None:
+        self._access = Access.from_kubeconfig(str(kubeconfig))
+        self._options = running.Options(
+            images=IMAGES,
+            lease_namespace=namespace,
+            identity=uuid.uuid4().hex[:8],
+            namespaces=(namespace,),
+            resync_every=resync_every,
+            port=0,
+        )
+        self._loop = asyncio.new_event_loop()
+        self._stop = asyncio.Event()
+        self.status: int | None = None
+        self._thread = threading.Thread(target=self._run, daemon=True)
+
+    def _run(self) -> None:
+        asyncio.set_event_loop(self._loop)
+        self.status = self._loop.run_until_complete(running.run(self._access, self._options, stop=self._stop))
+        self._loop.close()
+
+    def __enter__(self) -> Operator:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def stop(self) -> None:
+        if self._thread.is_alive():
+            self._loop.call_soon_threadsafe(self._stop.set)
+            self._thread.join(30)
+            assert not self._thread.is_alive(), "the operator didn't end within 30 s"
+
+
+# -- fixtures -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module", autouse=True)
+def alone(cluster: Cluster, release: Release) -> Iterator[None]:
+    """No other operator looks after the namespaces of these tests."""
+    installed = cluster.find(APPS, "Deployment", release.operator, SYSTEM)
+    replicas = (installed or {}).get("spec", {}).get("replicas", 0)
+    if not installed or not replicas:
+        yield
+        return
+    cluster.patch(installed, {"spec": {"replicas": 0}}, subresource="scale")
+    selector = ",".join(f"{k}={v}" for k, v in installed["spec"]["selector"]["matchLabels"].items())
+    until(
+        lambda: not cluster.list(CORE, "Pod", SYSTEM, labels=selector), "the installed operator to be gone", seconds=60
+    )
+    yield
+    cluster.patch(installed, {"spec": {"replicas": replicas}}, subresource="scale")
+
+
+@pytest.fixture
+def fleet(cluster: Cluster, namespace: str) -> Fleet:
+    """A namespace without an operator."""
+    return Fleet(cluster, namespace)
+
+
+@pytest.fixture
+def operator(fleet: Fleet) -> Iterator[Operator]:
+    """An operator for the namespace."""
+    with Operator(fleet.cluster.kubeconfig, fleet.namespace) as found:
+        yield found
+
+
+# -- building and keeping -----------------------------------------------------------------------------------------------
+
+
+def test_everything_of_a_workload_appears(fleet: Fleet, operator: Operator) -> None:
+    fleet.create(policy("hot", "spare", "Restart"), hot(), spare(replicas=2), workload())
+    fleet.wait_built()
+    until(lambda: len(fleet.instances()) == 2, "one pod and one standby")
+    until(lambda: len(fleet.held()) == 2, "two held pods")
+    for kind, name in (
+        ("NetworkPolicy", "w-gate"),
+        ("NetworkPolicy", "w-standby"),
+        ("NetworkPolicy", "spare-held"),
+    ):
+        assert fleet.find(kind, name, NETWORK), name
+    for name in ("w-monitor", "w-discovery"):
+        assert fleet.find("Deployment", name, APPS), name
+    for name in ("w-robot-env", "w-robot-profiles", "w-settings"):
+        assert fleet.find("ConfigMap", name, CORE), name
+    address = fleet.get("Service", "w-discovery", CORE)["spec"]["clusterIP"]
+    assert fleet.get("ConfigMap", "w-robot-env", CORE)["data"]["ROS_DISCOVERY_SERVER"] == f"{address}:11811"
+    assert "/cmd_vel" in fleet.get("ConfigMap", "w-robot-profiles", CORE)["data"]["profiles.xml"]
+    assert fleet.gate()["spec"]["podSelector"]["matchLabels"][names.INSTANCE] == names.GATE_CLOSED
+    for pod in fleet.instances():
+        until(
+            lambda pod=pod: (
+                fleet.get("Pod", pod["metadata"]["name"], CORE)["metadata"]["labels"].get(names.INSTANCE)
+                == pod["metadata"]["name"]
+            ),
+            "every instance to be labelled with its own name",
+        )
+    assert fleet.get("FailurePolicy", "policy")["status"]["strategies"] == "Executing, Uninitialized, Restart"
+    until(lambda: fleet.get("FailurePolicy", "policy")["status"]["workloads"] == 1, "the policy to know its workload")
+    until(lambda: fleet.get("FallbackPool", "spare")["status"].get("replicas") == 2, "the pool's numbers")
+    scale = fleet.cluster.get(API_VERSION, "FallbackPool", "spare", fleet.namespace, subresource="scale")
+    assert (scale["spec"]["replicas"], scale["status"]["replicas"]) == (2, 2)
+    settings = json.loads(fleet.get("ConfigMap", "w-settings", CORE)["data"]["settings.json"])
+    assert [pool["name"] for pool in settings["pools"]] == ["hot", "spare"]
+    hashes = {pod["metadata"]["labels"][names.TEMPLATE_HASH] for pod in fleet.held()}
+    assert {settings["pools"][1]["templateHash"]} == hashes
+
+
+def test_users_objects_get_no_finalizer_and_no_annotation(fleet: Fleet, operator: Operator) -> None:
+    fleet.create(deployment(), policy("hot"), hot(), workload(workloadRef={"kind": "Deployment", "name": "nav2"}))
+    fleet.wait_built()
+    until(lambda: fleet.condition("FallbackPool", "hot", "Accepted"), "the pool to be looked at")
+    for kind, name in (("RobotWorkload", "w"), ("FailurePolicy", "policy"), ("FallbackPool", "hot")):
+        metadata = fleet.get(kind, name)["metadata"]
+        assert "finalizers" not in metadata, kind
+        assert "annotations" not in metadata, kind
+        assert metadata["generation"] == 1, kind
+    managers = {entry["manager"] for entry in fleet.get("Deployment", "nav2", APPS)["metadata"]["managedFields"]}
+    assert not [manager for manager in managers if "understudy" in manager]
+
+
+def test_a_deleted_pod_is_replaced_and_labelled(fleet: Fleet, operator: Operator) -> None:
+    fleet.create(policy("hot"), hot(), workload())
+    fleet.wait_built()
+    until(lambda: len(fleet.instances()) == 2, "one pod and one standby")
+    before = fleet.instances()
+    for pod in before:
+        fleet.cluster.delete(pod)
+
+    def anew() -> bool:
+        found = fleet.instances()
+        labelled = all(p["metadata"]["labels"].get(names.INSTANCE) == p["metadata"]["name"] for p in found)
+        return len(found) == 2 and labelled and not identities(found) & identities(before)
+
+    until(anew, "two other instances with labels")
+    assert len([p for p in fleet.instances() if names.SOURCE in p["metadata"]["labels"]]) == 1
+
+
+def test_what_somebody_deletes_or_changes_comes_back(fleet: Fleet, operator: Operator) -> None:
+    fleet.create(policy("Restart"), workload())
+    fleet.wait_built()
+    standby = fleet.get("NetworkPolicy", "w-standby", NETWORK)
+    fleet.cluster.delete(standby)
+    until(lambda: fleet.find("NetworkPolicy", "w-standby", NETWORK), "the standby policy to come back")
+    service = fleet.get("Service", "w-discovery", CORE)
+    fleet.cluster.delete(service)
+    again: Object = until(lambda: fleet.find("Service", "w-discovery", CORE), "the Service to come back") or {}
+    assert again["spec"]["clusterIP"] == service["spec"]["clusterIP"]
+    fleet.cluster.patch(fleet.get("NetworkPolicy", "w-standby", NETWORK), {"spec": {"egress": [{}]}})
+    until(
+        lambda: fleet.get("NetworkPolicy", "w-standby", NETWORK)["spec"]["egress"] == standby["spec"]["egress"],
+        "the standby policy to be repaired",
+    )
+
+
+def test_a_gate_that_was_committed_to_is_left_alone(fleet: Fleet, operator: Operator) -> None:
+    fleet.create(policy("hot"), hot(), workload())
+    fleet.wait_built()
+    pod = fleet.instances()[0]
+    fleet.commit(pod)
+    committed = fleet.gate()
+    fleet.cluster.patch(fleet.get("RobotWorkload", "w"), {"spec": {"gate": {"robots": ["192.168.7.0/24"]}}})
+    until(
+        lambda: "192.168.7.0/24" in json.dumps(fleet.get("NetworkPolicy", "w-standby", NETWORK)["spec"]),
+        "the change to be reconciled",
+    )
+    assert fleet.gate()["metadata"]["resourceVersion"] == committed["metadata"]["resourceVersion"]
+    fleet.cluster.patch(committed, {"metadata": {"labels": {"app.kubernetes.io/managed-by": None}}})
+    until(lambda: fleet.gate()["metadata"].get("labels"), "its label to be repaired", seconds=40)
+    repaired = fleet.gate()
+    assert repaired["spec"] == committed["spec"]
+    assert repaired["metadata"]["annotations"] == committed["metadata"]["annotations"]
+
+
+def test_a_restart_of_the_operator_changes_nothing(fleet: Fleet) -> None:
+    fleet.create(policy("hot", "spare"), hot(), spare(), workload())
+    with Operator(fleet.cluster.kubeconfig, fleet.namespace):
+        fleet.wait_built()
+        until(lambda: len(fleet.instances()) == 2 and len(fleet.held()) == 2, "all pods")
+        until(
+            lambda: (fleet.get("FallbackPool", "spare").get("status") or {}).get("replicas") == 2, "the pool's numbers"
+        )
+        fleet.commit(fleet.instances()[0])
+        before = fleet.settled()
+    with Operator(fleet.cluster.kubeconfig, fleet.namespace, resync_every=1):
+        time.sleep(5)
+        assert fleet.versions() == before
+
+
+def test_a_new_template_replaces_standbys_one_after_the_other(fleet: Fleet, operator: Operator) -> None:
+    fleet.create(policy("hot"), hot(per_workload=2), workload())
+    fleet.wait_built()
+    until(lambda: len(fleet.instances()) == 3, "one pod and two standbys")
+    for pod in fleet.instances():
+        fleet.make_ready(pod)
+    active = next(p for p in fleet.instances() if names.SOURCE in p["metadata"]["labels"])
+    standbys = [p for p in fleet.instances() if names.POOL in p["metadata"]["labels"]]
+    fleet.commit(active)
+    fleet.cluster.patch(fleet.get("RobotWorkload", "w"), {"spec": {"template": template(args=["--new"])}})
+    until(lambda: len(fleet.instances()) == 5, "two new standbys beside the old ones")
+    assert identities(standbys) <= identities(fleet.instances())
+    new = [p for p in fleet.instances() if p["metadata"]["uid"] not in identities([active, *standbys])]
+    fleet.make_ready(new[0])
+    until(lambda: len(fleet.instances()) == 4, "one old standby to go")
+    fleet.make_ready(new[1])
+    until(lambda: len(fleet.instances()) == 3, "the other old standby to go")
+    assert identities(fleet.instances()) == identities([active, *new])
+
+
+def test_claimed_pods_belong_to_their_workload_and_the_pool_is_refilled(fleet: Fleet, operator: Operator) -> None:
+    fleet.create(policy("spare", "Restart"), spare(replicas=2), workload())
+    fleet.wait_built()
+    until(lambda: len(fleet.held()) == 2, "two held pods")
+    claimed = fleet.held()[0]
+    fleet.make_ready(claimed)
+    claimed = fleet.get("Pod", claimed["metadata"]["name"], CORE)
+    fleet.claim(claimed)
+    fleet.commit(claimed)
+    until(lambda: len(fleet.held()) == 2, "the pool to be refilled")
+    until(lambda: fleet.get("FallbackPool", "spare")["status"].get("claimed") == 1, "the claim to be counted")
+    # a claimed pod drives and nobody wants another as a standby
+    until(lambda: fleet.get("ReplicaSet", "w", APPS)["spec"]["replicas"] == 0, "the workload's own pod to go")
+    fleet.cluster.patch(fleet.get("FallbackPool", "spare"), {"spec": {"replicas": 0}})
+    until(lambda: not fleet.held(), "the pool to be emptied")
+    fleet.cluster.delete(fleet.get("FallbackPool", "spare"))
+    time.sleep(3)
+    assert claimed["metadata"]["uid"] in identities(fleet.instances())
+    fleet.cluster.delete(fleet.get("Pod", claimed["metadata"]["name"], CORE))
+    until(lambda: fleet.get("ReplicaSet", "w", APPS)["spec"]["replicas"] == 1, "the workload's own pod to come back")
+
+
+def test_a_pool_is_never_overfilled_while_pods_come_and_go(fleet: Fleet, operator: Operator) -> None:
+    fleet.create(spare(replicas=4), workload(), policy("spare"))
+    most, end = 0, time.monotonic() + 8
+    while time.monotonic() < end:
+        found = fleet.held()
+        most = max(most, len(found))
+        if len(found) == 4:
+            fleet.cluster.delete(found[0])
+            fleet.cluster.patch(
+                fleet.get("FallbackPool", "spare"), {"metadata": {"labels": {"n": str(time.time_ns())}}}
+            )
+    assert most == 4
+
+
+def test_silent_watches_are_made_up_for_by_lists(fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def silent(*_: object) -> None:
+        await asyncio.Event().wait()
+
+    monkeypatch.setattr(handlers, "watch", silent)
+    with Operator(fleet.cluster.kubeconfig, fleet.namespace, resync_every=0.5):
+        fleet.create(policy("hot"), hot(), workload())
+        fleet.wait_built()
+        until(lambda: len(fleet.instances()) == 2, "one pod and one standby")
+        fleet.cluster.delete(next(p for p in fleet.instances() if names.POOL in p["metadata"]["labels"]))
+        until(lambda: len(fleet.instances()) == 2, "another standby")
+
+
+# -- protection ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def protected(fleet: Fleet, operator: Operator) -> Fleet:
+    """A workload with an active pod, a ready standby and a monitor."""
+    fleet.create(policy("hot", "Restart"), hot(), workload())
+    fleet.wait_built()
+    until(lambda: len(fleet.instances()) == 2, "one pod and one standby")
+    for pod in fleet.instances():
+        fleet.make_ready(pod)
+    fleet.make_monitor_ready()
+    fleet.commit(next(p for p in fleet.instances() if names.SOURCE in p["metadata"]["labels"]))
+    fleet.wait_condition("RobotWorkload", "w", "Protected", "FirstStrategyReady", "True")
+    return fleet
+
+
+def test_protected_says_by_what_and_stops_saying_so(protected: Fleet) -> None:
+    assert protected.get("RobotWorkload", "w")["status"]["standby"] == "Executing (1/1)"
+    standby = next(p for p in protected.instances() if names.POOL in p["metadata"]["labels"])
+    protected.make_ready(standby, ready=False)
+    found = protected.wait_condition("RobotWorkload", "w", "Protected", "StandbyNotReady")
+    assert "If it failed now, Restart would be used" in found["message"]
+    assert [e for e in protected.events("w") if e["reason"] == "StandbyNotReady" and e["type"] == "Warning"]
+    protected.make_ready(standby)
+    protected.wait_condition("RobotWorkload", "w", "Protected", "FirstStrategyReady", "True")
+
+
+def _delete_policy(fleet: Fleet) -> None:
+    fleet.cluster.delete(fleet.get("FailurePolicy", "policy"))
+
+
+def _break_tree(fleet: Fleet) -> None:
+    tree = {"monitoring": {"yaml": {"topic": None, "topik": {"name": "/x"}}}}
+    fleet.cluster.patch(fleet.get("FailurePolicy", "policy"), {"spec": tree})
+
+
+def _break_template(fleet: Fleet) -> None:
+    bad = template(resources={"requests": {"cpu": "plenty"}})
+    fleet.cluster.patch(fleet.get("RobotWorkload", "w"), {"spec": {"template": bad}})
+
+
+@pytest.mark.parametrize(
+    ("harm", "reason", "word"),
+    [
+        (_delete_policy, "PolicyNotFound", '"policy"'),
+        (_break_tree, "PolicyNotAccepted", "topik"),
+        (_break_template, "TemplateInvalid", "quantities must match"),
+    ],
+)
+def test_bad_input_takes_nothing_away(protected: Fleet, harm: Callable[[Fleet], None], reason: str, word: str) -> None:
+    settings = protected.get("ConfigMap", "w-settings", CORE)["data"]
+    gate, pods = protected.gate(), identities(protected.instances())
+    harm(protected)
+    found = protected.wait_condition("RobotWorkload", "w", "Accepted", reason)
+    assert word in found["message"]
+    until(lambda: [e for e in protected.events("w") if e["reason"] == reason], "an Event")
+    time.sleep(1)
+    assert identities(protected.instances()) == pods
+    assert protected.gate()["spec"] == gate["spec"]
+    assert protected.get("ConfigMap", "w-settings", CORE)["data"] == settings
+    assert protected.find("NetworkPolicy", "w-standby", NETWORK)
+    assert protected.find("Deployment", "w-monitor", APPS)
+
+
+# -- bad input ----------------------------------------------------------------------------------------------------------
+
+
+def foreign_gate() -> Object:
+    spec = {"podSelector": {"matchLabels": {"mine": "yes"}}, "policyTypes": ["Ingress"]}
+    return {"apiVersion": NETWORK, "kind": "NetworkPolicy", "metadata": {"name": "w-gate"}, "spec": spec}
+
+
+def unheld() -> Object:
+    found = template()
+    del found["spec"]["containers"][0]["command"]
+    return found
+
+
+def started(**container: Any) -> Object:
+    found = template(**container)
+    del found["spec"]["schedulerName"]
+    return found
+
+
+BAD = {
+    "a policy that does not exist": (
+        [workload(failurePolicyRef={"name": "polcy"}), policy("Restart")],
+        ("RobotWorkload", "w", "Accepted", "PolicyNotFound"),
+        'did you mean "policy"?',
+    ),
+    "a tree that can not be read": (
+        [policy("Restart", yaml={"topik": {"name": "/cmd_vel"}})],
+        ("FailurePolicy", "policy", "Accepted", "TreeInvalid"),
+        "spec.monitoring.yaml",
+    ),
+    "a strategy whose pool does not exist": (
+        [policy("hott"), hot()],
+        ("FailurePolicy", "policy", "Accepted", "PoolNotFound"),
+        'did you mean "hot"?',
+    ),
+    "a pool with no matching workload": (
+        [spare(replicas=1)],
+        ("FallbackPool", "spare", "Ready", "NoMatchingWorkload"),
+        "task=critical",
+    ),
+    "a readiness that is not supported yet": (
+        [custom("FallbackPool", "warm", {"readiness": "Initialized", "perWorkload": 1, "workloadSelector": {}})],
+        ("FallbackPool", "warm", "Accepted", "ReadinessNotSupported"),
+        "Executing",
+    ),
+    "a held template without a command": (
+        [workload(template=unheld()), policy("spare"), spare(templateFrom={"workload": "w"})],
+        ("FallbackPool", "spare", "Accepted", "TemplateInvalid"),
+        "command",
+    ),
+    "a template taken from nowhere": (
+        [spare(templateFrom={"workload": "gone"})],
+        ("FallbackPool", "spare", "Accepted", "TemplateSourceNotFound"),
+        '"gone"',
+    ),
+    "a pod template that the API server refuses": (
+        [workload(template=template(resources={"requests": {"cpu": "plenty"}})), policy("Restart")],
+        ("RobotWorkload", "w", "Accepted", "TemplateInvalid"),
+        "quantities must match",
+    ),
+    "a pool template that the API server refuses": (
+        [spare(template=template(ports=[{"containerPort": 99999}]))],
+        ("FallbackPool", "spare", "Accepted", "TemplateInvalid"),
+        "containerPort",
+    ),
+    "a controller that does not exist": (
+        [workload(workloadRef={"kind": "Deployment", "name": "nav2"}), policy("Restart")],
+        ("RobotWorkload", "w", "Accepted", "ReferenceNotFound"),
+        'no Deployment "nav2"',
+    ),
+    "a controller with two pods": (
+        [deployment(replicas=2), workload(workloadRef={"kind": "Deployment", "name": "nav2"}), policy("Restart")],
+        ("RobotWorkload", "w", "Accepted", "ReplicasNotOne"),
+        "spec.replicas is 2",
+    ),
+    "a name that belongs to somebody else": (
+        [foreign_gate(), workload(), policy("Restart")],
+        ("RobotWorkload", "w", "Accepted", "NameTaken"),
+        'NetworkPolicy "w-gate"',
+    ),
+    "an image that can not start": (
+        [workload(template=started()), policy("Restart")],
+        ("RobotWorkload", "w", "Protected", "ErrImageNeverPull"),
+        NOWHERE,
+    ),
+    "a pool's image that can not start": (
+        [spare(replicas=1, template=started()), workload(), policy("spare")],
+        ("FallbackPool", "spare", "Ready", "ErrImageNeverPull"),
+        "imagePullPolicy is Never",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_gives_a_condition_and_an_event_that_say_what_to_do(
+    case: str, fleet: Fleet, operator: Operator
+) -> None:
+    items, (kind, name, type_, reason), words = BAD[case]
+    fleet.create(*items)
+    if type_ == "Protected":
+        fleet.wait_built()
+        fleet.make_monitor_ready()
+    found = fleet.wait_condition(kind, name, type_, reason)
+    assert words in found["message"]
+
+    def told() -> Object | None:
+        return next((e for e in fleet.events(name) if e["type"] == "Warning" and e["reason"] == reason), None)
+
+    event: Object = until(told, f"an Event {reason}") or {}
+    assert words in event["message"]
+    if case == "a name that belongs to somebody else":
+        assert fleet.gate()["spec"]["podSelector"] == {"matchLabels": {"mine": "yes"}}
+        assert "ownerReferences" not in fleet.gate()["metadata"]
+
+
+def test_bad_input_that_is_put_right_is_accepted(fleet: Fleet, operator: Operator) -> None:
+    fleet.create(workload())
+    fleet.wait_condition("RobotWorkload", "w", "Accepted", "PolicyNotFound")
+    fleet.create(policy("Restart"))
+    fleet.wait_condition("RobotWorkload", "w", "Accepted", "Accepted", "True")
+
+
+def test_one_bad_object_does_not_keep_another_from_being_protected(fleet: Fleet, operator: Operator) -> None:
+    fleet.create(workload("bad", failurePolicyRef={"name": "gone"}), policy("hot"), hot(), workload("good"))
+    fleet.wait_built("good")
+    until(lambda: len(fleet.instances("good")) == 2, "pod and standby of the good one")
+
+
+# -- referred controllers -----------------------------------------------------------------------------------------------
+
+
+def test_a_referred_deployment_is_protected_without_a_change_to_it(fleet: Fleet, operator: Operator) -> None:
+    fleet.create(deployment(), policy("hot"), hot())
+    before = until(lambda: fleet.get("Deployment", "nav2", APPS), "the Deployment")
+    fleet.create(workload(workloadRef={"kind": "Deployment", "name": "nav2"}))
+    fleet.wait_built()
+    until(lambda: len(fleet.instances()) == 2, "its pod to be labelled, and a standby")
+    own = next(p for p in fleet.instances() if names.POOL not in p["metadata"]["labels"])
+    assert own["metadata"]["labels"][names.INSTANCE] == own["metadata"]["name"]
+    fleet.cluster.delete(own)
+
+    def relabelled() -> bool:
+        found = [p for p in fleet.instances() if names.POOL not in p["metadata"]["labels"]]
+        return len(found) == 1 and found[0]["metadata"]["uid"] != own["metadata"]["uid"]
+
+    until(relabelled, "the next pod to be labelled")
+    assert fleet.get("Deployment", "nav2", APPS)["spec"] == before["spec"]
+    assert len(fleet.pods("app=nav2")) == 1
+    fleet.cluster.delete(fleet.get("RobotWorkload", "w"))
+    until(lambda: not fleet.instances(), "the labels to be taken off")
+    assert len(fleet.pods("app=nav2")) == 1
+    assert names.INSTANCE not in fleet.pods("app=nav2")[0]["metadata"]["labels"]
+
+
+def test_labels_are_taken_off_even_if_the_workload_went_while_no_operator_ran(fleet: Fleet) -> None:
+    fleet.create(deployment(), policy("Restart"), workload(workloadRef={"kind": "Deployment", "name": "nav2"}))
+    with Operator(fleet.cluster.kubeconfig, fleet.namespace):
+        fleet.wait_built()
+        until(fleet.instances, "its pod to be labelled")
+    fleet.cluster.delete(fleet.get("RobotWorkload", "w"))
+    assert fleet.instances()
+    with Operator(fleet.cluster.kubeconfig, fleet.namespace):
+        until(lambda: not fleet.instances(), "the labels to be taken off")
+
+
+def test_the_second_to_refer_to_a_deployment_is_told(fleet: Fleet, operator: Operator) -> None:
+    reference = {"kind": "Deployment", "name": "nav2"}
+    fleet.create(deployment(), policy("Restart"), workload("first", workloadRef=reference))
+    fleet.wait_built("first")
+    time.sleep(1.1)  # creation times have seconds
+    fleet.create(workload("second", workloadRef=reference))
+    found = fleet.wait_condition("RobotWorkload", "second", "Accepted", "ReferenceTaken")
+    assert "first" in found["message"]
+    fleet.cluster.delete(fleet.get("RobotWorkload", "first"))
+    fleet.wait_condition("RobotWorkload", "second", "Accepted", "Accepted", "True")
+
+
+# -- the end ------------------------------------------------------------------------------------------------------------
+
+
+def test_nothing_is_left_of_a_deleted_workload_and_pool(fleet: Fleet, operator: Operator) -> None:
+    fleet.create(policy("hot", "spare"), hot(), spare(), workload())
+    fleet.wait_built()
+    until(lambda: len(fleet.instances()) == 2 and len(fleet.held()) == 2, "all pods")
+    for kind, name in (
+        ("RobotWorkload", "w"),
+        ("FallbackPool", "hot"),
+        ("FallbackPool", "spare"),
+        ("FailurePolicy", "policy"),
+    ):
+        fleet.cluster.delete(fleet.get(kind, name))
+
+    def left() -> list[str]:
+        found = [
+            f"{kind}/{item['metadata']['name']}"
+            for api_version, kind in BUILT
+            for item in fleet.cluster.list(api_version, kind, fleet.namespace, labels=OURS)
+        ]
+        return found + [pod["metadata"]["name"] for pod in fleet.pods(names.COMPONENT)]
+
+    until(lambda: not left(), "nothing to be left", seconds=30)
+    time.sleep(2)
+    assert left() == []
+
+
+def test_a_namespace_is_deleted_with_everything_in_it(cluster: Cluster) -> None:
+    name = f"test-{uuid.uuid4().hex[:8]}"
+    item = cluster.create({"apiVersion": CORE, "kind": "Namespace", "metadata": {"name": name}})
+    fleet = Fleet(cluster, name)
+    # the operator's Lease is elsewhere: a namespace's deletion mustn't end it
+    with Operator(cluster.kubeconfig, name):
+        fleet.create(policy("hot", "spare"), hot(), spare(), workload())
+        fleet.wait_built()
+        cluster.delete(item)
+        until(lambda: cluster.find(CORE, "Namespace", name) is None, "the namespace to be gone", seconds=60)
+
+
+# -- leadership ---------------------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def process(fleet: Fleet, identity: str) -> Iterator[subprocess.Popen[bytes]]:
+    """An operator in a process of its own."""
+    command = [
+        sys.executable, "-m", "understudy", "operator", "--kubeconfig", str(fleet.cluster.kubeconfig),
+        "--monitor-image", NOWHERE, "--image-pull-policy", "Never", "--watch-namespace", fleet.namespace,
+        "--lease-namespace", fleet.namespace, "--identity", identity, "--port", "0",
+    ]  # fmt: skip
+    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY / "operator")}
+    found = subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL)
+    try:
+        yield found
+    finally:
+        found.kill()
+        found.wait(10)
+
+
+def leader(fleet: Fleet) -> str:
+    lease = fleet.cluster.find("coordination.k8s.io/v1", "Lease", running.LEASE, fleet.namespace)
+    found: str = ((lease or {}).get("spec") or {}).get("holderIdentity") or ""
+    return found
+
+
+def test_of_two_candidates_one_leads_and_the_other_follows_a_kill(fleet: Fleet) -> None:
+    with ExitStack() as stack:
+        processes = {identity: stack.enter_context(process(fleet, identity)) for identity in ("one", "two")}
+        first = until(lambda: leader(fleet), "a leader")
+        fleet.create(policy("hot"), hot(), workload())
+        fleet.wait_built()
+        until(lambda: len(fleet.instances()) == 2, "one pod and one standby")
+        before = fleet.settled()
+        processes[first].kill()
+        killed = time.monotonic()
+        second = until(lambda: leader(fleet) not in ("", first) and leader(fleet), "another leader", seconds=30)
+        assert second in processes
+        assert time.monotonic() - killed < 25
+        time.sleep(2)
+        assert fleet.versions() == before
+        fleet.cluster.delete(next(p for p in fleet.instances() if names.POOL in p["metadata"]["labels"]))
+        until(lambda: len(fleet.instances()) == 2, "another standby, made by the new leader")
+
+
+def test_a_leader_that_is_told_to_end_hands_over_at_once(fleet: Fleet) -> None:
+    with process(fleet, "one") as one:
+        until(lambda: leader(fleet) == "one", "a leader")
+        with process(fleet, "two"):
+            time.sleep(1)
+            one.send_signal(signal.SIGTERM)
+            assert one.wait(20) == 0
+            until(lambda: leader(fleet) == "two", "the other to lead", seconds=6)
+
+
+def test_a_lost_lease_ends_the_process(fleet: Fleet) -> None:
+    with process(fleet, "one") as one:
+        until(lambda: leader(fleet) == "one", "a leader")
+        lease = fleet.cluster.get("coordination.k8s.io/v1", "Lease", running.LEASE, fleet.namespace)
+        fleet.cluster.patch(lease, {"spec": {"holderIdentity": "thief", "leaseDurationSeconds": 60}})
+        assert one.wait(20) == 1
+        assert leader(fleet) == "thief"
+
+
+def test_an_operator_that_does_not_lead_writes_nothing(fleet: Fleet) -> None:
+    lease = {
+        "apiVersion": "coordination.k8s.io/v1",
+        "kind": "Lease",
+        "metadata": {"name": running.LEASE},
+        "spec": {"holderIdentity": "other", "leaseDurationSeconds": 600},
+    }
+    fleet.create(lease, policy("hot"), hot(), workload())
+    with Operator(fleet.cluster.kubeconfig, fleet.namespace, resync_every=1):
+        time.sleep(4)
+        assert "status" not in fleet.get("RobotWorkload", "w")
+        with pytest.raises(Refused):
+            fleet.gate()
