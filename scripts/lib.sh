@@ -84,10 +84,12 @@ python_environment() {
     exec 9>&-
 }
 
-# helm_program: makes sure that there is a helm; `scripts/cluster up` brings one too.
+# helm_program: makes sure that there is a helm from 3.17 on (--take-ownership); `scripts/cluster up` brings one too.
 helm_program() {
-    command -v helm >/dev/null && return
-    say "building helm, since there is none (one to three minutes, once)"
+    local found
+    found=$(helm version --template '{{.Version}}' 2>/dev/null | sed 's/^v//') || found=
+    [ "$(printf '%s\n' 3.17 "${found:-0}" | sort -V | head -n 1)" = 3.17 ] && return
+    say "building helm, since there is ${found:-none}${found:+, which is too old} (one to five minutes, once)"
     (cd "$REPOSITORY" && "$PYTHON" - "$CACHE/tools") <<'PYTHON'
 import sys
 from pathlib import Path
@@ -96,7 +98,7 @@ from testcluster import golang
 from testcluster.progress import Progress
 
 source = Path("testcluster/local/hyperkube")
-built = golang.build("helm", source.resolve(), ["helm.sh/helm/v3/cmd/helm"], ["-ldflags=-s -w"], Progress(), "one to three minutes, once")
+built = golang.build("helm", source.resolve(), ["helm.sh/helm/v3/cmd/helm"], ["-ldflags=-s -w"], Progress(), "one to five minutes, once")
 tools = Path(sys.argv[1])
 tools.mkdir(exist_ok=True)
 (tools / "helm").unlink(missing_ok=True)

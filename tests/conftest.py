@@ -79,11 +79,12 @@ def helm() -> str:
 
 @pytest.fixture(scope="session")
 def kubeconfig(pytestconfig: pytest.Config) -> Path:
-    """The kubeconfig of the cluster under test: --kubeconfig, $KUBECONFIG, or what scripts/cluster says."""
+    """The kubeconfig of the cluster under test: --kubeconfig, or what scripts/cluster says.
+
+    $KUBECONFIG counts with ``--cluster current`` only: tests install and remove things, and it may be anybody's cluster.
+    """
     provider: str | None = pytestconfig.getoption("cluster")
     given: Path | None = pytestconfig.getoption("kubeconfig")
-    if given is None and provider is None and os.environ.get("KUBECONFIG"):
-        given = Path(os.environ["KUBECONFIG"].split(os.pathsep)[0])
     if given is None:
         command = [
             str(REPOSITORY / "scripts" / "cluster"),

@@ -18,6 +18,11 @@ NAME = "understudy"
 NAMESPACE = "understudy-system"
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _one_cluster(kubeconfig: Path) -> None:
+    """Also for tests that only look at $KUBECONFIG."""
+
+
 @dataclass(frozen=True)
 class Release:
     """The installed chart."""
