@@ -32,6 +32,7 @@ class Operator:
         self, client: Client, store: Store, reconciler: Reconciler, *, namespaces: Sequence[str], resync_every: float
     ) -> None:
         self._client, self._store, self._reconciler = client, store, reconciler
+        store.noticed = self._enqueue
         self._namespaces, self._resync_every = namespaces, resync_every
         self.queue: Queue[Key] = Queue()
         self._leading = False
@@ -50,11 +51,9 @@ class Operator:
     def see(self, resource: Resource, item: Object, gone: bool) -> None:
         """Take in what a watch brought: into the store where it is ours, and to whom it means something."""
         if gone or not resyncing.kept(resource, item):
-            sight = self._store.remove(resource, item)
+            self._store.remove(resource, item)
         else:
-            sight = self._store.put(resource, item)
-        if sight is not None:
-            self._enqueue(sight)
+            self._store.put(resource, item)
         if not resyncing.kept(resource, item):
             for key in affected.referring(resource, item, self._store):
                 self._add(key)
@@ -86,7 +85,6 @@ class Operator:
         for sight in await resyncing.resync(self._client, self._store, self._namespaces):
             if report and sight.resource.plural in resyncing.WATCHED and _aged(sight, begun):
                 metrics.MISSED.labels(sight.resource.plural).inc()
-            self._enqueue(sight)
         self._strays()
         self._resynced = time.monotonic()
         metrics.RESYNCED.set_to_current_time()

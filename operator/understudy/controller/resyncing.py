@@ -5,10 +5,13 @@ kopf's watches can fall silent without an error, so they are only a way to be qu
 
 from __future__ import annotations
 
+import functools
 import logging
 from collections.abc import Sequence
 
 from understudy.api import names
+from understudy.api.base import API_VERSION
+from understudy.cluster.applying import controller_of
 from understudy.cluster.client import (
     CONFIG_MAPS,
     DEPLOYMENTS,
@@ -57,14 +60,20 @@ WATCHED = frozenset(
 """Of these a list should bring nothing new."""
 
 
-def kept(resource: Resource, item: Object) -> bool:
-    """Whether an object that a watch brought is one of those that are listed."""
+def listed(resource: Resource, item: Object) -> bool:
+    """Whether an object is one of those that are listed."""
     labels = objects.labels(item)
     if resource.plural in (WORKLOADS.plural, POLICIES.plural, POOLS.plural):
         return True
     if resource.plural == PODS.plural:
         return names.COMPONENT in labels or names.WORKLOAD in labels
     return all(labels.get(key) == value for key, value in objects.MANAGED_BY.items())
+
+
+def kept(resource: Resource, item: Object) -> bool:
+    """Whether an object that a watch brought means something: also one of ours whose label somebody took off."""
+    owner = controller_of(item)
+    return listed(resource, item) or (owner is not None and owner.get("apiVersion") == API_VERSION)
 
 
 async def resync(client: Client, store: Store, namespaces: Sequence[str]) -> list[Sight]:
@@ -79,7 +88,8 @@ async def resync(client: Client, store: Store, namespaces: Sequence[str]) -> lis
             items = [item for answer in answers for item in _items(answer)]
             # the first list's version: what was made between two lists is newer and stays
             version = int(answers[0]["metadata"]["resourceVersion"])
-            sights += store.replace(resource, items, version, namespace)
+            covered = functools.partial(listed, resource)
+            sights += store.replace(resource, items, version, namespace, covered=covered)
     return sights
 
 

@@ -38,6 +38,8 @@ class Store:
         self._items: dict[str, dict[tuple[str, str], Object]] = defaultdict(dict)
         self._index: dict[Index, dict[tuple[str, str, str], Object]] = defaultdict(dict)
         self._gone: dict[str, tuple[int, float]] = {}
+        self.noticed: Callable[[Sight], None] = lambda sight: None
+        """Called with every change, whoever brought it: what one object's work writes may mean something to another."""
 
     def get(self, resource: Resource, namespace: str, name: str) -> Object | None:
         """An object, or None."""
@@ -78,7 +80,7 @@ class Store:
         self._items[resource.plural][place] = new
         for key in _keys(resource, new):
             self._index[key][(resource.plural, *place)] = new
-        return Sight(resource, old, new)
+        return self._notice(Sight(resource, old, new))
 
     def remove(self, resource: Resource, item: Object) -> Sight | None:
         """Take in that an object is gone; None if that is known."""
@@ -90,17 +92,32 @@ class Store:
             return None
         del self._items[resource.plural][place]
         self._unindex(resource, place, old)
-        return Sight(resource, old, None)
+        return self._notice(Sight(resource, old, None))
 
-    def replace(self, resource: Resource, items: Iterable[Object], listed: int, namespace: str | None) -> list[Sight]:
-        """Take in a full list of a resource (in one namespace, or in all) as of a version; what it changes."""
+    def _notice(self, sight: Sight) -> Sight:
+        self.noticed(sight)
+        return sight
+
+    def replace(
+        self,
+        resource: Resource,
+        items: Iterable[Object],
+        listed: int,
+        namespace: str | None,
+        *,
+        covered: Callable[[Object], bool] = lambda item: True,
+    ) -> list[Sight]:
+        """Take in a list of a resource (in one namespace, or in all) as of a version; what it changes.
+
+        ``covered`` tells of an object that is kept whether such a list would have it.
+        """
         found = list(items)
         present = {(i["metadata"].get("namespace", ""), i["metadata"]["name"]) for i in found}
         sights = [self.put(resource, item) for item in found]
         for place, old in list(self._items[resource.plural].items()):
             if place in present or (namespace is not None and place[0] != namespace):
                 continue
-            if version(old) <= listed:  # newer ones were made after the list
+            if version(old) <= listed and covered(old):  # newer ones were made after the list
                 sights.append(self.remove(resource, old))
         return [sight for sight in sights if sight is not None]
 

@@ -169,3 +169,20 @@ def test_expectations_last_until_they_are_settled_or_too_old() -> None:
     assert expectations.count(key, "other") == 0
     now[0] = LASTS
     assert expectations.count(key, "spare") == 0
+
+
+def test_whoever_brings_a_change_it_is_noticed_once() -> None:
+    store, noticed = Store(), list[Sight]()
+    store.noticed = noticed.append
+    store.put(PODS, at(pod("a"), 5))  # the answer to a write of ours
+    store.put(PODS, at(pod("a"), 5))  # the watch
+    store.replace(PODS, [at(pod("a"), 5)], 6, None)
+    store.remove(PODS, at(pod("a"), 7))
+    assert [(sight.old is None, sight.new is None) for sight in noticed] == [(True, False), (False, True)]
+
+
+def test_a_list_by_label_says_nothing_of_an_object_that_lost_the_label() -> None:
+    store = Store()
+    store.put(NETWORK_POLICIES, at(pod("unlabelled"), 5))
+    store.replace(NETWORK_POLICIES, [], 10, None, covered=lambda item: False)
+    assert store.get(NETWORK_POLICIES, "fleet", "unlabelled") is not None
