@@ -152,8 +152,27 @@ def referring(resource: Resource, item: Object, store: Store) -> set[Key]:
     if target is None:
         return set()
     namespace = item["metadata"].get("namespace", "")
-    return {
+    found = {
         Key(WORKLOADS.plural, namespace, name)
         for name, workload in store.in_namespace(WORKLOADS, namespace).items()
         if reference(workload) == target
     }
+    if resource.plural != PODS.plural:
+        found |= {pool for workload in found for pool in _copying(workload, store)}
+    return found
+
+
+def _copying(workload: Key, store: Store) -> Iterator[Key]:
+    """The pools that take their template from a workload."""
+    for name, pool in store.in_namespace(POOLS, workload.namespace).items():
+        if ((pool.get("spec") or {}).get("templateFrom") or {}).get("workload") == workload.name:
+            yield Key(POOLS.plural, workload.namespace, name)
+
+
+def unlisted(store: Store) -> Iterator[Key]:
+    """What depends on referred controllers: those aren't listed, so it is looked at again with every list."""
+    for workload in store.all(WORKLOADS):
+        if reference(workload) is not None:
+            key = Key(WORKLOADS.plural, workload["metadata"]["namespace"], objects.name(workload))
+            yield key
+            yield from _copying(key, store)

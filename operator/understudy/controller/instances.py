@@ -30,6 +30,8 @@ HARDENED: Object = {
 }
 """Security context of our own containers."""
 
+LOST_SECONDS = 30
+
 _TOKEN_VOLUME = "understudy-agent-token"
 _DISTANCE = 100  # the greatest weight: an understudy on the node of the active pod dies with it
 
@@ -97,6 +99,7 @@ def build(template: Mapping[str, Any], recipe: Recipe) -> Object:
         {"name": _TOKEN_VOLUME, "secret": {"secretName": recipe.secret, "defaultMode": 0o444}},
     ]
     _keep_apart(spec, recipe)
+    _leave_lost_nodes(spec)
     found = template.get("metadata") or {}
     labels = {key: value for key, value in (found.get("labels") or {}).items() if key not in recipe.stripped}
     labels |= _labels(recipe)
@@ -259,3 +262,20 @@ def _keep_apart(spec: Object, recipe: Recipe) -> None:
     key = "preferredDuringSchedulingIgnoredDuringExecution"
     apart[key] = [*(apart.get(key) or []), {"weight": _DISTANCE, "podAffinityTerm": term}]
     spec["affinity"] = {**affinity, "podAntiAffinity": apart}
+
+
+def _leave_lost_nodes(spec: Object) -> None:
+    """On a lost node a pod is replaced after LOST_SECONDS, not after Kubernetes' five minutes without an understudy."""
+    given = spec.get("tolerations") or []
+    spec["tolerations"] = [
+        *given,
+        *(
+            {"key": key, "operator": "Exists", "effect": "NoExecute", "tolerationSeconds": LOST_SECONDS}
+            for key in ("node.kubernetes.io/not-ready", "node.kubernetes.io/unreachable")
+            if not any(_tolerates(toleration, key) for toleration in given)
+        ),
+    ]
+
+
+def _tolerates(toleration: Mapping[str, Any], key: str) -> bool:
+    return toleration.get("key") in (key, None) and toleration.get("effect") in ("NoExecute", None)

@@ -85,6 +85,8 @@ class Operator:
         for sight in await resyncing.resync(self._client, self._store, self._namespaces):
             if report and sight.resource.plural in resyncing.WATCHED and _aged(sight, begun):
                 metrics.MISSED.labels(sight.resource.plural).inc()
+        for key in affected.unlisted(self._store):
+            self._add(key)
         self._strays()
         self._resynced = time.monotonic()
         metrics.RESYNCED.set_to_current_time()

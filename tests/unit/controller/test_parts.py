@@ -70,6 +70,15 @@ class TestInstances:
         assert preferred[1]["podAffinityTerm"]["labelSelector"] == {"matchLabels": {names.WORKLOAD: "w"}}
         assert affinity["nodeAffinity"] == {"x": "y"}
 
+    def test_a_lost_node_is_left_soon_unless_the_user_says_otherwise(self) -> None:
+        (not_ready, unreachable) = instances.build(TEMPLATE, RECIPE)["spec"]["tolerations"]
+        assert not_ready["tolerationSeconds"] == unreachable["tolerationSeconds"] == instances.LOST_SECONDS
+        template = copy.deepcopy(TEMPLATE)
+        own = {"key": "node.kubernetes.io/unreachable", "operator": "Exists", "tolerationSeconds": 600}
+        template["spec"]["tolerations"] = [own]
+        found = instances.build(template, RECIPE)["spec"]["tolerations"]
+        assert found == [own, not_ready]
+
     @pytest.mark.parametrize(
         ("spec", "word"),
         [

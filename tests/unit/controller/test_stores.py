@@ -4,7 +4,17 @@ from __future__ import annotations
 
 from tests.unit.controller.world import held_pod, hot, pod, policy, source_pod, spare, standby_pod, workload
 from understudy.api import names
-from understudy.cluster.client import CONFIG_MAPS, NETWORK_POLICIES, PODS, POLICIES, POOLS, SECRETS, WORKLOADS, Object
+from understudy.cluster.client import (
+    CONFIG_MAPS,
+    DEPLOYMENTS,
+    NETWORK_POLICIES,
+    PODS,
+    POLICIES,
+    POOLS,
+    SECRETS,
+    WORKLOADS,
+    Object,
+)
 from understudy.controller import affected
 from understudy.controller.affected import Key
 from understudy.controller.expectations import LASTS, Expectations
@@ -155,6 +165,15 @@ class TestAffected:
         new = pod("nav2-5d8f-x", labels={"pod-template-hash": "5d8f"}, owner=owner)
         assert affected.referring(PODS, new, store) == {Key("robotworkloads", "fleet", "r")}
         assert affected.referring(PODS, pod("stranger"), store) == set()
+
+    def test_a_referred_controller_means_also_the_pools_that_copy_its_template(self) -> None:
+        store = Store()
+        store.put(WORKLOADS, workload("r", workloadRef={"kind": "Deployment", "name": "nav2"}))
+        store.put(POOLS, spare(templateFrom={"workload": "r"}))
+        found = {Key("robotworkloads", "fleet", "r"), Key("fallbackpools", "fleet", "spare")}
+        deployment = {"kind": "Deployment", "metadata": {"name": "nav2", "namespace": "fleet"}}
+        assert affected.referring(DEPLOYMENTS, deployment, store) == found
+        assert set(affected.unlisted(store)) == found
 
 
 def test_expectations_last_until_they_are_settled_or_too_old() -> None:
