@@ -1,0 +1,204 @@
+"""The pods that policies are tested with, and the table of what they may do."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import re
+import subprocess
+import threading
+from concurrent.futures import Future
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from tests.support.cluster import Cluster, Object, until
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+TABLE = REPOSITORY / "testcluster" / "local" / "netpol" / "conformance" / "cases.yaml"
+AGENT = Path(__file__).with_name("policy_agent.py")
+PORTS = (1, 80, 1000, 7949, 7950, 8000, 8080, 8149, 8150, 9090, 65535)
+
+Flow = tuple[str, str, str, int]  # from, to, protocol, port
+
+
+def table() -> Object:
+    """The table of policies and what they allow and deny, which the enforcer's own tests use too."""
+    loaded: Object = yaml.safe_load(TABLE.read_text())
+    return loaded
+
+
+def flows(lines: list[str]) -> list[Flow]:
+    """The lines of a table that can be tried between pods on any cluster: those by UDP and TCP, from pod to pod."""
+    found = []
+    for line in lines:
+        matched = re.fullmatch(r"(\S+) -> (\S+) (?:icmp|(tcp|udp|sctp)/(\d+))", line)
+        assert matched, f"{TABLE.name}: {line!r} is not of the form 'FROM -> TO PROTOCOL/PORT'"
+        source, target, protocol, port = matched.groups()
+        if protocol in ("tcp", "udp") and "outside" not in (source, target):
+            found.append((source, target, protocol, int(port)))
+    return found
+
+
+class Agent:
+    """policy_agent.py in a pod, over the standard streams of `kubectl exec`."""
+
+    def __init__(self, cluster: Cluster, namespace: str, pod: str) -> None:
+        self.pod = pod
+        command = ["kubectl", "--kubeconfig", str(cluster.kubeconfig), "-n", namespace, "exec", "-i", pod, "--"]
+        command += ["python3", "-u", "-c", AGENT.read_text(), *map(str, PORTS)]
+        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        self._waiting: dict[int, Future[Any]] = {0: Future()}
+        self._numbers = itertools.count(1)
+        self._lock = threading.Lock()
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        ready = self._waiting[0]
+        self._reader.start()
+        ready.result(timeout=30)
+
+    def call(self, do: str, **arguments: Any) -> Future[Any]:
+        """Send a request; its answer comes with the future. Raises RuntimeError through it."""
+        answer: Future[Any] = Future()
+        assert self._process.stdin
+        with self._lock:
+            number = next(self._numbers)
+            self._waiting[number] = answer
+            self._process.stdin.write(json.dumps({"id": number, "do": do, "with": arguments}) + "\n")
+            self._process.stdin.flush()
+        return answer
+
+    def ask(self, do: str, **arguments: Any) -> Any:
+        """Send a request and wait for its answer."""
+        return self.call(do, **arguments).result(timeout=20)
+
+    def close(self) -> None:
+        """End the agent."""
+        assert self._process.stdin
+        self._process.stdin.close()
+        try:
+            self._process.wait(timeout=5)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+
+    def _read(self) -> None:
+        assert self._process.stdout
+        for line in self._process.stdout:
+            answer = json.loads(line)
+            with self._lock:
+                waiting = self._waiting.pop(answer["id"])
+            if "error" in answer:
+                waiting.set_exception(RuntimeError(f"agent in {self.pod}: {answer['error']}"))
+            else:
+                waiting.set_result(answer["result"])
+        for waiting in self._waiting.values():
+            waiting.set_exception(RuntimeError(f"the agent in {self.pod} has ended"))
+
+
+@dataclass
+class World:
+    """Pods of the table, each with an agent, in namespaces of their own."""
+
+    cluster: Cluster
+    spaces: dict[str, str]  # by the table's name
+    image: str
+    agents: dict[str, Agent] = field(default_factory=dict)
+    pods: dict[str, Object] = field(default_factory=dict)
+    nodes: list[str] = field(default_factory=list)
+
+    def start(self, space: str, name: str, labels: dict[str, str], node: int, ports: list[Object]) -> None:
+        """Create a pod on the node of that number, as far as there are so many."""
+        container = {
+            "name": "main",
+            "image": self.image,
+            "imagePullPolicy": "IfNotPresent",
+            "command": ["python3", "-c", "import signal; signal.pause()"],
+            "ports": [{"name": p["name"], "containerPort": p["port"], "protocol": p["protocol"]} for p in ports],
+            "resources": {"requests": {"cpu": "5m", "memory": "20Mi"}},
+            "securityContext": {"runAsUser": 0, "runAsNonRoot": False},
+        }
+        self.pods[name] = self.cluster.create(
+            {
+                "apiVersion": "v1",
+                "kind": "Pod",
+                "metadata": {"name": name, "namespace": self.spaces[space], "labels": labels},
+                "spec": {
+                    "nodeSelector": {"kubernetes.io/hostname": self.nodes[node % len(self.nodes)]},
+                    "terminationGracePeriodSeconds": 0,
+                    "automountServiceAccountToken": False,
+                    "containers": [container],
+                },
+            }
+        )
+
+    def ready(self) -> None:
+        """Wait until all pods run, and start their agents."""
+        for name in self.pods:
+            self.pods[name] = until(
+                lambda name=name: self._running(name),  # type: ignore[misc]
+                f"pod {name} with image {self.image} to run",
+                seconds=120,
+            )
+            if name not in self.agents:
+                self.agents[name] = Agent(self.cluster, self.pods[name]["metadata"]["namespace"], name)
+
+    def _running(self, name: str) -> Object | None:
+        pod = self.cluster.get("v1", "Pod", name, self.pods[name]["metadata"]["namespace"])
+        statuses = pod.get("status", {}).get("containerStatuses", [])
+        return pod if statuses and all(s["state"].get("running") for s in statuses) else None
+
+    def address(self, name: str) -> str:
+        """A pod's address."""
+        address: str = self.pods[name]["status"]["podIP"]
+        return address
+
+    def policies(self, case: Object) -> list[Object]:
+        """A case's policies with the names and addresses of this world."""
+        text = json.dumps(case["policies"])
+        for space, name in self.spaces.items():
+            text = text.replace(f"${{{space}}}", name)
+        text = re.sub(r"\$\{address:([a-z]+)\}", lambda m: self.address(m[1]), text)
+        kind = {"apiVersion": "networking.k8s.io/v1", "kind": "NetworkPolicy"}
+        return [{**kind, **item} for item in json.loads(text)]
+
+    def enforce(self, wanted: list[Object]) -> None:
+        """Make these, and only these, the policies of the namespaces."""
+        kind = {"apiVersion": "networking.k8s.io/v1", "kind": "NetworkPolicy"}
+        for space in self.spaces.values():
+            # Not changed but made anew: a change would keep what the API server has filled in for an earlier one.
+            for item in self.cluster.list("networking.k8s.io/v1", "NetworkPolicy", space):
+                self.cluster.delete({**kind, "metadata": item["metadata"]})
+        for item in wanted:
+            self.cluster.create(item)
+
+    def unexpected(self, allowed: list[Flow], denied: list[Flow], address: str | None = None) -> list[str]:
+        """Which flows are not as they should be; with an address, all of them go there instead of to the pod's own."""
+        asked = [
+            (f, want, self._probe(f, address)) for want, list_ in ((True, allowed), (False, denied)) for f in list_
+        ]
+        wrong = []
+        for (source, target, protocol, port), want, answer in asked:
+            if answer.result(timeout=20) != want:
+                wrong.append(f"{source} -> {target} {protocol}/{port} is {'denied' if want else 'allowed'}")
+        return wrong
+
+    def _probe(self, flow: Flow, address: str | None) -> Future[Any]:
+        source, target, protocol, port = flow
+        return self.agents[source].call("probe", protocol=protocol, address=address or self.address(target), port=port)
+
+    def expect(self, allowed: list[Flow], denied: list[Flow], address: str | None = None) -> None:
+        """Wait until all flows are as they should be: how soon a policy is in force is up to the cluster."""
+        seen: list[str] = []
+
+        def right() -> bool:
+            seen[:] = self.unexpected(allowed, denied, address)
+            return not seen
+
+        try:
+            until(right, "the policies to be in force", seconds=15)
+        except AssertionError as error:
+            raise AssertionError("; ".join(seen)) from error
+        # Once more, so that a moment between two states cannot pass for the right one.
+        wrong = self.unexpected(allowed, denied, address)
+        assert not wrong, "; ".join(wrong)

@@ -1,0 +1,186 @@
+"""What NetworkPolicies do to packets between the pods of the cluster under test.
+
+The gate of a workload stands on them, so they are tested themselves: with the table that the local cluster's enforcer is tested with
+(testcluster/local/netpol), and, there, with what the enforcer promises beyond the specification.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import time
+import uuid
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from tests.cluster.policy_pods import REPOSITORY, World, flows, table
+from tests.support.cluster import Cluster, Object
+
+TABLE = table()
+GATED = 7950
+
+
+@pytest.fixture(scope="module")
+def image(pytestconfig: pytest.Config, kubeconfig: object) -> str:
+    """An image with Python: UNDERSTUDY_TEST_IMAGE, or the operator's own, loaded where that can be done."""
+    given = os.environ.get("UNDERSTUDY_TEST_IMAGE")
+    if given:
+        return given
+    provider: str | None = pytestconfig.getoption("cluster")
+    if provider == "current":
+        return "python:3.12-slim"
+    command = [str(REPOSITORY / "scripts" / "images"), "--load", "operator"]
+    done = subprocess.run([*command, *(["--provider", provider] if provider else [])], capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return "localhost/understudy-operator:dev"
+
+
+@pytest.fixture(scope="module")
+def world(cluster: Cluster, image: str) -> Iterator[World]:
+    unique = uuid.uuid4().hex[:6]
+    world = World(cluster, {space: f"netpol-{unique}-{space}" for space in TABLE["namespaces"]}, image)
+    ready = []
+    for node in cluster.list("v1", "Node"):
+        conditions = {c["type"]: c["status"] for c in node["status"]["conditions"]}
+        if (
+            conditions.get("Ready") == "True"
+            and not node["spec"].get("unschedulable")
+            and not node["spec"].get("taints")
+        ):
+            ready.append(node["metadata"]["labels"]["kubernetes.io/hostname"])
+    assert ready, "the cluster has no node that pods may run on"
+    world.nodes = ready
+    created: list[Object] = []
+    try:
+        for space, labels in TABLE["namespaces"].items():
+            metadata = {"name": world.spaces[space], "labels": labels}
+            created.append(cluster.create({"apiVersion": "v1", "kind": "Namespace", "metadata": metadata}))
+        for pod in TABLE["pods"]:
+            world.start(pod["namespace"], pod["name"], pod["labels"], pod["node"], pod.get("ports", []))
+        # Beside the table's, an instance on the other node: what is allowed to it hangs on another enforcer.
+        world.start("fleet", "distant", {"app": "distant", "instance": "distant"}, 1, [])
+        world.ready()
+        yield world
+    finally:
+        for agent in world.agents.values():
+            agent.close()
+        for item in created:
+            cluster.delete(item)
+
+
+@pytest.mark.parametrize("case", TABLE["cases"], ids=[case["name"] for case in TABLE["cases"]])
+def test_table(world: World, case: Object) -> None:
+    world.enforce(world.policies(case))
+    world.expect(flows(case.get("allowed", [])), flows(case.get("denied", [])))
+
+
+def _policy(world: World, name: str, spec: Object) -> Object:
+    metadata = {"name": name, "namespace": world.spaces["fleet"]}
+    return {"apiVersion": "networking.k8s.io/v1", "kind": "NetworkPolicy", "metadata": metadata, "spec": spec}
+
+
+def _selector(**labels: str) -> Object:
+    return {"matchLabels": labels}
+
+
+def test_a_service_is_judged_by_its_pods(world: World) -> None:
+    world.enforce([])
+    service = world.cluster.create(
+        {
+            "apiVersion": "v1",
+            "kind": "Service",
+            "metadata": {"name": "robot", "namespace": world.spaces["fleet"]},
+            "spec": {
+                "selector": {"app": "robot"},
+                "ports": [
+                    {"name": "command", "protocol": "UDP", "port": 53, "targetPort": GATED},
+                    {"name": "web", "protocol": "TCP", "port": 443, "targetPort": 8080},
+                    {"name": "other", "protocol": "TCP", "port": 8080, "targetPort": 80},
+                ],
+            },
+        }
+    )
+    address = service["spec"]["clusterIP"]
+    active = [("active", "robot", "udp", 53), ("active", "robot", "tcp", 443)]
+    standby = [("standby", "robot", "udp", 53), ("standby", "robot", "tcp", 443)]
+    try:
+        world.expect([*active, *standby, ("active", "robot", "tcp", 8080)], [], address)
+        ports = [{"protocol": "UDP", "port": GATED}, {"protocol": "TCP", "port": 8080}]
+        rule = {"from": [{"podSelector": _selector(instance="active")}], "ports": ports}
+        spec = {"podSelector": _selector(app="robot"), "policyTypes": ["Ingress"], "ingress": [rule]}
+        world.enforce([_policy(world, "service", spec)])
+        world.expect(active, [*standby, ("active", "robot", "tcp", 8080)], address)
+    finally:
+        world.cluster.delete({"apiVersion": "v1", "kind": "Service", "metadata": service["metadata"]})
+
+
+@pytest.mark.local_only
+@pytest.mark.parametrize("direction", ["Ingress", "Egress"])
+@pytest.mark.parametrize("protocol", ["udp", "tcp"])
+def test_an_established_flow_ends_with_its_permission(world: World, protocol: str, direction: str) -> None:
+    world.enforce([])
+    world.expect([("active", "robot", protocol, 1000)], [])
+    agent, flow = world.agents["active"], f"{protocol} {direction}"
+    assert agent.ask("open", flow=flow, protocol=protocol, address=world.address("robot"), port=1000)
+    subject = {"Ingress": "robot", "Egress": "nav"}[direction]
+    world.enforce([_policy(world, "deny", {"podSelector": _selector(app=subject), "policyTypes": [direction]})])
+    world.expect([], [("active", "robot", protocol, 1000)])
+    assert not agent.ask("say", flow=flow), "the established flow goes on"
+    world.enforce([])
+    world.expect([("active", "robot", protocol, 1000)], [])
+    assert any(agent.ask("say", flow=flow) for _ in range(5)), "the flow does not go on after it was allowed again"
+
+
+@pytest.mark.local_only
+@pytest.mark.parametrize("other", ["standby", "distant"], ids=["on one node", "on two nodes"])
+def test_a_gate_is_switched(world: World, other: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Two instances send all the time; the gate is switched between them; the receiver says whom it heard, and when."""
+    closed = {
+        "podSelector": {"matchExpressions": [{"key": "instance", "operator": "Exists"}]},
+        "policyTypes": ["Egress"],
+    }
+    opened = {"podSelector": _selector(instance="active"), "policyTypes": ["Egress"], "egress": [{}]}
+    world.enforce([_policy(world, "standby", closed), _policy(world, "gate", opened)])
+    world.expect([("active", "robot", "udp", GATED)], [(other, "robot", "udp", GATED)])
+    senders = ("active", other)
+    for name in senders:
+        world.agents[name].ask("stream", name=name, address=world.address("robot"), port=GATED, every=0.0005)
+    gate = world.cluster.get("networking.k8s.io/v1", "NetworkPolicy", "gate", world.spaces["fleet"])
+    gate = {"apiVersion": "networking.k8s.io/v1", "kind": "NetworkPolicy", **gate}
+    world.agents["robot"].ask("arrivals")
+    turns: list[Any] = []
+    for turn in range(50):
+        to = senders[(turn + 1) % 2]
+        asked = time.time_ns()
+        world.cluster.patch(gate, {"spec": {"podSelector": _selector(instance=to)}})
+        turns.append((to, asked, time.time_ns()))
+        time.sleep(0.06)
+    ended = time.time_ns()
+    for name in senders:
+        world.agents[name].ask("stop", name=name)
+    time.sleep(0.1)
+    arrivals = world.agents["robot"].ask("arrivals")
+    last_old, first_new, overlaps = [], [], []
+    for (to, asked, answered), (_, ends, _) in zip(turns, [*turns[1:], ("", ended, 0)], strict=True):
+        # Whoever sent and arrived between two requests was judged between them.
+        own = [(name, sent, got) for name, _, sent, got in arrivals if asked <= sent and got < ends]
+        new = [(sent, got) for name, sent, got in own if name == to]
+        old = [sent for name, sent, _ in own if name != to]
+        assert new, f"nothing of {to} arrived after the gate was opened for it"
+        first_new.append((min(sent for sent, _ in new) - answered) / 1e6)
+        last_old.append((max(old, default=asked) - answered) / 1e6)
+        # Sent after the first packet of the other had arrived: at this moment both were let through.
+        overlaps.append(max([(sent - min(got for _, got in new)) / 1e6 for sent in old], default=-1.0))
+    with capsys.disabled():
+        print(f"\n  gate between active and {other}, {len(turns)} switches, ms after the API's answer to the PATCH")
+        for what, values in (("last packet let through of the old", last_old), ("first of the new", first_new)):
+            ordered = sorted(values)
+            p50, p95 = ordered[len(ordered) // 2], ordered[int(len(ordered) * 0.95)]
+            print(f"  {what:36} p50 {p50:7.2f}  p95 {p95:7.2f}  max {ordered[-1]:7.2f}")
+        both = [value for value in overlaps if value > 0]
+        print(f"  both at once: {len(both)} times, longest {max(both, default=0.0):.2f} ms")
+    if other == "standby":  # both on one node: one transaction
+        assert not both, f"both were let through at once, for up to {max(both):.2f} ms"
+    assert max(last_old) < 1000, "the gate did not close within a second"
