@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import contextlib
 import json
 import os
 import random
@@ -27,6 +28,7 @@ import sys
 import tempfile
 import time
 from collections import deque
+from collections.abc import Iterator
 from pathlib import Path
 
 from results import Report
@@ -39,6 +41,9 @@ SIZE = 200
 GAP = 0.5
 LEAST_RATE, WINDOW = 40.0, 2.0
 DOMAIN = "97"
+
+PROCESSES: dict[str, dict[str, str]] = {"publishers": {}, "ours": {"MALLOC_ARENA_MAX": "2"}, "callbacks": {}}
+"""The processes of a run, with the environment of each, as the monitor's pod has it."""
 
 
 def main() -> None:
@@ -53,7 +58,7 @@ def main() -> None:
         return
     report = Report("monitor")
     with tempfile.TemporaryDirectory() as folder:
-        os.environ.update(_environment(Path(folder)))
+        _prepare(Path(folder))
         _cost(report, options.rounds, options.seconds)
         _lateness(report, options.failures)
     report.note("load", f"{len(TOPICS)} topics x {HERTZ:g} Hz, {SIZE} bytes, {len(GATED)} of them gated, UDPv4 only")
@@ -66,19 +71,19 @@ def main() -> None:
 # -- measuring ---------------------------------------------------------------------------------------------------------
 
 
-def _environment(folder: Path) -> dict[str, str]:
-    from understudy.api.workloads import Output
+def _prepare(folder: Path) -> None:
+    """Set the environment that all processes share, and write the profiles that ours has on top."""
+    from understudy.api.workloads import Output  # here, so that it isn't in the baseline's memory
     from understudy.ros.profiles import profiles_xml
 
     profiles = folder / "profiles.xml"
     profiles.write_text(profiles_xml(Output(topic=topic, type=TYPE) for topic in GATED))
-    return {
-        "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
-        "ROS_DOMAIN_ID": DOMAIN,
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
-        "BENCH_PROFILES": str(profiles),
-    }
+    PROCESSES["ours"]["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(profiles)
+    for name in ("ROS_DISCOVERY_SERVER", "ROS_STATIC_PEERS", "ROS_AUTOMATIC_DISCOVERY_RANGE"):
+        os.environ.pop(name, None)
+    os.environ["RMW_IMPLEMENTATION"] = "rmw_fastrtps_cpp"
+    os.environ["ROS_DOMAIN_ID"] = DOMAIN
+    os.environ["FASTDDS_BUILTIN_TRANSPORTS"] = "UDPv4"  # as between pods, which share no memory
 
 
 class Role:
@@ -130,40 +135,46 @@ class Role:
         self._process.wait()
 
 
-def _watchers() -> list[Role]:
-    return [
-        Role("ours", FASTRTPS_DEFAULT_PROFILES_FILE=os.environ["BENCH_PROFILES"], MALLOC_ARENA_MAX="2"),
-        Role("callbacks"),
-    ]
+@contextlib.contextmanager
+def _watched() -> Iterator[tuple[Role, list[Role]]]:
+    """The publishers, and both ways of watching once each receives all topics."""
+    roles: list[Role] = []
+    try:
+        for name, environment in PROCESSES.items():
+            roles.append(Role(name, **environment))
+        publishers, *watchers = roles
+        end = time.monotonic() + 30
+        while True:
+            before = [watcher.received() for watcher in watchers]
+            time.sleep(1.0)
+            if all(w.received() - n > 0.9 * len(TOPICS) * HERTZ for w, n in zip(watchers, before, strict=True)):
+                break
+            if time.monotonic() > end:
+                raise SystemExit("the watchers don't receive all topics: is multicast possible here?")
+        yield publishers, watchers
+    finally:
+        for role in roles:
+            role.end()
 
 
 def _cost(report: Report, rounds: int, length: float) -> None:
     found: dict[tuple[str, str], list[float]] = {}
-    publishers = Role("publishers")
-    try:
-        for number in range(rounds):
-            watchers = _watchers()
-            try:
-                time.sleep(3.0)
-                begun = time.monotonic()
-                before = [(watcher.cpu(), watcher.received()) for watcher in watchers]
-                time.sleep(length)
-                for watcher, (cpu, received) in zip(watchers, before, strict=True):
-                    passed = time.monotonic() - begun
-                    now = {
-                        "CPU": 1000 * (watcher.cpu() - cpu) / passed,
-                        "memory": watcher.rss(),
-                        "received": (watcher.received() - received) / passed,
-                    }
-                    for name, value in now.items():
-                        found.setdefault((name, watcher.name), []).append(value)
-                    shown = f"{now['CPU']:.1f} milli-CPU, {now['memory']:.1f} MB, {now['received']:.0f} messages/s"
-                    print(f"round {number + 1}/{rounds}: {watcher.name} {shown}", flush=True)
-            finally:
-                for watcher in watchers:
-                    watcher.end()
-    finally:
-        publishers.end()
+    for number in range(rounds):
+        with _watched() as (_, watchers):
+            time.sleep(2.0)
+            before = [(time.monotonic(), watcher.cpu(), watcher.received()) for watcher in watchers]
+            time.sleep(length)
+            for watcher, (begun, cpu, received) in zip(watchers, before, strict=True):
+                passed = time.monotonic() - begun
+                now = {
+                    "CPU": 1000 * (watcher.cpu() - cpu) / passed,
+                    "memory": watcher.rss(),
+                    "received": (watcher.received() - received) / passed,
+                }
+                for name, value in now.items():
+                    found.setdefault((name, watcher.name), []).append(value)
+                shown = f"{now['CPU']:.1f} milli-CPU, {now['memory']:.1f} MB, {now['received']:.0f} messages/s"
+                print(f"round {number + 1}/{rounds}: {watcher.name} {shown}", flush=True)
     bounds = {"CPU": {"max": 15.0}, "memory": {"max": 100.0}, "received": {}}
     units = {"CPU": "milli-CPU", "memory": "MB", "received": "messages/s"}
     for name, must in bounds.items():
@@ -173,20 +184,17 @@ def _cost(report: Report, rounds: int, length: float) -> None:
 
 def _lateness(report: Report, failures: int) -> None:
     late: dict[str, list[float]] = {"ours": [], "callbacks": []}
-    publishers, watchers = Role("publishers"), _watchers()
     chance = random.Random(1)
-    try:
-        time.sleep(3.0)
-        for _ in range(failures):
+    with _watched() as (publishers, watchers):
+        for number in range(failures):
             time.sleep(0.6 + 0.4 * chance.random())
             publishers.signal(signal.SIGSTOP)
             for watcher in watchers:
                 seen = json.loads(watcher.line(10))
                 late[watcher.name].append(1000 * (seen["detected"] - seen["last"] - GAP))
             publishers.signal(signal.SIGCONT)
-    finally:
-        for role in (publishers, *watchers):
-            role.end()
+            if (number + 1) % 10 == 0:
+                print(f"failure {number + 1}/{failures}", flush=True)
     report.figure("noticed past the timeout", late["ours"], unit="ms", must={"p95": 15.0})
     report.baseline("noticed past the timeout", late["callbacks"], unit="ms", of="rclpy callbacks, same run")
 

@@ -68,7 +68,10 @@ class Sources:
         """What a user should know about pods that can't be told (apart), in plain words."""
         for names in self.ambiguous:
             addresses = ", ".join(f"{name} ({self.instances[name]})" for name in names)
-            yield (
-                f"{addresses} can't be told apart: Fast DDS gives their addresses the same 16-bit host id. Delete the "
-                "standby among them, its replacement gets another address."
-            )
+            if len({self.instances[name] for name in names}) == 1:
+                yield f"{addresses} can't be told apart: they have the same address, one after the other."
+            else:
+                yield (
+                    f"{addresses} can't be told apart: Fast DDS gives their addresses the same 16-bit host id. Delete "
+                    "the standby among them, its replacement gets another address."
+                )

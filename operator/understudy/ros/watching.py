@@ -147,11 +147,15 @@ class Watching:
         topic.problem = topic.waiting = ""
         type_name = want.type or self._graph.type_of(want.name)
         if type_name is None:
-            found = {endpoint.type for endpoint in self._graph.publishers(want.name)}
-            why = "nobody publishes it yet"
-            if found:
-                why = f"its publishers disagree ({', '.join(sorted(found))})"
-            topic.problem = f"the type of {want.name} is not known, since {why}: give the type in the tree"
+            if found := {endpoint.type for endpoint in self._graph.publishers(want.name)}:
+                types = ", ".join(sorted(found))
+                topic.problem = (
+                    f"the publishers of {want.name} disagree about its type ({types}): give the type in the tree"
+                )
+            else:
+                topic.waiting = (
+                    f"the type of {want.name} is not known, since nobody publishes it yet: give the type in the tree"
+                )
             return
         try:
             topic.subscription = self._graph.subscribe(want.name, type_name, depth=depth(want))
@@ -316,5 +320,12 @@ class Watching:
 
 
 def _offset() -> float:
-    """The clock minus the monotonic one; changes when the clock is set."""
-    return time.time() - time.monotonic()
+    """The clock minus the monotonic one; changes when the clock is set. Between two looks a busy node may stall us."""
+    best, offset = math.inf, 0.0
+    for _ in range(5):
+        before, now, after = time.monotonic(), time.time(), time.monotonic()
+        if after - before < best:
+            best, offset = after - before, now - (before + after) / 2
+        if best < CLOCK_STEP / 10:
+            break
+    return offset

@@ -1,4 +1,4 @@
-"""Real DDS on this machine: a domain of its own, the loopback only, no shared memory (as between pods)."""
+"""Real DDS on this machine: a domain of its own, and the loopback only."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def dds(monkeypatch: pytest.MonkeyPatch) -> None:
     """The environment that all nodes of a test share."""
     monkeypatch.setenv("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp")
     monkeypatch.setenv("ROS_DOMAIN_ID", str(10 + os.getpid() % 90))
-    monkeypatch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
+    monkeypatch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")  # heeded where the range isn't LOCALHOST
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     for name in ("ROS_DISCOVERY_SERVER", "FASTRTPS_DEFAULT_PROFILES_FILE", "ROS_STATIC_PEERS"):
         monkeypatch.delenv(name, raising=False)

@@ -2,6 +2,7 @@
 
 publish TOPIC RATE [BYTES]    std_msgs/String, best effort and reliable readers match
 robot TOPIC SERVICE ACTION    subscribes, serves, and calls: every reader that an output can have on a robot's side
+look TOPIC SERVICE            what a node sees of them that neither publishes, nor subscribes, nor calls; prints it as JSON
 watch SECONDS JSON            Watching, told by JSON what to watch (publishing hosts by topic), who the instances are,
                               and which are in control in turn; prints what it saw as JSON
 """
@@ -100,5 +101,25 @@ def watch(duration: str, text: str) -> None:
     print(json.dumps(seen), flush=True)
 
 
+def look(topic: str, service: str) -> None:
+    from understudy.api.workloads import Output
+    from understudy.ros.graph import Graph
+
+    graph = Graph("looker")
+    print("ready", flush=True)
+    end = time.monotonic() + 20
+    while True:
+        found = {
+            "type": graph.type_of(topic),
+            "endpoints": len(graph.endpoints(Output(service=service, type="std_srvs/srv/Trigger"))),
+        }
+        if all(found.values()) or time.monotonic() > end:
+            break
+        time.sleep(0.05)
+    time.sleep(0.5)
+    found["endpoints"] = len(graph.endpoints(Output(service=service, type="std_srvs/srv/Trigger")))
+    print(json.dumps(found), flush=True)
+
+
 if __name__ == "__main__":
-    {"publish": publish, "robot": robot, "watch": watch}[sys.argv[1]](*sys.argv[2:])
+    {"look": look, "publish": publish, "robot": robot, "watch": watch}[sys.argv[1]](*sys.argv[2:])

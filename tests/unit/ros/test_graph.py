@@ -1,0 +1,103 @@
+"""What the one node sees of the graph, with and without a discovery server."""
+
+import json
+import os
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from understudy.api.workloads import Output
+from understudy.ros.graph import Graph
+from understudy.ros.watching import Watching
+from understudy.trees.health import WatchedTopic
+
+pytestmark = pytest.mark.ros
+
+TOPIC = Output(topic="/chat", type="std_msgs/msg/String")
+SERVICE = Output(service="/snap", type="std_srvs/srv/Trigger")
+ACTION = Output(action="/goto", type="test_msgs/action/Fibonacci")
+
+
+def test_endpoints_of_topics_services_and_actions_are_seen(graph, processes, eventually):
+    assert [graph.endpoints(output) for output in (TOPIC, SERVICE, ACTION)] == [[], [], []]
+    processes.node("publish", "/chat", "10")
+    processes.node("robot", "/other", "/snap", "/goto")
+    eventually(lambda: graph.type_of("/chat") == "std_msgs/msg/String")
+    # A server's request reader and a client's request writer.
+    eventually(lambda: [len(graph.endpoints(output)) for output in (TOPIC, SERVICE, ACTION)] == [1, 2, 2])
+    eventually(lambda: {endpoint.node for endpoint in graph.endpoints(SERVICE)} == {"/robot"})
+    hosts = {endpoint.gid[:4] for output in (TOPIC, SERVICE, ACTION) for endpoint in graph.endpoints(output)}
+    assert len(hosts) == 1
+
+
+def test_publishers_that_disagree_have_no_type(graph, eventually):
+    from std_msgs.msg import Bool, String
+
+    other = Graph("other")
+    try:
+        graph.node.create_publisher(Bool, "/chat", 1)
+        other.node.create_publisher(String, "/chat", 1)
+        eventually(lambda: len(graph.publishers("/chat")) == 2)
+        assert graph.type_of("/chat") is None
+        watching = Watching(graph)
+        watching.follow([WatchedTopic("/chat", None, 0.0, None)])
+        assert watching.problems == [
+            "the publishers of /chat disagree about its type (std_msgs/msg/Bool, std_msgs/msg/String): "
+            "give the type in the tree"
+        ]
+    finally:
+        other.close()
+
+
+def test_the_node_offers_no_services_that_nobody_would_answer(graph):
+    assert graph.node.get_service_names_and_types_by_node("tested", "/") == []
+
+
+def test_signals_are_left_alone(graph):
+    import signal
+
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+
+
+def test_a_second_graph_can_follow_the_first(dds):
+    for _ in range(2):
+        graph = Graph("tested")
+        graph.subscribe("/chat", "std_msgs/msg/String", depth=10)
+        graph.close()
+
+
+@pytest.fixture
+def discovery_server(dds, monkeypatch):
+    """A real Fast DDS discovery server, with its libraries found as docker/understudy-discovery-server finds them."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    home = Path(sys.prefix)
+    libraries = [home / "lib", *(home / "lib").glob("python3*/site-packages/*.libs")]
+    server = subprocess.Popen(
+        [home / "bin" / "fast-discovery-server", "-i", "0", "-l", "127.0.0.1", "-p", str(port)],
+        env={**os.environ, "LD_LIBRARY_PATH": ":".join(map(str, libraries))},
+        stdout=subprocess.DEVNULL,
+    )
+    time.sleep(0.5)
+    assert server.poll() is None
+    monkeypatch.delenv("ROS_AUTOMATIC_DISCOVERY_RANGE")
+    monkeypatch.setenv("ROS_DISCOVERY_SERVER", f"127.0.0.1:{port}")
+    yield
+    server.kill()
+    server.wait()
+
+
+def test_a_discovery_server_tells_types_and_endpoints_too(discovery_server, processes):
+    processes.node("publish", "/chat", "10")
+    processes.node("robot", "/other", "/snap", "/goto")
+    # In a process of its own: Fast DDS never forgets a discovery server that was in its environment once.
+    looker = processes.node("look", "/chat", "/snap")
+    assert json.loads(processes.line(looker, 30)) == {"type": "std_msgs/msg/String", "endpoints": 2}
