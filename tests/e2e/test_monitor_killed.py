@@ -1,4 +1,4 @@
-"""A monitor that is killed in the middle of a recovery, at every step: the next completes it or safely does it again."""
+"""A monitor that is killed at any step of a recovery: the next one completes it or safely does it again."""
 
 from __future__ import annotations
 
