@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -53,7 +54,9 @@ def release(cluster: Cluster, helm: str, kubeconfig: Path) -> Iterator[Release]:
     assert done.returncode == 0, done.stderr
     for kind in KINDS:
         until(lambda kind=kind: _established(cluster, kind.plural), f"{kind.name} to be served")  # type: ignore[misc]
-    yield Release(NAME, NAMESPACE)
+    found = Release(NAME, NAMESPACE)
+    with _resting(cluster, found):
+        yield found
     if not there:
         done = _helm(helm, kubeconfig, "uninstall", NAME, "--wait")
         assert done.returncode == 0, done.stderr
@@ -65,6 +68,24 @@ def release(cluster: Cluster, helm: str, kubeconfig: Path) -> Iterator[Release]:
         for item in leftovers:
             what = (item["apiVersion"], item["kind"], item["metadata"]["name"])
             until(lambda what=what: cluster.find(*what) is None, f"{what[2]} to be gone")  # type: ignore[misc]
+
+
+@contextmanager
+def _resting(cluster: Cluster, release: Release) -> Iterator[None]:
+    """An operator that runs would look after the objects of these tests, so it rests meanwhile."""
+    deployment = cluster.get("apps/v1", "Deployment", release.operator, release.namespace)
+    replicas = deployment["spec"]["replicas"]
+    labels = ",".join(f"{key}={value}" for key, value in deployment["spec"]["selector"]["matchLabels"].items())
+    cluster.patch(deployment, {"spec": {"replicas": 0}}, subresource="scale")
+    until(
+        lambda: not cluster.list("v1", "Pod", release.namespace, labels=labels),
+        "the installed operator to be gone",
+        seconds=60,
+    )
+    try:
+        yield
+    finally:
+        cluster.patch(deployment, {"spec": {"replicas": replicas}}, subresource="scale")
 
 
 def _definition(cluster: Cluster, plural: str) -> Object:
