@@ -90,6 +90,6 @@ class FailurePolicyStatus(Model):
     strategies: str | None = Field(default=None, description="The strategies in short, in order.")
     conditions: list[Condition] | None = Field(
         default=None,
-        description="Accepted.",
+        description="Accepted: the tree and the strategies can be followed.",
         json_schema_extra={"x-kubernetes-list-type": "map", "x-kubernetes-list-map-keys": ["type"]},
     )

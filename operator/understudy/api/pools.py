@@ -128,6 +128,6 @@ class FallbackPoolStatus(Model):
     )
     conditions: list[Condition] | None = Field(
         default=None,
-        description="Accepted, Ready.",
+        description="Accepted: it can be filled. Ready: every pod that should be there could take over now.",
         json_schema_extra={"x-kubernetes-list-type": "map", "x-kubernetes-list-map-keys": ["type"]},
     )

@@ -289,6 +289,8 @@ class RobotWorkloadStatus(Model):
     )
     conditions: list[Condition] | None = Field(
         default=None,
-        description="Accepted, Reconciled, Protected, GateEnforced, Healthy, Recovering.",
+        description="Accepted: spec and policy can be followed. Reconciled: everything was built. Protected: the first strategy could "
+        "take over now. Monitored: every topic of the health tree is watched. Healthy: the tree holds. GateEnforced: packets show that "
+        "only the pod in control gets through. Recovering: a failure is being dealt with.",
         json_schema_extra={"x-kubernetes-list-type": "map", "x-kubernetes-list-map-keys": ["type"]},
     )
