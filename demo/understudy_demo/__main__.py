@@ -176,7 +176,7 @@ Let it fail in other ways:
     kubectl scale -n {stage.release_namespace} deploy/understudy-operator --replicas 0
     # frozen, not killed: the pod stays Running and Ready, and only the robot notices
     kubectl exec $(kubectl get robotworkload {WORKLOAD} -o jsonpath='{{.status.active}}') -c drive -- sh -c \\
-        'for p in /proc/[0-9]*; do grep -q "[q]uickstart.application" $p/cmdline && kill -STOP ${{p#/proc/}}; done'
+        'for p in /proc/[0-9]*; do grep -q "[q]uickstart.application" $p/cmdline && kill -STOP ${{p#/proc/}}; done; true'
     kubectl scale -n {stage.release_namespace} deploy/understudy-operator --replicas 2
 Remove it:
 {removal}

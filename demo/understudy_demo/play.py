@@ -95,6 +95,8 @@ class Play:
         self._apply(f"strategies/{strategy}.yaml")
         workload = (MANIFESTS / "robotworkload.yaml").read_text()
         self._kubectl("apply", "-f", "-", stdin=_with_policy(workload, strategy))
+        # The robot's pod would wait for its ConfigMaps too, but the kubelet looks for them less and less often.
+        self._until("the workload is built", self._built, within=60)
         self._apply("robot.yaml")
         self._until("the robot is driven", self._driven, within=180)
 
@@ -173,24 +175,21 @@ class Play:
             return False, str(error)
         now = time.time()
         recent = [c for c in commands if c.received > now - 1.0]
-        return len(recent) >= 12, f"{len(recent)} commands at the robot in the last second"
+        return len(recent) >= 12, f"{len(recent)} commands at the robot in the last second; {_state(self._workload())}"
+
+    def _built(self) -> tuple[bool, str]:
+        """Whether the operator has made everything that belongs to the workload."""
+        workload = self._workload()
+        conditions = (workload.get("status") or {}).get("conditions") or []
+        done = any(c["type"] == "Reconciled" and c["status"] == "True" for c in conditions)
+        return done, _state(workload) if conditions else "no status yet: does the operator run?"
 
     def _ready(self, strategy: str) -> tuple[bool, str]:
         """Whether the workload is healthy and the strategy is the one that would be used now."""
-        status = self._workload().get("status", {})
-        conditions = {c["type"]: c for c in status.get("conditions") or []}
-        bad = "; ".join(
-            f"{name}: {conditions[name]['message']}"
-            for name in ("Accepted", "Reconciled", "Protected", "GateEnforced")
-            if conditions.get(name, {}).get("status") == "False"
-        )
-        state = (
-            f"health {status.get('health')}, strategy {status.get('strategy')}, standby {status.get('standby')} {bad}"
-        )
-        if status.get("health") != "Healthy" or status.get("strategy") not in (
-            STRATEGIES[strategy],
-            STRATEGIES[strategy].rpartition("/")[2],
-        ):
+        workload = self._workload()
+        status = workload.get("status") or {}
+        state = _state(workload)
+        if status.get("health") != "Healthy" or status.get("strategy") != STRATEGIES[strategy].rpartition("/")[2]:
             return False, state
         if strategy == "restart":
             return True, state
@@ -237,6 +236,18 @@ def _with_policy(workload: str, strategy: str) -> str:
     if count != 1:
         raise ValueError(f"robotworkload.yaml: expected one failurePolicyRef: {{name: ...}}, found {count}")
     return changed
+
+
+def _state(workload: dict[str, Any]) -> str:
+    """What a workload's status says, in one line: its columns, and every condition that isn't as it should be."""
+    status = workload.get("status") or {}
+    said = [f"{column} {status.get(column)}" for column in ("health", "strategy", "standby")]
+    said += [
+        f"{condition['type']}: {condition['message']}"
+        for condition in status.get("conditions") or []
+        if condition["status"] == "False" and condition["type"] != "Recovering"
+    ]
+    return ", ".join(said)
 
 
 def _why(pods: list[dict[str, Any]]) -> str:

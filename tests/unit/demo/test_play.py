@@ -11,7 +11,7 @@ import pytest
 import yaml
 from understudy_demo.__main__ import _returns, main
 from understudy_demo.kubectl import CommandFailed, Kubectl, run
-from understudy_demo.play import MANIFESTS, STRATEGIES, NotSo, Play, _why, _with_policy
+from understudy_demo.play import MANIFESTS, STRATEGIES, NotSo, Play, _state, _why, _with_policy
 from understudy_demo.robotview import Command, RobotLog
 
 REPOSITORY = Path(__file__).parents[3]
@@ -86,6 +86,17 @@ def test_why_a_pod_does_not_run_is_said_in_one_line() -> None:
     assert _why([pod]) == "ImagePullBackOff no such image"
     assert _why([{"status": {"phase": "Pending"}}]) == "Pending"
     assert _why([]) == "not there"
+
+
+def test_a_workloads_state_is_said_with_what_is_wrong() -> None:
+    conditions = [
+        {"type": "Accepted", "status": "True", "message": "fine"},
+        {"type": "Protected", "status": "False", "message": "no standby is ready"},
+        {"type": "Recovering", "status": "False", "message": "nothing to recover"},
+    ]
+    workload = {"status": {"health": "Healthy", "standby": "Executing (0/1)", "conditions": conditions}}
+    said = "health Healthy, strategy None, standby Executing (0/1), Protected: no standby is ready"
+    assert _state(workload) == said
 
 
 def test_unknown_strategies_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
