@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
+import time
 import uuid
 from collections.abc import Iterator
 from pathlib import Path
@@ -52,7 +53,10 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """Says again what failed before the tests began (scripts/test)."""
+    """Says how long all of scripts/test took, and again what failed before the tests began."""
+    if started := os.environ.get("UNDERSTUDY_STARTED"):
+        terminalreporter.line("")
+        terminalreporter.line(f"scripts/test took {time.time() - float(started):.0f} s in all")
     failed = [name for name in os.environ.get("UNDERSTUDY_FAILED", "").split(";") if name]
     if failed:
         terminalreporter.section("failed before the tests", red=True)
