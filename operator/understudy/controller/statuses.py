@@ -79,6 +79,8 @@ def _reconciled(observed: Observed, understanding: Understanding, problems: Sequ
         return no(problems[0].reason, "; ".join(problem.message for problem in problems))
     if understanding.environment is None:
         return no("InProgress", "Waiting for the address of the discovery server's Service.")
+    if (found := _first_trouble(_instances(observed))) is not None:
+        return no(found.reason, f"{found.message.rstrip('.')}. What runs stays as it is until its successor does.")
     return condition("Reconciled", True, "Reconciled", "Everything was built as it says.", generation=generation)
 
 

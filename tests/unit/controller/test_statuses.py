@@ -91,6 +91,9 @@ def test_a_broken_new_template_does_not_unprotect_while_the_old_standby_is_ready
     found = world(policy("hot"), hot(), standby=standby_pod("w-s", of=workload()))
     found.pods.append(standby_pod("w-n", of=workload(), ready=False, waiting="ErrImageNeverPull"))
     assert found.condition("Protected")["status"] == "True"
+    reconciled = found.condition("Reconciled")
+    assert (reconciled["status"], reconciled["reason"]) == ("False", "ErrImageNeverPull")
+    assert "pod w-n" in reconciled["message"]
 
 
 def test_a_shared_pool_in_the_column() -> None:
