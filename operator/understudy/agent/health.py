@@ -174,6 +174,7 @@ class Health:
                 own = _OwnOutputs(watching, plan.outputs, host)
                 self._since = time.time()
             watching.drain()
+            plan.tree.leave_out(watching.unwatchable)
             now = time.time()
             self._judge(graph, watching, host, plan, own, now)
             young = self.judgement.ready_at is None and time.monotonic() - joined < STARTING_FOR
