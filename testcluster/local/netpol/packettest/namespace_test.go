@@ -36,7 +36,7 @@ func newNamespace(t testing.TB, directory, name string) *namespace {
 	t.Cleanup(func() { file.Close() })
 	n := &namespace{path, file}
 	// Otherwise IPv6 does nothing for a second or two, until every interface is sure of its address.
-	n.sysctl(t, "net.ipv6.conf.all.accept_dad=0", "net.ipv6.conf.default.accept_dad=0")
+	n.sysctl(t, "ipv6/conf/all/accept_dad=0", "ipv6/conf/default/accept_dad=0")
 	return n
 }
 
@@ -58,9 +58,18 @@ func (n *namespace) ip(t testing.TB, lines ...string) {
 	n.run(t, strings.Join(lines, "\n")+"\n", "ip", "-batch", "-")
 }
 
+// sysctl sets values below /proc/sys/net, given as "ipv4/ip_forward=1".
 func (n *namespace) sysctl(t testing.TB, values ...string) {
 	t.Helper()
-	n.run(t, "", append([]string{"sysctl", "-qw"}, values...)...)
+	must(t, n.do(func() error {
+		for _, setting := range values {
+			name, value, _ := strings.Cut(setting, "=")
+			if err := os.WriteFile("/proc/sys/net/"+name, []byte(value), 0o644); err != nil {
+				return err
+			}
+		}
+		return nil
+	}))
 }
 
 // do calls f on a thread inside the namespace. Sockets that f opens stay there.

@@ -139,6 +139,8 @@ func TestTheTableIsRepaired(t *testing.T) {
 	w := newWorld(t)
 	w.enforce(t)
 	w.setPolicy(t, policyOf(t, "p", `{podSelector: {matchLabels: {app: nav}}, policyTypes: [Egress], egress: [{to: [{podSelector: {matchLabels: {app: robot}}}], ports: [{protocol: UDP, port: 1000}]}]}`))
+	// One of each kind of rule, all of which must be recognised when read back.
+	w.setPolicy(t, policyOf(t, "kinds", `{podSelector: {matchLabels: {app: camera}}, policyTypes: [Ingress, Egress], ingress: [{from: [{ipBlock: {cidr: 10.0.0.0/8, except: [10.1.0.0/16]}}, {ipBlock: {cidr: "fd00::/8"}}], ports: [{port: web}, {protocol: UDP, port: 5, endPort: 9}, {protocol: SCTP}, {port: 7}]}, {from: [{namespaceSelector: {}}]}], egress: [{}]}`))
 	n := w.nodes[0]
 	n.nft(t, "table inet others { chain c { type filter hook forward priority 10; counter; }; }")
 	for name, tamper := range map[string]string{

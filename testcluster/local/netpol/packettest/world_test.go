@@ -8,6 +8,7 @@ import (
 	"log/slog"
 	"net/netip"
 	"os"
+	"os/exec"
 	"strconv"
 	"sync"
 	"sync/atomic"
@@ -21,6 +22,7 @@ import (
 	"k8s.io/apimachinery/pkg/watch"
 	"k8s.io/client-go/kubernetes/fake"
 	k8stesting "k8s.io/client-go/testing"
+	"k8s.io/klog/v2"
 
 	"understudy/testcluster/understudy-netpol/conformance"
 	"understudy/testcluster/understudy-netpol/internal/enforcer"
@@ -28,13 +30,20 @@ import (
 
 func TestMain(m *testing.M) {
 	flag.Parse()
-	if os.Geteuid() != 0 {
-		fmt.Println("packettest: skipped, network namespaces need root")
+	if out, err := exec.Command("unshare", "--net", "true").CombinedOutput(); err != nil {
+		fmt.Printf("packettest: SKIPPED, network namespaces cannot be made here (that needs root and util-linux): %v %s\n", err, out)
 		return
+	}
+	for program, pkg := range map[string]string{"ip": "iproute2", "nft": "nftables", "nsenter": "util-linux"} {
+		if _, err := exec.LookPath(program); err != nil {
+			fmt.Printf("packettest: there is no %s: apt-get install %s\n", program, pkg)
+			os.Exit(1)
+		}
 	}
 	if !testing.Verbose() {
 		slog.SetDefault(slog.New(slog.NewJSONHandler(io.Discard, nil)))
 	}
+	klog.SetSlogLogger(slog.Default())
 	m.Run()
 }
 
@@ -90,7 +99,7 @@ func newWorld(t testing.TB) *world {
 		n.results = fmt.Sprintf("%s/results%d", dir, i)
 		w.nodes[i] = n
 		w.plug(t, n.namespace, fmt.Sprintf("192.0.2.1%d/24", i+1), fmt.Sprintf("fd00:2::1%d/64", i+1))
-		n.sysctl(t, "net.ipv4.ip_forward=1", "net.ipv6.conf.all.forwarding=1", "net.ipv4.icmp_ratelimit=0")
+		n.sysctl(t, "ipv4/ip_forward=1", "ipv6/conf/all/forwarding=1", "ipv4/icmp_ratelimit=0")
 		other := 2 - i
 		n.ip(t, fmt.Sprintf("route add 10.199.%d.0/24 via 192.0.2.1%d", other, other), fmt.Sprintf("route add fd00:%d::/64 via fd00:2::1%d", 0x100+other, other))
 	}
