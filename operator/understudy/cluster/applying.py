@@ -135,11 +135,16 @@ async def delete_exactly(client: Client, resource: Resource, item: Object) -> No
             raise
 
 
+def same_controller(live: Object, body: Object) -> bool:
+    """Whether the live object has the desired one's controller, or the desired one has none."""
+    desired = controller_of(body)
+    return desired is None or owned_by(live, desired["uid"])
+
+
 def refuse_foreign(live: Object, body: Object) -> None:
     """Raise Taken unless the live object has the same controller as the desired one."""
-    desired = controller_of(body)
-    found = controller_of(live)
-    if desired is not None and (found is None or found.get("uid") != desired["uid"]):
+    if not same_controller(live, body):
+        found = controller_of(live)
         owner = f"{found['kind']} {found['name']}" if found else "nobody of ours"
         metadata = live["metadata"]
         raise Taken(body.get("kind", "object"), metadata.get("namespace", ""), metadata["name"], owner)

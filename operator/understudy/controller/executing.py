@@ -87,10 +87,10 @@ class Executor:
         wanted = applying.stamped(body)
         place = (resource.plural, key.namespace, objects.name(body))
         live = self._store.get(resource, key.namespace, objects.name(body))
-        if live is not None:
-            applying.refuse_foreign(live, wanted)
-            if self._is_so(place, live, wanted):
-                return
+        if live is not None and not applying.same_controller(live, wanted):
+            live = None  # a namespace that was made anew has the same names: establish() looks at what is there now
+        if live is not None and self._is_so(place, live, wanted):
+            return
         metrics.WRITES.labels(resource.plural, "apply").inc()
         try:
             if live is None:

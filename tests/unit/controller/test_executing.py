@@ -1,0 +1,55 @@
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+from tests.unit.cluster.memory import MemoryClient
+from understudy.cluster.client import CONFIG_MAPS, WORKLOADS, Object
+from understudy.controller.affected import Key
+from understudy.controller.desired import Apply
+from understudy.controller.executing import Executor
+from understudy.controller.expectations import Expectations
+from understudy.controller.stores import Store
+
+KEY = Key(WORKLOADS.plural, "fleet", "w")
+
+
+class Applying(MemoryClient):
+    """Takes server-side apply for a write of the whole object."""
+
+    async def request(self, method: str, path: str, *, body: Any = None, **_: Any) -> Any:
+        return await self.create(CONFIG_MAPS, "fleet", body)
+
+
+def config_map(owner: str) -> Object:
+    reference = {"apiVersion": "understudy.dev/v1alpha1", "kind": "RobotWorkload", "name": "w", "uid": owner}
+    metadata = {"name": "w-robot-env", "namespace": "fleet", "ownerReferences": [{**reference, "controller": True}]}
+    return {"apiVersion": "v1", "kind": "ConfigMap", "metadata": metadata, "data": {}}
+
+
+def stored(owner: str) -> Object:
+    item = copy.deepcopy(config_map(owner))
+    item["metadata"] |= {"uid": "earlier", "resourceVersion": "1"}
+    return item
+
+
+def executor(client: MemoryClient, store: Store) -> Executor:
+    return Executor(client, store, Expectations(), may_write=lambda: True)
+
+
+async def test_an_object_of_an_earlier_namespace_of_that_name_stands_in_nobodys_way() -> None:
+    # The watch hasn't told yet that it went with its namespace.
+    client, store = Applying(), Store()
+    store.put(CONFIG_MAPS, stored("earlier-workload"))
+    assert await executor(client, store).run(KEY, [Apply(CONFIG_MAPS, config_map("workload"))]) == []
+    made = client.items[(CONFIG_MAPS.plural, "fleet", "w-robot-env")]
+    assert made["metadata"]["ownerReferences"][0]["uid"] == "workload"
+
+
+async def test_an_object_that_really_is_somebody_elses_is_left_alone() -> None:
+    client, store = Applying(), Store()
+    client.items[(CONFIG_MAPS.plural, "fleet", "w-robot-env")] = stored("another-workload")
+    store.put(CONFIG_MAPS, stored("another-workload"))
+    (problem,) = await executor(client, store).run(KEY, [Apply(CONFIG_MAPS, config_map("workload"))])
+    assert problem.reason == "NameTaken"
+    assert [method for method, _, _ in client.requests] == ["GET"]
