@@ -254,4 +254,3 @@ def _words(error: BaseException) -> str:
     if isinstance(error, OSError) and error.errno is not None:
         return os.strerror(error.errno)
     return str(error) or repr(error)
-
