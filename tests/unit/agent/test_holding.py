@@ -221,7 +221,7 @@ def test_an_image_without_mkfifo_waits_for_the_agents_fifo(hold, tmp_path):
 
 def test_values_are_taken_literally(hold, tmp_path):
     environment = {
-        "QUOTES": "it's \"so\"",
+        "QUOTES": 'it\'s "so"',
         "SHELL_WORDS": "$HOME `date` $(date) \\ * ; & |",
         "LINES": "one\ntwo\n",
         "EMPTY": "",
