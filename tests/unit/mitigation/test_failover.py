@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
-from tests.unit.mitigation.world import Killed, Store, World
 
+from tests.unit.mitigation.world import Killed, Store, World
 from understudy.mitigation.failover import Choice, recover
 from understudy.mitigation.interfaces import GateState, Superseded
 from understudy.mitigation.progress import PodIdentity, Progress
