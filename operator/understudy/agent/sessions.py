@@ -162,9 +162,7 @@ class Sessions:
             sock.setsockopt(socket.IPPROTO_TCP, _TCP_USER_TIMEOUT, _UNACKNOWLEDGED)
             sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
-    async def _let_in(
-        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, host: str
-    ) -> _Session | None:
+    async def _let_in(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, host: str) -> _Session | None:
         nonce = secrets.token_hex(16)
         writer.write(wire.encode({"nonce": nonce, **self._served.greeting(), "version": wire.PROTOCOL}))
         answer = wire.decode(await read_line(reader, wire.MAX_GREETING))
