@@ -83,14 +83,14 @@ class Sight:
     @property
     def summary(self) -> str:
         """What is watched."""
-        topics = [topic.name for topic in self._tree.topics] if self._tree else []
+        topics = [topic.name for topic in self._tree.judged] if self._tree else []
         return f"Watching {', '.join(topics) or 'nothing'}."
 
     @property
     def gated(self) -> list[str]:
-        """Gated topics that the tree watches."""
+        """Gated topics that the tree watches, and can."""
         outputs = {output.topic for output in self._outputs if output.topic}
-        return [topic.name for topic in self._tree.topics if topic.name in outputs] if self._tree else []
+        return [topic.name for topic in self._tree.judged if topic.name in outputs] if self._tree else []
 
     def drain(self, instances: Sequence[Instance], active: str) -> None:
         """Take in what has arrived, attributed to the instances there are (and were a moment ago)."""
@@ -102,6 +102,8 @@ class Sight:
             del self._addresses[name]
         self._watching.attribute({name: ip for name, (ip, _) in self._addresses.items()}, active)
         self._watching.drain()
+        if self._tree is not None:
+            self._tree.leave_out(self._watching.unwatchable)
 
     def verdict(self, *, now: float, since: float) -> Verdict:
         """The health tree's verdict on the instance in control. Times are unix seconds."""

@@ -35,6 +35,9 @@ LEAST_DEPTH, MOST_DEPTH = 10, 1000
 HISTORY = 10.0
 """Seconds of arrivals kept per source, for questions about the time since a switch."""
 
+FORGET = 600.0
+"""Seconds of silence after which a host may be forgotten; addresses of pods come and go for months."""
+
 LOOK_UP = 1.0
 """Seconds between attempts to learn the type of a topic from the graph."""
 
@@ -126,6 +129,11 @@ class Watching:
     def problems(self) -> list[str]:
         """Why a topic is not watched, in plain words that say what to do."""
         return [topic.problem for topic in self._topics.values() if topic.problem]
+
+    @property
+    def unwatchable(self) -> frozenset[str]:
+        """The topics that those problems are of."""
+        return frozenset(name for name, topic in self._topics.items() if topic.problem)
 
     @property
     def waiting(self) -> list[str]:
@@ -249,6 +257,8 @@ class Watching:
         return taken
 
     def _new_source(self, topic: _Topic, host: bytes) -> SourceRecord:
+        for old in [host for host, record in topic.sources.items() if (record.last or 0.0) < time.time() - FORGET]:
+            del topic.sources[old]
         source = topic.sources[host] = SourceRecord(max(topic.want.window, HISTORY))
         source.accepted = self._accepted(host)
         self._count_again(topic)

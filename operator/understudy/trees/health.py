@@ -7,6 +7,7 @@ Detection is not bound to a tick. After each look at the topics, ask :meth:`Heal
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
 from py_trees.behaviour import Behaviour
@@ -17,6 +18,9 @@ from py_trees.decorators import Inverter
 from understudy.trees.composites import AnyOf
 from understudy.trees.leaves import STATE, Glance, State, TopicLeaf
 from understudy.trees.observations import Observations
+
+Build = Callable[[Collection[str]], Behaviour | None]
+"""Builds the behaviours of a node without the leaves of some topics; None where nothing is left."""
 
 BADNESS: dict[State, int] = {"Healthy": 0, "Starting": 1, "Failed": 2}
 """How bad a state is; a verdict gets worse when this grows."""
@@ -59,17 +63,36 @@ class HealthTree:
     All times are Unix seconds.
     """
 
-    def __init__(self, root: Behaviour, glance: Glance, topics: list[WatchedTopic]) -> None:
-        self.root = root
-        """The behaviours, with the states of the last evaluation."""
+    def __init__(self, build: Build, glance: Glance, topics: list[WatchedTopic]) -> None:
+        """``build`` makes the behaviours, ``topics`` are all that they look at."""
         self.topics = topics
         """What to subscribe to, each topic once."""
+        self._build = build
         self._glance = glance
-        nodes = list(root.iterate())
+        self._left_out: frozenset[str] | None = None
+        self.root: Behaviour | None = None
+        """The behaviours, with the states of the last evaluation; None where nothing can be judged."""
+        self.leave_out(())
+
+    def leave_out(self, topics: Collection[str]) -> None:
+        """Judge without the leaves of these topics, since they can't be watched: being blind is no failure.
+
+        Composites are judged by what is left in them. Cheap where nothing changed.
+        """
+        if topics == self._left_out:
+            return
+        self._left_out = frozenset(topics)
+        self.root = self._build(self._left_out)
+        nodes = list(self.root.iterate()) if self.root is not None else []
         self._leaves = [node for node in nodes if isinstance(node, TopicLeaf)]
         # Without an inverter a tree is healthy when all its leaves are, which is nearly always so, and is told without
         # a tick of all its nodes.
         self._upright = not any(isinstance(node, Inverter) for node in nodes)
+
+    @property
+    def judged(self) -> list[WatchedTopic]:
+        """The topics that are not left out."""
+        return [topic for topic in self.topics if topic.name not in (self._left_out or ())]
 
     @property
     def grace(self) -> float:
@@ -81,6 +104,10 @@ class HealthTree:
 
         Look at the topics first, then take ``now``: what has arrived but wasn't noted counts as missing.
         """
+        if self.root is None:
+            return Verdict(
+                "Starting", f"none of {', '.join(topic.name for topic in self.topics)} can be watched", "", None
+            )
         shown = all(leaf.status == Status.SUCCESS for leaf in self._leaves)
         if shown and self._healthy_until(observations, now, since) is not None:
             for leaf in self._leaves:
@@ -98,6 +125,8 @@ class HealthTree:
 
         Holds until the next message or evaluation; then ask again.
         """
+        if self.root is None:
+            return None
         until = self._healthy_until(observations, now, since)
         if until is not None:
             moment = _first_loss(self.root, until)
@@ -132,6 +161,7 @@ class HealthTree:
 
     def _tick(self, observations: Observations, now: float, since: float, *, real: bool = True) -> State:
         self._look(observations, now, since, real=real)
+        assert self.root is not None, "there is something to judge"
         for _ in self.root.tick():
             pass
         return STATE[self.root.status]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 from py_trees.behaviour import Behaviour
@@ -14,15 +14,14 @@ from py_trees.decorators import Inverter
 from understudy.api.base import seconds
 from understudy.api.workloads import ROS_NAME_PATTERN, ROS_TYPE_PATTERN
 from understudy.trees.composites import AnyOf
-from understudy.trees.health import HealthTree, WatchedTopic
+from understudy.trees.health import Build, HealthTree, WatchedTopic
 from understudy.trees.leaves import Glance, TopicLeaf, duration
 from understudy.trees.problems import Problem, TreeError, did_you_mean
 from understudy.trees.rates import Band, Window
 
 __all__ = ["Problem", "TreeError", "load"]
 
-COMPOSITES = ("parallel", "sequence", "selector")
-KINDS = (*COMPOSITES, "inverter", "topic")
+KINDS = ("parallel", "sequence", "selector", "inverter", "topic")
 TOPIC_KEYS = ("name", "type", "gap", "rate", "window")
 DEEPEST = 32
 """Levels a tree may have; a healthy one has three or four."""
@@ -41,15 +40,15 @@ def load(tree: Mapping[str, Any], *, path: str = "spec.monitoring.yaml", grace: 
     time. Raises TreeError with all problems.
     """
     loader = _Loader(Glance(grace))
-    root = loader.node(tree, path, [], 1)
+    build = loader.node(tree, path, [], 1)
     if loader.problems:
         raise TreeError(loader.problems)
-    assert root is not None, "a node without problems was built"
-    return HealthTree(root, loader.glance, list(loader.topics.values()))
+    assert build is not None, "a node without problems can be built"
+    return HealthTree(build, loader.glance, list(loader.topics.values()))
 
 
 class _Loader:
-    """Builds behaviours and collects problems; a node with a problem in it becomes None."""
+    """Turns nodes into what builds their behaviours, and collects problems; one with a problem in it becomes None."""
 
     def __init__(self, glance: Glance) -> None:
         self.glance = glance
@@ -62,8 +61,8 @@ class _Loader:
     def problem(self, path: str, message: str) -> None:
         self.problems.append(Problem(path, message))
 
-    def node(self, value: object, path: str, above: list[str], depth: int) -> Behaviour | None:
-        """The behaviour of one node; ``above`` are the names of the nodes it is in."""
+    def node(self, value: object, path: str, above: list[str], depth: int) -> Build | None:
+        """What builds one node; ``above`` are the names of the nodes it is in."""
         self._nodes += 1
         if self._nodes > MOST:
             if self._nodes == MOST + 1:
@@ -93,7 +92,7 @@ class _Loader:
             return self._topic(value["topic"], f"{path}.topic", above, name)
         if kind == "inverter":
             child = self.node(value["inverter"], f"{path}.inverter", below, depth + 1)
-            return Inverter(name or kind, child) if child is not None else None
+            return _composite(lambda children: Inverter(name or kind, *children), [child]) if child else None
         return self._composite(kind, value[kind], f"{path}.{kind}", name or kind, below, depth)
 
     def _unknown_node_key(self, key: str, path: str) -> None:
@@ -113,9 +112,7 @@ class _Loader:
             return None
         return name
 
-    def _composite(
-        self, kind: str, value: object, path: str, name: str, below: list[str], depth: int
-    ) -> Behaviour | None:
+    def _composite(self, kind: str, value: object, path: str, name: str, below: list[str], depth: int) -> Build | None:
         if not isinstance(value, list):
             self.problem(path, f"found {_found(value)}; {kind} has a list of nodes")
             return None
@@ -126,13 +123,9 @@ class _Loader:
         children = [child for child in built if child is not None]
         if len(children) < len(built):
             return None
-        if kind == "parallel":
-            return Parallel(name, ParallelPolicy.SuccessOnAll(synchronise=False), children)
-        if kind == "sequence":
-            return Sequence(name, memory=False, children=children)
-        return AnyOf(name, children)
+        return _composite(lambda nodes: _COMPOSITES[kind](name, nodes), children)
 
-    def _topic(self, value: object, path: str, above: list[str], name: str | None) -> Behaviour | None:
+    def _topic(self, value: object, path: str, above: list[str], name: str | None) -> Build | None:
         before = len(self.problems)
         if not isinstance(value, Mapping):
             self.problem(path, f"found {_found(value)}; topic is a mapping with name and with gap or rate")
@@ -164,7 +157,11 @@ class _Loader:
         self._leaf_paths[leaf_path] = path
         if not self._watch(topic, type_, window, path):
             return None
-        return TopicLeaf(leaf_path, topic, self.glance, gap=gap, window=window)
+
+        def build(left_out: Collection[str]) -> Behaviour | None:
+            return None if topic in left_out else TopicLeaf(leaf_path, topic, self.glance, gap=gap, window=window)
+
+        return build
 
     def _window(self, band: Band, length: float | None, path: str) -> Window | None:
         shortest = band.shortest_window()
@@ -215,6 +212,23 @@ class _Loader:
         except ValueError as error:
             self.problem(f"{path}.{key}", str(error))
             return None
+
+
+_COMPOSITES: dict[str, Callable[[str, list[Behaviour]], Behaviour]] = {
+    "parallel": lambda name, nodes: Parallel(name, ParallelPolicy.SuccessOnAll(synchronise=False), nodes),
+    "sequence": lambda name, nodes: Sequence(name, memory=False, children=nodes),
+    "selector": AnyOf,
+}
+
+
+def _composite(make: Callable[[list[Behaviour]], Behaviour], children: list[Build]) -> Build:
+    """Builds a node over those of its children that are not left out; none where all are."""
+
+    def build(left_out: Collection[str]) -> Behaviour | None:
+        built = [node for child in children if (node := child(left_out)) is not None]
+        return make(built) if built else None
+
+    return build
 
 
 def _duration(value: object) -> float:

@@ -75,6 +75,7 @@ def test_topic_whose_type_is_not_installed_is_a_problem_and_the_others_are_watch
     (problem,) = watching.problems
     assert problem.startswith("/plan: nav2_msgs/msg/Plan is not installed in the monitor's image")
     assert problem.endswith("set spec.monitor.image to that")
+    assert watching.unwatchable == {"/plan"}
     processes.node("publish", "/chat", "20")
     eventually(lambda: watching.drain() and watching.topic("/chat").count)
     assert watching.topic("/plan").last is None
@@ -92,6 +93,16 @@ def test_following_other_topics_keeps_what_is_known_of_the_same(watching, proces
     assert len(watching.topic("/chat").arrivals) > 1
     watch(watching, 0.5)
     assert watching.topic("/chat").count > before
+
+
+def test_hosts_that_have_been_silent_for_long_are_forgotten(watching, processes, eventually):
+    watching.follow([WatchedTopic("/chat", STRING, 0.0, None)])
+    gone = module.SourceRecord(10.0)
+    gone.add(time.time() - 2 * module.FORGET)
+    watching.records("/chat")[b"gone"] = gone
+    processes.node("publish", "/chat", "20")
+    eventually(lambda: watching.drain() and watching.topic("/chat").count > 3)
+    assert b"gone" not in watching.records("/chat")
 
 
 def test_larger_queue_is_taken_when_a_faster_rate_is_expected(watching, graph):

@@ -202,6 +202,28 @@ def test_deadline_passes_over_what_does_not_matter():
     assert world.deadline(1.1) == pytest.approx(1.9)
 
 
+def test_topic_that_cannot_be_watched_is_left_out_of_its_composite():
+    tree = {"parallel": [gap("/odom"), {"selector": [gap("/a"), gap("/b")]}, {"inverter": gap("/odd")}]}
+    world = World(tree, grace=0).arrive("/odom", 1.0).arrive("/b", 1.0)
+    assert world.at(1.2).state == "Healthy"
+    world.tree.leave_out({"/a", "/odd"})
+    assert [topic.name for topic in world.tree.judged] == ["/odom", "/b"]
+    assert world.at(1.2).state == "Healthy"
+    assert world.arrive("/odom", 2.0).at(2.1).reason == "no /b for 500 ms"
+    world.tree.leave_out({"/b", "/a", "/odd"})
+    assert world.at(2.1).state == "Healthy"
+    assert world.deadline(2.1) == pytest.approx(2.5)
+
+
+def test_tree_of_which_nothing_can_be_watched_never_fails():
+    world = World({"parallel": [gap("/a"), {"inverter": gap("/b")}]}, grace=1)
+    world.tree.leave_out({"/a", "/b"})
+    assert world.at(1000.0) == Verdict("Starting", "none of /a, /b can be watched", "", None)
+    assert world.deadline(1000.0) is None
+    world.tree.leave_out(frozenset())
+    assert world.at(1000.0).state == "Failed"
+
+
 def test_trying_out_the_deadline_leaves_no_trace():
     world = World(rate("/scan"), grace=30).arrive("/scan", *steady(10, 0, 1.95))
     assert world.at(1.9).state == "Starting"
