@@ -190,9 +190,7 @@ class Health:
             async with asyncio.timeout(rest):
                 await self._new_plan.wait()
 
-    def _judge(
-        self, graph: Graph, watching: Watching, host: bytes, plan: Plan, own: _OwnOutputs, now: float
-    ) -> None:
+    def _judge(self, graph: Graph, watching: Watching, host: bytes, plan: Plan, own: _OwnOutputs, now: float) -> None:
         judgement = self.judgement
         self._look_for_presence(graph, host, plan)
         if self._present and judgement.process_up_at is None:
