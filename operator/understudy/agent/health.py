@@ -210,7 +210,7 @@ class Health:
             self._say(True, "")
         else:
             self._keep_ready = False
-            self._say(False, "; ".join([verdict.reason, *watching.problems]))
+            self._say(False, "; ".join([verdict.reason, *watching.problems, *watching.waiting]))
 
     def _look_for_presence(self, graph: Graph, host: bytes, plan: Plan) -> None:
         """Whether this pod's application has an endpoint for an output. Asked for seldom once it had one."""
