@@ -46,7 +46,7 @@ def kubectl(release: Kubectl) -> Iterator[Kubectl]:
     mine = release.in_namespace(name)
     yield mine
     if not os.environ.get("UNDERSTUDY_KEEP"):
-        mine("delete", "namespace", name, "--wait=true", timeout=120)
+        mine("delete", "namespace", name, "--wait=true", "--ignore-not-found", timeout=150)
 
 
 @pytest.fixture

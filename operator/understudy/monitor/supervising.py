@@ -256,8 +256,11 @@ class Supervisor:
             active="", health="Starting" if running else "Unknown", gate=GateStatus(epoch=self._gate.state.epoch)
         )
         ready = [i for i in running if not i.has_agent or self._sidecars.is_ready(i)[0]]
-        # An application may need an answer of the robot before its outputs flow: it isn't waited for too long.
-        if not ready and now - self._started > seconds(policy.monitoring.startup_grace) / 2:
+        # An application may need an answer of the robot before its outputs flow, and the workload's own pod comes before
+        # a standby: but neither is waited for too long.
+        if now - self._started <= seconds(policy.monitoring.startup_grace) / 2:
+            ready = [i for i in ready if i.from_source]
+        elif not ready:
             ready = running
         if not ready:
             return
