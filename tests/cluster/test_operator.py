@@ -166,10 +166,13 @@ class Fleet:
         conditions = [{"type": "Ready", "status": "True" if ready else "False"}]
         self.cluster.patch(pod, {"status": {"phase": "Running", "conditions": conditions}}, subresource="status")
 
-    def make_monitor_ready(self, workload: str = "w") -> None:
-        labels = {names.COMPONENT: "monitor", names.MONITORED: workload}
-        pod = {"apiVersion": CORE, "kind": "Pod", "metadata": {"name": f"{workload}-monitor-here", "labels": labels}}
-        self.make_ready(self.cluster.create({**pod, "spec": template()["spec"]}, self.namespace))
+    def make_parts_ready(self, workload: str = "w") -> None:
+        """A monitor and a discovery server beside those whose image is nowhere."""
+        for component in ("monitor", "discovery"):
+            labels = {names.COMPONENT: component, names.MONITORED: workload}
+            metadata = {"name": f"{workload}-{component}-here", "labels": labels}
+            pod = {"apiVersion": CORE, "kind": "Pod", "metadata": metadata, "spec": template()["spec"]}
+            self.make_ready(self.cluster.create(pod, self.namespace))
 
     def commit(self, pod: Object | None, workload: str = "w") -> None:
         """What the monitor does at a switch."""
@@ -497,7 +500,7 @@ def protected(fleet: Fleet, operator: Operator) -> Fleet:
     until(lambda: len(fleet.instances()) == 2, "one pod and one standby")
     for pod in fleet.instances():
         fleet.make_ready(pod)
-    fleet.make_monitor_ready()
+    fleet.make_parts_ready()
     fleet.commit(next(p for p in fleet.instances() if names.SOURCE in p["metadata"]["labels"]))
     fleet.wait_condition("RobotWorkload", "w", "Protected", "FirstStrategyReady", "True")
     return fleet
@@ -653,7 +656,7 @@ def test_bad_input_gives_a_condition_and_an_event_that_say_what_to_do(
     fleet.create(*items)
     if type_ == "Protected":
         fleet.wait_built()
-        fleet.make_monitor_ready()
+        fleet.make_parts_ready()
     found = fleet.wait_condition(kind, name, type_, reason)
     assert words in found["message"]
 

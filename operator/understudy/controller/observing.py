@@ -50,11 +50,8 @@ class Observer:
             },
             owned=store.owned(objects.uid(item)),
             pods=store.labelled(PODS, namespace, names.WORKLOAD, name),
-            monitors=[
-                pod
-                for pod in store.labelled(PODS, namespace, names.MONITORED, name)
-                if objects.labels(pod).get(names.COMPONENT) == "monitor"
-            ],
+            monitors=self._serving(item, "monitor"),
+            discovery=self._serving(item, "discovery"),
             unclaimed={
                 pool: pools.unclaimed(found_pools[pool], store.labelled(PODS, namespace, names.POOL, pool))
                 for pool in serving
@@ -63,6 +60,12 @@ class Observer:
             rivals=self._rivals(item),
             expected={pool: self._expectations.count(key, pool) for pool in serving},
         )
+
+    def _serving(self, item: Object, component: str) -> list[Object]:
+        """The pods of a workload's monitor or discovery server."""
+        namespace = item["metadata"]["namespace"]
+        found = self._store.labelled(PODS, namespace, names.MONITORED, objects.name(item))
+        return [pod for pod in found if objects.labels(pod).get(names.COMPONENT) == component]
 
     def _rivals(self, item: Object) -> list[str]:
         """Workloads that referred to the same controller before this one did."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from understudy.api import names
@@ -14,7 +14,9 @@ from understudy.controller.desired import Problem
 from understudy.controller.troubles import Trouble, trouble
 from understudy.controller.workloads import Observed, Understanding
 
-PROGRESSING = frozenset({"MonitorNotReady", "StandbyNotReady", "InProgress", "PodsNotReady", "GateMissing"})
+PROGRESSING = frozenset(
+    {"MonitorNotReady", "StandbyNotReady", "DiscoveryNotReady", "InProgress", "PodsNotReady", "GateMissing"}
+)
 """Reasons that are in order while something is being built: no Event when they come first."""
 
 
@@ -153,8 +155,9 @@ def _first_trouble(pods: Sequence[Object]) -> Trouble | None:
 
 
 def _means(observed: Observed, understanding: Understanding, strategy: Strategy) -> Means:
+    unfound = _discovery_missing(observed, understanding)
     if strategy.type == "Restart" or strategy.pool_ref is None:
-        return _restart(observed)
+        return unfound("Restart") or _restart(observed)
     name = strategy.pool_ref.name
     pool = observed.pools.get(name)
     label = f"Fallback from pool {name}"
@@ -171,10 +174,32 @@ def _means(observed: Observed, understanding: Understanding, strategy: Strategy)
         )
     match policies.readiness(pool):
         case "Executing":
-            return _executing(observed, label, pool)
+            found = _executing(observed, label, pool)
+            return found if found.available else unfound(label) or found
         case "Uninitialized":
-            return _uninitialized(observed, label, pool)
+            return unfound(label) or _uninitialized(observed, label, pool)
     return Means(label, False, "PoolNotAccepted", f"FallbackPool {name} was not accepted: kubectl describe fbp {name}")
+
+
+def _discovery_missing(observed: Observed, understanding: Understanding) -> Callable[[str], Means | None]:
+    """Whether what would have to start now couldn't find its robot; what runs already has found it."""
+    spec = understanding.spec
+    lacking = (
+        spec is not None
+        and spec.ros.discovery.mode == "Managed"
+        and not any(objects.ready(pod) for pod in observed.discovery)
+    )
+
+    def means(strategy: str) -> Means | None:
+        if not lacking:
+            return None
+        server = names.discovery(objects.name(observed.workload))
+        found = _first_trouble(observed.discovery)
+        words = f": {found.message}" if found else ""
+        told = f"the ROS discovery server (Deployment {server}) is not ready, so nothing that starts finds the robot"
+        return Means(strategy, False, "DiscoveryNotReady", f"{told}{words}")
+
+    return means
 
 
 def _restart(observed: Observed) -> Means:

@@ -70,6 +70,8 @@ class Observed:
     """Pods with the workload's label."""
     monitors: Sequence[Object] = ()
     """The monitor's pods."""
+    discovery: Sequence[Object] = ()
+    """The managed discovery server's pods."""
     unclaimed: Mapping[str, Sequence[Object]] = field(default_factory=dict)
     """Held pods, by pool."""
     reference: references.Referred | None = None

@@ -69,6 +69,19 @@ def test_a_monitor_whose_image_is_missing_is_named() -> None:
     assert "w-monitor-1" in found.condition("Protected")["message"]
 
 
+def test_without_a_discovery_server_only_what_runs_already_could_take_over() -> None:
+    found = world(policy("hot", "Restart"), hot(), standby=standby_pod("w-s", of=workload()))
+    found.discovery = [pod("w-discovery-1", ready=False, waiting="CrashLoopBackOff")]
+    assert found.condition("Protected")["status"] == "True"
+    found.pods.pop()
+    protected = found.condition("Protected")
+    assert (protected["status"], protected["reason"]) == ("False", "DiscoveryNotReady")
+    assert "w-discovery-1" in protected["message"]
+    assert "no strategy of its policy could be carried out" in protected["message"]
+    found.workload["spec"]["ros"] = {"discovery": {"mode": "Multicast"}}
+    assert "If it failed now, Restart would be used" in found.condition("Protected")["message"]
+
+
 @pytest.mark.parametrize(
     ("waiting", "reason"),
     [

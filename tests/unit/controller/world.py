@@ -219,6 +219,7 @@ class World:
         self.others = list(others)
         self.pods = list(pods)
         self.monitors: list[Object] = [pod("w-monitor-1")]
+        self.discovery: list[Object] = [pod("w-discovery-1")]
         self.reference = reference
         self.owned: dict[tuple[str, str], Object] = {}
         self.expected: dict[str, int] = {}
@@ -246,6 +247,7 @@ class World:
             owned=self.owned,
             pods=self.pods,
             monitors=self.monitors,
+            discovery=self.discovery,
             unclaimed=self.unclaimed,
             reference=self.reference,
             rivals=self.rivals,
