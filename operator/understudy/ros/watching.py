@@ -270,11 +270,10 @@ class Watching:
         Samples received before the step are stamped by the old clock. They arrived after the last drain.
         """
         offset = _offset()
-        step = offset - self._clock
+        step, self._clock = offset - self._clock, offset
         if abs(step) < CLOCK_STEP:
             return -math.inf, math.inf
         _logger.warning("the clock was set by %+.3f s; the times of what was received are moved with it", step)
-        self._clock = offset
         self._drained += step
         for topic in self._topics.values():
             for source in topic.sources.values():
