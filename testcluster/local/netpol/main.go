@@ -14,8 +14,6 @@ import (
 	"syscall"
 	"time"
 
-	coreclient "k8s.io/client-go/kubernetes/typed/core/v1"
-	networkingclient "k8s.io/client-go/kubernetes/typed/networking/v1"
 	"k8s.io/client-go/tools/clientcmd"
 	"k8s.io/klog/v2"
 
@@ -45,11 +43,11 @@ func main() {
 		if err := renice(*priority); err != nil {
 			slog.Warn("keeping the usual scheduling priority", "error", err.Error())
 		}
-		clients, err := connect(*kubeconfig)
+		api, err := connect(*kubeconfig)
 		if err != nil {
 			return err
 		}
-		return run(clients, *metrics, enforcer.Options{Node: *node, PodInterfaces: *interfaces, CNIResults: *results, Reconcile: *reconcile})
+		return run(api, *metrics, enforcer.Options{Node: *node, PodInterfaces: *interfaces, CNIResults: *results, Reconcile: *reconcile})
 	}()
 	if err != nil {
 		slog.Error(err.Error())
@@ -57,7 +55,7 @@ func main() {
 	}
 }
 
-func run(clients enforcer.Clients, metrics string, options enforcer.Options) error {
+func run(api enforcer.API, metrics string, options enforcer.Options) error {
 	ctx, stop := signal.NotifyContext(context.Background(), syscall.SIGTERM, syscall.SIGINT)
 	defer stop()
 	report := enforcer.NewReport()
@@ -74,12 +72,12 @@ func run(clients enforcer.Clients, metrics string, options enforcer.Options) err
 		defer server.Close()
 	}
 	slog.Info("starting; rules of an earlier run stay in force until all objects are listed", "node", options.Node)
-	err := enforcer.New(options, report).Run(ctx, clients)
+	err := enforcer.New(options, report).Run(ctx, api)
 	slog.Info("stopped; the rules stay in force, --cleanup removes them")
 	return err
 }
 
-func connect(kubeconfig string) (enforcer.Clients, error) {
+func connect(kubeconfig string) (enforcer.API, error) {
 	// A connection whose other end has silently gone (a node's link cut) must not stay quiet for 45 seconds.
 	for name, seconds := range map[string]string{"HTTP2_READ_IDLE_TIMEOUT_SECONDS": "3", "HTTP2_PING_TIMEOUT_SECONDS": "2"} {
 		if os.Getenv(name) == "" {
@@ -88,19 +86,14 @@ func connect(kubeconfig string) (enforcer.Clients, error) {
 	}
 	config, err := clientcmd.BuildConfigFromFlags("", kubeconfig)
 	if err != nil {
-		return enforcer.Clients{}, fmt.Errorf("kubeconfig %s: %w", kubeconfig, err)
+		return enforcer.API{}, fmt.Errorf("kubeconfig %s: %w", kubeconfig, err)
 	}
-	config.ContentType = "application/vnd.kubernetes.protobuf"
 	config.UserAgent = "understudy-netpol"
-	core, err := coreclient.NewForConfig(config)
+	api, err := enforcer.Connect(config)
 	if err != nil {
-		return enforcer.Clients{}, fmt.Errorf("kubeconfig %s: %w", kubeconfig, err)
+		return enforcer.API{}, fmt.Errorf("kubeconfig %s: %w", kubeconfig, err)
 	}
-	networking, err := networkingclient.NewForConfig(config)
-	if err != nil {
-		return enforcer.Clients{}, fmt.Errorf("kubeconfig %s: %w", kubeconfig, err)
-	}
-	return enforcer.Clients{Core: core, Networking: networking}, nil
+	return api, nil
 }
 
 // renice sets the priority of every thread there is; threads to come inherit it.

@@ -6,7 +6,7 @@ cd "$(dirname "${BASH_SOURCE[0]}")"
 # nft, ip and unshare are not on the path of every user; Go may have been installed by scripts/cluster.
 cache=${XDG_CACHE_HOME:-$HOME/.cache}/understudy
 export PATH=$PATH:/usr/sbin:/sbin:/usr/local/go/bin:/usr/lib/go/bin:$cache/go/bin
-export CGO_ENABLED=0 GOFLAGS=-mod=readonly GOWORK=off
+export CGO_ENABLED=0 GOFLAGS="-mod=readonly -trimpath -buildvcs=false" GOWORK=off
 command -v go >/dev/null || {
     echo "$0: there is no Go compiler (1.24 or newer): scripts/cluster up installs one" >&2
     exit 1

@@ -178,7 +178,7 @@ func TestAHostNetworkPodIsNeitherSelectedNorAPeer(t *testing.T) {
 	w := newWorld(t)
 	node := &corev1.Pod{Spec: corev1.PodSpec{NodeName: "node0", HostNetwork: true}, Status: corev1.PodStatus{Phase: corev1.PodRunning, PodIP: "192.0.2.11", PodIPs: []corev1.PodIP{{IP: "192.0.2.11"}}}}
 	node.Namespace, node.Name, node.Labels = "fleet", "on-node0", map[string]string{"app": "agent"}
-	must(t, w.api.Tracker().Add(node))
+	w.api.set(t, node)
 	w.enforce(t)
 	w.setPolicy(t, policyOf(t, "p", `{podSelector: {}, policyTypes: [Ingress], ingress: [{from: [{podSelector: {matchLabels: {app: agent}}}]}]}`))
 	probe := &host{namespace: w.nodes[0].namespace}
@@ -215,7 +215,7 @@ func TestADeletedPodStaysCutOff(t *testing.T) {
 	flow := w.open(t, "udp", "camera", "robot", netip.Addr{})
 	for _, name := range []string{"active", "camera"} {
 		from := len(w.nodes[0].seen())
-		must(t, w.api.CoreV1().Pods("fleet").Delete(t.Context(), name, deleteOptions))
+		w.api.remove(t, w.pod(name))
 		w.nodes[0].wait(t, from, func(c enforcer.Commit) bool { return c.Causes[0].Name == name })
 	}
 	w.expect(t, flows("active -> robot udp/7950", "robot -> active udp/7950", "camera -> robot udp/7950"), false)
@@ -231,7 +231,7 @@ func TestANewPodIsKnownByItsNetwork(t *testing.T) {
 	w.setPolicy(t, policyOf(t, "p", `{podSelector: {matchLabels: {app: nav}}, policyTypes: [Egress], egress: [{ports: [{protocol: UDP, port: 1000}]}]}`))
 	pod := w.pod("active")
 	pod.Name, pod.UID, pod.Status = "fresh", "uid-of-fresh", corev1.PodStatus{Phase: corev1.PodPending}
-	must(t, w.api.Tracker().Add(pod))
+	w.api.set(t, pod)
 	w.expect(t, flows("fresh -> robot udp/1000", "robot -> fresh udp/1000"), false) // unknown
 	write := func(file, uid string) {
 		t.Helper()

@@ -1,7 +1,6 @@
 package packettest
 
 import (
-	"context"
 	"fmt"
 	"io"
 	"math/rand/v2"
@@ -200,8 +199,7 @@ func (w *world) setNamespaceLabel(t testing.TB, name, key, value string) {
 		if object.Name == name {
 			object.Labels[key], object.ResourceVersion = value, w.version()
 			from := len(w.nodes[1].seen())
-			_, err := w.api.CoreV1().Namespaces().Update(context.Background(), object, updateOptions)
-			must(t, err)
+			w.api.set(t, object)
 			w.nodes[1].wait(t, from, caused("Namespace", object.ResourceVersion))
 		}
 	}

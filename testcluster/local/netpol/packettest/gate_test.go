@@ -1,7 +1,6 @@
 package packettest
 
 import (
-	"context"
 	"fmt"
 	"math"
 	"slices"
@@ -31,11 +30,11 @@ func (w *world) crowd(t *testing.T, pods int) {
 		if instance == "robot" {
 			pod.Labels["app"] = "robot-of-" + workload
 		}
-		must(t, w.api.Tracker().Add(pod))
+		w.api.set(t, pod)
 		if i%3 == 0 {
 			standby, gate := workloadPolicies(t, workload, "a")
-			must(t, w.api.Tracker().Add(standby))
-			must(t, w.api.Tracker().Add(gate))
+			w.api.set(t, standby)
+			w.api.set(t, gate)
 		}
 	}
 }
@@ -67,8 +66,8 @@ func TestTheGateUnderFire(t *testing.T) {
 	for _, name := range []string{"active", "standby"} {
 		_, gates[name] = workloadPolicies(t, "nav", name)
 	}
-	must(t, w.api.Tracker().Add(standby))
-	must(t, w.api.Tracker().Add(gates["active"].DeepCopy()))
+	w.api.set(t, standby)
+	w.api.set(t, gates["active"].DeepCopy())
 	w.enforce(t)
 	for receiver, where := range map[string]string{"robot": "on another node", "camera": "on the same node"} {
 		t.Run("receiver "+where, func(t *testing.T) { w.flip(t, receiver, gates) })
@@ -100,8 +99,7 @@ func (w *world) flip(t *testing.T, receiver string, gates map[string]*networking
 		if i > 0 {
 			turns[i-1].ends = now.asked
 		}
-		_, err := w.api.NetworkingV1().NetworkPolicies("fleet").Update(context.Background(), object, updateOptions)
-		must(t, err)
+		w.api.set(t, object)
 		commit := w.nodes[0].wait(t, from, caused("NetworkPolicy", object.ResourceVersion))
 		now.committed, now.latency = commit.Committed, commit.Latency()
 		turns = append(turns, now)

@@ -9,19 +9,14 @@ import (
 	"net/netip"
 	"os"
 	"os/exec"
+	"slices"
 	"strconv"
 	"sync"
-	"sync/atomic"
 	"testing"
 	"time"
 
 	corev1 "k8s.io/api/core/v1"
 	networkingv1 "k8s.io/api/networking/v1"
-	apierrors "k8s.io/apimachinery/pkg/api/errors"
-	metav1 "k8s.io/apimachinery/pkg/apis/meta/v1"
-	"k8s.io/apimachinery/pkg/watch"
-	"k8s.io/client-go/kubernetes/fake"
-	k8stesting "k8s.io/client-go/testing"
 	"k8s.io/klog/v2"
 
 	"understudy/testcluster/understudy-netpol/conformance"
@@ -47,19 +42,13 @@ func TestMain(m *testing.M) {
 	m.Run()
 }
 
-var (
-	updateOptions metav1.UpdateOptions
-	deleteOptions metav1.DeleteOptions
-)
-
 // world is what the tests live in.
 type world struct {
 	table  *conformance.Table
 	lan    *namespace
 	nodes  [2]*node
 	hosts  map[string]*host // pods and the one outside
-	api    *fake.Clientset
-	watch  *watches
+	api    *fakeAPI
 	serial int
 }
 
@@ -116,13 +105,12 @@ func newWorld(t testing.TB) *world {
 	for _, h := range w.hosts {
 		h.listeners = listen(t, h.namespace)
 	}
-	w.api = fake.NewSimpleClientset()
-	w.watch = countWatches(w.api)
+	w.api = newAPI(t)
 	for _, namespace := range table.NamespaceObjects() {
-		must(t, w.api.Tracker().Add(namespace))
+		w.api.set(t, namespace)
 	}
 	for _, pod := range table.Pods {
-		must(t, w.api.Tracker().Add(w.podObject(pod)))
+		w.api.set(t, w.podObject(pod))
 	}
 	return w
 }
@@ -175,17 +163,19 @@ func (w *world) startNode(t testing.TB, i int) {
 	ctx, cancel := context.WithCancel(context.Background())
 	n.stop, n.stopped = cancel, make(chan struct{})
 	engine := enforcer.New(enforcer.Options{Node: n.name, PodInterfaces: "veth", CNIResults: n.results, Reconcile: time.Second, Netns: n.file}, report)
-	before := w.watch.count()
+	before := w.api.begun()
 	seen := len(n.seen())
 	go func() {
 		defer close(n.stopped)
-		if err := engine.Run(ctx, enforcer.Clients{Core: w.api.CoreV1(), Networking: w.api.NetworkingV1()}); err != nil {
+		if err := engine.Run(ctx, w.api.api()); err != nil {
 			t.Error(err)
 		}
 	}()
 	t.Cleanup(func() { n.halt() })
-	w.watch.wait(t, before+3) // the fake API loses what happens between a list and its watch
-	n.wait(t, seen, func(c enforcer.Commit) bool { return c.Changes.Full })
+	w.api.waitBegun(t, before+3) // the fake API loses what happens between a list and its watch
+	n.wait(t, seen, func(c enforcer.Commit) bool {
+		return slices.ContainsFunc(c.Causes, func(c enforcer.Cause) bool { return c.Event == "synced" })
+	})
 }
 
 func (n *node) halt() {
@@ -253,12 +243,7 @@ func (w *world) setPolicy(t testing.TB, object *networkingv1.NetworkPolicy) (com
 	object = object.DeepCopy()
 	object.ResourceVersion = w.version()
 	from := [2]int{len(w.nodes[0].seen()), len(w.nodes[1].seen())}
-	client := w.api.NetworkingV1().NetworkPolicies(object.Namespace)
-	_, err := client.Update(context.Background(), object, updateOptions)
-	if apierrors.IsNotFound(err) {
-		_, err = client.Create(context.Background(), object, metav1.CreateOptions{})
-	}
-	must(t, err)
+	w.api.set(t, object)
 	for i, n := range w.nodes {
 		commits[i] = n.wait(t, from[i], caused("NetworkPolicy", object.ResourceVersion))
 	}
@@ -268,13 +253,11 @@ func (w *world) setPolicy(t testing.TB, object *networkingv1.NetworkPolicy) (com
 // setPolicies makes these, and only these, the policies there are.
 func (w *world) setPolicies(t testing.TB, objects []*networkingv1.NetworkPolicy) {
 	t.Helper()
-	list, err := w.api.NetworkingV1().NetworkPolicies("").List(context.Background(), metav1.ListOptions{})
-	must(t, err)
 	wanted := map[string]bool{}
 	for _, object := range objects {
 		wanted[object.Namespace+"/"+object.Name] = true
 	}
-	for _, old := range list.Items {
+	for _, old := range w.api.policies(t) {
 		if !wanted[old.Namespace+"/"+old.Name] {
 			w.deletePolicy(t, &old)
 		}
@@ -287,7 +270,7 @@ func (w *world) setPolicies(t testing.TB, objects []*networkingv1.NetworkPolicy)
 func (w *world) deletePolicy(t testing.TB, object *networkingv1.NetworkPolicy) {
 	t.Helper()
 	from := [2]int{len(w.nodes[0].seen()), len(w.nodes[1].seen())}
-	must(t, w.api.NetworkingV1().NetworkPolicies(object.Namespace).Delete(context.Background(), object.Name, deleteOptions))
+	w.api.remove(t, object)
 	for i, n := range w.nodes {
 		n.wait(t, from[i], func(c enforcer.Commit) bool {
 			for _, cause := range c.Causes {
@@ -305,12 +288,7 @@ func (w *world) setPod(t testing.TB, object *corev1.Pod, noticed int) {
 	t.Helper()
 	object.ResourceVersion = w.version()
 	from := len(w.nodes[noticed].seen())
-	client := w.api.CoreV1().Pods(object.Namespace)
-	_, err := client.Update(context.Background(), object, updateOptions)
-	if apierrors.IsNotFound(err) {
-		_, err = client.Create(context.Background(), object, metav1.CreateOptions{})
-	}
-	must(t, err)
+	w.api.set(t, object)
 	w.nodes[noticed].wait(t, from, caused("Pod", object.ResourceVersion))
 }
 
@@ -327,87 +305,5 @@ func must(t testing.TB, err error) {
 	t.Helper()
 	if err != nil {
 		t.Fatal(err)
-	}
-}
-
-// watches counts the watches that the fake API has begun.
-type watches struct {
-	mu    sync.Mutex
-	begun int
-	more  chan struct{}
-	open  map[string][]watch.Interface // by resource
-	away  *atomic.Bool
-	// How many watches were cut. The fake API cannot tell what has happened since, as the real one can, so it says that
-	// this is too long ago.
-	expired map[string]int
-}
-
-func countWatches(api *fake.Clientset) *watches {
-	c := &watches{more: make(chan struct{}), open: map[string][]watch.Interface{}, expired: map[string]int{}}
-	api.PrependWatchReactor("*", func(action k8stesting.Action) (bool, watch.Interface, error) {
-		if err := c.refuse(action.GetResource().Resource); err != nil {
-			return true, nil, err
-		}
-		w, err := api.Tracker().Watch(action.GetResource(), action.GetNamespace())
-		c.mu.Lock()
-		c.open[action.GetResource().Resource] = append(c.open[action.GetResource().Resource], w)
-		c.begun++
-		close(c.more)
-		c.more = make(chan struct{})
-		c.mu.Unlock()
-		return true, w, err
-	})
-	return c
-}
-
-func (c *watches) count() int {
-	c.mu.Lock()
-	defer c.mu.Unlock()
-	return c.begun
-}
-
-func (c *watches) wait(t testing.TB, n int) {
-	t.Helper()
-	deadline := time.After(10 * time.Second)
-	for {
-		c.mu.Lock()
-		begun, more := c.begun, c.more
-		c.mu.Unlock()
-		if begun >= n {
-			return
-		}
-		select {
-		case <-more:
-		case <-deadline:
-			t.Fatalf("%d of %d watches after 10 s", begun, n)
-		}
-	}
-}
-
-func (c *watches) refuse(resource string) error {
-	c.mu.Lock()
-	defer c.mu.Unlock()
-	if c.away != nil && c.away.Load() {
-		return apierrors.NewServiceUnavailable("away")
-	}
-	if c.expired[resource] > 0 {
-		c.expired[resource]--
-		return apierrors.NewResourceExpired("too old")
-	}
-	return nil
-}
-
-// cut ends all watches; new ones are refused while away.
-func (c *watches) cut(away *atomic.Bool) {
-	c.mu.Lock()
-	var cut []watch.Interface
-	for resource, open := range c.open {
-		c.expired[resource] = len(open)
-		cut = append(cut, open...)
-	}
-	c.open, c.away = map[string][]watch.Interface{}, away
-	c.mu.Unlock()
-	for _, w := range cut {
-		w.Stop()
 	}
 }

@@ -37,6 +37,7 @@ type Engine struct {
 	applied *nft.Ruleset // what the kernel holds; nil when that is not known
 	report  *Report
 
+	failed  bool     // the last transaction was refused
 	listed  int      // kinds whose objects have all been taken
 	pending []change // what is not yet in the kernel
 }
@@ -66,7 +67,7 @@ func Cleanup(netns *os.File) error {
 
 // Run enforces until the context ends. The rules stay when it returns. Until all objects have been listed once nothing is
 // touched: on a node where no enforcer ran before, pods are open until then; rules that an earlier one has left stay.
-func (g *Engine) Run(ctx context.Context, clients Clients) error {
+func (g *Engine) Run(ctx context.Context, api API) error {
 	conn, err := nft.Open(g.options.Netns)
 	if err != nil {
 		return err
@@ -79,9 +80,9 @@ func (g *Engine) Run(ctx context.Context, clients Clients) error {
 			return err
 		}
 	}
-	go g.sources[0].run(ctx, clients.pods(), &corev1.Pod{})
-	go g.sources[1].run(ctx, clients.namespaces(), &corev1.Namespace{})
-	go g.sources[2].run(ctx, clients.policies(), &networkingv1.NetworkPolicy{})
+	go g.sources[0].run(ctx, api.Pods, &corev1.Pod{})
+	go g.sources[1].run(ctx, api.Namespaces, &corev1.Namespace{})
+	go g.sources[2].run(ctx, api.NetworkPolicies, &networkingv1.NetworkPolicy{})
 
 	reconcile := time.NewTicker(g.options.Reconcile)
 	defer reconcile.Stop()
@@ -114,7 +115,7 @@ func (g *Engine) Run(ctx context.Context, clients Clients) error {
 			continue
 		}
 		// Whatever the kernel holds now, a full replacement puts it right.
-		g.applied = nil
+		g.applied, g.failed = nil, true
 		g.report.failure(err)
 		slog.Error("transaction failed, replacing the whole table next", "error", err.Error(), "retryIn", retryIn.String())
 		retry, retryIn = time.After(retryIn), min(2*retryIn+50*time.Millisecond, lastRetry)
@@ -145,23 +146,23 @@ func (g *Engine) absorb() {
 
 // apply brings the kernel to the model, in one transaction.
 func (g *Engine) apply() error {
-	if len(g.pending) == 0 && g.applied != nil {
+	if len(g.pending) == 0 && !g.failed {
 		return nil
 	}
 	started := time.Now()
 	want := g.render.Render(g.index.Model())
-	var batch *nft.Batch
-	if g.applied == nil {
-		batch = nft.Replace(ruleset.Table, want)
-	} else {
-		batch = nft.Update(ruleset.Table, g.applied, want)
+	have := g.applied
+	if have == nil && !g.failed {
+		// What an earlier run has left is adapted. Without it, or if it cannot be read, the table is written anew.
+		have, _ = g.conn.Dump(ruleset.Table)
 	}
+	batch := nft.Update(ruleset.Table, have, want)
 	built := time.Now()
 	if err := g.conn.Commit(batch); err != nil {
 		return err
 	}
 	committed := time.Now()
-	g.applied = want
+	g.applied, g.failed = want, false
 	if !batch.Empty() || slices.ContainsFunc(g.pending, func(c change) bool { return c.cause.Kind == "NetworkPolicy" }) {
 		g.report.commit(newCommit(g.pending, batch.Changes, started, built, committed))
 	}
@@ -180,15 +181,12 @@ func (g *Engine) compare() error {
 		return fmt.Errorf("comparing the table: %w", err)
 	}
 	g.report.compared()
-	if found == nil {
-		found = nft.NewRuleset()
-	}
 	difference := nft.Update(ruleset.Table, found, g.applied)
 	if difference.Empty() {
 		return nil
 	}
-	slog.Warn("the table is not what it should be, replacing it", "difference", difference.Changes)
+	slog.Warn("the table is not what it should be, repairing it", "difference", difference.Changes)
 	g.pending = append(g.pending, change{cause: Cause{Kind: "Table", Name: ruleset.Table, Event: "repair"}, received: time.Now()})
-	g.applied = nil
+	g.applied = found
 	return g.apply()
 }

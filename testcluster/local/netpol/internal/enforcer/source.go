@@ -12,11 +12,13 @@ import (
 	networkingv1 "k8s.io/api/networking/v1"
 	apierrors "k8s.io/apimachinery/pkg/api/errors"
 	metav1 "k8s.io/apimachinery/pkg/apis/meta/v1"
+	"k8s.io/apimachinery/pkg/fields"
 	"k8s.io/apimachinery/pkg/labels"
 	"k8s.io/apimachinery/pkg/runtime"
+	"k8s.io/apimachinery/pkg/runtime/schema"
+	"k8s.io/apimachinery/pkg/runtime/serializer"
 	"k8s.io/apimachinery/pkg/watch"
-	coreclient "k8s.io/client-go/kubernetes/typed/core/v1"
-	networkingclient "k8s.io/client-go/kubernetes/typed/networking/v1"
+	"k8s.io/client-go/rest"
 	"k8s.io/client-go/tools/cache"
 
 	"understudy/testcluster/understudy-netpol/internal/policy"
@@ -69,29 +71,38 @@ func policySource(q *queue) *source {
 		}}
 }
 
-// Clients are the parts of the API that are watched.
-type Clients struct {
-	Core       coreclient.CoreV1Interface
-	Networking networkingclient.NetworkingV1Interface
+// API is where the objects come from.
+type API struct {
+	Pods, Namespaces, NetworkPolicies cache.ListerWatcherWithContext
 }
 
-func (c Clients) pods() cache.ListerWatcherWithContext {
-	all := c.Core.Pods(metav1.NamespaceAll)
-	return listWatch(func(ctx context.Context, o metav1.ListOptions) (runtime.Object, error) { return all.List(ctx, o) }, all.Watch)
-}
-
-func (c Clients) namespaces() cache.ListerWatcherWithContext {
-	all := c.Core.Namespaces()
-	return listWatch(func(ctx context.Context, o metav1.ListOptions) (runtime.Object, error) { return all.List(ctx, o) }, all.Watch)
-}
-
-func (c Clients) policies() cache.ListerWatcherWithContext {
-	all := c.Networking.NetworkPolicies(metav1.NamespaceAll)
-	return listWatch(func(ctx context.Context, o metav1.ListOptions) (runtime.Object, error) { return all.List(ctx, o) }, all.Watch)
-}
-
-func listWatch(list cache.ListWithContextFunc, watch cache.WatchFuncWithContext) cache.ListerWatcherWithContext {
-	return &cache.ListWatch{ListWithContextFunc: list, WatchFuncWithContext: watch}
+// Connect makes the API of a cluster. It does without client-go's clients, which would bring in all groups of the API.
+func Connect(config *rest.Config) (API, error) {
+	scheme := runtime.NewScheme()
+	if err := errors.Join(corev1.AddToScheme(scheme), networkingv1.AddToScheme(scheme)); err != nil {
+		return API{}, err
+	}
+	config = rest.CopyConfig(config)
+	config.NegotiatedSerializer = serializer.NewCodecFactory(scheme).WithoutConversion()
+	config.ContentType = runtime.ContentTypeProtobuf
+	client := func(path string, version schema.GroupVersion) (*rest.RESTClient, error) {
+		config := rest.CopyConfig(config)
+		config.APIPath, config.GroupVersion = path, &version
+		return rest.RESTClientFor(config)
+	}
+	core, err := client("/api", corev1.SchemeGroupVersion)
+	if err != nil {
+		return API{}, err
+	}
+	networking, err := client("/apis", networkingv1.SchemeGroupVersion)
+	if err != nil {
+		return API{}, err
+	}
+	return API{
+		Pods:            cache.NewListWatchFromClient(core, "pods", metav1.NamespaceAll, fields.Everything()),
+		Namespaces:      cache.NewListWatchFromClient(core, "namespaces", metav1.NamespaceAll, fields.Everything()),
+		NetworkPolicies: cache.NewListWatchFromClient(networking, "networkpolicies", metav1.NamespaceAll, fields.Everything()),
+	}, nil
 }
 
 const (

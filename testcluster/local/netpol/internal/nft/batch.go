@@ -60,11 +60,30 @@ func Remove(table string) *Batch {
 	return b
 }
 
-// Update makes a batch that turns the table's content from `have` into `want`.
+// Update makes a batch that turns the table's content from `have`, nil when nothing is known of it, into `want`. What is
+// already right is not touched: no packet on its way is judged by half of the old and half of the new.
 func Update(table string, have, want *Ruleset) *Batch {
+	if have == nil || !have.adaptable(want) {
+		return Replace(table, want)
+	}
 	b := &Batch{table: table}
 	b.change(have, want)
 	return b
+}
+
+// adaptable tells whether everything that has the same name is of the same type and at the same hook: these cannot be changed.
+func (r *Ruleset) adaptable(want *Ruleset) bool {
+	for name, set := range want.Sets {
+		if old := r.Sets[name]; old != nil && old != set && !old.sameType(set) {
+			return false
+		}
+	}
+	for name, chain := range want.Chains {
+		if old := r.Chains[name]; old != nil && old != chain && !old.sameHook(chain) {
+			return false
+		}
+	}
+	return true
 }
 
 func (b *Batch) add(kind, flags uint16, body attrs, about string) {
@@ -82,12 +101,8 @@ func (b *Batch) addTable() {
 // then what nothing names any more.
 func (b *Batch) change(have, want *Ruleset) {
 	var newSets, newChains, rewrite, oldSets, oldChains []string
-	for name, set := range want.Sets {
-		old := have.Sets[name]
-		if old != nil && !old.sameType(set) {
-			panic(fmt.Sprintf("nft: set %s changes its type", name)) // names are derived from types
-		}
-		if old == nil {
+	for name := range want.Sets {
+		if have.Sets[name] == nil {
 			newSets = append(newSets, name)
 		}
 	}
@@ -209,7 +224,11 @@ func (b *Batch) newChain(name string, chain *Chain) {
 		hook.u32(unix.NFTA_HOOK_HOOKNUM, chain.Hook.Number)
 		hook.u32(unix.NFTA_HOOK_PRIORITY, uint32(chain.Hook.Priority))
 		a.nest(unix.NFTA_CHAIN_HOOK, hook)
-		a.u32(unix.NFTA_CHAIN_POLICY, uint32(Accept.code))
+		policy := Accept
+		if chain.Hook.Dropping {
+			policy = Drop
+		}
+		a.u32(unix.NFTA_CHAIN_POLICY, uint32(policy.code))
 		a.str(unix.NFTA_CHAIN_TYPE, "filter")
 	}
 	b.add(unix.NFT_MSG_NEWCHAIN, unix.NLM_F_CREATE, a, "chain "+name)

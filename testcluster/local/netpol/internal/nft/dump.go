@@ -37,7 +37,8 @@ func (c *Conn) dumpChains(table string, into *Ruleset) error {
 		chain := &Chain{}
 		if hook, based := a[unix.NFTA_CHAIN_HOOK]; based {
 			h := index(hook)
-			chain.Hook = &Hook{Number: number(h[unix.NFTA_HOOK_HOOKNUM]), Priority: int32(number(h[unix.NFTA_HOOK_PRIORITY]))}
+			chain.Hook = &Hook{Number: number(h[unix.NFTA_HOOK_HOOKNUM]), Priority: int32(number(h[unix.NFTA_HOOK_PRIORITY])),
+				Dropping: number(a[unix.NFTA_CHAIN_POLICY]) == uint32(Drop.code)}
 		}
 		into.Chains[cstring(a[unix.NFTA_CHAIN_NAME])] = chain
 	})

@@ -53,10 +53,11 @@ type Chain struct {
 	Rules []Rule
 }
 
-// Hook says where a filter chain is called; its policy is accept.
+// Hook says where a filter chain is called.
 type Hook struct {
 	Number   uint32
 	Priority int32
+	Dropping bool // its policy: what becomes of packets that no rule decides about
 }
 
 // Rule is a list of expressions, each of which must match for the next to be tried.
@@ -94,7 +95,7 @@ func (c *Chain) equal(other *Chain) bool {
 	if c == other {
 		return true
 	}
-	if len(c.Rules) != len(other.Rules) || (c.Hook == nil) != (other.Hook == nil) || (c.Hook != nil && *c.Hook != *other.Hook) {
+	if len(c.Rules) != len(other.Rules) || !c.sameHook(other) {
 		return false
 	}
 	for i := range c.Rules {
@@ -103,6 +104,10 @@ func (c *Chain) equal(other *Chain) bool {
 		}
 	}
 	return true
+}
+
+func (c *Chain) sameHook(other *Chain) bool {
+	return (c.Hook == nil) == (other.Hook == nil) && (c.Hook == nil || *c.Hook == *other.Hook)
 }
 
 func (s *Set) sameType(other *Set) bool {
