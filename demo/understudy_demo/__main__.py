@@ -17,7 +17,7 @@ from understudy_demo.kubectl import CommandFailed, Kubectl, run
 from understudy_demo.play import FAILURES, NAMESPACE, STRATEGIES, WORKLOAD, Failure, NotSo, Play
 from understudy_demo.recovery import OVERLAP_ALLOWED
 from understudy_demo.robotview import RobotLog, parse
-from understudy_demo.stage import REPOSITORY, Stage
+from understudy_demo.stage import BUILT, REPOSITORY, Stage
 
 OUT = REPOSITORY / "out"
 
@@ -48,11 +48,12 @@ def _demo(arguments: list[str] | None) -> int:
     parser.add_argument("--provider", choices=["kind", "local", "current"])
     parser.add_argument("--only", action="append", choices=list(STRATEGIES))
     parser.add_argument("--how", choices=FAILURES, default="deleted")
+    parser.add_argument("--images")
     options = parser.parse_args(arguments)
     strategies = [name for name in STRATEGIES if not options.only or name in options.only]
 
     say = Progress()
-    stage = Stage(options.provider, say)
+    stage = Stage(options.provider, say, registry=options.images)
     try:
         stage.cluster()
         stage.images()
@@ -62,7 +63,7 @@ def _demo(arguments: list[str] | None) -> int:
         say("what was set up stays; the same command goes on from there")
         return 1
     kubectl = Kubectl(NAMESPACE, stage.environment)
-    play = Play(kubectl, say)
+    play = Play(kubectl, say, images=options.images or BUILT)
     try:
         failures, log = _perform(play, strategies, options.how, say)
     except (CommandFailed, NotSo) as error:
@@ -83,6 +84,7 @@ def _demo(arguments: list[str] | None) -> int:
     problems += _returns(log)
     _report(failures, log, problems, stage, options.provider)
     if options.keep:
+        _rest(play, say)
         _invite(stage)
     else:
         play.clear()
@@ -109,6 +111,14 @@ def _perform(play: Play, strategies: list[str], how: str, say: Progress) -> tupl
     return failures, parse(text)
 
 
+def _rest(play: Play, say: Progress) -> None:
+    """Leave it with the strategy that shows most."""
+    try:
+        play.prepare("executing")
+    except (CommandFailed, NotSo) as error:
+        say(f"left without an executing standby: {error}")
+
+
 def _returns(log: RobotLog) -> list[str]:
     """Moments at which two pods were driving, by the robot's clock alone, beyond one enforcement of the gate."""
     late = log.returns()
@@ -125,8 +135,9 @@ def _returns(log: RobotLog) -> list[str]:
 
 def _report(failures: list[Failure], log: RobotLog, problems: list[str], stage: Stage, provider: str | None) -> None:
     recoveries = [failure.recovered for failure in failures]
-    print("All to one scale:")
-    print(timeline.compare(recoveries))
+    if len(recoveries) > 1:
+        print("All to one scale:")
+        print(timeline.compare(recoveries))
     title = f"Three failures, three strategies ({plot.taken(log)})" if len(failures) == 3 else plot.taken(log)
     plot.draw(log, recoveries, OUT / "demo.png", title=title)
     record = {
@@ -167,17 +178,19 @@ Look at it:
     kubectl describe robotworkload {WORKLOAD}
     kubectl logs -f deploy/robot-1 | grep '"command"'       # every command at the robot, with the pod that sent it
     kubectl get networkpolicy {WORKLOAD}-gate -o yaml        # who may drive: the whole switch
-Let it fail in other ways:
-    kubectl apply -f examples/quickstart/manifests/strategies/
-    kubectl patch robotworkload {WORKLOAD} --type merge \\
-        -p '{{"spec":{{"failurePolicyRef":{{"name":"quickstart-executing"}}}}}}'
-    kubectl get robotworkload {WORKLOAD} -w                 # until its standby is ready: Executing (1/1)
+Let it fail in another way:
     # no operator is needed for a failover
     kubectl scale -n {stage.release_namespace} deploy/understudy-operator --replicas 0
-    # frozen, not killed: the pod stays Running and Ready, and only the robot notices
+    # frozen, not killed: to Kubernetes the process runs, and only its commands stop
     kubectl exec $(kubectl get robotworkload {WORKLOAD} -o jsonpath='{{.status.active}}') -c drive -- sh -c \\
         'for p in /proc/[0-9]*; do grep -q "[q]uickstart.application" $p/cmdline && kill -STOP ${{p#/proc/}}; done; true'
+    kubectl get robotworkload {WORKLOAD} -o yaml            # status.recoveries
     kubectl scale -n {stage.release_namespace} deploy/understudy-operator --replicas 2
+Try another strategy:
+    kubectl apply -f examples/quickstart/manifests/strategies/
+    kubectl patch robotworkload {WORKLOAD} --type merge \\
+        -p '{{"spec":{{"failurePolicyRef":{{"name":"quickstart-uninitialized"}}}}}}'
+    kubectl get robotworkload {WORKLOAD} -w                 # until its standby is ready: Uninitialized (1/1)
 Remove it:
 {removal}
 """

@@ -11,7 +11,7 @@ from typing import Any
 from understudy_demo.kubectl import CommandFailed, Kubectl
 from understudy_demo.recovery import Recovered
 from understudy_demo.robotview import Handover, RobotLog, parse
-from understudy_demo.stage import REPOSITORY, Say
+from understudy_demo.stage import BUILT, REPOSITORY, Say
 
 MANIFESTS = REPOSITORY / "examples" / "quickstart" / "manifests"
 NAMESPACE = "understudy-demo"
@@ -79,9 +79,10 @@ class Failure:
 class Play:
     """The quickstart in the demo's namespace."""
 
-    def __init__(self, kubectl: Kubectl, say: Say) -> None:
+    def __init__(self, kubectl: Kubectl, say: Say, *, images: str = BUILT) -> None:
         self._kubectl = kubectl
         self._say = say
+        self._images = images
 
     def clear(self) -> None:
         """Remove the namespace, of this demo or of an earlier one."""
@@ -93,8 +94,7 @@ class Play:
         """The robot, its application and the strategy's policy; until the robot is driven."""
         self._kubectl("create", "namespace", NAMESPACE)
         self._apply(f"strategies/{strategy}.yaml")
-        workload = (MANIFESTS / "robotworkload.yaml").read_text()
-        self._kubectl("apply", "-f", "-", stdin=_with_policy(workload, strategy))
+        self._apply("robotworkload.yaml", edit=lambda text: _with_policy(text, strategy))
         # The robot's pod would wait for its ConfigMaps too, but the kubelet looks for them less and less often.
         self._until("the workload is built", self._built, within=60)
         self._apply("robot.yaml")
@@ -141,8 +141,9 @@ class Play:
         """The robot's log as text, with the part that was rotated out."""
         return self._kubectl("exec", ROBOT, "--", "sh", "-c", f"cat {LOG}.1 {LOG} 2>/dev/null || cat {LOG}")
 
-    def _apply(self, file: str) -> None:
-        self._kubectl("apply", "-f", str(MANIFESTS / file))
+    def _apply(self, file: str, *, edit: Callable[[str], str] = str) -> None:
+        text = edit((MANIFESTS / file).read_text())
+        self._kubectl("apply", "-f", "-", stdin=text.replace(f" {BUILT}/understudy-", f" {self._images}/understudy-"))
 
     def _workload(self) -> dict[str, Any]:
         return self._kubectl.get("robotworkload", WORKLOAD)

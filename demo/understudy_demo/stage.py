@@ -13,6 +13,8 @@ from understudy_demo.kubectl import CommandFailed, run
 REPOSITORY = Path(__file__).resolve().parents[2]
 RELEASE = "understudy"
 RELEASE_NAMESPACE = "understudy-system"
+BUILT = "localhost"
+"""The registry in the names of images that were built here, which no node would ever pull from."""
 
 Say = Callable[[str], None]
 
@@ -20,8 +22,11 @@ Say = Callable[[str], None]
 class Stage:
     """Sets up, remembers what it made, and takes that down again."""
 
-    def __init__(self, provider: str | None, say: Say) -> None:
+    def __init__(self, provider: str | None, say: Say, *, registry: str | None = None) -> None:
+        """``registry`` has the images, where none are to be built."""
         self._say = say
+        self._build = registry is None
+        self._images = registry or BUILT
         self.environment = dict(os.environ)
         if provider:
             self.environment["UNDERSTUDY_CLUSTER_PROVIDER"] = provider
@@ -53,6 +58,9 @@ class Stage:
 
     def images(self) -> None:
         """The images, on every node."""
+        if not self._build:
+            self._say(f"images: those at {self._images}")
+            return
         self._say("images: scripts/images --load")
         self._script("images", "--load", show=True)
 
@@ -79,9 +87,9 @@ class Stage:
             self._say(f"chart: installing {RELEASE} in {RELEASE_NAMESPACE}")
             self._made_release = True
         values = {
-            "images.operator.repository": "localhost/understudy-operator",
+            "images.operator.repository": f"{self._images}/understudy-operator",
             "images.operator.tag": "dev",
-            "images.monitor.repository": "localhost/understudy-monitor",
+            "images.monitor.repository": f"{self._images}/understudy-monitor",
             "images.monitor.tag": "dev",
             # The tag stays the same when the image changes; with this its pods are replaced then.
             r"operator.podAnnotations.understudy\.dev/image": self._operator_image(),
@@ -93,11 +101,11 @@ class Stage:
         run(command, self.environment, timeout=240)
 
     def _is_demos(self, name: str) -> bool:
-        """Whether an installed release runs images that were built here; another one isn't ours to upgrade."""
+        """Whether an installed release runs the demo's images; another one isn't ours to upgrade."""
         command = ["helm", "get", "values", name, "-n", self.release_namespace, "-o", "json"]
         values = json.loads(run(command, self.environment)) or {}
         repository = values.get("images", {}).get("operator", {}).get("repository", "")
-        return str(repository).startswith("localhost/")
+        return str(repository) == f"{self._images}/understudy-operator"
 
     def _operator_image(self) -> str:
         """Identifies the image that scripts/images built last."""
@@ -124,7 +132,8 @@ class Stage:
             run(["kubectl", "delete", "namespace", RELEASE_NAMESPACE, "--timeout=120s"], self.environment, timeout=150)
         if self._made_kinds:
             run(["kubectl", "delete", *self._kinds(), "--timeout=60s"], self.environment)
-        self._say("the cluster was there before and stays; scripts/cluster down removes it")
+        kept = "the cluster was" if self._made_release else "cluster and chart were"
+        self._say(f"{kept} there before, and left there")
 
     def left(self) -> list[str]:
         """The commands that remove what a kept demo leaves."""

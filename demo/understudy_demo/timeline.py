@@ -35,18 +35,14 @@ def length(seconds: float) -> str:
 
 
 def bar(start: float, seconds: float, scale: float) -> str:
-    """A bar from ``start`` for ``seconds``, with ``scale`` seconds to a character; to an eighth of one.
+    """A bar from ``start`` for ``seconds``, with ``scale`` seconds to a character.
 
-    The beginning is rounded to a whole character, so that bars under each other begin where the last one ended.
+    Its length is right to an eighth of a character, its beginning to half of one.
     """
     if seconds <= 0:
         return ""
-    lead = int(start / scale)
-    eighths = max(1, round((start + seconds) / scale * 8) - lead * 8)
-    if start / scale - lead > 0.5 and eighths <= 8:
-        lead, eighths = lead + 1, max(1, eighths - 8)
-    full, rest = divmod(eighths, 8)
-    return " " * lead + "█" * full + (_EIGHTHS[rest] if rest else "")
+    full, rest = divmod(max(1, round(seconds / scale * 8)), 8)
+    return " " * round(start / scale) + "█" * full + (_EIGHTHS[rest] if rest else "")
 
 
 def short(pods: Sequence[str]) -> dict[str, str]:

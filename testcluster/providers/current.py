@@ -65,7 +65,7 @@ class CurrentProvider(Provider):
             else:
                 raise ClusterError(
                     f"image {image}: how images come to the nodes of context {context} is not known here; "
-                    "push it to a registry that they reach, and name it in the chart's value `image`"
+                    "push it to a registry that they reach, and name that: scripts/demo --images REGISTRY, or the chart's values"
                 )
             self._progress(f"{image}: loaded")
 
