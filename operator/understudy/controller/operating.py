@@ -50,11 +50,12 @@ class Operator:
 
     def see(self, resource: Resource, item: Object, gone: bool) -> None:
         """Take in what a watch brought: into the store where it is ours, and to whom it means something."""
-        if gone or not resyncing.kept(resource, item):
-            self._store.remove(resource, item)
-        else:
+        ours = resyncing.kept(resource, item)
+        if ours and not gone:
             self._store.put(resource, item)
-        if not resyncing.kept(resource, item):
+        elif ours or self._store.knows(resource, item):  # of strangers not even their end is remembered
+            self._store.remove(resource, item)
+        if not ours:
             for key in affected.referring(resource, item, self._store):
                 self._add(key)
 

@@ -53,7 +53,7 @@ class Options:
 async def run(access: Access, options: Options, *, stop: asyncio.Event | None = None) -> int:
     """Run an operator until ``stop`` is set, a signal comes or the lease is lost; the exit status."""
     handlers.quiet()
-    async with Client(access) as client:
+    async with Client(access, timeout=20) as client:  # a fleet's lists are long
         lease = Lease(client, options.lease_namespace, options.lease, options.identity, timing=options.timing)
         store, expectations = Store(), Expectations()
         reconciler = Reconciler(

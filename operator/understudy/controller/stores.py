@@ -38,12 +38,17 @@ class Store:
         self._items: dict[str, dict[tuple[str, str], Object]] = defaultdict(dict)
         self._index: dict[Index, dict[tuple[str, str, str], Object]] = defaultdict(dict)
         self._gone: dict[str, tuple[int, float]] = {}
+        self._swept = clock()
         self.noticed: Callable[[Sight], None] = lambda sight: None
         """Called with every change, whoever brought it: what one object's work writes may mean something to another."""
 
     def get(self, resource: Resource, namespace: str, name: str) -> Object | None:
         """An object, or None."""
         return self._items[resource.plural].get((namespace, name))
+
+    def knows(self, resource: Resource, item: Object) -> bool:
+        """Whether an object of that name is in the store."""
+        return self.get(resource, item["metadata"].get("namespace", ""), item["metadata"]["name"]) is not None
 
     def all(self, resource: Resource) -> list[Object]:
         """Every object of a resource."""
@@ -124,7 +129,8 @@ class Store:
     def _bury(self, item: Object) -> None:
         now = self._clock()
         self._gone[item["metadata"].get("uid", "")] = (version(item), now)
-        if len(self._gone) > 1000:
+        if now - self._swept >= REMEMBERED_SECONDS / 10:
+            self._swept = now
             self._gone = {uid: seen for uid, seen in self._gone.items() if now - seen[1] < REMEMBERED_SECONDS}
 
     def _unindex(self, resource: Resource, place: tuple[str, str], old: Object | None) -> None:

@@ -18,6 +18,7 @@ _ADVICE = {
     "StartError": "Check that its command exists in the image",
     "Unschedulable": "No node takes it: see its requests, nodeSelector and the nodes' free resources",
 }
+_CRASHES = 2
 _SAME = {"ErrImagePull": "ImagePullBackOff", "ImageInspectError": "ImagePullBackOff"}  # they alternate for one cause
 
 
@@ -37,6 +38,8 @@ def trouble(pod: Object) -> Trouble | None:
     for entry in [*(status.get("initContainerStatuses") or []), *(status.get("containerStatuses") or [])]:
         waiting = (entry.get("state") or {}).get("waiting") or {}
         reason = _SAME.get(waiting.get("reason", ""), waiting.get("reason", ""))
+        if reason not in _ADVICE and _crashing(pod, entry):
+            reason, waiting = "CrashLoopBackOff", {}
         if reason in _ADVICE:
             return _told(
                 pod, reason, entry["name"], f"container {entry['name']} (image {entry.get('image', '')})", waiting
@@ -47,6 +50,13 @@ def trouble(pod: Object) -> Trouble | None:
             if reason in _ADVICE:
                 return _told(pod, reason, "", "it", condition)
     return None
+
+
+def _crashing(pod: Object, entry: Object) -> bool:
+    """Whether a container is only between two crashes, so that what is told doesn't change with each."""
+    terminated = (entry.get("lastState") or {}).get("terminated") or {}
+    again = entry.get("restartCount", 0) >= _CRASHES and terminated.get("exitCode", 0) != 0
+    return again and not objects.ready(pod)
 
 
 def _told(pod: Object, reason: str, container: str, what: str, found: Object) -> Trouble:

@@ -241,6 +241,16 @@ class TestTroubles:
 
         assert trouble(crash("10s")) == trouble(crash("20s"))
 
+    def test_a_container_between_two_crashes_is_told_as_before(self) -> None:
+        waiting, running = pod("a", ready=False, waiting="CrashLoopBackOff"), pod("a", ready=False)
+        waiting["status"]["containerStatuses"][0]["state"]["waiting"]["message"] = "back-off 10s restarting failed"
+        last = {"terminated": {"exitCode": 1, "reason": "Error"}}
+        entry = {"name": "app", "image": "app:1", "state": {"running": {}}, "lastState": last, "restartCount": 3}
+        running["status"]["containerStatuses"] = [entry]
+        assert trouble(waiting) == trouble(running)
+        running["status"]["conditions"][0]["status"] = "True"
+        assert trouble(running) is None
+
 
 class TestReferences:
     def test_only_pods_that_the_controller_really_controls(self) -> None:
