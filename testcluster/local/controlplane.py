@@ -122,7 +122,7 @@ def up(layout: Layout, programs: Programs, pki: Path, holder: int) -> None:
     start(_etcd(layout))
     start(_apiserver(layout, pki))
     wait_until(
-        lambda: answers(layout, programs), 90, f"the API server answers (its log: {layout.log}/kube-apiserver.log)"
+        lambda: answers(layout, programs), 180, f"the API server answers (its log: {layout.log}/kube-apiserver.log)"
     )
     start(_controller_manager(pki))
     start(_scheduler(pki))

@@ -78,7 +78,7 @@ def _dns_serves(layout: Layout, programs: Programs) -> bool:
     )
 
 
-def wait_ready(layout: Layout, programs: Programs, since: datetime, seconds: float = 120) -> None:
+def wait_ready(layout: Layout, programs: Programs, since: datetime, seconds: float = 300) -> None:
     """Returns when all nodes are Ready, with a sign of life after a moment, and DNS serves.
 
     Raises:
