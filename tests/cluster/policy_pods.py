@@ -107,13 +107,21 @@ class World:
     pods: dict[str, Object] = field(default_factory=dict)
     nodes: list[str] = field(default_factory=list)
 
-    def start(self, space: str, name: str, labels: dict[str, str], node: int, ports: list[Object]) -> None:
+    def start(
+        self,
+        space: str,
+        name: str,
+        labels: dict[str, str],
+        node: int,
+        ports: list[Object],
+        command: list[str] | None = None,
+    ) -> None:
         """Create a pod on the node of that number, as far as there are so many."""
         container = {
             "name": "main",
             "image": self.image,
             "imagePullPolicy": "IfNotPresent",
-            "command": ["python3", "-c", "import signal; signal.pause()"],
+            "command": command or ["python3", "-c", "import signal; signal.pause()"],
             "ports": [{"name": p["name"], "containerPort": p["port"], "protocol": p["protocol"]} for p in ports],
             "resources": {"requests": {"cpu": "5m", "memory": "20Mi"}},
             "securityContext": {"runAsUser": 0, "runAsNonRoot": False},
@@ -140,7 +148,7 @@ class World:
                 f"pod {name} with image {self.image} to run",
                 seconds=120,
             )
-            if name not in self.agents:
+            if name not in self.agents and "pause" in self.pods[name]["spec"]["containers"][0]["command"][-1]:
                 self.agents[name] = Agent(self.cluster, self.pods[name]["metadata"]["namespace"], name)
 
     def _running(self, name: str) -> Object | None:

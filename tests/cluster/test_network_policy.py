@@ -184,3 +184,66 @@ def test_a_gate_is_switched(world: World, other: str, capsys: pytest.CaptureFixt
     if other == "standby":  # both on one node: one transaction
         assert not both, f"both were let through at once, for up to {max(both):.2f} ms"
     assert max(last_old) < 1000, "the gate did not close within a second"
+
+
+# Sends from its first moment on, to an allowed port and to a gated one.
+IMPATIENT = """
+import socket, sys, time
+talker = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+number = 0
+while True:
+    for port in (1000, 7950):
+        try:
+            talker.sendto(f"stream {port} {number} {time.time_ns()}".encode(), (sys.argv[1], port))
+        except OSError:
+            pass
+    number += 1
+    time.sleep(0.002)
+"""
+
+
+@pytest.fixture
+def impatient(world: World) -> Iterator[str]:
+    """An instance behind a closed gate that sends to the robot all the time, from its start."""
+    closed = {
+        "podSelector": _selector(app="impatient"),
+        "policyTypes": ["Egress"],
+        "egress": [{"to": [{"podSelector": {}}], "ports": [{"protocol": "UDP", "port": 1000}]}],
+    }
+    world.enforce([_policy(world, "closed", closed)])
+    world.expect([("active", "robot", "udp", GATED)], [])
+    world.agents["robot"].ask("arrivals")
+    command = ["python3", "-c", IMPATIENT, world.address("robot")]
+    world.start("fleet", "impatient", {"app": "impatient"}, 0, [], command)
+    world.ready()
+    yield "impatient"
+    world.cluster.delete(world.pods.pop("impatient"))
+
+
+def _heard(world: World) -> dict[str, list[int]]:
+    """When the robot heard something on which port (wall clock, ns)."""
+    heard: dict[str, list[int]] = {"1000": [], "7950": []}
+    for port, _, _, got in world.agents["robot"].ask("arrivals"):
+        heard[port].append(got)
+    return heard
+
+
+@pytest.mark.local_only
+def test_a_new_pod_is_judged_from_its_first_packet_on(world: World, impatient: str) -> None:
+    time.sleep(0.5)
+    heard = _heard(world)
+    assert heard["1000"], "nothing arrives of what is allowed"
+    assert not heard["7950"], f"{len(heard['7950'])} packets of a new pod passed a closed gate"
+
+
+@pytest.mark.local_only
+def test_a_pod_deleted_by_force_stays_behind_the_gate(world: World, impatient: str) -> None:
+    """Its object is gone at once, its processes are not."""
+    assert _heard(world)["1000"]
+    asked = time.time_ns()
+    world.cluster.delete(world.pods[impatient])
+    time.sleep(2.0)
+    heard = _heard(world)
+    assert not heard["7950"], f"{len(heard['7950'])} packets passed the closed gate after the pod's object was deleted"
+    late = [got for got in heard["1000"] if got - asked > 1e9]
+    assert not late, "the pod is no pod any more, and still heard"

@@ -160,7 +160,7 @@ func (n *node) nft(t *testing.T, command string) string {
 	return n.run(t, command+"\n", "nft", "-f", "-")
 }
 
-// TestTheTableIsRepaired lets others tamper with the table; the enforcers of these tests compare every second.
+// TestTheTableIsRepaired lets others tamper with the table; the enforcers of these tests compare four times a second.
 func TestTheTableIsRepaired(t *testing.T) {
 	w := newWorld(t)
 	w.enforce(t)
@@ -187,9 +187,9 @@ func TestTheTableIsRepaired(t *testing.T) {
 			w.expect(t, flows("active -> robot udp/1000"), true)
 		})
 	}
-	time.Sleep(1500 * time.Millisecond)
+	time.Sleep(600 * time.Millisecond)
 	from := len(n.seen())
-	time.Sleep(1500 * time.Millisecond)
+	time.Sleep(600 * time.Millisecond)
 	if more := n.seen()[from:]; len(more) > 0 {
 		t.Errorf("an untouched table was repaired: %+v", more)
 	}

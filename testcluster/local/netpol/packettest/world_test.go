@@ -162,7 +162,7 @@ func (w *world) startNode(t testing.TB, i int) {
 	report.Observe = n.observe
 	ctx, cancel := context.WithCancel(context.Background())
 	n.stop, n.stopped = cancel, make(chan struct{})
-	engine := enforcer.New(enforcer.Options{Node: n.name, PodInterfaces: "veth", CNIResults: n.results, Reconcile: time.Second, Netns: n.file}, report)
+	engine := enforcer.New(enforcer.Options{Node: n.name, PodInterfaces: "veth", CNIResults: n.results, Reconcile: 250 * time.Millisecond, Netns: n.file}, report)
 	before := w.api.begun()
 	seen := len(n.seen())
 	go func() {
