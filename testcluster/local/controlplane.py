@@ -1,12 +1,14 @@
 """etcd and the Kubernetes control plane, in the network namespace of the cluster's switch."""
 
+import ssl
+import urllib.request
 from pathlib import Path
 
 from testcluster.local import network, processes
 from testcluster.local.layout import API_PORT, Layout
 from testcluster.local.programs import Programs
 from testcluster.progress import wait_until
-from testcluster.shell import run, succeeds
+from testcluster.shell import run
 
 _ETCD = "http://127.0.0.1:2379"
 _ETCD_PEER = "http://127.0.0.1:2380"
@@ -80,21 +82,31 @@ def _scheduler(pki: Path) -> list[str]:
 
 def kubectl(layout: Layout, programs: Programs, *arguments: str, input: str | None = None) -> str:
     """Runs kubectl as the cluster's administrator."""
-    return run(programs.hyperkube, "kubectl", f"--kubeconfig={layout.kubeconfig}", *arguments, input=input, timeout=120)
-
-
-def answers(layout: Layout, programs: Programs) -> bool:
-    """Whether the API server says that it is ready."""
-    return succeeds(
+    return run(
         programs.hyperkube,
         "kubectl",
         f"--kubeconfig={layout.kubeconfig}",
-        "--request-timeout=3s",
-        "get",
-        "--raw",
-        "/readyz",
-        timeout=8,
+        *arguments,
+        input=input,
+        timeout=120,
+        env={"NO_PROXY": "*"},
     )
+
+
+def answers(layout: Layout) -> bool:
+    """Whether the API server says that it is ready."""
+    pki = layout.state / "pki"
+    try:
+        trust = ssl.create_default_context(cafile=str(pki / "ca.crt"))
+        trust.load_cert_chain(pki / "admin.crt", pki / "admin.key")
+        # Without the proxy that the environment may name: it does not know this machine's own networks.
+        direct = urllib.request.build_opener(
+            urllib.request.ProxyHandler({}), urllib.request.HTTPSHandler(context=trust)
+        )
+        with direct.open(f"{layout.api}/readyz", timeout=3) as reply:
+            return bool(reply.status == 200)
+    except OSError:
+        return False
 
 
 def running(layout: Layout) -> dict[str, bool]:
@@ -121,9 +133,7 @@ def up(layout: Layout, programs: Programs, pki: Path, holder: int) -> None:
 
     start(_etcd(layout))
     start(_apiserver(layout, pki))
-    wait_until(
-        lambda: answers(layout, programs), 180, f"the API server answers (its log: {layout.log}/kube-apiserver.log)"
-    )
+    wait_until(lambda: answers(layout), 180, f"the API server answers (its log: {layout.log}/kube-apiserver.log)")
     start(_controller_manager(pki))
     start(_scheduler(pki))
     layout.api_ready.touch()

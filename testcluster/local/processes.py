@@ -51,6 +51,14 @@ def start(group: str, command: Sequence[str | Path], log: Path) -> int:
         os.setsid()
 
     with log.open("ab") as out:
+        # A proxy is for reaching the world, and these only reach each other.
+        environment = {name: value for name, value in os.environ.items() if not name.lower().endswith("_proxy")}
         return subprocess.Popen(
-            [str(word) for word in command], stdin=subprocess.DEVNULL, stdout=out, stderr=out, preexec_fn=enter, cwd="/"
+            [str(word) for word in command],
+            stdin=subprocess.DEVNULL,
+            stdout=out,
+            stderr=out,
+            preexec_fn=enter,
+            env=environment,
+            cwd="/",
         ).pid

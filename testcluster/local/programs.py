@@ -1,11 +1,12 @@
 """The programs a cluster is made of: what Debian packages bring, and what is built from Go modules."""
 
-import json
 import re
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
 from testcluster import atomic, golang, packages
+from testcluster.local.layout import POOL
 from testcluster.paths import cache
 from testcluster.progress import Progress
 
@@ -69,11 +70,15 @@ def _link_tools(hyperkube: Path, helm: Path) -> None:
     """Puts kubectl and helm at a path that stays the same over versions, for people and scripts."""
     tools = tools_folder()
     tools.mkdir(exist_ok=True)
-    wrapper = f'#!/bin/sh\nexec {json.dumps(str(hyperkube))} kubectl "$@"\n'
-    kubectl = tools / "kubectl"
-    if not kubectl.exists() or kubectl.read_text() != wrapper:
-        atomic.write(kubectl, wrapper, 0o755)
-    atomic.link(tools / "helm", helm)
+    for name, command in (("kubectl", [hyperkube, "kubectl"]), ("helm", [helm])):
+        wrapper = f'''#!/bin/sh
+# A proxy that the environment names does not know this machine's own networks.
+export NO_PROXY="{POOL}${{NO_PROXY:+,$NO_PROXY}}"
+exec {shlex.join(str(word) for word in command)} "$@"
+'''
+        program = tools / name
+        if program.is_symlink() or not program.exists() or program.read_text() != wrapper:
+            atomic.write(program, wrapper, 0o755)
 
 
 def tools_folder() -> Path:

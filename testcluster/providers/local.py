@@ -129,7 +129,7 @@ class LocalProvider(Provider):
         details = [
             f"{name}: {'runs' if runs else 'does not run'}" for name, runs in controlplane.running(layout).items()
         ]
-        answers = controlplane.answers(layout, programs)
+        answers = controlplane.answers(layout)
         ready = system.ready_nodes(layout, programs) if answers else set()
         for node in layout.nodes:
             power = "on" if nodes.init(layout, node) else "off"
