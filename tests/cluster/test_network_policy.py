@@ -20,6 +20,7 @@ from tests.support.cluster import Cluster, Object
 
 TABLE = table()
 GATED = 7950
+SWITCHES = 50
 
 
 @pytest.fixture(scope="module")
@@ -133,16 +134,57 @@ def test_an_established_flow_ends_with_its_permission(world: World, protocol: st
     assert any(agent.ask("say", flow=flow) for _ in range(5)), "the flow does not go on after it was allowed again"
 
 
+@pytest.fixture(scope="module")
+def crowd(world: World) -> Iterator[int]:
+    """UNDERSTUDY_TEST_CROWD more pods on the first node, a third as many workloads with a gate each: for figures at that size."""
+    size = int(os.environ.get("UNDERSTUDY_TEST_CROWD", "0"))
+    if size:
+        space = f"{world.spaces['fleet']}-crowd"
+        item = world.cluster.create({"apiVersion": "v1", "kind": "Namespace", "metadata": {"name": space}})
+        world.spaces["crowd"] = space
+        try:
+            for number in range(size):
+                instance = ("a", "b", "robot")[number % 3]
+                app = f"w{number // 3}" if instance != "robot" else f"robot-of-w{number // 3}"
+                name = f"w{number // 3}-{instance}"
+                world.start("crowd", name, {"app": app, "instance": instance}, 0, [], ["sleep", "infinity"])
+            world.ready()
+            yield size
+        finally:
+            world.pods = {name: pod for name, pod in world.pods.items() if pod["metadata"]["namespace"] != space}
+            del world.spaces["crowd"]
+            world.cluster.delete(item)
+    else:
+        yield 0
+
+
+def _crowds_policies(world: World, size: int) -> list[Object]:
+    policies = []
+    for workload in {f"w{number // 3}" for number in range(size)}:
+        others = {"matchExpressions": [{"key": "app", "operator": "NotIn", "values": [workload]}]}
+        peers = [{"namespaceSelector": {}, "podSelector": others}]
+        open_ports = [{"protocol": "TCP", "port": 1, "endPort": 65535}]
+        open_ports += [{"protocol": "UDP", "port": p, "endPort": q} for p, q in ((1, 7949), (8150, 65535))]
+        standby = {"podSelector": _selector(app=workload), "policyTypes": ["Ingress", "Egress"]}
+        standby |= {"ingress": [{"from": peers}], "egress": [{"to": peers, "ports": open_ports}]}
+        gate = {"podSelector": _selector(app=workload, instance="a"), "policyTypes": ["Egress"], "egress": [{}]}
+        for name, spec in (("standby", standby), ("gate", gate)):
+            policy = _policy(world, f"{workload}-{name}", spec)
+            policy["metadata"]["namespace"] = world.spaces["crowd"]
+            policies.append(policy)
+    return policies
+
+
 @pytest.mark.local_only
 @pytest.mark.parametrize("other", ["standby", "distant"], ids=["on one node", "on two nodes"])
-def test_a_gate_is_switched(world: World, other: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_gate_is_switched(world: World, crowd: int, other: str, capsys: pytest.CaptureFixture[str]) -> None:
     """Two instances send all the time; the gate is switched between them; the receiver says whom it heard, and when."""
     closed = {
         "podSelector": {"matchExpressions": [{"key": "instance", "operator": "Exists"}]},
         "policyTypes": ["Egress"],
     }
     opened = {"podSelector": _selector(instance="active"), "policyTypes": ["Egress"], "egress": [{}]}
-    world.enforce([_policy(world, "standby", closed), _policy(world, "gate", opened)])
+    world.enforce([_policy(world, "standby", closed), _policy(world, "gate", opened), *_crowds_policies(world, crowd)])
     world.expect([("active", "robot", "udp", GATED)], [(other, "robot", "udp", GATED)])
     senders = ("active", other)
     for name in senders:
@@ -151,7 +193,7 @@ def test_a_gate_is_switched(world: World, other: str, capsys: pytest.CaptureFixt
     gate = {"apiVersion": "networking.k8s.io/v1", "kind": "NetworkPolicy", **gate}
     world.agents["robot"].ask("arrivals")
     turns: list[Any] = []
-    for turn in range(50):
+    for turn in range(SWITCHES):
         to = senders[(turn + 1) % 2]
         asked = time.time_ns()
         world.cluster.patch(gate, {"spec": {"podSelector": _selector(instance=to)}})
@@ -174,7 +216,8 @@ def test_a_gate_is_switched(world: World, other: str, capsys: pytest.CaptureFixt
         # Sent after the first packet of the other had arrived: at this moment both were let through.
         overlaps.append(max([(sent - min(got for _, got in new)) / 1e6 for sent in old], default=-1.0))
     with capsys.disabled():
-        print(f"\n  gate between active and {other}, {len(turns)} switches, ms after the API's answer to the PATCH")
+        title = f"gate between active and {other}, {crowd} more pods, {len(turns)} switches"
+        print(f"\n  {title}, ms after the API's answer to the PATCH")
         for what, values in (("last packet let through of the old", last_old), ("first of the new", first_new)):
             ordered = sorted(values)
             p50, p95 = ordered[len(ordered) // 2], ordered[int(len(ordered) * 0.95)]

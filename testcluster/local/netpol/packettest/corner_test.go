@@ -52,9 +52,9 @@ func (w *world) serve(t *testing.T, backend string) {
 	}
 }
 
-func (w *world) reachesService(t *testing.T, from, to, protocol string, port uint16) bool {
+func (w *world) reachesService(t *testing.T, from, to, protocol string, port uint16, want bool) bool {
 	t.Helper()
-	got, err := exchange(w.hosts[from], w.hosts[to].listeners, protocol, netip.AddrPortFrom(service, port))
+	got, err := exchange(w.hosts[from], w.hosts[to].listeners, protocol, netip.AddrPortFrom(service, port), patience(want))
 	must(t, err)
 	return got
 }
@@ -74,7 +74,7 @@ func TestServicesAreSeenAsTheirPods(t *testing.T) {
 		{"active", "udp", 7949, false}, {"active", "tcp", 80, false},
 		{"standby", "udp", 53, false}, {"camera", "udp", 53, false},
 	} {
-		if got := w.reachesService(t, try.from, "robot", try.protocol, try.port); got != try.want {
+		if got := w.reachesService(t, try.from, "robot", try.protocol, try.port, try.want); got != try.want {
 			t.Errorf("%s to the service %s/%d: allowed is %t, want %t", try.from, try.protocol, try.port, got, try.want)
 		}
 	}
@@ -97,10 +97,10 @@ func TestAPodReachesItself(t *testing.T) {
 	w.enforce(t)
 	w.serve(t, "active")
 	w.setPolicy(t, policyOf(t, "p", `{podSelector: {}, policyTypes: [Ingress, Egress]}`))
-	if !w.reachesService(t, "active", "active", "udp", 53) {
+	if !w.reachesService(t, "active", "active", "udp", 53, true) {
 		t.Error("an isolated pod does not reach itself through a service")
 	}
-	if w.reachesService(t, "standby", "active", "udp", 53) {
+	if w.reachesService(t, "standby", "active", "udp", 53, false) {
 		t.Error("another pod reaches it")
 	}
 }
@@ -111,7 +111,7 @@ func TestTheOwnNodeIsAlwaysAllowed(t *testing.T) {
 	w.setPolicy(t, policyOf(t, "p", `{podSelector: {}, policyTypes: [Ingress, Egress]}`))
 	for i, want := range []bool{true, false} {
 		probe := &host{namespace: w.nodes[i].namespace}
-		got, err := exchange(probe, w.hosts["active"].listeners, "tcp", netip.AddrPortFrom(w.hosts["active"].addrs[0], 80))
+		got, err := exchange(probe, w.hosts["active"].listeners, "tcp", netip.AddrPortFrom(w.hosts["active"].addrs[0], 80), patience(want))
 		must(t, err)
 		if got != want {
 			t.Errorf("node %d to a pod of node 0: allowed is %t, want %t", i, got, want)
@@ -123,24 +123,24 @@ func TestErrorsOfAnAllowedFlowComeBack(t *testing.T) {
 	w := newWorld(t)
 	w.enforce(t)
 	w.setPolicy(t, policyOf(t, "out", `{podSelector: {}, policyTypes: [Ingress, Egress], egress: [{to: [{podSelector: {matchLabels: {app: robot}}}], ports: [{protocol: UDP}]}], ingress: [{from: [{podSelector: {matchLabels: {app: nav}}}], ports: [{protocol: UDP}]}]}`))
-	refused := func() bool { // nobody listens on this port, so the robot's kernel answers with an ICMP error
+	refused := func(want bool) bool { // nobody listens on this port, so the robot's kernel answers with an ICMP error
 		conn, err := w.hosts["active"].dial("udp", netip.AddrPortFrom(w.hosts["robot"].addrs[0], 12345), 0)
 		must(t, err)
 		defer conn.Close()
 		for range 3 {
 			conn.Write([]byte("anyone?"))
-			conn.SetReadDeadline(time.Now().Add(patience / 3))
+			conn.SetReadDeadline(time.Now().Add(patience(want) / 3))
 			if _, err := conn.Read(make([]byte, 10)); errors.Is(err, syscall.ECONNREFUSED) {
 				return true
 			}
 		}
 		return false
 	}
-	if !refused() {
+	if !refused(true) {
 		t.Error("the ICMP error about an allowed flow does not come back")
 	}
 	w.setPolicy(t, policyOf(t, "out", `{podSelector: {}, policyTypes: [Ingress, Egress]}`))
-	if refused() {
+	if refused(false) {
 		t.Error("an ICMP error comes back although nothing is allowed")
 	}
 }
@@ -154,7 +154,7 @@ func TestFragmentsGoWithTheirDatagram(t *testing.T) {
 		must(t, err)
 		defer conn.Close()
 		text := strings.Repeat("x", 1600) + fmt.Sprint(port) // more than a frame, less than the listeners' buffer
-		got, err := request(conn, text, patience)
+		got, err := request(conn, text, patience(want))
 		must(t, err)
 		if got != want {
 			t.Errorf("a fragmented datagram to %d: passing is %t, want %t", port, got, want)
@@ -182,7 +182,7 @@ func TestAHostNetworkPodIsNeitherSelectedNorAPeer(t *testing.T) {
 	w.enforce(t)
 	w.setPolicy(t, policyOf(t, "p", `{podSelector: {}, policyTypes: [Ingress], ingress: [{from: [{podSelector: {matchLabels: {app: agent}}}]}]}`))
 	probe := &host{namespace: w.nodes[0].namespace}
-	got, err := exchange(probe, w.hosts["robot"].listeners, "tcp", netip.AddrPortFrom(w.hosts["robot"].addrs[0], 80))
+	got, err := exchange(probe, w.hosts["robot"].listeners, "tcp", netip.AddrPortFrom(w.hosts["robot"].addrs[0], 80), patience(false))
 	must(t, err)
 	if got {
 		t.Error("a node's address counts as a pod's because of a pod on the host's network")
@@ -263,7 +263,7 @@ func TestIPv4AndIPv6AreJudgedAlike(t *testing.T) {
 		flow string
 		want bool
 	}{{"camera -> robot udp/1000", true}, {"camera -> dashboard udp/1000", false}, {"camera -> standby udp/1000", false}} {
-		got, err := w.reaches(flows(try.flow)[0], 1)
+		got, err := w.reaches(flows(try.flow)[0], 1, try.want)
 		must(t, err)
 		if got != try.want {
 			t.Errorf("%s over IPv6: allowed is %t, want %t", try.flow, got, try.want)

@@ -61,7 +61,7 @@ func (w *world) open(t *testing.T, protocol, from, to string, told netip.Addr) *
 			return err
 		}))
 		defer listener.Close()
-		f.client, err = client.dial("tcp", target, time.Second)
+		f.client, err = client.dial("tcp", target, patience(true))
 		must(t, err)
 		f.server, err = listener.Accept()
 		must(t, err)
@@ -74,14 +74,14 @@ func (w *world) open(t *testing.T, protocol, from, to string, told netip.Addr) *
 func (f *flow) expect(when string, want bool) {
 	f.t.Helper()
 	forth, back := make(chan bool), make(chan bool)
-	go func() { forth <- passes(f.client, f.server) }()
+	go func() { forth <- passes(f.client, f.server, patience(want)) }()
 	if want { // a UDP server may only answer
 		if !<-forth {
 			f.t.Errorf("%s: nothing passes forth", when)
 		}
 		forth = nil
 	}
-	go func() { back <- passes(f.server, f.client) }()
+	go func() { back <- passes(f.server, f.client, patience(want)) }()
 	if forth != nil && <-forth != want {
 		f.t.Errorf("%s: passing forth is %t, want %t", when, !want, want)
 	}
@@ -90,12 +90,12 @@ func (f *flow) expect(when string, want bool) {
 	}
 }
 
-func passes(from, to net.Conn) bool {
+func passes(from, to net.Conn, wait time.Duration) bool {
 	token := fmt.Sprintf("%08x", rand.Uint32())
 	_, stream := from.(*net.TCPConn)
 	got := make(chan bool)
 	go func() {
-		to.SetReadDeadline(time.Now().Add(patience))
+		to.SetReadDeadline(time.Now().Add(wait))
 		seen, buffer := "", make([]byte, 2048)
 		for {
 			n, err := to.Read(buffer)
@@ -117,7 +117,7 @@ func passes(from, to net.Conn) bool {
 		select {
 		case result := <-got:
 			return result
-		case <-time.After(patience / 3):
+		case <-time.After(wait / 3):
 		}
 	}
 	return <-got
@@ -184,9 +184,6 @@ func TestEstablishedFlowsAreCut(t *testing.T) {
 				change[0](t, w)
 				flow.expect("after the deny", false)
 				change[1](t, w)
-				if protocol == "tcp" {
-					time.Sleep(500 * time.Millisecond) // until what was sent in vain is sent again
-				}
 				flow.expect("after it was allowed again", true)
 			})
 		}

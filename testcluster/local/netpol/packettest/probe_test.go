@@ -131,25 +131,32 @@ func (l *listeners) hearSCTP(conn *net.IPConn) {
 	}
 }
 
-const patience = 150 * time.Millisecond
+// patience is how long to wait for what should not come, or for what should: the latter may take long on a busy machine, and
+// costs nothing when it comes.
+func patience(want bool) time.Duration {
+	if want {
+		return 3 * time.Second
+	}
+	return 150 * time.Millisecond
+}
 
 // reaches tells whether a request arrived and its answer came back. A request that arrives without its answer coming back,
 // or the other way round, is an error of its own.
-func (w *world) reaches(f conformance.Flow, family int) (bool, error) {
+func (w *world) reaches(f conformance.Flow, family int, want bool) (bool, error) {
 	from, to := w.hosts[f.From], w.hosts[f.To]
 	target := netip.AddrPortFrom(to.addrs[family], f.Port)
-	return exchange(from, to.listeners, f.Protocol, target)
+	return exchange(from, to.listeners, f.Protocol, target, patience(want))
 }
 
-func exchange(from *host, to *listeners, protocol string, target netip.AddrPort) (bool, error) {
+func exchange(from *host, to *listeners, protocol string, target netip.AddrPort, wait time.Duration) (bool, error) {
 	token := fmt.Sprintf("%08x", rand.Uint32())
 	switch protocol {
 	case "icmp":
-		return ping(from, target.Addr())
+		return ping(from, target.Addr(), wait)
 	case "sctp":
-		return initiate(from, to, target, token)
+		return initiate(from, to, target, token, wait)
 	}
-	answered, err := ask(from, protocol, target, token)
+	answered, err := ask(from, protocol, target, token, wait)
 	if err != nil {
 		return false, err
 	}
@@ -179,8 +186,8 @@ func connectTCP(target netip.AddrPort, timeout time.Duration) (net.Conn, error) 
 	return dialer.DialContext(context.Background(), "tcp", target.String())
 }
 
-func ask(from *host, protocol string, target netip.AddrPort, token string) (bool, error) {
-	conn, err := from.dial(protocol, target, patience)
+func ask(from *host, protocol string, target netip.AddrPort, token string, wait time.Duration) (bool, error) {
+	conn, err := from.dial(protocol, target, wait)
 	if err != nil {
 		if timeout := net.Error(nil); errors.As(err, &timeout) && timeout.Timeout() {
 			return false, nil
@@ -188,7 +195,7 @@ func ask(from *host, protocol string, target netip.AddrPort, token string) (bool
 		return false, err
 	}
 	defer conn.Close()
-	return request(conn, token, patience)
+	return request(conn, token, wait)
 }
 
 // request sends a message up to three times and waits for the same to come back.
@@ -215,7 +222,7 @@ func request(conn net.Conn, token string, wait time.Duration) (bool, error) {
 	return false, nil
 }
 
-func ping(from *host, to netip.Addr) (bool, error) {
+func ping(from *host, to netip.Addr, wait time.Duration) (bool, error) {
 	network, kind, answer := "ip4:icmp", byte(8), byte(0)
 	if to.Is6() {
 		network, kind, answer = "ip6:ipv6-icmp", 128, 129
@@ -237,7 +244,7 @@ func ping(from *host, to netip.Addr) (bool, error) {
 	if _, err := conn.Write(message); err != nil && !errors.Is(err, syscall.EPERM) {
 		return false, err
 	}
-	conn.SetReadDeadline(time.Now().Add(patience))
+	conn.SetReadDeadline(time.Now().Add(wait))
 	buffer := make([]byte, 1500)
 	for {
 		n, _, err := conn.ReadFromIP(buffer) // without the IP header
@@ -262,7 +269,7 @@ func checksum(data []byte) uint16 {
 }
 
 // initiate sends an SCTP INIT, which is all that a policy can be shown without an SCTP stack.
-func initiate(from *host, to *listeners, target netip.AddrPort, token string) (bool, error) {
+func initiate(from *host, to *listeners, target netip.AddrPort, token string, wait time.Duration) (bool, error) {
 	packet := make([]byte, 32)
 	binary.BigEndian.PutUint16(packet[0:], 40000+uint16(rand.Uint32N(20000)))
 	binary.BigEndian.PutUint16(packet[2:], target.Port())
@@ -282,7 +289,7 @@ func initiate(from *host, to *listeners, target netip.AddrPort, token string) (b
 	if err != nil {
 		return false, err
 	}
-	for end := time.Now().Add(patience / 2); time.Now().Before(end); time.Sleep(5 * time.Millisecond) {
+	for end := time.Now().Add(wait); time.Now().Before(end); time.Sleep(5 * time.Millisecond) {
 		if to.heard(token) {
 			return true, nil
 		}

@@ -53,7 +53,7 @@ func (w *world) try(t *testing.T, flows []conformance.Flow, family int, want boo
 		wg.Add(1)
 		go func() {
 			defer wg.Done()
-			got, err := w.reaches(flow, family)
+			got, err := w.reaches(flow, family, want)
 			if err != nil {
 				t.Errorf("%s: %v", flow, err)
 			} else if got != want {
