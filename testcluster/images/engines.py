@@ -1,6 +1,7 @@
 """Programs that build images: buildah (which needs no daemon) and Docker."""
 
 import json
+import os
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,9 +14,9 @@ from testcluster.progress import Progress
 from testcluster.shell import CommandFailed, run, run_logged, succeeds
 
 
-def default_base() -> str:
-    """The operating system that the project's own Dockerfile names."""
-    return base_argument(REPOSITORY / "Dockerfile")
+def wanted_base() -> str:
+    """The operating system with Python to build on: UNDERSTUDY_BASE_IMAGE, or what the project's own Dockerfile names."""
+    return os.environ.get("UNDERSTUDY_BASE_IMAGE") or base_argument(REPOSITORY / "Dockerfile")
 
 
 class Engine(ABC):
@@ -73,9 +74,11 @@ class Buildah(Engine):
         return driver
 
     def base_image(self, progress: Progress) -> str:
-        wanted = default_base()
+        wanted = wanted_base()
         made = f"{base.NAME.rpartition(':')[0]}:{base.key()}"
-        for name in (made, wanted):
+        # One that was named is never replaced by another.
+        named = "UNDERSTUDY_BASE_IMAGE" in os.environ
+        for name in [wanted] if named else [made, wanted]:
             if self.identity(name):
                 return name
         progress(f"fetching {wanted}")
@@ -83,6 +86,8 @@ class Buildah(Engine):
             run(*self._command("pull", "--quiet", wanted), timeout=300)
             return wanted
         except CommandFailed as error:
+            if named:
+                raise
             progress(f"it cannot be fetched here: {(error.output.strip() or str(error)).splitlines()[-1].strip()}")
         archive = base.archive(progress)
         container = run(*self._command("from", "scratch")).strip()
@@ -144,7 +149,7 @@ class Docker(Engine):
     name = "docker"
 
     def base_image(self, progress: Progress) -> str:
-        return default_base()
+        return wanted_base()
 
     def build(self, image: Image, base_image: str, secrets: Mapping[str, Path], log: Path) -> None:
         run_logged(
