@@ -55,6 +55,19 @@ debian_packages() {
     quietly apt-install "${root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get install -q -y --no-install-recommends "${missing[@]}"
 }
 
+# debian_programs PROGRAM=PACKAGE...: install the packages of the programs that are missing. Where there is no apt-get, or nobody to
+# call it, what needs them says so itself.
+debian_programs() {
+    local missing=() pair
+    for pair in "$@"; do
+        PATH=$PATH:/usr/sbin:/sbin command -v "${pair%%=*}" >/dev/null || missing+=("${pair#*=}")
+    done
+    [ ${#missing[@]} -eq 0 ] && return
+    command -v apt-get >/dev/null || return 0
+    [ "$(id -u)" -eq 0 ] || command -v sudo >/dev/null || return 0
+    debian_packages "${missing[@]}"
+}
+
 # python_environment: makes, once for each set of packages, the Python environment for development, and sets PYTHON to its interpreter.
 python_environment() {
     local base=/usr/bin/python3 wanted folder

@@ -17,6 +17,9 @@ from pathlib import Path
 import pytest
 import urllib3
 
+from testcluster.cli import select
+from testcluster.progress import Progress
+from testcluster.providers.base import ClusterError
 from tests.support.cluster import Cluster
 
 REPOSITORY = Path(__file__).resolve().parent.parent
@@ -47,9 +50,18 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         for folder in ("cluster", "e2e"):
             if item.path.is_relative_to(REPOSITORY / "tests" / folder):
                 item.add_marker(getattr(pytest.mark, folder))
-        provider = config.getoption("cluster")
-        if item.get_closest_marker("local_only") and provider not in (None, "local"):
+    local_only = [item for item in items if item.get_closest_marker("local_only")]
+    if local_only and (provider := config.getoption("cluster") or _suitable_provider()) != "local":
+        for item in local_only:
             item.add_marker(pytest.mark.skip(reason=f"only the local provider can do this, not {provider}"))
+
+
+def _suitable_provider() -> str | None:
+    """The provider that scripts/cluster takes on this machine, if there is one."""
+    try:
+        return select(None, None, Progress()).name
+    except ClusterError:
+        return None
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
