@@ -54,6 +54,17 @@ class Sidecars:
             else:
                 self._configure(uid)
 
+    async def settle(self, instances: Sequence[Instance], within: float) -> None:
+        """Follow the instances and wait until each agent has said how it is, or so many seconds have passed."""
+        self.follow(instances)
+        wanted = [i for i in instances if i.has_agent and i.running and not i.held and not i.terminating]
+        end = asyncio.get_running_loop().time() + within
+        while asyncio.get_running_loop().time() < end:
+            statuses = [self.status(instance) for instance in wanted]
+            if all(status is not None and status.configured for status in statuses):
+                return
+            await asyncio.sleep(RETRY)
+
     def _spawn(self, work: Coroutine[Any, Any, Any]) -> asyncio.Task[Any]:
         task = asyncio.create_task(work)
         self._tasks.add(task)

@@ -59,6 +59,9 @@ STALL_MOST = 0.25
 DEAD_AFTER = 0.1
 """Seconds without an output after which a pod whose object is gone counts as dead."""
 
+SETTLE = 2.0
+"""Most seconds that a new monitor takes to hear of the understudies before it goes on with a recovery."""
+
 SLOW = 1.0
 """Seconds between looks at what isn't urgent: labels, whether the gate is enforced."""
 
@@ -113,6 +116,7 @@ class Supervisor:
         interrupted = self._interrupted()
         if interrupted is not None:
             _logger.warning("finishing recovery %s, begun before this monitor started", interrupted.id)
+            await self._sidecars.settle(self._fleet.of_workload(), SETTLE)
             await self._carry_out(interrupted)
         while True:
             failure = await self._watch()
