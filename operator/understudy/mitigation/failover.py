@@ -45,8 +45,8 @@ async def recover(progress: Progress, choices: Sequence[Choice], means: Means) -
     for index in range(min(progress.index, len(choices)), len(choices)):
         progress.index = index
         choice = choices[index]
-        progress.moments["decided"] = means.clock()
-        progress.charge("cluster", progress.moments["decided"])
+        # A run that is taken up again was decided by the one before it.
+        progress.charge("cluster", progress.moments.setdefault("decided", means.clock()))
         means.save(progress)
         result, message = await _attempt(progress, choice, means)
         pod = progress.target.name if progress.target else ""
@@ -56,8 +56,7 @@ async def recover(progress: Progress, choices: Sequence[Choice], means: Means) -
             progress.result, progress.strategy = "Recovered", choice.strategy.name
             break
         progress.fail_target()
-        for moment in ("committing", "committed", "fenced", "claimed", "started", "ready", "routed", "first_output"):
-            progress.moments.pop(moment, None)
+        progress.forget_attempt()
     else:
         progress.result = "Failed"
     means.save(progress)

@@ -72,6 +72,10 @@ class Progress(Model):
             self.failed.append(self.target)
         self.target = None
 
+    def forget_attempt(self) -> None:
+        """Drop the moments of an attempt that came to nothing; those of the failure stay."""
+        self.moments = {name: time for name, time in self.moments.items() if name in ("last_healthy", "detected")}
+
     def to_recovery(self, number: int) -> Recovery:
         """As it stands in ``status.recoveries``."""
         parts = Parts(**{name: round(self.parts.get(name, 0.0), 6) for name in _PARTS})
