@@ -27,14 +27,30 @@ class Progress:
             self(f"{text}: done in {took:.1f} s")
 
 
-def wait_until(condition: Callable[[], bool], seconds: float, what: str, interval: float = 0.1) -> None:
+def wait_until(
+    condition: Callable[[], bool],
+    seconds: float,
+    what: str,
+    interval: float = 0.1,
+    despite: type[Exception] | tuple[type[Exception], ...] = (),
+) -> None:
     """Returns as soon as the condition holds.
 
+    Args:
+        despite: errors of the condition that mean no more than that it does not hold yet.
+
     Raises:
-        TimeoutError: it did not hold within the given seconds; the message names what was waited for.
+        TimeoutError: it did not hold within the given seconds; the message names what was waited for, and the last of
+            those errors.
     """
     deadline = time.monotonic() + seconds
-    while not condition():
+    while True:
+        said = ""
+        try:
+            if condition():
+                return
+        except despite as error:
+            said = f"; the last error: {error}"
         if time.monotonic() > deadline:
-            raise TimeoutError(f"{what}: not so within {seconds:g} s")
+            raise TimeoutError(f"{what}: not so within {seconds:g} s{said}")
         time.sleep(interval)

@@ -9,6 +9,7 @@ from testcluster.local import controlplane, dns, golden
 from testcluster.local.layout import Layout, node_name
 from testcluster.local.programs import Programs
 from testcluster.progress import wait_until
+from testcluster.shell import CommandFailed
 
 _MANIFEST = Path(__file__).resolve().parent / "system.yaml"
 
@@ -19,11 +20,16 @@ def dns_replicas(layout: Layout) -> int:
 
 
 def apply(layout: Layout, programs: Programs) -> None:
-    """Applies the manifests."""
+    """Applies the manifests; for as long as a minute, since an API server that has just started may not serve all yet."""
     text = string.Template(_MANIFEST.read_text()).substitute(
         dns_ip=layout.dns_ip, dns_replicas=dns_replicas(layout), coredns_image=golden.COREDNS_IMAGE
     )
-    controlplane.kubectl(layout, programs, "apply", "--server-side", "--force-conflicts", "-f", "-", input=text)
+
+    def applied() -> bool:
+        controlplane.kubectl(layout, programs, "apply", "--server-side", "--force-conflicts", "-f", "-", input=text)
+        return True
+
+    wait_until(applied, 60, "the cluster's own objects are there", interval=0.5, despite=CommandFailed)
 
 
 def ready_nodes(layout: Layout, programs: Programs) -> set[str]:
@@ -86,17 +92,22 @@ def wait_ready(layout: Layout, programs: Programs, since: datetime, seconds: flo
     """
     wanted = {node_name(node) for node in layout.nodes}
 
-    def missing() -> set[str]:
-        return wanted - (ready_nodes(layout, programs) & _renewed_nodes(layout, programs, since))
+    missing = wanted
+
+    def all_ready() -> bool:
+        nonlocal missing
+        missing = wanted - (ready_nodes(layout, programs) & _renewed_nodes(layout, programs, since))
+        return not missing
 
     try:
-        wait_until(lambda: not missing(), seconds, "all nodes are Ready", interval=0.3)
+        wait_until(all_ready, seconds, "all nodes are Ready", interval=0.3, despite=CommandFailed)
     except TimeoutError as error:
-        logs = ", ".join(str(layout.state / name / "log") for name in sorted(missing()))
-        raise TimeoutError(f"{error}; missing: {', '.join(sorted(missing()))}; their logs: {logs}") from None
+        logs = ", ".join(str(layout.state / name / "log") for name in sorted(missing))
+        raise TimeoutError(f"{error}; missing: {', '.join(sorted(missing))}; their logs: {logs}") from None
     wait_until(
         lambda: _dns_serves(layout, programs),
         seconds,
         "DNS serves (kubectl -n kube-system describe pods)",
         interval=0.3,
+        despite=CommandFailed,
     )

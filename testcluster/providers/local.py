@@ -1,5 +1,6 @@
 """Provider `local`: everything from source and packages, on this machine, without Docker. Linux and root only."""
 
+import contextlib
 import os
 import shutil
 from collections.abc import Sequence
@@ -18,6 +19,7 @@ from testcluster.local.layout import Layout, node_name, node_number
 from testcluster.paths import cache
 from testcluster.progress import Progress
 from testcluster.providers.base import ClusterError, Provider, Status
+from testcluster.shell import CommandFailed
 
 _OWN_IMAGES = "localhost/understudy-"
 
@@ -130,7 +132,10 @@ class LocalProvider(Provider):
             f"{name}: {'runs' if runs else 'does not run'}" for name, runs in controlplane.running(layout).items()
         ]
         answers = controlplane.answers(layout)
-        ready = system.ready_nodes(layout, programs) if answers else set()
+        ready: set[str] = set()
+        if answers:
+            with contextlib.suppress(CommandFailed):
+                ready = system.ready_nodes(layout, programs)
         for node in layout.nodes:
             power = "on" if nodes.init(layout, node) else "off"
             cable = "" if network.node_connected(layout, node) else ", cable out"
