@@ -432,12 +432,17 @@ def test_a_new_template_replaces_standbys_one_after_the_other(fleet: Fleet, oper
     fleet.cluster.patch(fleet.get("RobotWorkload", "w"), {"spec": {"template": template(args=["--new"])}})
     until(lambda: len(fleet.instances()) == 5, "two new standbys beside the old ones")
     assert identities(standbys) <= identities(fleet.instances())
+    assert "args" not in fleet.get("ReplicaSet", "w", APPS)["spec"]["template"]["spec"]["containers"][0]
     new = [p for p in fleet.instances() if p["metadata"]["uid"] not in identities([active, *standbys])]
     fleet.make_ready(new[0])
     until(lambda: len(fleet.instances()) == 4, "one old standby to go")
     fleet.make_ready(new[1])
     until(lambda: len(fleet.instances()) == 3, "the other old standby to go")
     assert identities(fleet.instances()) == identities([active, *new])
+    until(
+        lambda: "args" in fleet.get("ReplicaSet", "w", APPS)["spec"]["template"]["spec"]["containers"][0],
+        "the ReplicaSet to take the template that has proved itself",
+    )
 
 
 def test_claimed_pods_belong_to_their_workload_and_the_pool_is_refilled(fleet: Fleet, operator: Operator) -> None:
@@ -655,7 +660,6 @@ def test_bad_input_gives_a_condition_and_an_event_that_say_what_to_do(
     items, (kind, name, type_, reason), words = BAD[case]
     fleet.create(*items)
     if type_ == "Protected":
-        fleet.wait_built()
         fleet.make_parts_ready()
     found = fleet.wait_condition(kind, name, type_, reason)
     assert words in found["message"]

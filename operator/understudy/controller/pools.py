@@ -230,10 +230,26 @@ def status(observed: Observed, understanding: Understanding, problems: Sequence[
             "claimed": counts.claimed,
             "selector": _selector(objects.name(pool), spec),
         }
-        conditions = [accepted, _ready(observed, counts, found)]
+        conditions = [accepted, _reconciled(observed, problems, found), _ready(observed, counts, found)]
     else:
         conditions = [accepted]
     return result | {"conditions": [c.to_wire() for c in conditions]}
+
+
+def _reconciled(observed: Observed, problems: Sequence[Problem], found: Problem | None) -> Condition:
+    generation = objects.generation(observed.pool)
+
+    def no(reason: str, message: str) -> Condition:
+        return condition("Reconciled", False, reason, message, generation=generation)
+
+    if problems:
+        return no(problems[0].reason, "; ".join(problem.message for problem in problems))
+    if found is not None:
+        return no("NotAccepted", "Its spec can't be followed, see Accepted; pods that it has are kept.")
+    for pod in sorted(observed.pods, key=objects.sort_key):
+        if bad := trouble(pod):
+            return no(bad.reason, bad.message)
+    return condition("Reconciled", True, "Reconciled", "Its pods are being kept.", generation=generation)
 
 
 def _selector(name: str, spec: FallbackPoolSpec) -> str:

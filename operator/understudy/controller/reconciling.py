@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import logging
 import secrets
+import time
 from collections.abc import Sequence
 
 from understudy.api import names
@@ -22,6 +23,21 @@ from understudy.controller.stores import Store
 _logger = logging.getLogger(__name__)
 
 _ALPHABET = "bcdfghjklmnpqrstvwxz2456789"  # as Kubernetes' own generated names: no words by chance
+ABSENT = frozenset(
+    {
+        "PolicyNotFound",
+        "PoolNotFound",
+        "NoPool",
+        "PoolDoesNotServe",
+        "NoMatchingWorkload",
+        "ReferenceNotFound",
+        "TemplateSourceNotFound",
+    }
+)
+"""Reasons that say that another object is missing."""
+TOGETHER_SECONDS = 3.0
+"""For so long after an object was created, what it lacks isn't told yet."""
+
 _RESOURCES = {resource.plural: resource for resource in (WORKLOADS, POLICIES, POOLS)}
 
 
@@ -61,8 +77,7 @@ class Reconciler:
             return None
         if key.plural == POOLS.plural:
             return await self._pool(key, item)
-        await self._policy(item)
-        return None
+        return await self._policy(item)
 
     async def _workload(self, key: Key, item: Object | None) -> float | None:
         if item is None or objects.deleted(item):
@@ -84,8 +99,7 @@ class Reconciler:
             again = FORGET_REFUSAL
         observed = self._seen(observed)
         status = statuses.status(observed, understanding, problems)
-        await self._tell(WORKLOADS, observed.workload, status)
-        return _earliest(plan.again_after, again)
+        return _earliest(plan.again_after, again, await self._tell(WORKLOADS, observed.workload, status))
 
     def _seen(self, observed: workloads.Observed) -> workloads.Observed:
         """With what was just written, so that the status isn't one step behind."""
@@ -111,19 +125,24 @@ class Reconciler:
             owned=self._store.owned(objects.uid(item)),
             pods=self._store.labelled(PODS, key.namespace, names.POOL, key.name),
         )
-        await self._tell(POOLS, item, pools.status(seen, understanding, problems))
-        return _earliest(plan.again_after, again)
+        later = await self._tell(POOLS, item, pools.status(seen, understanding, problems))
+        return _earliest(plan.again_after, again, later)
 
-    async def _policy(self, item: Object) -> None:
+    async def _policy(self, item: Object) -> float | None:
         namespace, name = item["metadata"]["namespace"], objects.name(item)
         users = [key.name for key in affected.users(name, self._store, namespace)]
         found = self._store.in_namespace(POOLS, namespace)
-        await self._tell(POLICIES, item, policies.status(item, pools=found, users=users))
+        return await self._tell(POLICIES, item, policies.status(item, pools=found, users=users))
 
-    async def _tell(self, resource: Resource, item: Object, status: Object) -> None:
-        """Write the status where it differs from the stored one, and tell transitions as Events."""
+    async def _tell(self, resource: Resource, item: Object, status: Object) -> float | None:
+        """Write the status where it differs from the stored one, and tell transitions as Events.
+
+        Seconds after which to look again, where it is too early to say something.
+        """
         if _says(item, status):
-            return
+            return None
+        if _too_early(item, status):
+            return TOGETHER_SECONDS
         timed = statuses.timed(item, status)
         metadata = item["metadata"]
         body = {
@@ -140,10 +159,11 @@ class Reconciler:
             )
         except ApiError as error:
             if error.not_found or error.conflict:  # it was deleted meanwhile
-                return
+                return None
             raise
         self._store.put(resource, made)
         await self._announce(item, statuses.transitions(item, status))
+        return None
 
     async def _announce(self, item: Object, transitions: Sequence[Object]) -> None:
         for found in transitions:
@@ -163,6 +183,12 @@ def _says(item: Object, status: Object) -> bool:
         if old is None or any(old.get(k) != v for k, v in new.items() if k != "lastTransitionTime"):
             return False
     return all(live.get(key) == value for key, value in status.items() if key != "conditions")
+
+
+def _too_early(item: Object, status: Object) -> bool:
+    """Whether something that is missing may simply be written next: objects that belong together come one by one."""
+    age = time.time() - objects.created(item)
+    return 0 <= age < TOGETHER_SECONDS and any(c["reason"] in ABSENT for c in status["conditions"])
 
 
 def _earliest(*delays: float | None) -> float | None:

@@ -53,7 +53,7 @@ def transitions(live: Object, desired: Object) -> list[Object]:
         before = old.get(new["type"])
         if before is not None and (before["status"], before["reason"]) == (new["status"], new["reason"]):
             continue
-        begun = before is None or before["reason"] in PROGRESSING
+        begun = before is None or before["status"] != "True"
         if begun and new["status"] == "False" and new["reason"] in PROGRESSING:
             continue
         found.append(new)
@@ -81,6 +81,11 @@ def _reconciled(observed: Observed, understanding: Understanding, problems: Sequ
         return no(problems[0].reason, "; ".join(problem.message for problem in problems))
     if understanding.environment is None:
         return no("InProgress", "Waiting for the address of the discovery server's Service.")
+    kept = workloads.waits_for_standby(observed, understanding)
+    if found := _first_trouble(_instances(observed)):
+        return no(found.reason, f"{found.message} {kept}." if kept else found.message)
+    if kept:
+        return no("InProgress", f"{kept}.")
     if (found := _first_trouble(_instances(observed))) is not None:
         return no(found.reason, f"{found.message.rstrip('.')}. What runs stays as it is until its successor does.")
     return condition("Reconciled", True, "Reconciled", "Everything was built as it says.", generation=generation)
@@ -211,11 +216,15 @@ def _restart(observed: Observed) -> Means:
 
 
 def waiting(observed: Observed, pool: Object) -> list[Object]:
-    """The instances that could take over from the active one: all but it, whoever made them."""
+    """The instances that could take over from the active one: all but it that have an agent, whoever made them.
+
+    What a referred controller makes has none.
+    """
     active = objects.active(observed.gate)[1]
-    if active:
+    if active and observed.reference is None:
         return [pod for pod in _instances(observed) if objects.uid(pod) != active]
-    return [pod for pod in _instances(observed) if objects.labels(pod).get(names.POOL) == objects.name(pool)]
+    made = [pod for pod in _instances(observed) if objects.labels(pod).get(names.POOL) == objects.name(pool)]
+    return [pod for pod in made if objects.uid(pod) != active]
 
 
 def _executing(observed: Observed, label: str, pool: Object) -> Means:

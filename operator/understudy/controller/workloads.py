@@ -223,9 +223,9 @@ def plan(observed: Observed, understanding: Understanding, images: Images, fresh
     _configure(made, observed, understanding, environment)
     _monitor(made, observed, understanding, images, environment)
     if spec.template is not None:
-        made.writes.append(
-            _ours(observed, REPLICA_SETS, instances.replica_set(understanding.builts[""], objects.name(workload)))
-        )
+        if waits_for_standby(observed, understanding) is None:
+            body = instances.replica_set(understanding.builts[""], objects.name(workload))
+            made.writes.append(_ours(observed, REPLICA_SETS, body))
         _scale(made, observed)
     for pool in sorted(understanding.builts):
         if pool:
@@ -365,6 +365,33 @@ def _monitor(
     made.writes.append(_ours(observed, DEPLOYMENTS, body))
 
 
+def waits_for_standby(observed: Observed, understanding: Understanding) -> str | None:
+    """Why the ReplicaSet doesn't get the present template yet, or None.
+
+    A restart must not fall for a template that can't start: where there are standbys, one of the new template is ready
+    first. While a standby is in control there is none to go first.
+    """
+    built, live = understanding.builts.get(""), observed.owned.get(("replicasets", objects.name(observed.workload)))
+    if built is None or live is None:
+        return None
+    labels = live["spec"]["template"]["metadata"].get("labels") or {}
+    if labels.get(names.TEMPLATE_HASH) == instances.template_hash(built):
+        return None
+    if any(objects.is_active(pod, observed.gate) and names.POOL in objects.labels(pod) for pod in observed.pods):
+        return None
+    pools_first = {
+        name: instances.template_hash(understanding.builts[name])
+        for name, pool in standby_pools(observed).items()
+        if pool["spec"].get("perWorkload")
+    }
+    if not pools_first or any(
+        objects.ready(pod) and pools_first.get(objects.labels(pod).get(names.POOL, "")) == fleets.hash_of(pod)
+        for pod in observed.pods
+    ):
+        return None
+    return f"ReplicaSet {objects.name(observed.workload)} gets the new template when a standby of it is ready"
+
+
 def _scale(made: Plan, observed: Observed) -> None:
     """One pod of the template, or none while a pod of a shared pool drives and nobody wants another as a standby.
 
@@ -391,9 +418,13 @@ def _standbys(made: Plan, observed: Observed, pool: str, built: Object, fresh: F
         and names.CLAIM not in objects.notes(pod)
         and ownership.controls(objects.uid(workload), pod)
     ]
+    want = observed.pools[pool]["spec"].get("perWorkload") or 0
+    if observed.reference is not None:
+        # what a referred controller makes instead of the failed pod has no agent, so it can't be the standby
+        want += sum(objects.is_active(pod, gate) for pod in mine) if want else 0
     change = fleets.change(
         mine,
-        want=observed.pools[pool]["spec"].get("perWorkload") or 0,
+        want=want,
         template_hash=instances.template_hash(built),
         expected=observed.expected.get(pool, 0),
         now=observed.now,

@@ -228,6 +228,16 @@ class TestBadInput:
         assert (ready["status"], ready["reason"]) == ("False", "NoMatchingWorkload")
         assert "task=critical" in ready["message"]
 
+    def test_a_new_template_that_can_not_start_is_said_while_the_old_pods_are_ready(self) -> None:
+        pool = spare(replicas=1)
+        pods = [
+            held_pod("spare-o", of=pool, template_hash="old"),
+            held_pod("spare-n", of=pool, template_hash=present(pool), ready=False, waiting="ErrImageNeverPull"),
+        ]
+        observed = observe(pool, pods, workloads=[workload()])
+        assert condition(observed, "Ready")["status"] == "True"
+        assert condition(observed, "Reconciled")["reason"] == "ErrImageNeverPull"
+
     def test_an_image_that_can_not_start_is_said(self) -> None:
         pool = spare(replicas=1)
         pod = held_pod("spare-a", of=pool, template_hash=present(pool), ready=False, waiting="ErrImageNeverPull")
@@ -267,7 +277,7 @@ class TestNumbers:
             "ready": 1,
             "claimed": 1,
         }
-        assert found["conditions"][1]["status"] == "True"
+        assert {c["type"]: c["status"] for c in found["conditions"]}["Ready"] == "True"
 
 
 def test_gates_tell_which_pods_are_driving() -> None:

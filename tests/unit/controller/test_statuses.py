@@ -161,6 +161,9 @@ class TestTransitions:
         assert self.told([], ("Protected", "False", "MonitorNotReady")) == 0
         assert self.told([("Protected", "False", "MonitorNotReady")], ("Protected", "False", "StandbyNotReady")) == 0
 
+    def test_what_was_missing_and_now_only_is_not_finished_is_no_event(self) -> None:
+        assert self.told([("Ready", "False", "NoMatchingWorkload")], ("Ready", "False", "PodsNotReady")) == 0
+
     def test_lost_protection_is_one(self) -> None:
         assert self.told([("Protected", "True", "FirstStrategyReady")], ("Protected", "False", "StandbyNotReady")) == 1
 

@@ -206,6 +206,43 @@ class TestStandbys:
         assert selector.items() <= template.items()
 
 
+class TestNewTemplates:
+    def world(self) -> World:
+        world = World(workload(), policy("hot", "Restart"), hot())
+        world.build()
+        active = source_pod("w-a")
+        world.own(gate(world.workload, active=active, epoch=1))
+        world.pods = [active, standby_pod("w-s", of=world.workload, template_hash=world.template_hash)]
+        world.workload["spec"]["template"]["spec"]["containers"][0]["image"] = "app:2"
+        return world
+
+    def test_a_standby_goes_first_so_that_a_restart_does_not_fall_for_a_bad_one(self) -> None:
+        world = self.world()
+        assert not applied(world.plan(), "replicasets")
+        assert world.condition("Reconciled")["reason"] == "InProgress"
+        bad = standby_pod(
+            "w-n", of=world.workload, template_hash=world.template_hash, ready=False, waiting="ErrImagePull"
+        )
+        world.pods.append(bad)
+        assert not applied(world.plan(), "replicasets")
+        reconciled = world.condition("Reconciled")
+        assert reconciled["reason"] == "ImagePullBackOff"
+        assert "w-n" in reconciled["message"]
+        world.pods[-1] = standby_pod("w-n", of=world.workload, template_hash=world.template_hash)
+        assert applied(world.plan(), "replicasets")
+        assert world.condition("Reconciled")["status"] == "True"
+
+    def test_it_is_taken_at_once_where_there_are_no_standbys(self) -> None:
+        world = self.world()
+        world.others = [policy("Restart")]
+        assert applied(world.plan(), "replicasets")
+
+    def test_it_is_taken_at_once_while_a_standby_is_in_control(self) -> None:
+        world = self.world()
+        world.own(gate(world.workload, active=world.pods[1], epoch=2))
+        assert applied(world.plan(), "replicasets")
+
+
 class TestReplicas:
     def test_the_template_is_applied_without_replicas(self) -> None:
         assert "replicas" not in applied(World(workload(), policy("Restart")).plan(), "replicasets")["w"]["spec"]
@@ -394,6 +431,20 @@ class TestReference:
         (standby,) = created(plan, "pods")
         assert {"app", "robot"}.isdisjoint(standby["metadata"]["labels"])
         assert standby["metadata"]["labels"]["team"] == "a"
+
+    def test_while_a_standby_is_in_control_there_is_another_since_the_controllers_own_pods_have_no_agent(self) -> None:
+        world = self.world(Referred(self.deployment(), [self.user_pod("nav2-1-x")]))
+        driving = standby_pod("w-s", of=world.workload)
+        world.own(gate(world.workload, active=driving, epoch=2))
+        world.pods = [driving]
+        assert len(created(world.plan(), "pods")) == 1
+        protected = world.condition("Protected")
+        assert (protected["status"], protected["reason"]) == ("False", "StandbyNotReady")
+        world.pods.append(standby_pod("w-t", of=world.workload, template_hash=world.template_hash))
+        plan = world.plan()
+        assert not created(plan, "pods")
+        assert not deleted(plan)
+        assert world.condition("Protected")["status"] == "True"
 
     def test_its_pods_are_held_back_from_birth(self) -> None:
         found = applied(self.world(Referred(self.deployment(), [])).plan(), "networkpolicies")
