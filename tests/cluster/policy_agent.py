@@ -10,18 +10,20 @@ import socket
 import sys
 import threading
 import time
+from collections.abc import Callable
+from typing import Any
 
 PATIENCE = 0.45
 TRIES = 3
 
 _print = threading.Lock()
 _state = threading.Lock()
-_arrivals = []
-_flows = {}
-_streams = {}
+_arrivals: list[list[Any]] = []
+_flows: dict[str, tuple[socket.socket, bool]] = {}
+_streams: dict[str, tuple[threading.Event, threading.Thread]] = {}
 
 
-def answer_udp(port):
+def answer_udp(port: int) -> None:
     listener = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     listener.bind(("", port))
     while True:
@@ -34,14 +36,14 @@ def answer_udp(port):
             listener.sendto(data, sender)
 
 
-def answer_tcp(port):
+def answer_tcp(port: int) -> None:
     listener = socket.create_server(("", port), backlog=64)
     while True:
         connection, _ = listener.accept()
         threading.Thread(target=echo, args=(connection,), daemon=True).start()
 
 
-def echo(connection):
+def echo(connection: socket.socket) -> None:
     with connection:
         try:
             while data := connection.recv(2048):
@@ -50,7 +52,7 @@ def echo(connection):
             return
 
 
-def connect(protocol, address, port):
+def connect(protocol: str, address: str, port: int) -> socket.socket:
     if protocol == "tcp":
         return socket.create_connection((address, port), timeout=PATIENCE)
     talker = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -58,7 +60,7 @@ def connect(protocol, address, port):
     return talker
 
 
-def say(talker, stream):
+def say(talker: socket.socket, stream: bool) -> bool:
     """Whether a message comes back."""
     token = f"{time.time_ns():x}".encode()
     seen = b""
@@ -77,7 +79,7 @@ def say(talker, stream):
     return False
 
 
-def probe(protocol, address, port):
+def probe(protocol: str, address: str, port: int) -> bool:
     try:
         with connect(protocol, address, port) as talker:
             return say(talker, protocol == "tcp")
@@ -85,21 +87,21 @@ def probe(protocol, address, port):
         return False
 
 
-def open_flow(flow, protocol, address, port):
+def open_flow(flow: str, protocol: str, address: str, port: int) -> bool:
     _flows[flow] = (connect(protocol, address, port), protocol == "tcp")
     return say(*_flows[flow])
 
 
-def say_again(flow):
+def say_again(flow: str) -> bool:
     return say(*_flows[flow])
 
 
-def stream(name, address, port, every):
+def stream(name: str, address: str, port: int, every: float) -> bool:
     """Sends numbered messages, each with the wall clock in nanoseconds, until it is told to stop."""
     talker = connect("udp", address, port)
     stop = threading.Event()
 
-    def run():
+    def run() -> None:
         number = 0
         while not stop.wait(every):
             with contextlib.suppress(OSError):
@@ -112,21 +114,21 @@ def stream(name, address, port, every):
     return True
 
 
-def stop(name):
+def stop(name: str) -> bool:
     event, thread = _streams.pop(name)
     event.set()
     thread.join()
     return True
 
 
-def arrivals():
+def arrivals() -> list[list[Any]]:
     with _state:
         taken = list(_arrivals)
         _arrivals.clear()
     return taken
 
 
-COMMANDS = {
+COMMANDS: dict[str, Callable[..., Any]] = {
     "probe": probe,
     "open": open_flow,
     "say": say_again,
@@ -136,7 +138,7 @@ COMMANDS = {
 }
 
 
-def work(number, command, arguments):
+def work(number: int, command: str, arguments: dict[str, Any]) -> None:
     try:
         answer = {"id": number, "result": COMMANDS[command](**arguments)}
     except Exception as error:
@@ -145,7 +147,7 @@ def work(number, command, arguments):
         print(json.dumps(answer), flush=True)
 
 
-def main(ports):
+def main(ports: list[int]) -> None:
     for port in ports:
         threading.Thread(target=answer_udp, args=(port,), daemon=True).start()
         threading.Thread(target=answer_tcp, args=(port,), daemon=True).start()

@@ -9,6 +9,7 @@ import subprocess
 import threading
 from concurrent.futures import Future
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -142,14 +143,12 @@ class World:
 
     def ready(self) -> None:
         """Wait until all pods run, and start their agents."""
-        for name in self.pods:
-            self.pods[name] = until(
-                lambda name=name: self._running(name),  # type: ignore[misc]
-                f"pod {name} with image {self.image} to run",
-                seconds=120,
-            )
-            if name not in self.agents and "pause" in self.pods[name]["spec"]["containers"][0]["command"][-1]:
-                self.agents[name] = Agent(self.cluster, self.pods[name]["metadata"]["namespace"], name)
+        for name, pod in self.pods.items():
+            found = until(partial(self._running, name), f"pod {name} with image {self.image} to run", seconds=120)
+            assert found
+            self.pods[name] = found
+            if name not in self.agents and "pause" in pod["spec"]["containers"][0]["command"][-1]:
+                self.agents[name] = Agent(self.cluster, pod["metadata"]["namespace"], name)
 
     def _running(self, name: str) -> Object | None:
         pod = self.cluster.get("v1", "Pod", name, self.pods[name]["metadata"]["namespace"])
