@@ -100,6 +100,9 @@ def main() -> None:
         rclpy.spin(drive)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
+    except RuntimeError:
+        if rclpy.ok():  # otherwise a signal ended ROS in the middle of a callback
+            raise
     finally:
         drive.destroy_node()
 

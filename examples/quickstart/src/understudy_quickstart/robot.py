@@ -152,6 +152,9 @@ def main() -> None:
         rclpy.spin(robot)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
+    except RuntimeError:
+        if rclpy.ok():  # otherwise a signal ended ROS in the middle of a callback
+            raise
     finally:
         robot.destroy_node()
 
