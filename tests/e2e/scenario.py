@@ -37,6 +37,13 @@ def manifest(name: str) -> list[Object]:
     return [item for item in yaml.safe_load_all((MANIFESTS / name).read_text()) if item]
 
 
+class Late(AssertionError):
+    """Something didn't come in time. On a machine that is busy with other things a test that ends so is run once more.
+
+    What may never be, such as a command of a pod that isn't in control, is an AssertionError of its own and isn't.
+    """
+
+
 def eventually(
     check: Callable[[], Any], *, within: float, what: str, every: float = 0.25, note: Callable[[], str] = str
 ) -> Any:
@@ -51,7 +58,7 @@ def eventually(
         except (Failed, KeyError, IndexError) as error:
             problem = f": {error!r}"
         if time.monotonic() >= end:
-            raise AssertionError(f"not within {within:g} s: {what}{problem}. {note()}")
+            raise Late(f"not within {within:g} s: {what}{problem}. {note()}")
         time.sleep(every)
 
 
