@@ -7,6 +7,7 @@ import (
 	"flag"
 	"fmt"
 	"log/slog"
+	"net"
 	"net/http"
 	"os"
 	"os/signal"
@@ -89,6 +90,7 @@ func connect(kubeconfig string) (enforcer.API, error) {
 		return enforcer.API{}, fmt.Errorf("kubeconfig %s: %w", kubeconfig, err)
 	}
 	config.UserAgent = "understudy-netpol"
+	config.Dial = (&net.Dialer{Timeout: 3 * time.Second, KeepAlive: 30 * time.Second}).DialContext // for the same reason
 	api, err := enforcer.Connect(config)
 	if err != nil {
 		return enforcer.API{}, fmt.Errorf("kubeconfig %s: %w", kubeconfig, err)
