@@ -55,7 +55,8 @@ async def test_of_many_claims_on_one_pod_exactly_one_wins(client: Client, space:
     lost = [o for o in outcomes if isinstance(o, ApiError)]
     assert len(won) == 1
     assert len(lost) == CONTENDERS - 1
-    assert all(error.conflict for error in lost)
+    # 404: the garbage collector may have taken the pod already, since its new owner is none that exists.
+    assert all(error.conflict or error.not_found for error in lost)
     labels = won[0]["metadata"]["labels"]
     assert names.HELD not in labels
     assert [owner["name"] for owner in won[0]["metadata"]["ownerReferences"]] == [labels[names.WORKLOAD]]
