@@ -53,7 +53,8 @@ def main() -> int:
         kubeconfig, "upgrade", "--install", "understudy", str(CHART), "--namespace", SYSTEM, "--create-namespace",
         "--set", IMAGES, "--wait", "--timeout", "180s",
     )  # fmt: skip
-    report = Report("recovery")
+    chosen = [] if options.strategies == list(EXPECTED) else options.strategies
+    report = Report("-".join(["recovery", *chosen]))
     clusters: dict[str, list[float]] = {}
     for strategy in options.strategies:
         clusters[strategy] = _strategy(report, kubeconfig, strategy, options.failures, options.how)
