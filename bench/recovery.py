@@ -20,8 +20,8 @@ from pathlib import Path
 from understudy_demo.recovery import PARTS
 
 from bench.results import Report
-from tests.e2e.conftest import CHART, IMAGES, SYSTEM
-from tests.e2e.kubectl import Kubectl, helm
+from tests.e2e.conftest import install
+from tests.e2e.kubectl import Kubectl
 from tests.e2e.scenario import Robot, manifest
 
 TIMEOUT = 0.5
@@ -49,10 +49,7 @@ def main() -> int:
     parser.add_argument("--strategies", nargs="+", choices=list(EXPECTED), default=list(EXPECTED))
     options = parser.parse_args()
     kubeconfig = Path(os.environ["KUBECONFIG"])
-    helm(
-        kubeconfig, "upgrade", "--install", "understudy", str(CHART), "--namespace", SYSTEM, "--create-namespace",
-        "--set", IMAGES, "--wait", "--timeout", "180s",
-    )  # fmt: skip
+    install(kubeconfig)
     chosen = [] if options.strategies == list(EXPECTED) else options.strategies
     report = Report("-".join(["recovery", *chosen]))
     clusters: dict[str, list[float]] = {}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 import uuid
 from collections.abc import Iterator
 from pathlib import Path
@@ -28,15 +29,21 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.flaky(reruns=1, only_rerun=["Late"]))
 
 
+def install(kubeconfig: Path) -> Kubectl:
+    """Install by the chart; kubectl in the operator's namespace. The pods are new, since the images may be, under one tag."""
+    values = os.environ.get("UNDERSTUDY_HELM_SET", IMAGES)
+    rolled = f"operator.podAnnotations.rolled-out={time.time():.0f}"
+    helm(
+        kubeconfig, "upgrade", "--install", "understudy", str(CHART), "--namespace", SYSTEM, "--create-namespace",
+        "--set", values, "--set-string", rolled, "--wait", "--timeout", "180s",
+    )  # fmt: skip
+    return Kubectl(kubeconfig, SYSTEM)
+
+
 @pytest.fixture(scope="session")
 def release(kubeconfig: Path) -> Kubectl:
     """kubectl in the namespace of the operator, which was installed by the chart and through nothing else."""
-    values = os.environ.get("UNDERSTUDY_HELM_SET", IMAGES)
-    helm(
-        kubeconfig, "upgrade", "--install", "understudy", str(CHART), "--namespace", SYSTEM, "--create-namespace",
-        "--set", values, "--wait", "--timeout", "180s",
-    )  # fmt: skip
-    return Kubectl(kubeconfig, SYSTEM)
+    return install(kubeconfig)
 
 
 @pytest.fixture
