@@ -110,13 +110,21 @@ class Robot:
         return pod
 
     def wait_standby(self, within: float = 90.0) -> None:
-        """Wait until the monitor has a standby that could take over now."""
-        eventually(
-            lambda: self.status().get("strategy") not in (None, "", "None", "Restart"),
-            within=within,
-            what=f"{self.name} has an understudy",
-            note=self.describe,
-        )
+        """Wait until a standby is ready and the monitor counts on it."""
+
+        def standing_by() -> bool:
+            status = self.status()
+            ready = [
+                pod["metadata"]["name"]
+                for pod in self.pods()
+                if not pod["metadata"].get("deletionTimestamp")
+                and any(c["type"] == "Ready" and c["status"] == "True" for c in pod["status"].get("conditions") or [])
+            ]
+            others = [name for name in ready if name != status.get("active")]
+            return bool(others) and status.get("strategy") == "Executing"
+
+        eventually(standing_by, within=within, what=f"{self.name} has an understudy", note=self.describe)
+        time.sleep(2.5)  # the monitor looks at its means once a second
 
     # -- looking ----------------------------------------------------------------------------------------------------
 
