@@ -82,7 +82,10 @@ class Plan:
 
 @dataclass
 class Judgement:
-    """How the instance is doing. Times are Unix seconds."""
+    """How the instance is doing. Times are Unix seconds.
+
+    A ready instance has a reason too where part of the tree can't be judged, as for a type that is not installed.
+    """
 
     ready: bool = False
     reason: str = "not looked at yet"
@@ -205,9 +208,9 @@ class Health:
             self._keep_ready = False
             if judgement.ready_at is None:
                 judgement.ready_at = now
-            self._say(True, "")
+            self._say(True, "; ".join(watching.problems))
         elif verdict.state == "Starting" and self._keep_ready:
-            self._say(True, "")
+            self._say(True, "; ".join(watching.problems))
         else:
             self._keep_ready = False
             self._say(False, "; ".join([verdict.reason, *watching.problems, *watching.waiting]))
