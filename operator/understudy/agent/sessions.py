@@ -34,6 +34,12 @@ GREETING = 3.0
 SEND = 3.0
 """Seconds that the other side may take to take in what is sent."""
 
+MOST_REQUESTS = 32
+"""Requests of one session that are carried out at the same time; some, such as an initialization, take long."""
+
+MOST_EVENTS = 512
+"""Events that wait for a session to take them in; one more ends it, and it asks anew for what is so."""
+
 _TCP_USER_TIMEOUT = getattr(socket, "TCP_USER_TIMEOUT", 18)
 _UNACKNOWLEDGED = 6000  # milliseconds
 
@@ -50,6 +56,10 @@ class Peer:
     claim: str
     host: str
     """IP address."""
+
+
+Operation = Callable[[Mapping[str, Any], Peer], Awaitable[Mapping[str, Any] | None]]
+"""Carries out a request's body for a peer, and gives what the answer says beside ``ok``. Raises Refused."""
 
 
 class Served(Protocol):
@@ -74,14 +84,8 @@ class Served(Protocol):
     async def changed(self, version: int) -> None:
         """Wait until the status is newer than that."""
 
-    async def configure(self, body: Mapping[str, Any], peer: Peer) -> None:
-        """Take a health tree. Raises Refused."""
-
-    async def start(self, body: Mapping[str, Any], peer: Peer) -> None:
-        """Start what is held. Raises Refused."""
-
-    async def probe(self, body: Mapping[str, Any], peer: Peer) -> None:
-        """Send gate probes. Raises Refused."""
+    def operations(self) -> Mapping[str, Operation]:
+        """What can be asked for, by its ``op``."""
 
 
 class _Session:
@@ -89,11 +93,14 @@ class _Session:
 
     def __init__(self, peer: Peer, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self.peer = peer
+        self.events: asyncio.Queue[Mapping[str, Any]] = asyncio.Queue(MOST_EVENTS)
         self._reader, self._writer = reader, writer
+        self._sending = asyncio.Lock()
 
     async def send(self, message: Mapping[str, Any]) -> None:
-        self._writer.write(wire.encode(message))
-        async with asyncio.timeout(SEND):
+        line = wire.encode(message)
+        async with self._sending, asyncio.timeout(SEND):
+            self._writer.write(line)
             await self._writer.drain()
 
     async def receive(self) -> dict[str, Any]:
@@ -125,6 +132,15 @@ class Sessions:
     def count(self) -> int:
         """Sessions of monitors that may command this pod."""
         return len(self._sessions)
+
+    def publish(self, event: Mapping[str, Any]) -> None:
+        """Send an event to all sessions, in order. One that doesn't take them in is ended."""
+        for session in list(self._sessions):
+            try:
+                session.events.put_nowait(event)
+            except asyncio.QueueFull:
+                _logger.warning("session of %s doesn't take in its events", session.peer.host)
+                session.abort()
 
     async def end_refused(self) -> None:
         """End the sessions of those who may no longer command this pod."""
@@ -199,15 +215,42 @@ class Sessions:
         self._sessions.append(session)
         peer = session.peer
         _logger.info("session of %s (workload %r, claim %r)", peer.host, peer.workload, peer.claim)
-        telling = asyncio.create_task(self._tell(session))
+        working = {asyncio.create_task(self._tell(session)), asyncio.create_task(self._pass_on(session))}
+        standing = len(working)
         try:
             while True:
                 request = await session.receive()
-                await session.send(await self._answer(request, session.peer))
+                if len(working) - standing >= MOST_REQUESTS:
+                    await session.send(
+                        {"id": request.get("id"), "error": f"more than {MOST_REQUESTS} requests at once"}
+                    )
+                    continue
+                task = asyncio.create_task(self._serve(request, session))
+                working.add(task)
+                task.add_done_callback(working.discard)
         finally:
-            telling.cancel()
+            for task in working:
+                task.cancel()
             with contextlib.suppress(ValueError):
                 self._sessions.remove(session)
+
+    async def _serve(self, request: Mapping[str, Any], session: _Session) -> None:
+        """Carry out one request. Cut short when the session ends: who takes over asks again."""
+        answer = await self._answer(request, session.peer)
+        try:
+            await session.send(answer)
+        except (OSError, ProtocolError) as error:
+            _logger.debug("session of %s: %r", session.peer.host, error)
+            session.abort()
+
+    async def _pass_on(self, session: _Session) -> None:
+        """Send the events as they come."""
+        try:
+            while True:
+                await session.send({"event": await session.events.get()})
+        except (OSError, ProtocolError) as error:
+            _logger.debug("session of %s: %r", session.peer.host, error)
+            session.abort()
 
     async def _tell(self, session: _Session) -> None:
         """Send the status on every change and once a second. A session that can't take it in is ended."""
@@ -228,11 +271,7 @@ class Sessions:
 
     async def _answer(self, request: Mapping[str, Any], peer: Peer) -> dict[str, Any]:
         number, op = request.get("id"), request.get("op")
-        operations: dict[str, Callable[[Mapping[str, Any], Peer], Awaitable[None]]] = {
-            "configure": self._served.configure,
-            "start": self._served.start,
-            "probe": self._served.probe,
-        }
+        operations = self._served.operations()
         try:
             if (reason := self._served.refuses(peer.workload, peer.claim)) is not None:
                 raise Refused(reason)
@@ -240,7 +279,7 @@ class Sessions:
                 return {"id": number, "ok": True, "status": self._served.status().to_wire()}
             if not isinstance(op, str) or op not in operations:
                 raise Refused(f"unknown op {op!r}; there are {', '.join(operations)} and status")
-            await operations[op](request, peer)
+            found = await operations[op](request, peer)
         except Refused as error:
             return {"id": number, "error": str(error)}
         except Exception as error:
@@ -248,7 +287,7 @@ class Sessions:
             return {"id": number, "error": f"{op} failed: {error!r}"}
         if op == "start":
             await self.end_refused()
-        return {"id": number, "ok": True}
+        return {**(found or {}), "id": number, "ok": True}
 
 
 async def read_line(reader: asyncio.StreamReader, most: int) -> bytes:

@@ -14,7 +14,7 @@ from understudy.agent.health import Health, Plan
 from understudy.agent.holds import Holds
 from understudy.agent.identity import Identity
 from understudy.agent.memory import Memory
-from understudy.agent.sessions import Peer, Refused
+from understudy.agent.sessions import Operation, Peer, Refused
 from understudy.api import holding, names
 from understudy.api.agents import AgentStatus, Phase
 from understudy.cluster.probes import ProbeSender
@@ -120,6 +120,10 @@ class Sidecar:
             await self._changed.wait()
 
     # -- what a monitor commands ------------------------------------------------------------------------------------
+
+    def operations(self) -> Mapping[str, Operation]:
+        """What a monitor can ask for."""
+        return {"configure": self.configure, "start": self.start, "probe": self.probe}
 
     async def configure(self, body: Mapping[str, Any], peer: Peer) -> None:
         """Take a health tree, and where probes go. Nothing changes by the same again. Raises Refused."""

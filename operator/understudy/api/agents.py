@@ -2,8 +2,9 @@
 
 TCP, one JSON object per line. The agent speaks first: ``{"nonce", "pod", "uid", "version"}``. The monitor answers
 ``{"workload", "claim", "mac"}``, and from then on sends requests ``{"id", "op", ...}``, each answered by
-``{"id", "ok": true, ...}`` or ``{"id", "error"}``. Between the answers the agent sends ``{"status": ...}`` on every
-change and once a second, so that silence means that one side is gone.
+``{"id", "ok": true, ...}`` or ``{"id", "error"}``, in the order in which they are done. Between the answers the agent
+sends ``{"status": ...}`` on every change and once a second, so that silence means that one side is gone, and
+``{"event": ...}`` for what happens, such as a goal's feedback.
 
 Plain dataclasses and no pydantic: an agent sits in every pod, and a held one should be small.
 """

@@ -44,11 +44,15 @@ class AgentLink:
         claim: str,
         *,
         on_change: Callable[[AgentLink], None] | None = None,
+        on_event: Callable[[AgentLink, Mapping[str, Any]], None] | None = None,
     ) -> None:
-        """``on_change`` is called with each status and when the connection comes or goes."""
+        """``on_change`` is called with each status and when the connection comes or goes, ``on_event`` with each event.
+
+        Events that happen while there is no connection are lost: whoever counts on them asks anew when it is back.
+        """
         self.host, self.port, self.workload, self.claim = host, port, workload, claim
         self._token = token
-        self._on_change = on_change
+        self._on_change, self._on_event = on_change, on_event
         self._status: AgentStatus | None = None
         self._writer: asyncio.StreamWriter | None = None
         self._numbers = itertools.count(1)
@@ -112,25 +116,25 @@ class AgentLink:
         body: dict[str, Any] = {"tree": tree, "outputs": list(outputs), "grace": grace}
         if probe is not None:
             body["probe"] = {"host": probe[0], "port": probe[1]}
-        await self._request("configure", body)
+        await self.request("configure", body)
 
     async def start(self, environment: Mapping[str, Mapping[str, str]], ros: Mapping[str, str]) -> None:
         """Start the held containers, each with its environment, in a robot's ROS graph.
 
         Raises AgentRefused, when another claim was first among others, and AgentGone.
         """
-        await self._request("start", {"environment": environment, "ros": ros})
+        await self.request("start", {"environment": environment, "ros": ros})
 
     async def probe(self, host: str, port: int, interval: float, duration: float) -> None:
         """Have it send a gate probe every ``interval`` seconds for ``duration`` seconds.
 
         Raises AgentRefused and AgentGone.
         """
-        await self._request("probe", {"host": host, "port": port, "interval": interval, "duration": duration})
+        await self.request("probe", {"host": host, "port": port, "interval": interval, "duration": duration})
 
     async def ask(self) -> AgentStatus:
         """Its status at this moment. Raises AgentGone."""
-        answer = await self._request("status", {})
+        answer = await self.request("status", {})
         return AgentStatus.from_wire(answer.get("status", {}))
 
     async def close(self) -> None:
@@ -139,7 +143,8 @@ class AgentLink:
         with contextlib.suppress(asyncio.CancelledError):
             await self._task
 
-    async def _request(self, op: str, body: Mapping[str, Any]) -> dict[str, Any]:
+    async def request(self, op: str, body: Mapping[str, Any], *, within: float = ANSWER) -> dict[str, Any]:
+        """Ask for an operation and wait for its answer, for at most so many seconds. Raises AgentRefused and AgentGone."""
         writer = self._writer
         if writer is None:
             raise AgentGone(f"agent {self.host}: {self.problem}")
@@ -148,7 +153,7 @@ class AgentLink:
         answer: asyncio.Future[dict[str, Any]] = asyncio.get_running_loop().create_future()
         self._answers[number] = answer
         try:
-            async with asyncio.timeout(ANSWER):
+            async with asyncio.timeout(within):
                 try:
                     writer.write(line)
                     await writer.drain()
@@ -156,7 +161,7 @@ class AgentLink:
                     raise AgentGone(f"agent {self.host}: {error}") from error
                 message = await answer
         except TimeoutError:
-            raise AgentGone(f"agent {self.host}: no answer to {op} within {ANSWER:g} s") from None
+            raise AgentGone(f"agent {self.host}: no answer to {op} within {within:g} s") from None
         finally:
             self._answers.pop(number, None)
         if "error" in message:
@@ -217,6 +222,8 @@ class AgentLink:
             if "status" in message and "id" not in message:
                 self._status = AgentStatus.from_wire(message["status"])
                 self._notify()
+            elif "event" in message and "id" not in message:
+                self._tell_event(message["event"])
             elif isinstance(number := message.get("id"), int):
                 answer = self._answers.get(number)
                 if answer is not None and not answer.done():
@@ -231,6 +238,14 @@ class AgentLink:
         for answer in self._answers.values():
             if not answer.done():
                 answer.set_exception(AgentGone(f"agent {self.pod or self.host}: the connection was lost"))
+
+    def _tell_event(self, event: object) -> None:
+        if self._on_event is None or not isinstance(event, dict):
+            return
+        try:
+            self._on_event(self, event)
+        except Exception:
+            _logger.exception("an event of agent %s", self.pod or self.host)
 
     def _notify(self) -> None:
         self._changed.set()

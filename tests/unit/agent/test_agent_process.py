@@ -163,7 +163,7 @@ async def test_nonsense_of_a_monitor_is_answered(pod: Pod, links):
         ("probe", {"host": "127.0.0.1", "port": 8149, "interval": "x", "duration": 1}),
     ]:
         with pytest.raises(AgentRefused, match=op):
-            await link._request(op, body)
+            await link.request(op, body)
     status = await link.ask()
     assert (status.phase, status.configured) == ("Held", False)
     assert not (pod.volume / "env-app").exists()
