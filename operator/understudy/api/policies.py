@@ -8,6 +8,8 @@ from pydantic import Field
 
 from understudy.api.base import DURATION_PATTERN, Duration, LocalReference, Model, rules
 from understudy.api.conditions import Condition
+from understudy.api.procedures import Procedure
+from understudy.api.states import State
 
 
 class Monitoring(Model):
@@ -56,6 +58,11 @@ class Strategy(Model):
     pool_ref: LocalReference | None = Field(
         default=None, description="The FallbackPool that the understudy comes from."
     )
+    recovery: Procedure | None = Field(
+        default=None,
+        description="What is done to the instance that takes over, behind the closed gate, instead of the workload's bringUp. Kept "
+        "state is restored first, unless the tree says where (restore_state).",
+    )
     verify_within: Duration = Field(
         default="30s",
         description="How long it may take until outputs are seen from the new instance and from no other; then the next strategy is tried.",
@@ -78,6 +85,9 @@ class FailurePolicySpec(Model):
         min_length=1,
         max_length=8,
         description="Tried in order; the next one when one isn't available or doesn't verify in its time.",
+    )
+    state: State = Field(
+        default_factory=State, description="State of a healthy instance that is kept for the one that takes over."
     )
     limits: Limits = Field(default_factory=Limits, description="Bounds on what is done automatically.")
 

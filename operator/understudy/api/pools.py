@@ -6,8 +6,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from understudy.api.base import Model, ObjectName, matching, rules
+from understudy.api.base import Duration, Model, ObjectName, matching, rules
 from understudy.api.conditions import Condition
+from understudy.api.procedures import Check, Procedure
 from understudy.api.templates import pod_template
 
 Readiness = Literal["Uninitialized", "Initialized", "Executing"]
@@ -61,6 +62,12 @@ class TemplateSource(Model):
     workload: ObjectName = Field(description="RobotWorkload whose template is used.")
 
 
+class KeepUp(Model):
+    """How a waiting standby keeps up with the instance in control."""
+
+    period: Duration = Field(default="5s", description="Time between two hand-overs of the kept state.")
+
+
 class FallbackPoolSpec(Model):
     """A warm pool."""
 
@@ -77,6 +84,19 @@ class FallbackPoolSpec(Model):
                 ": !has(self.template) && !has(self.templateFrom)",
                 "an Uninitialized pool has exactly one of template and templateFrom; an Initialized or Executing one has "
                 "neither (it uses each workload's own)",
+            ),
+            *(
+                (
+                    f"self.readiness != 'Uninitialized' || !has(self.{field})",
+                    f"{field} is only for pools with readiness Initialized or Executing",
+                    f".{field}",
+                )
+                for field in ("initialization", "readinessCheck", "keepUp")
+            ),
+            (
+                "self.readiness != 'Initialized' || has(self.initialization)",
+                "an Initialized pool needs an initialization, which says how far its standbys are brought",
+                ".initialization",
             ),
             ("self.readiness == oldSelf.readiness", "readiness is immutable: create another pool", ".readiness"),
         )
@@ -105,6 +125,20 @@ class FallbackPoolSpec(Model):
     )
     template_from: TemplateSource | None = Field(
         default=None, description="Take the template from a RobotWorkload instead."
+    )
+    initialization: Procedure | None = Field(
+        default=None,
+        description="What brings a started standby to the pool's readiness, such as lifecycle transitions (Initialized, Executing). "
+        "Absent: the workload's bringUp for Executing; an Initialized pool needs one.",
+    )
+    readiness_check: Check | None = Field(
+        default=None,
+        description="What must hold of a standby, in the ROS graph, before it counts as ready (Initialized, Executing). Absent: for "
+        "Executing the policy's health tree, for Initialized that the initialization has succeeded.",
+    )
+    keep_up: KeepUp | None = Field(
+        default=None,
+        description="Give standbys fresh state while they wait (Initialized), so that the hand-over needs little.",
     )
     warm_paths: list[WarmPath] = Field(
         default_factory=list,

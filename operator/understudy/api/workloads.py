@@ -6,24 +6,23 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from understudy.api.base import LocalReference, Model, ObjectName, matching, rules
+from understudy.api.base import (
+    DURATION_PATTERN,
+    Duration,
+    LocalReference,
+    Model,
+    ObjectName,
+    matching,
+    rules,
+)
 from understudy.api.conditions import Condition, Time
+from understudy.api.procedures import Procedure
+from understudy.api.rosnames import ROS_TYPE_MESSAGE, ROS_TYPE_PATTERN, RosName
+from understudy.api.states import KeptStatus
+from understudy.api.tasks import Task, TaskStatus
 from understudy.api.templates import pod_template
 
 Health = Literal["Unknown", "Starting", "Healthy", "Failed", "Recovering"]
-
-ROS_TYPE_PATTERN = r"^[a-zA-Z][a-zA-Z0-9_]*/(msg|srv|action)/[A-Z][a-zA-Z0-9]*$"
-ROS_NAME_PATTERN = r"^/[a-zA-Z_][a-zA-Z0-9_]*(/[a-zA-Z_][a-zA-Z0-9_]*)*$"
-ROS_NAME_MESSAGE = "write the full name, such as /cmd_vel: a slash, then letters, digits and underscores"
-ROS_TYPE_MESSAGE = (
-    "write the full ROS type, such as geometry_msgs/msg/Twist, std_srvs/srv/Trigger or nav2_msgs/action/NavigateToPose"
-)
-
-RosName = Annotated[
-    str,
-    Field(pattern=ROS_NAME_PATTERN, max_length=256, json_schema_extra=matching(ROS_NAME_PATTERN, ROS_NAME_MESSAGE)),
-]
-"""A fully qualified name of a topic, service or action."""
 
 _BYTE = r"(25[0-5]|2[0-4][0-9]|1[0-9][0-9]|[1-9]?[0-9])"
 CIDR_PATTERN = rf"^(({_BYTE}\.){{3}}{_BYTE}/([1-9]|[12][0-9]|3[0-2])|[0-9a-fA-F:]*:[0-9a-fA-F:]*/([1-9]|[1-9][0-9]|1[01][0-9]|12[0-8]))$"
@@ -135,6 +134,33 @@ class Ros(Model):
     discovery: Discovery = Field(default_factory=Discovery, description="How nodes find each other.")
 
 
+class Reflex(Model):
+    """DDS exclusive ownership under the gate: the robot's own reader falls over to the standby, with no control plane."""
+
+    model_config = Model.model_config | {
+        "json_schema_extra": rules(
+            (
+                f"!self.deadline.matches(r'{DURATION_PATTERN}') || (duration(self.deadline) >= duration('20ms') && "
+                "duration(self.deadline) <= duration('10s'))",
+                "deadline is from 20ms to 10s",
+                ".deadline",
+            ),
+        )
+    }
+
+    deadline: Duration = Field(
+        default="100ms",
+        description="The robot's reader takes the standby's messages when the instance in control was silent for this long. "
+        "Longer than the period of the outputs.",
+    )
+    accept: list[RosName] = Field(
+        default_factory=list,
+        max_length=24,
+        description="Outputs that fall over each by itself. A reflex with several outputs, or with a service or action among them, is "
+        "refused unless all of them are named here.",
+    )
+
+
 class Gate(Model):
     """What decides whose outputs reach the robot."""
 
@@ -146,6 +172,10 @@ class Gate(Model):
         default_factory=list,
         max_length=16,
         description="CIDRs of robots (and of other peers) outside the cluster. Must not contain pod addresses, or the gate leaks.",
+    )
+    reflex: Reflex | None = Field(
+        default=None,
+        description="Have the robot's reader fall over to an executing standby by itself, before the gate is switched.",
     )
 
 
@@ -186,6 +216,17 @@ class RobotWorkloadSpec(Model):
                 )
                 for kind in ("topic", "service", "action")
             ),
+            (
+                "!has(self.tasks) || self.tasks.all(a, self.tasks.exists_one(b, b.action == a.action))",
+                "tasks has the same action twice",
+                ".tasks",
+            ),
+            (
+                "!has(self.tasks) || self.tasks.all(t, !self.outputs.exists(o, has(o.action) && o.action == t.action))",
+                "an action is either among tasks (the workload serves it, clients keep their goals) or among outputs "
+                "(the robot serves it)",
+                ".tasks",
+            ),
         )
     }
 
@@ -202,6 +243,14 @@ class RobotWorkloadSpec(Model):
         min_length=1,
         max_length=24,
         description="Everything that reaches the robot. All of it is gated: only the instance in control gets through.",
+    )
+    tasks: list[Task] = Field(
+        default_factory=list, max_length=8, description="Actions of the workload whose goals outlive a failover."
+    )
+    bring_up: Procedure | None = Field(
+        default=None,
+        description="What brings an instance from started to driving, such as lifecycle transitions. Run on the first instance, on "
+        "executing standbys, and at a failover after the state was restored. Absent: the application does it by itself.",
     )
     failure_policy_ref: LocalReference = Field(description="The FailurePolicy that protects it.")
     gate: Gate = Field(default_factory=Gate, description="What decides whose outputs reach the robot.")
@@ -285,6 +334,18 @@ class RobotWorkloadStatus(Model):
         default=None,
         max_length=10,
         description="The last ten recoveries, newest first.",
+        json_schema_extra={"x-kubernetes-list-type": "atomic"},
+    )
+    tasks: list[TaskStatus] | None = Field(
+        default=None,
+        max_length=8,
+        description="The tasks and their goals.",
+        json_schema_extra={"x-kubernetes-list-type": "atomic"},
+    )
+    state: list[KeptStatus] | None = Field(
+        default=None,
+        max_length=64,
+        description="What is kept, and how old it is.",
         json_schema_extra={"x-kubernetes-list-type": "atomic"},
     )
     conditions: list[Condition] | None = Field(

@@ -12,7 +12,7 @@ from py_trees.composites import Parallel, Sequence
 from py_trees.decorators import Inverter
 
 from understudy.api.base import seconds
-from understudy.api.workloads import ROS_NAME_PATTERN, ROS_TYPE_PATTERN
+from understudy.api.rosnames import ROS_NAME_PATTERN, ROS_TYPE_PATTERN
 from understudy.trees.composites import AnyOf
 from understudy.trees.health import Build, HealthTree, WatchedTopic
 from understudy.trees.leaves import Glance, TopicLeaf, duration
