@@ -8,6 +8,7 @@ from pydantic import Field
 
 from understudy.api.base import Duration, Model
 
+
 class Procedure(Model):
     """What is done to one instance, and the time that it has. It can be repeated: what is so already is left alone."""
 
