@@ -10,6 +10,7 @@ import io
 import json
 import os
 import tarfile
+import tempfile
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -169,7 +170,10 @@ def archive(wanted: Collection[Reference], present: Collection[str]) -> Iterator
     """
     folder = _folder() / "archives"
     folder.mkdir(parents=True, exist_ok=True)
-    path = folder / f"{os.getpid()}-{hashlib.sha256(repr((sorted(present), wanted)).encode()).hexdigest()[:8]}.tar"
+    # A file for each call: nodes that lack the same are loaded at the same time.
+    handle, name = tempfile.mkstemp(suffix=".tar", dir=folder)
+    os.close(handle)
+    path = Path(name)
     index = {
         "schemaVersion": 2,
         "manifests": [

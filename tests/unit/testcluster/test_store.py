@@ -62,6 +62,15 @@ def test_an_archive_for_a_node_that_has_nothing_holds_every_part(tmp_path: Path)
     assert not path.exists()
 
 
+def test_two_nodes_that_lack_the_same_get_an_archive_each(tmp_path: Path) -> None:
+    (reference,) = store.add(archive(tmp_path / "image.tar", [b"system", b"code"]))
+    with store.archive([reference], []) as first:
+        with store.archive([reference], []) as second:
+            assert first != second
+        with tarfile.open(first) as whole:
+            assert whole.getmembers()
+
+
 def test_an_archive_leaves_out_what_the_node_has(tmp_path: Path) -> None:
     store.add(archive(tmp_path / "image.tar", [b"system", b"code"]))
     (changed,) = store.add(archive(tmp_path / "image.tar", [b"system", b"other code"]))
