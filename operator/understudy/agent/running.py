@@ -14,6 +14,7 @@ from understudy.agent.identity import Identity
 from understudy.agent.sessions import Sessions
 from understudy.agent.sidecar import Sidecar
 from understudy.api import names
+from understudy.cluster import logs
 from understudy.cluster.pages import serve
 from understudy.cluster.probes import ProbeSender
 
@@ -29,11 +30,7 @@ _WARMING = "import os; os.nice(19); import understudy.ros.watching, understudy.t
 
 def main(argv: list[str]) -> int:
     """Run until SIGTERM or SIGINT. The pod is named by the environment, see Identity."""
-    logging.basicConfig(
-        stream=sys.stdout,
-        level=os.environ.get("UNDERSTUDY_LOG_LEVEL", "INFO"),
-        format="%(asctime)s %(levelname)s %(name)s: %(message)s",
-    )
+    logs.configure(os.environ.get("UNDERSTUDY_LOG_LEVEL", "INFO"))
     if argv:
         print(f"understudy agent: unexpected {' '.join(argv)}; it takes no arguments", file=sys.stderr)
         return 2

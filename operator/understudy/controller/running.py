@@ -18,10 +18,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from understudy.api import names
+from understudy.cluster import logs
 from understudy.cluster.client import SERVICE_ACCOUNT, Access, Client
 from understudy.cluster.events import Recorder
 from understudy.cluster.leases import LeadershipLost, Lease, Timing
-from understudy.controller import handlers, logs, metrics, serving
+from understudy.controller import handlers, metrics, serving
 from understudy.controller.desired import Images
 from understudy.controller.executing import MANAGER, Executor
 from understudy.controller.expectations import Expectations

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import json
 import logging
 import os
 import signal
@@ -15,6 +14,7 @@ from pathlib import Path
 from prometheus_client import REGISTRY, generate_latest
 
 from understudy.api import names
+from understudy.cluster import logs
 from understudy.cluster.client import Access, Client
 from understudy.cluster.events import Recorder
 from understudy.cluster.pages import serve
@@ -34,27 +34,9 @@ _logger = logging.getLogger(__name__)
 STATE = Path("/var/lib/understudy")
 
 
-class JsonFormatter(logging.Formatter):
-    """One JSON object a line."""
-
-    def format(self, record: logging.LogRecord) -> str:
-        """The record as JSON."""
-        line = {
-            "time": round(record.created, 6),
-            "level": record.levelname.lower(),
-            "logger": record.name,
-            "message": record.getMessage(),
-        }
-        if record.exc_info:
-            line["exception"] = self.formatException(record.exc_info)
-        return json.dumps(line)
-
-
 def main(argv: list[str]) -> int:
     """Run until SIGTERM or SIGINT. The workload is named by UNDERSTUDY_WORKLOAD and UNDERSTUDY_NAMESPACE."""
-    handler = logging.StreamHandler(sys.stdout)
-    handler.setFormatter(JsonFormatter())
-    logging.basicConfig(level=os.environ.get("UNDERSTUDY_LOG_LEVEL", "INFO"), handlers=[handler])
+    logs.configure(os.environ.get("UNDERSTUDY_LOG_LEVEL", "INFO"))
     workload, namespace = os.environ.get("UNDERSTUDY_WORKLOAD"), os.environ.get("UNDERSTUDY_NAMESPACE")
     if not workload or not namespace:
         print("understudy monitor: set UNDERSTUDY_WORKLOAD and UNDERSTUDY_NAMESPACE", file=sys.stderr)
