@@ -21,8 +21,8 @@ from typing import Any, Literal
 PROTOCOL = 1
 """Version of the protocol, said in the greeting."""
 
-MAX_LINE = 1 << 20
-"""Bytes of one message: a claim's whole environment or a policy's tree fits in."""
+MAX_LINE = 1 << 25
+"""Bytes of one message: a claim's whole environment, a policy's tree or a kept map fits in."""
 
 MAX_GREETING = 4096
 """Bytes of one message before the mac was right."""
