@@ -1,0 +1,253 @@
+"""Calls to real nodes in processes of their own."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.unit.ros.processes import PACKAGE, Processes
+
+pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("dds")]
+
+WITHIN = 25.0
+"""Seconds for what succeeds at once on a machine that is not busy."""
+
+
+class Managed(Processes):
+    def start(self, kind: str = "") -> subprocess.Popen[str]:
+        process = subprocess.Popen(
+            [sys.executable, str(Path(__file__).parent / "managed.py"), kind],
+            stdout=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "PYTHONPATH": str(PACKAGE)},
+        )
+        self._running.append(process)
+        assert self.line(process, 30) == "ready"
+        return process
+
+
+@pytest.fixture
+def managed(dds: None) -> Iterator[Managed]:
+    started = Managed()
+    yield started
+    started.end()
+
+
+@pytest.fixture
+def caller(dds: None) -> Iterator[object]:
+    from understudy.ros.calling import Caller
+
+    made = Caller("caller")
+    yield made
+    made.close()
+
+
+async def test_a_service_is_called_and_answers_with_its_fields(managed: Managed, caller) -> None:
+    managed.start()
+
+    answer = await caller.call("/switch", "std_srvs/srv/SetBool", {"data": True}, WITHIN)
+
+    assert answer == {"success": True, "message": "on"}
+
+
+async def test_a_service_that_nobody_serves_is_named(caller) -> None:
+    from understudy.ros.calling import CallFailed
+
+    with pytest.raises(CallFailed, match=r"service /switch \(std_srvs/srv/SetBool\) is not there within 0.3 s"):
+        await caller.call("/switch", "std_srvs/srv/SetBool", {}, 0.3)
+
+
+async def test_a_service_that_does_not_answer_is_given_up(managed: Managed, caller) -> None:
+    from understudy.ros.calling import CallFailed
+
+    managed.start()
+    end = time.monotonic() + WITHIN
+    while not await caller.service_present("/never"):
+        assert time.monotonic() < end
+        await asyncio.sleep(0.05)
+
+    with pytest.raises(CallFailed, match="service /never has not answered within 3 s"):
+        await caller.call("/never", "std_srvs/srv/Trigger", {}, 3.0)
+
+
+async def test_what_does_not_fit_the_type_names_the_field(caller) -> None:
+    from understudy.ros.calling import CallFailed
+
+    with pytest.raises(
+        CallFailed, match=r"service /switch: dat: SetBool_Request has no field dat; did you mean data\?"
+    ):
+        await caller.call("/switch", "std_srvs/srv/SetBool", {"dat": True}, WITHIN)
+    with pytest.raises(CallFailed, match="service /switch: data: expected boolean, found 'yes'"):
+        await caller.call("/switch", "std_srvs/srv/SetBool", {"data": "yes"}, WITHIN)
+    with pytest.raises(CallFailed, match="no_such_package/srv/X is not installed"):
+        await caller.call("/switch", "no_such_package/srv/X", {}, WITHIN)
+
+
+async def test_a_managed_node_is_brought_to_a_state_and_back(managed: Managed, caller) -> None:
+    from understudy.ros.calling import CallFailed
+
+    managed.start()
+
+    assert await caller.lifecycle_state("/managed", WITHIN) == "unconfigured"
+    await caller.bring_to("/managed", "active", WITHIN)
+    assert await caller.lifecycle_state("/managed", WITHIN) == "active"
+    await caller.bring_to("/managed", "active", WITHIN)
+    await caller.bring_to("/managed", "unconfigured", WITHIN)
+    assert await caller.lifecycle_state("/managed", WITHIN) == "unconfigured"
+    await caller.bring_to("/managed", "finalized", WITHIN)
+    with pytest.raises(CallFailed, match="node /managed is finalized, from where it can't become active"):
+        await caller.bring_to("/managed", "active", WITHIN)
+    with pytest.raises(CallFailed, match="'running' is not a state"):
+        await caller.bring_to("/managed", "running", WITHIN)
+
+
+async def test_a_transition_that_takes_long_is_waited_for(managed: Managed, caller) -> None:
+    managed.start("slow")
+
+    await caller.bring_to("/managed", "inactive", WITHIN)
+
+    assert await caller.lifecycle_state("/managed", WITHIN) == "inactive"
+
+
+async def test_a_transition_that_is_refused_says_so_and_may_be_tried_again(managed: Managed, caller) -> None:
+    from understudy.ros.calling import CallFailed
+
+    managed.start("refusing")
+
+    with pytest.raises(CallFailed, match="node /managed did not activate: it is inactive"):
+        await caller.bring_to("/managed", "active", WITHIN)
+    await caller.bring_to("/managed", "active", WITHIN)
+
+
+async def test_parameters_are_read_and_set_in_their_type(managed: Managed, caller) -> None:
+    from understudy.ros.calling import CallFailed
+
+    managed.start()
+
+    await caller.set_parameters("/managed", {"speed": 2, "label": "b", "count": 3}, WITHIN)
+
+    found = await caller.get_parameters("/managed", ["speed", "label", "count"], WITHIN)
+    assert found == {"speed": 2.0, "label": "b", "count": 3}
+    assert isinstance(found["speed"], float)
+    with pytest.raises(CallFailed, match="node /managed has no parameter colour"):
+        await caller.get_parameters("/managed", ["label", "colour"], WITHIN)
+    with pytest.raises(CallFailed, match=r"node /managed refused parameters: label = 0\.5"):
+        await caller.set_parameters("/managed", {"label": 0.5}, WITHIN)
+
+
+async def test_a_message_waits_for_its_subscriber_and_arrives_once(managed: Managed, caller) -> None:
+    from std_msgs.msg import String
+
+    from understudy.ros.calling import CallFailed
+
+    pose = {
+        "header": {"frame_id": "map", "stamp": "now"},
+        "pose": {"pose": {"position": {"x": 2}}, "covariance": [0.0] * 35 + [0.5]},
+    }
+    type_name = "geometry_msgs/msg/PoseWithCovarianceStamped"
+    with pytest.raises(CallFailed, match=f"nobody subscribes to /initialpose as {type_name} within 0.3 s"):
+        await caller.publish("/initialpose", type_name, pose, 0.3)
+    began = time.time()
+    publishing = asyncio.create_task(caller.publish("/initialpose", type_name, pose, WITHIN))
+    await asyncio.to_thread(managed.start)
+    await publishing
+
+    sample = await caller.wait_sample("/taken", "std_msgs/msg/String", WITHIN, since=began)
+
+    from rclpy.serialization import deserialize_message
+
+    assert deserialize_message(sample.data, String).data == "map 2.0 0.5"
+    with pytest.raises(CallFailed, match=r"nothing came on /taken \(std_msgs/msg/String\) within 1 s"):
+        await caller.wait_sample("/taken", "std_msgs/msg/String", 1.0, since=time.time())
+
+
+async def test_bytes_are_published_as_they_are(managed: Managed, caller) -> None:
+    from geometry_msgs.msg import PoseWithCovarianceStamped
+    from rclpy.serialization import serialize_message
+
+    managed.start()
+    message = PoseWithCovarianceStamped()
+    message.header.frame_id = "kept"
+    type_name = "geometry_msgs/msg/PoseWithCovarianceStamped"
+
+    await caller.publish("/initialpose", type_name, serialize_message(message), WITHIN)
+
+    sample = await caller.wait_sample("/taken", "std_msgs/msg/String", WITHIN)
+    assert b"kept 0.0 0.0" in sample.data
+
+
+async def test_nodes_and_services_are_seen(managed: Managed, caller) -> None:
+    assert not await caller.node_present("/managed")
+    managed.start()
+    end = time.monotonic() + WITHIN
+    while not (await caller.node_present("/managed") and await caller.service_present("/switch")):
+        assert time.monotonic() < end
+        await asyncio.sleep(0.05)
+    assert not await caller.service_present("/nothing")
+
+
+async def test_of_another_host_nothing_counts(managed: Managed, dds: None, graph) -> None:
+    """Behind a discovery server an agent also learns of the other instances' servers, which it can't reach."""
+    from understudy.ros.calling import Caller, CallFailed, Place
+    from understudy.ros.sources import HOST
+
+    managed.start()
+    context = graph.node.context
+    end = time.monotonic() + WITHIN
+    while not (own := [e.gid[HOST] for e in graph.publishers("/parameter_events") if e.node == "/tested"]):
+        assert time.monotonic() < end
+        await asyncio.sleep(0.05)
+    here = Caller("here", place=lambda: Place(context, own[0]))
+    elsewhere = Caller("elsewhere", place=lambda: Place(context, b"\x01\x0f\x00\x00"))
+    nowhere = Caller("nowhere", place=lambda: None)
+    try:
+        assert (await here.call("/switch", "std_srvs/srv/SetBool", {}, WITHIN))["message"] == "off"
+        await here.bring_to("/managed", "inactive", WITHIN)
+        with pytest.raises(CallFailed, match="is not there within 1 s"):
+            await elsewhere.call("/switch", "std_srvs/srv/SetBool", {}, 1.0)
+        with pytest.raises(CallFailed, match="nobody subscribes to /initialpose"):
+            await elsewhere.publish("/initialpose", "geometry_msgs/msg/PoseWithCovarianceStamped", {}, 1.0)
+        with pytest.raises(CallFailed, match=r"hasn't joined the ROS graph within 0\.2 s"):
+            await nowhere.lifecycle_state("/managed", 0.2)
+    finally:
+        for one in (here, elsewhere, nowhere):
+            one.close()
+
+
+async def test_a_cancelled_call_leaves_the_caller_usable(managed: Managed, caller) -> None:
+    managed.start()
+    await caller.call("/switch", "std_srvs/srv/SetBool", {}, WITHIN)
+    hanging = asyncio.create_task(caller.call("/never", "std_srvs/srv/Trigger", {}, WITHIN))
+    await asyncio.sleep(0.2)
+
+    hanging.cancel()
+
+    with pytest.raises(asyncio.CancelledError):
+        await hanging
+    assert (await caller.call("/switch", "std_srvs/srv/SetBool", {"data": True}, WITHIN))["success"]
+
+
+async def test_an_idle_caller_closes_its_node_and_makes_another(
+    managed: Managed, caller, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from understudy.ros import calling
+
+    monkeypatch.setattr(calling, "IDLE", 0.05)
+    managed.start()
+    await caller.call("/switch", "std_srvs/srv/SetBool", {}, WITHIN)
+    end = time.monotonic() + WITHIN
+    while caller._opened is not None:
+        assert time.monotonic() < end
+        await asyncio.sleep(0.02)
+
+    await caller.call("/switch", "std_srvs/srv/SetBool", {}, WITHIN)
+    assert caller.node is caller.node
+    await asyncio.sleep(0.2)
+    assert caller._opened is not None, "who holds the node keeps it"
