@@ -62,22 +62,23 @@ async def test_of_many_claims_on_one_pod_exactly_one_wins(client: Client, space:
     assert [owner["name"] for owner in won[0]["metadata"]["ownerReferences"]] == [labels[names.WORKLOAD]]
 
 
+def gates_body(workload: str) -> dict[str, object]:
+    """A closed gate, as the operator makes it."""
+    return {
+        "apiVersion": "networking.k8s.io/v1",
+        "kind": "NetworkPolicy",
+        "metadata": {"name": names.gate(workload), "annotations": {names.EPOCH: "0"}},
+        "spec": {
+            "podSelector": {"matchLabels": {names.WORKLOAD: workload, names.INSTANCE: names.GATE_CLOSED}},
+            "policyTypes": ["Egress"],
+            "egress": [{}],
+        },
+    }
+
+
 async def test_of_many_commits_at_one_epoch_exactly_one_wins(client: Client, space: str) -> None:
     workload = "robot"
-    policy = await client.create(
-        NETWORK_POLICIES,
-        space,
-        {
-            "apiVersion": "networking.k8s.io/v1",
-            "kind": "NetworkPolicy",
-            "metadata": {"name": names.gate(workload), "annotations": {names.EPOCH: "0"}},
-            "spec": {
-                "podSelector": {"matchLabels": {names.WORKLOAD: workload, names.INSTANCE: names.GATE_CLOSED}},
-                "policyTypes": ["Egress"],
-                "egress": [{}],
-            },
-        },
-    )
+    policy = await client.create(NETWORK_POLICIES, space, gates_body(workload))
     for epoch in range(5):
         record = gates.read(policy)
         assert record.epoch == epoch
@@ -95,4 +96,37 @@ async def test_of_many_commits_at_one_epoch_exactly_one_wins(client: Client, spa
         policy = await client.get(NETWORK_POLICIES, space, names.gate(workload))
         after = gates.read(policy)
         assert after.epoch == epoch + 1
-        assert gates.selected(policy) == after.active == gates.read(won[0]).active, "selector and record say the same"
+        assert after.active == gates.read(won[0]).active
+        assert gates.selected(policy) == (after.active,), "selector and record say the same"
+
+
+async def test_a_standby_is_let_through_beside_the_one_in_control_until_the_next_commit(
+    client: Client, space: str
+) -> None:
+    gate = await client.create(NETWORK_POLICIES, space, gates_body("robot"))
+    with pytest.raises(ValueError, match="closed"):
+        await gates.admit(client, space, "robot", over=gates.read(gate), admitted="robot-b", admitted_uid="uid-b")
+    opened = await gates.commit(
+        client, space, "robot", over=gates.read(gate), active="robot-a", active_uid="uid-a", recovery=""
+    )
+    before = gates.read(opened)
+    both = await gates.admit(client, space, "robot", over=before, admitted="robot-b", admitted_uid="uid-b")
+    assert gates.selected(both) == ("robot-a", "robot-b")
+    assert (gates.read(both).epoch, gates.read(both).active) == (before.epoch, "robot-a"), "control is where it was"
+    with pytest.raises(ApiError) as refused:
+        await gates.admit(client, space, "robot", over=before, admitted="robot-c", admitted_uid="uid-c")
+    assert refused.value.status == 409, "what was seen before another write doesn't count"
+    without = await gates.admit(client, space, "robot", over=gates.read(both), admitted="", admitted_uid="")
+    assert gates.selected(without) == ("robot-a",)
+    again = await gates.admit(
+        client, space, "robot", over=gates.read(without), admitted="robot-b", admitted_uid="uid-b"
+    )
+    switched = await gates.commit(
+        client, space, "robot", over=gates.read(again), active="robot-b", active_uid="uid-b", recovery=""
+    )
+    assert gates.selected(switched) == ("robot-b",), "one write fences the one and leaves the other"
+    assert gates.read(switched).admitted == ""
+    closed = await gates.commit(
+        client, space, "robot", over=gates.read(switched), active="", active_uid="", recovery=""
+    )
+    assert gates.selected(closed) == ()

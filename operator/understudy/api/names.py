@@ -32,6 +32,9 @@ SOURCE = f"{GROUP}/source"
 TEMPLATE_HASH = f"{GROUP}/template-hash"
 """On instances: hash of the template they were made from."""
 
+PROFILES_HASH = f"{GROUP}/profiles-hash"
+"""Annotation of pods: hash of the DDS profiles that their processes read when they start."""
+
 EPOCH = f"{GROUP}/epoch"
 """Annotation of the gate: grows by one with every commit."""
 
@@ -40,6 +43,12 @@ ACTIVE = f"{GROUP}/active"
 
 ACTIVE_UID = f"{GROUP}/active-uid"
 """Annotation of the gate: UID of the pod in control, empty while closed."""
+
+ADMITTED = f"{GROUP}/admitted"
+"""Annotation of the gate: the standby that is let through beside the pod in control, for the reflex; mostly empty."""
+
+ADMITTED_UID = f"{GROUP}/admitted-uid"
+"""Annotation of the gate: its UID."""
 
 RECOVERY = f"{GROUP}/recovery"
 """Annotation of the gate: the recovery that committed it, as JSON, so that a new monitor can finish it."""
@@ -77,6 +86,30 @@ AGENT_CONTAINER = "understudy-agent"
 AGENT_VOLUME = "understudy"
 AGENT_DIR = "/understudy"
 SECRET_DIR = "/etc/understudy/agent"
+
+INIT_CONTAINER = "understudy-init"
+"""Writes the profiles of an instance where they differ from pod to pod."""
+
+TASKS_CONTAINER = "tasks"
+"""The task proxy, beside the monitor in its pod."""
+
+TASKS_DIR = "/run/understudy"
+TASKS_SOCKET = "tasks.sock"
+"""Where the monitor and the task proxy of a workload speak to each other."""
+
+INSTANCE_PROFILES_VOLUME = "understudy-profiles"
+INSTANCE_PROFILES_DIR = "/etc/understudy-profiles"
+"""Where the profiles for instances are mounted in their pods."""
+
+PROFILES_KEY = "profiles.xml"
+PROFILES_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
+"""Names a process's profiles to Fast DDS on Jazzy."""
+
+POD_VARIABLE = "UNDERSTUDY_POD"
+"""The name of the pod, in the environment of an instance's containers; Fast DDS puts it into the profiles."""
+
+STRENGTH_VARIABLE = "UNDERSTUDY_STRENGTH"
+"""Stands in the profiles for an instance's ownership strength, which is put in before any process reads them."""
 
 
 def gate(workload: str) -> str:
@@ -117,6 +150,11 @@ def robot_env(workload: str) -> str:
 def robot_profiles(workload: str) -> str:
     """ConfigMap with ``profiles.xml`` for the robot's side (mounted at /etc/understudy)."""
     return f"{workload}-robot-profiles"
+
+
+def instance_profiles(workload: str) -> str:
+    """ConfigMap with ``profiles.xml`` for the instances, where tasks or the reflex need it."""
+    return f"{workload}-instance-profiles"
 
 
 def settings(workload: str) -> str:

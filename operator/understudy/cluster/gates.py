@@ -1,4 +1,4 @@
-"""The gate of a workload as a NetworkPolicy: what it says, and the one patch that changes it."""
+"""The gate of a workload as a NetworkPolicy: what it says, and the patches that change it, each one atomic write."""
 
 from __future__ import annotations
 
@@ -18,6 +18,9 @@ class GateRecord:
     recovery: str
     """JSON of the recovery that committed it, or empty."""
     version: str
+    admitted: str = ""
+    """The standby that is let through too, for the reflex."""
+    admitted_uid: str = ""
 
 
 def read(policy: Object) -> GateRecord:
@@ -30,13 +33,30 @@ def read(policy: Object) -> GateRecord:
         active_uid=annotations.get(names.ACTIVE_UID, ""),
         recovery=annotations.get(names.RECOVERY, ""),
         version=policy["metadata"]["resourceVersion"],
+        admitted=annotations.get(names.ADMITTED, ""),
+        admitted_uid=annotations.get(names.ADMITTED_UID, ""),
     )
 
 
-def selected(policy: Object) -> str:
-    """The instance that a gate's selector really lets through, whatever the annotations say; empty for none."""
-    value: str = policy["spec"].get("podSelector", {}).get("matchLabels", {}).get(names.INSTANCE, "")
-    return "" if value == names.GATE_CLOSED else value
+def selected(policy: Object) -> tuple[str, ...]:
+    """The instances that a gate's selector really lets through, whatever the annotations say."""
+    selector = policy["spec"].get("podSelector") or {}
+    values = [(selector.get("matchLabels") or {}).get(names.INSTANCE)]
+    for expression in selector.get("matchExpressions") or []:
+        if (expression["key"], expression["operator"]) == (names.INSTANCE, "In"):
+            values += expression["values"]
+    return tuple(value for value in values if value and value != names.GATE_CLOSED)
+
+
+def _selector(workload: str, active: str, admitted: str = "") -> Object:
+    """As merge patches need it: each shape removes the other."""
+    if admitted:
+        among = {"key": names.INSTANCE, "operator": "In", "values": [active, admitted]}
+        return {"matchLabels": {names.WORKLOAD: workload, names.INSTANCE: None}, "matchExpressions": [among]}
+    return {
+        "matchLabels": {names.WORKLOAD: workload, names.INSTANCE: active or names.GATE_CLOSED},
+        "matchExpressions": None,
+    }
 
 
 async def commit(
@@ -44,7 +64,8 @@ async def commit(
 ) -> Object:
     """Name the one pod that may reach the robot (none if ``active`` is empty), over exactly the record given.
 
-    One atomic write fences the old pod and routes the new one. Raises ApiError: 409 when another commit was first.
+    One atomic write fences the old pod and routes the new one; a standby that was admitted beside it is let through no
+    longer. Raises ApiError: 409 when another commit was first.
     """
     return await client.patch(
         NETWORK_POLICIES,
@@ -58,10 +79,34 @@ async def commit(
                     names.ACTIVE: active,
                     names.ACTIVE_UID: active_uid,
                     names.RECOVERY: recovery,
+                    names.ADMITTED: "",
+                    names.ADMITTED_UID: "",
                 },
             },
-            "spec": {
-                "podSelector": {"matchLabels": {names.WORKLOAD: workload, names.INSTANCE: active or names.GATE_CLOSED}}
+            "spec": {"podSelector": _selector(workload, active)},
+        },
+    )
+
+
+async def admit(
+    client: Client, namespace: str, workload: str, *, over: GateRecord, admitted: str, admitted_uid: str
+) -> Object:
+    """Let a standby through beside the pod in control (only that one if ``admitted`` is empty), over exactly the record.
+
+    Control doesn't change, and so the epoch stays. Raises ApiError: 409 when another write was first; ValueError when
+    the gate is closed, since then nobody may reach the robot.
+    """
+    if not over.active:
+        raise ValueError(f"NetworkPolicy {names.gate(workload)} is closed: no standby can be let through")
+    return await client.patch(
+        NETWORK_POLICIES,
+        namespace,
+        names.gate(workload),
+        {
+            "metadata": {
+                "resourceVersion": over.version,
+                "annotations": {names.ADMITTED: admitted, names.ADMITTED_UID: admitted_uid},
             },
+            "spec": {"podSelector": _selector(workload, over.active, admitted)},
         },
     )

@@ -66,6 +66,9 @@ class GateState:
     active_uid: str = ""
     recovery: Progress | None = field(default=None, compare=False)
     """The recovery that made the last commit, if one did."""
+    admitted: str = ""
+    """A standby that may reach the robot too: its readers heed it when the pod in control is silent (the reflex)."""
+    admitted_uid: str = ""
 
     @property
     def closed(self) -> bool:

@@ -60,7 +60,14 @@ class PolicyGate:
                 recovery = Progress.model_validate_json(record.recovery)
             except ValidationError as error:
                 _logger.warning("the gate's recovery annotation can't be read: %s", error)
-        return GateState(epoch=record.epoch, active=record.active, active_uid=record.active_uid, recovery=recovery)
+        return GateState(
+            epoch=record.epoch,
+            active=record.active,
+            active_uid=record.active_uid,
+            recovery=recovery,
+            admitted=record.admitted,
+            admitted_uid=record.admitted_uid,
+        )
 
     async def commit(self, target: Instance | None, progress: Progress | None) -> GateState:
         """Open it for one instance, or close it, at the next epoch. Raises Superseded."""
@@ -99,6 +106,32 @@ class PolicyGate:
         self._view.gates.put(policy)
         self._crash_points.step("after commit")
         return self.state
+
+    async def admit(self, standby: Instance | None) -> bool:
+        """Let a standby through beside the pod in control, or none; whether that was written.
+
+        It is tried once: a commit matters more and may be waiting, and what is wanted is looked at again anyway.
+        """
+        record = self._record
+        if record is None or not record.active:
+            return False
+        name, uid = (standby.name, standby.uid) if standby else ("", "")
+        try:
+            if standby is not None:
+                await self._fleet.label(standby)
+            policy = await gates.admit(
+                self._client,
+                self._view.namespace,
+                self._view.workload,
+                over=record,
+                admitted=name,
+                admitted_uid=uid,
+            )
+        except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
+            _logger.warning("letting %s through the gate: %r", name or "no standby", error)
+            return False
+        self._view.gates.put(policy)
+        return True
 
     async def _reread(self, begun: gates.GateRecord, uid: str, recovery: str) -> gates.GateRecord | None:
         """The gate as it is, after a refused or unanswered commit; our own commit may have been carried out."""
