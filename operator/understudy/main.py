@@ -1,4 +1,4 @@
-"""One command for the parts that run in pods: ``understudy operator | monitor | agent``."""
+"""One command for the parts that run in pods: ``understudy operator | monitor | agent | tasks | prepare``."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ _PARTS = {
     "operator": "understudy.controller.running",
     "monitor": "understudy.monitor.running",
     "agent": "understudy.agent.running",
+    "tasks": "understudy.tasks.running",
+    "prepare": "understudy.agent.preparing",
 }
 
 

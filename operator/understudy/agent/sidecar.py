@@ -10,6 +10,7 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
+from understudy.agent import preparing
 from understudy.agent.health import Health, Plan
 from understudy.agent.holds import Holds
 from understudy.agent.identity import Identity
@@ -165,6 +166,15 @@ class Sidecar:
         for container, variables in environment.items():
             if not _is_environment(variables):
                 raise Refused(f"environment of {container}: expected a mapping of variables to texts")
+        profiles = body.get("profiles") or ""
+        if not isinstance(profiles, str):
+            raise Refused(f"profiles: expected a text, not {type(profiles).__name__}")
+        if profiles:
+            try:
+                file = preparing.write(profiles, self._identity.directory, self._identity.pod)
+            except OSError as error:
+                raise Refused(f"writing the profiles: {error}") from error
+            ros = {**ros, names.PROFILES_VARIABLE: str(file)}
         bound = dataclasses.replace(
             self._memory,
             workload=peer.workload,

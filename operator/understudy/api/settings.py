@@ -38,6 +38,13 @@ class WorkloadSettings(Model):
         default_factory=dict,
         description="Per container of the template: the literal environment that a claimed pod is started with.",
     )
+    instance_profiles: str = Field(
+        default="", description="The profiles that a claimed pod is started with; empty where it needs none."
+    )
+    tasks_problem: str = Field(
+        default="",
+        description="Why the tasks, or some of them, have no proxy or one that can't do all; empty if it can.",
+    )
     pools: list[PoolChoice] = Field(
         default_factory=list, description="Pools named by the policy that serve this workload."
     )

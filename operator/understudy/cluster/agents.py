@@ -118,12 +118,16 @@ class AgentLink:
             body["probe"] = {"host": probe[0], "port": probe[1]}
         await self.request("configure", body)
 
-    async def start(self, environment: Mapping[str, Mapping[str, str]], ros: Mapping[str, str]) -> None:
+    async def start(
+        self, environment: Mapping[str, Mapping[str, str]], ros: Mapping[str, str], *, profiles: str = ""
+    ) -> None:
         """Start the held containers, each with its environment, in a robot's ROS graph.
+
+        ``profiles`` are DDS profiles for all processes of the pod, where they need any.
 
         Raises AgentRefused, when another claim was first among others, and AgentGone.
         """
-        await self.request("start", {"environment": environment, "ros": ros})
+        await self.request("start", {"environment": environment, "ros": ros, "profiles": profiles})
 
     async def probe(self, host: str, port: int, interval: float, duration: float) -> None:
         """Have it send a gate probe every ``interval`` seconds for ``duration`` seconds.

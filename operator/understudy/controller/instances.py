@@ -53,6 +53,24 @@ class Recipe:
     warm_paths: Sequence[str] = ()
     stripped: frozenset[str] = frozenset()
     """Label keys that must not be carried: a referred controller would adopt the pods."""
+    profiles: str = ""
+    """DDS profiles of its processes, which are in the workload's ConfigMap; empty where they need none."""
+
+    @property
+    def prepared(self) -> bool:
+        """Whether the profiles hold what only the pod itself can put in, before its processes start."""
+        return names.STRENGTH_VARIABLE in self.profiles
+
+    @property
+    def profiles_file(self) -> str:
+        """Where the pod's processes find their profiles."""
+        return f"{names.AGENT_DIR if self.prepared else names.INSTANCE_PROFILES_DIR}/{names.PROFILES_KEY}"
+
+    @property
+    def variables(self) -> dict[str, str]:
+        """The literal environment of the pod's processes."""
+        profiles = {names.PROFILES_VARIABLE: self.profiles_file} if self.profiles else {}
+        return {**(self.environment or robots.COMMON), **profiles}
 
 
 def problem(template: Mapping[str, Any], *, held: bool, path: str) -> str | None:
@@ -71,8 +89,8 @@ def problem(template: Mapping[str, Any], *, held: bool, path: str) -> str | None
         return f"{path}.spec.containers is empty: give at least one container"
     for index, container in enumerate(containers):
         at = f"{path}.spec.containers[{index}]"
-        if container.get("name") == names.AGENT_CONTAINER:
-            return f"{at}.name is {names.AGENT_CONTAINER}, which is the sidecar's name: take another"
+        if (taken := container.get("name")) in (names.AGENT_CONTAINER, names.INIT_CONTAINER):
+            return f"{at}.name is {taken}, which is a name of the sidecar's: take another"
         for port in container.get("ports") or []:
             if port.get("containerPort") in (names.AGENT_PORT, names.AGENT_HEALTH_PORT):
                 return f"{at} uses port {port['containerPort']}, which is the sidecar's: take another"
@@ -82,9 +100,18 @@ def problem(template: Mapping[str, Any], *, held: bool, path: str) -> str | None
                 f"command must be in the template (the image's own entry point can't be seen from here)"
             )
     for volume in spec.get("volumes") or []:
-        if volume.get("name") in (names.AGENT_VOLUME, _TOKEN_VOLUME):
+        if volume.get("name") in (names.AGENT_VOLUME, _TOKEN_VOLUME, names.INSTANCE_PROFILES_VOLUME):
             return f"{path}.spec.volumes has {volume['name']}, which is a name of the sidecar's: take another"
     return None
+
+
+def own_profiles(template: Mapping[str, Any]) -> list[str]:
+    """The containers that name DDS profiles of their own, which then count instead of ours."""
+    return [
+        container["name"]
+        for container in (template.get("spec") or {}).get("containers") or []
+        if any(entry.get("name") == names.PROFILES_VARIABLE for entry in container.get("env") or [])
+    ]
 
 
 def build(template: Mapping[str, Any], recipe: Recipe) -> Object:
@@ -98,6 +125,11 @@ def build(template: Mapping[str, Any], recipe: Recipe) -> Object:
         {"name": names.AGENT_VOLUME, "emptyDir": {}},
         {"name": _TOKEN_VOLUME, "secret": {"secretName": recipe.secret, "defaultMode": 0o444}},
     ]
+    if recipe.profiles:
+        config_map = {"name": names.instance_profiles(recipe.workload)}
+        spec["volumes"].append({"name": names.INSTANCE_PROFILES_VOLUME, "configMap": config_map})
+    if recipe.prepared:
+        spec["initContainers"] = [_prepare(recipe), *(spec.get("initContainers") or [])]
     _keep_apart(spec, recipe)
     _leave_lost_nodes(spec)
     found = template.get("metadata") or {}
@@ -106,6 +138,9 @@ def build(template: Mapping[str, Any], recipe: Recipe) -> Object:
     metadata: Object = {"labels": labels}
     if found.get("annotations"):
         metadata["annotations"] = dict(found["annotations"])
+    if recipe.profiles:
+        # A process that has read the profiles must start anew to read others.
+        metadata.setdefault("annotations", {})[names.PROFILES_HASH] = digest(recipe.profiles)
     built: Object = {"metadata": metadata, "spec": spec}
     labels[names.TEMPLATE_HASH] = digest(built)
     return built
@@ -182,10 +217,39 @@ def literal_environment(template: Mapping[str, Any], ros: Mapping[str, str]) -> 
 
 def _container(container: Object, recipe: Recipe) -> Object:
     given = {entry["name"] for entry in container.get("env") or []}
-    environment = recipe.environment or robots.COMMON
-    added = [{"name": key, "value": value} for key, value in sorted(environment.items()) if key not in given]
+    added = [entry for entry in _plain(recipe.variables) if entry["name"] not in given]
     made = {**container, "env": [*(container.get("env") or []), *added]}
+    if recipe.profiles:
+        if names.POD_VARIABLE not in given:
+            made["env"].append(_field(names.POD_VARIABLE, "metadata.name"))
+        made["volumeMounts"] = [*(container.get("volumeMounts") or []), _profiles_mount(recipe)]
     return _held(made, recipe) if recipe.held else made
+
+
+def _profiles_mount(recipe: Recipe) -> Object:
+    volume, folder = (
+        (names.AGENT_VOLUME, names.AGENT_DIR)
+        if recipe.prepared
+        else (names.INSTANCE_PROFILES_VOLUME, names.INSTANCE_PROFILES_DIR)
+    )
+    return {"name": volume, "mountPath": folder, "readOnly": True}
+
+
+def _prepare(recipe: Recipe) -> Object:
+    """The init container that fills in the profiles, before the application's own ones."""
+    return {
+        "name": names.INIT_CONTAINER,
+        "image": recipe.images.monitor,
+        "imagePullPolicy": recipe.images.pull_policy,
+        "args": ["prepare"],
+        "env": [_field(names.POD_VARIABLE, "metadata.name")],
+        "resources": {"requests": dict(AGENT_REQUESTS)},
+        "securityContext": copy.deepcopy(HARDENED),
+        "volumeMounts": [
+            {"name": names.AGENT_VOLUME, "mountPath": names.AGENT_DIR},
+            {"name": names.INSTANCE_PROFILES_VOLUME, "mountPath": names.INSTANCE_PROFILES_DIR, "readOnly": True},
+        ],
+    }
 
 
 def _held(container: Object, recipe: Recipe) -> Object:
@@ -221,8 +285,9 @@ def _agent(recipe: Recipe, held: Sequence[str]) -> Object:
         "UNDERSTUDY_HELD_CONTAINERS": " ".join(held),
         "HOME": names.AGENT_DIR,
         "ROS_LOG_DIR": f"{names.AGENT_DIR}/log",
-        **robots.introspecting(recipe.environment or robots.COMMON),
+        **robots.introspecting(recipe.variables),
     }
+    profiles = [_profiles_mount(recipe)] if recipe.profiles and not recipe.prepared else []
     return {
         "name": names.AGENT_CONTAINER,
         "image": recipe.images.monitor,
@@ -249,6 +314,7 @@ def _agent(recipe: Recipe, held: Sequence[str]) -> Object:
         "volumeMounts": [
             {"name": names.AGENT_VOLUME, "mountPath": names.AGENT_DIR},
             {"name": _TOKEN_VOLUME, "mountPath": names.SECRET_DIR, "readOnly": True},
+            *profiles,
         ],
     }
 

@@ -17,6 +17,8 @@ from understudy.controller.instances import HARDENED
 
 STATE_DIR = "/var/lib/understudy"
 _REQUESTS = {"cpu": "20m", "memory": "96Mi"}
+_TASKS_REQUESTS = {"cpu": "20m", "memory": "96Mi"}
+_TASKS_MOUNT: Object = {"name": "tasks", "mountPath": names.TASKS_DIR}
 _RBAC = "rbac.authorization.k8s.io"
 
 
@@ -32,10 +34,13 @@ def deployment(
     images: Images,
     environment: Mapping[str, str],
     profiles: str,
+    *,
+    tasks: bool = False,
 ) -> Object:
     """The monitor. Its readers have the gated ports, so that it sees what the robot sees.
 
     ``profiles`` is the text of the profile file: when that changes, a process that has read it must start anew.
+    ``tasks`` is whether there is a task proxy beside it.
     """
     fixed = {
         "UNDERSTUDY_WORKLOAD": workload,
@@ -45,7 +50,7 @@ def deployment(
         "FASTRTPS_DEFAULT_PROFILES_FILE": robots.PROFILES_FILE,
         **robots.introspecting(environment),
     }
-    container = {
+    container: Object = {
         "name": "monitor",
         "image": settings.image or images.monitor,
         "imagePullPolicy": images.pull_policy,
@@ -74,6 +79,11 @@ def deployment(
             {"name": "profiles", "mountPath": robots.PROFILES_DIR, "readOnly": True},
         ],
     }
+    containers, shared = [container], []
+    if tasks:
+        container["volumeMounts"].append(dict(_TASKS_MOUNT))
+        containers.append(_tasks(workload, namespace, settings, images, environment))
+        shared.append({"name": _TASKS_MOUNT["name"], "emptyDir": {}})
     return {
         "apiVersion": "apps/v1",
         "kind": "Deployment",
@@ -85,7 +95,7 @@ def deployment(
             "template": {
                 "metadata": {
                     "labels": labels(workload),
-                    "annotations": {f"{GROUP}/profiles-hash": digest(profiles)},
+                    "annotations": {names.PROFILES_HASH: digest(profiles)},
                 },
                 "spec": {
                     "serviceAccountName": names.monitor_account(workload),
@@ -93,14 +103,41 @@ def deployment(
                     "enableServiceLinks": False,
                     "terminationGracePeriodSeconds": 5,
                     "tolerations": TOLERATIONS,
-                    "containers": [container],
+                    "containers": containers,
                     "volumes": [
                         {"name": "state", "emptyDir": {}},
                         {"name": "profiles", "configMap": {"name": names.robot_profiles(workload)}},
+                        *shared,
                     ],
                 },
             },
         },
+    }
+
+
+def _tasks(
+    workload: str, namespace: str, settings: MonitorSettings, images: Images, environment: Mapping[str, str]
+) -> Object:
+    """The task proxy: a process of its own, since it must answer clients while the monitor is busy with a failure.
+
+    It has no profiles: two processes of a pod can't have the same gated ports, and its servers are in no partition.
+    """
+    fixed = {
+        "UNDERSTUDY_WORKLOAD": workload,
+        "UNDERSTUDY_NAMESPACE": namespace,
+        "HOME": STATE_DIR,
+        "ROS_LOG_DIR": f"{STATE_DIR}/log",
+        **environment,
+    }
+    return {
+        "name": names.TASKS_CONTAINER,
+        "image": settings.image or images.monitor,
+        "imagePullPolicy": images.pull_policy,
+        "args": ["tasks"],
+        "env": [{"name": key, "value": value} for key, value in sorted(fixed.items())],
+        "resources": {"requests": dict(_TASKS_REQUESTS)},
+        "securityContext": HARDENED,
+        "volumeMounts": [{"name": "state", "mountPath": STATE_DIR}, dict(_TASKS_MOUNT)],
     }
 
 

@@ -42,6 +42,7 @@ from understudy.controller import (
     pools,
     references,
     robots,
+    tasking,
 )
 from understudy.controller.desired import Apply, Create, Delete, Images, Patch, Plan, Problem
 from understudy.controller.pools import Fresh
@@ -105,6 +106,8 @@ class Understanding:
     template: Mapping[str, Any] = field(default_factory=dict)
     environment: Mapping[str, str] | None = None
     """ROS environment; None while the discovery server's address isn't known."""
+    profiles: str = ""
+    """DDS profiles of the instances; empty where they need none."""
     builts: Mapping[str, Object] = field(default_factory=dict)
     """Built pod templates: of its own ReplicaSet ("") and of the standbys of each pool."""
 
@@ -173,6 +176,7 @@ def understand(observed: Observed, images: Images) -> Understanding:
         return Understanding(spec=spec, policy_problem=policy, template=template)
     environment = robots.ros_environment(spec.ros, address)
     own_images = Images(spec.monitor.image or images.monitor, images.pull_policy)
+    profiles = tasking.instance_profiles(spec)
 
     def build(pool: str) -> Object:
         recipe = instances.Recipe(
@@ -183,13 +187,14 @@ def understand(observed: Observed, images: Images) -> Understanding:
             environment=environment,
             pool=pool,
             stripped=stripped,
+            profiles=profiles,
         )
         return instances.build(template, recipe)
 
     builts = {pool: build(pool) for pool in standby_pools(observed)}
     if spec.template is not None:
         builts[""] = build("")
-    return Understanding(spec, None, policy, template, environment, builts)
+    return Understanding(spec, None, policy, template, environment, profiles, builts)
 
 
 def probe_template(observed: Observed, understanding: Understanding) -> Object | None:
@@ -289,10 +294,13 @@ def _configure(made: Plan, observed: Observed, understanding: Understanding, env
     name = objects.name(observed.workload)
     for body in robots.config_maps(name, environment, understanding.spec.outputs):
         made.writes.append(_ours(observed, CONFIG_MAPS, body))
+    if understanding.profiles:
+        made.writes.append(_ours(observed, CONFIG_MAPS, tasking.profiles_map(name, understanding.profiles)))
     made.writes.append(_ours(observed, CONFIG_MAPS, _settings(observed, understanding, environment)))
 
 
 def _settings(observed: Observed, understanding: Understanding, environment: Mapping[str, str]) -> Object:
+    assert understanding.spec is not None
     workload = observed.workload
     kind, name = _source(observed, understanding)
     selector: dict[str, str] = {}
@@ -307,6 +315,8 @@ def _settings(observed: Observed, understanding: Understanding, environment: Map
         source_selector=selector,
         ros_environment=dict(environment),
         container_environment=instances.literal_environment(understanding.template, environment),
+        instance_profiles=understanding.profiles,
+        tasks_problem=tasking.problem(objects.name(workload), understanding.spec, understanding.template),
         pools=_choices(observed, understanding),
     )
     # sorted and indented, since people read it when they look for why
@@ -361,7 +371,9 @@ def _monitor(
     for kind, body in monitors.access(name, source=_source(observed, understanding), pools=shared):
         made.writes.append(_ours(observed, _BY_KIND[kind], body))
     profiles = robots.config_maps(name, environment, spec.outputs)[1]["data"][robots.PROFILES_KEY]
-    body = monitors.deployment(name, namespace, spec.monitor, images, environment, profiles)
+    body = monitors.deployment(
+        name, namespace, spec.monitor, images, environment, profiles, tasks=tasking.proxied(spec)
+    )
     made.writes.append(_ours(observed, DEPLOYMENTS, body))
 
 

@@ -167,7 +167,9 @@ class Sidecars:
         while True:
             link = await self._connected(instance)
             try:
-                await link.start(settings.container_environment, settings.ros_environment)
+                await link.start(
+                    settings.container_environment, settings.ros_environment, profiles=settings.instance_profiles
+                )
                 break
             except AgentGone as error:
                 _logger.warning("start of %s: %s", instance.name, error)

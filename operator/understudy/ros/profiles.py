@@ -1,8 +1,14 @@
-"""The XML profile that gives each gated reader a UDP port of its own.
+"""The XML profiles of the robot's side and of the instances.
+
+On the robot's side each gated reader has a UDP port of its own.
 
 A reader's port is what a NetworkPolicy can tell apart: with a fixed port per reader, all on the robot's side, a
 policy closes exactly the outputs of a standby and leaves discovery, acknowledgements and everything it receives open.
-Fast DDS picks a reader's profile by the name of its DDS topic, so no source is changed.
+
+In an instance the endpoints of its tasks are in a DDS partition of its pod's own: its clients see the task proxy's server
+only, and its own agent alone reaches what it serves.
+
+Fast DDS picks an endpoint's profile by the name of its DDS topic, so no source is changed.
 
 Imports no ROS: the operator writes these profiles too.
 """
@@ -13,10 +19,14 @@ from collections.abc import Iterable
 from xml.sax.saxutils import quoteattr
 
 from understudy.api import names
+from understudy.api.tasks import Task
 from understudy.api.workloads import Output
 
 _ACTION_SERVICES = ("send_goal", "get_result", "cancel_goal")
 _ACTION_TOPICS = ("feedback", "status")
+
+PARTITION = f"understudy-${{{names.POD_VARIABLE}}}"
+"""The partition of a pod's tasks. Fast DDS puts in the variable of the process that reads the file."""
 
 
 def reader_profiles(output: Output) -> list[str]:
@@ -75,14 +85,36 @@ def profiles_xml(outputs: Iterable[Output]) -> str:
     Raises ValueError as :func:`gate_ports` does.
     """
     readers = "".join(_READER.format(name=quoteattr(name), port=port) for name, port in gate_ports(outputs).items())
-    return _FILE.format(readers=readers)
+    return _FILE.format(profiles=readers)
+
+
+def instance_profiles_xml(tasks: Iterable[Task]) -> str:
+    """The profile file for the processes of an instance and its agent; empty where nothing needs one.
+
+    rmw_fastrtps keeps the partition that a profile sets, for readers and writers both. What differs from pod to pod is
+    left as variables (see api/filling.py).
+    """
+    endpoints = [name for task in tasks for name in _action_endpoints(task.action)]
+    if not endpoints:
+        return ""
+    profiles = "".join(
+        _PARTITIONED.format(kind=kind, name=quoteattr(name), partition=PARTITION)
+        for name in endpoints
+        for kind in ("data_reader", "data_writer")
+    )
+    return _FILE.format(profiles=profiles)
+
+
+def _action_endpoints(action: str) -> list[str]:
+    """The profile names of all readers and writers of an action's server and clients."""
+    return reader_profiles(Output(action=action, type="action_msgs/action/Any"))
 
 
 _FILE = """\
 <?xml version="1.0" encoding="UTF-8"?>
 <dds xmlns="http://www.eprosima.com">
   <profiles>
-{readers}  </profiles>
+{profiles}  </profiles>
 </dds>
 """
 
@@ -90,4 +122,10 @@ _READER = """\
     <data_reader profile_name={name}>
       <unicastLocatorList><locator><udpv4><port>{port}</port></udpv4></locator></unicastLocatorList>
     </data_reader>
+"""
+
+_PARTITIONED = """\
+    <{kind} profile_name={name}>
+      <qos><partition><names><name>{partition}</name></names></partition></qos>
+    </{kind}>
 """

@@ -5,8 +5,9 @@ from xml.etree import ElementTree
 import pytest
 
 from understudy.api import names
+from understudy.api.tasks import Task
 from understudy.api.workloads import Output
-from understudy.ros.profiles import gate_ports, profiles_xml
+from understudy.ros.profiles import gate_ports, instance_profiles_xml, profiles_xml
 
 CMD_VEL = Output(topic="/cmd_vel", type="geometry_msgs/msg/Twist")
 SNAP = Output(service="/snap", type="std_srvs/srv/Trigger")
@@ -71,3 +72,25 @@ def test_names_are_escaped():
     odd = Output.model_construct(topic='/a"<b', service=None, action=None, type="std_msgs/msg/String")
     root = ElementTree.fromstring(profiles_xml([odd]))
     assert [r.attrib["profile_name"] for r in root.iter("{http://www.eprosima.com}data_reader")] == ['/a"<b']
+
+
+def test_every_endpoint_of_a_task_is_in_its_pods_partition():
+    text = instance_profiles_xml([Task(action="/goto", type="test_msgs/action/Fibonacci")])
+    root = ElementTree.fromstring(text)
+    partitions = {
+        (entry.tag.partition("}")[2], entry.get("profile_name")): "".join(entry.itertext()).strip()
+        for entry in root.iter()
+        if entry.get("profile_name")
+    }
+    assert {name for kind, name in partitions if kind == "data_reader"} == {
+        *(f"rq/goto/_action/{service}Request" for service in ("send_goal", "get_result", "cancel_goal")),
+        *(f"rr/goto/_action/{service}Reply" for service in ("send_goal", "get_result", "cancel_goal")),
+        "/goto/_action/feedback",
+        "/goto/_action/status",
+    }
+    assert len(partitions) == 16
+    assert set(partitions.values()) == {"understudy-${UNDERSTUDY_POD}"}
+
+
+def test_without_tasks_there_are_no_profiles_for_instances():
+    assert instance_profiles_xml([]) == ""

@@ -1,0 +1,43 @@
+"""``understudy prepare``: an init container that writes the profiles of its pod before any of its processes reads them.
+
+Only pods whose profiles hold what isn't known before they start have it.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+from understudy.agent.holds import write_atomically
+from understudy.api import filling, names
+
+
+def main(argv: list[str]) -> int:
+    """Fill in the mounted profiles and write them into the pod's shared volume."""
+    if argv:
+        print(f"understudy prepare: unexpected {' '.join(argv)}; it takes no arguments", file=sys.stderr)
+        return 2
+    source = Path(os.environ.get("UNDERSTUDY_PROFILES", f"{names.INSTANCE_PROFILES_DIR}/{names.PROFILES_KEY}"))
+    try:
+        write(
+            source.read_text(),
+            Path(os.environ.get("UNDERSTUDY_DIR", names.AGENT_DIR)),
+            os.environ.get(names.POD_VARIABLE, ""),
+        )
+    except OSError as error:
+        print(f"understudy prepare: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def write(profiles: str, directory: Path, pod: str) -> Path:
+    """Write the profiles of a pod; the file. What was written before stays, since processes have read it.
+
+    Raises OSError.
+    """
+    path = directory / names.PROFILES_KEY
+    if not path.exists():
+        # for all users: the application's processes have users of their own
+        write_atomically(path, filling.variables(profiles, {names.POD_VARIABLE: pod}), 0o644)
+    return path

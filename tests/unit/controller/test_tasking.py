@@ -1,0 +1,95 @@
+"""Tasks change the pods of the workloads that have some, and of no others."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+from typing import Any
+
+import pytest
+
+from tests.unit.controller.world import IMAGES, TEMPLATE, World, applied, hot, policy, workload
+from understudy.api import names
+from understudy.api.tasks import Task
+from understudy.api.workloads import RobotWorkloadSpec
+from understudy.cluster.client import Object
+from understudy.controller import instances, tasking
+from understudy.ros.profiles import instance_profiles_xml
+
+TASKS = [{"action": "/goto", "type": "test_msgs/action/Fibonacci"}]
+PROFILES = instance_profiles_xml([Task.model_validate(TASKS[0])])
+RECIPE = instances.Recipe(workload="w", namespace="fleet", images=IMAGES, secret="w-agent", profiles=PROFILES)
+
+
+def env(container: Object, name: str) -> Any:
+    return next((entry for entry in container["env"] if entry["name"] == name), None)
+
+
+def mounts(container: Object) -> dict[str, str]:
+    return {mount["name"]: mount["mountPath"] for mount in container["volumeMounts"]}
+
+
+class TestPods:
+    def test_the_application_and_its_agent_read_the_profiles_with_the_pods_name(self) -> None:
+        spec = instances.build(TEMPLATE, RECIPE)["spec"]
+        for container in spec["containers"]:
+            path = env(container, names.PROFILES_VARIABLE)["value"]
+            assert path == f"{mounts(container)[names.INSTANCE_PROFILES_VOLUME]}/{names.PROFILES_KEY}"
+            assert env(container, names.POD_VARIABLE)["valueFrom"]["fieldRef"]["fieldPath"] == "metadata.name"
+        volume = next(v for v in spec["volumes"] if v["name"] == names.INSTANCE_PROFILES_VOLUME)
+        assert volume["configMap"]["name"] == "w-instance-profiles"
+        assert "initContainers" not in spec
+
+    def test_what_only_the_pod_knows_is_put_in_before_its_processes_start(self) -> None:
+        recipe = dataclasses.replace(RECIPE, profiles=PROFILES + f"<!-- ${{{names.STRENGTH_VARIABLE}}} -->")
+        template = copy.deepcopy(TEMPLATE)
+        template["spec"]["initContainers"] = [{"name": "mine", "image": "app"}]
+        spec = instances.build(template, recipe)["spec"]
+        first, second = spec["initContainers"]
+        assert (first["name"], first["args"], second["name"]) == (names.INIT_CONTAINER, ["prepare"], "mine")
+        for container in spec["containers"]:
+            assert env(container, names.PROFILES_VARIABLE)["value"] == "/understudy/profiles.xml"
+            assert mounts(container)[names.AGENT_VOLUME] == "/understudy"
+
+    def test_other_profiles_are_other_pods(self) -> None:
+        other = dataclasses.replace(RECIPE, profiles=PROFILES.replace("goto", "dock"))
+        hashes = {instances.template_hash(instances.build(TEMPLATE, recipe)) for recipe in (RECIPE, other)}
+        assert len(hashes) == 2
+
+    def test_a_container_keeps_profiles_of_its_own_and_it_is_said(self) -> None:
+        template = copy.deepcopy(TEMPLATE)
+        template["spec"]["containers"][0]["env"] = [{"name": names.PROFILES_VARIABLE, "value": "/mine.xml"}]
+        app = instances.build(template, RECIPE)["spec"]["containers"][0]
+        assert [e["value"] for e in app["env"] if e["name"] == names.PROFILES_VARIABLE] == ["/mine.xml"]
+        spec = RobotWorkloadSpec.model_validate(workload("w", tasks=TASKS)["spec"])
+        words = tasking.problem("w", spec, template)
+        assert f"container {template['spec']['containers'][0]['name']} sets {names.PROFILES_VARIABLE}" in words
+        assert "w-instance-profiles" in words
+        assert tasking.problem("w", spec, TEMPLATE) == ""
+
+
+class TestWorkloads:
+    @pytest.mark.parametrize("tasks", [[], TASKS])
+    def test_the_proxy_and_the_profiles_are_there_only_with_tasks(self, tasks: list[Object]) -> None:
+        world = World(workload("w", tasks=tasks), policy("hot"), hot())
+        plan = world.plan()
+        pod = applied(plan, "deployments")["w-monitor"]["spec"]["template"]["spec"]
+        containers = {container["name"]: container for container in pod["containers"]}
+        config = applied(plan, "configmaps")
+        assert ("tasks" in containers) == ("w-instance-profiles" in config) == bool(tasks)
+        template = applied(plan, "replicasets")["w"]["spec"]["template"]
+        assert (env(template["spec"]["containers"][0], names.PROFILES_VARIABLE) is not None) == bool(tasks)
+        if tasks:
+            proxy = containers["tasks"]
+            assert proxy["args"] == ["tasks"]
+            assert mounts(proxy).items() >= {"tasks": "/run/understudy", "state": "/var/lib/understudy"}.items()
+            assert mounts(containers["monitor"])["tasks"] == "/run/understudy"
+            assert env(proxy, names.PROFILES_VARIABLE) is None
+            assert config["w-instance-profiles"]["data"]["profiles.xml"] == PROFILES
+
+    def test_a_referred_controllers_pods_have_no_proxy_and_it_is_said(self) -> None:
+        reference = {"kind": "Deployment", "name": "arm"}
+        spec = RobotWorkloadSpec.model_validate(workload("w", tasks=TASKS, workloadRef=reference)["spec"])
+        assert tasking.instance_profiles(spec) == ""
+        assert not tasking.proxied(spec)
+        assert "the pods of Deployment arm serve /goto themselves" in tasking.problem("w", spec, TEMPLATE)
