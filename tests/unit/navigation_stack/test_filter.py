@@ -1,0 +1,102 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from navigation_stack.filter import ParticleFilter
+from navigation_stack.grid import Grid
+from navigation_stack.poses import Pose
+from navigation_world import generate
+
+from tests.unit.navigation_stack.drives import BEARINGS, as_pose, cast, charted
+
+HERE = Pose(0.0, 0.0, 0.0)
+NARROW = np.diag([1e-4, 1e-4, 1e-4]).tolist()
+
+
+def room() -> Grid:
+    cells = np.zeros((40, 60), np.int8)
+    cells[[0, -1], :] = 100
+    cells[:, [0, -1]] = 100
+    return Grid(cells, 0.1, -1.0, -2.0)
+
+
+def test_it_begins_where_it_is_told_with_the_covariance_it_is_told() -> None:
+    particles = ParticleFilter(room(), particles=20_000, seed=1)
+    wanted = [[0.04, 0.01, 0.0], [0.01, 0.02, 0.0], [0.0, 0.0, 0.01]]
+    particles.spread(Pose(1.0, 0.5, 3.0), wanted)
+    pose, covariance = particles.estimate()
+    assert pose == pytest.approx((1.0, 0.5, 3.0), abs=0.01)
+    assert covariance == pytest.approx(np.array(wanted), abs=2e-3)
+
+
+def test_motion_is_in_the_robots_own_frame_and_widens_the_spread() -> None:
+    particles = ParticleFilter(room(), seed=1)
+    particles.spread(Pose(1.0, 0.0, math.pi / 2), NARROW)
+    before = particles.estimate()[1]
+    for _ in range(10):
+        particles.move(Pose(0.05, 0.0, 0.0))
+    pose, covariance = particles.estimate()
+    assert pose == pytest.approx((1.0, 0.5, math.pi / 2), abs=0.02)
+    assert covariance[1, 1] > before[1, 1]
+
+
+def test_a_scan_corrects_it() -> None:
+    world = generate(7)
+    truth = as_pose(world.start)
+    particles = ParticleFilter(charted(world), seed=1)
+    particles.spread(truth.then(Pose(0.15, 0.15, 0.1)), np.diag([0.02, 0.02, 0.02]).tolist())
+    scan = cast(world, truth)
+    for _ in range(20):
+        particles.move(HERE)
+        particles.sense(scan, BEARINGS, HERE)
+    pose, _ = particles.estimate()
+    assert pose.distance(truth) < 0.05
+    assert pose.heading == pytest.approx(truth.heading, abs=0.03)
+
+
+def test_where_the_laser_is_mounted_counts() -> None:
+    world = generate(7)
+    truth = as_pose(world.start)
+    mount = Pose(0.1, 0.0, math.pi / 2)
+    particles = ParticleFilter(charted(world), seed=1)
+    particles.spread(truth, np.diag([0.01, 0.01, 0.01]).tolist())
+    scan = cast(world, truth.then(mount))
+    for _ in range(20):
+        particles.move(HERE)
+        particles.sense(scan, BEARINGS, mount)
+    assert particles.estimate()[0].distance(truth) < 0.05
+
+
+def test_a_wrong_place_far_away_stays_wrong() -> None:
+    """There is no global search: this is why the pose has to be restored."""
+    world = generate(7)
+    truth, elsewhere = as_pose(world.start), as_pose(world.goals(1)[0])
+    particles = ParticleFilter(charted(world), seed=1)
+    particles.spread(elsewhere, NARROW)
+    for _ in range(20):
+        particles.move(HERE)
+        particles.sense(cast(world, truth), BEARINGS, HERE)
+    assert particles.estimate()[0].distance(truth) > 1.0
+
+
+def test_a_scan_that_sees_nothing_changes_nothing() -> None:
+    particles = ParticleFilter(room(), seed=1)
+    particles.spread(Pose(1.0, 0.5, 0.0), NARROW)
+    before = particles.estimate()[0]
+    particles.sense(np.full(360, np.inf, np.float32), np.linspace(0, 6, 360, dtype=np.float32), HERE)
+    assert particles.estimate()[0] == before
+
+
+def test_a_pose_outside_of_the_map_does_not_break_it() -> None:
+    particles = ParticleFilter(room(), seed=1)
+    particles.spread(Pose(100.0, -50.0, 0.0), NARROW)
+    particles.sense(np.full(360, 2.0, np.float32), np.linspace(0, 6, 360, dtype=np.float32), HERE)
+    assert particles.estimate()[0].x == pytest.approx(100.0, abs=0.5)
+
+
+@pytest.mark.parametrize("covariance", [[[1.0, 0.0], [0.0, 1.0]], np.full((3, 3), np.nan).tolist()])
+def test_a_covariance_that_is_none_is_refused(covariance: list[list[float]]) -> None:
+    with pytest.raises(ValueError, match="covariance: a finite 3 by 3 matrix"):
+        ParticleFilter(room()).spread(HERE, covariance)
