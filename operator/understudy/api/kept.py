@@ -80,8 +80,8 @@ class ParameterValues:
 
     @property
     def name(self) -> str:
-        """The node."""
-        return self.node
+        """What it is called in reports."""
+        return f"{self.node} (parameters)"
 
     def to_wire(self) -> dict[str, Any]:
         """As it is sent."""
@@ -105,8 +105,8 @@ class LifecycleState:
 
     @property
     def name(self) -> str:
-        """The node."""
-        return self.node
+        """What it is called in reports."""
+        return f"{self.node} (lifecycle)"
 
     def to_wire(self) -> dict[str, Any]:
         """As it is sent."""
@@ -124,7 +124,7 @@ class NotRestored:
     """Something that the policy keeps and that the instance was not given."""
 
     name: str
-    """Topic or node."""
+    """Topic, or node with what of it."""
     reason: str
     failed: bool = True
     """Whether giving it was tried; it was not where it is too old or was never kept."""
@@ -172,7 +172,7 @@ class KeptState:
             tuple(s for s in self.samples if s.topic in names or s.to in names),
             tuple(p for p in self.parameters if p.node in names),
             tuple(n for n in self.lifecycle if n.node in names),
-            tuple(n for n in self.left_out if n.name in names),
+            tuple(n for n in self.left_out if n.name.split(" ")[0] in names),
         )
 
     def newer_than(self, times: Mapping[str, float]) -> KeptState:
@@ -214,7 +214,7 @@ class Restored:
     """Something that an instance was given."""
 
     name: str
-    """Topic or node."""
+    """Topic, or node with what of it."""
     taken_at: float
     """When it was taken of the healthy instance."""
 
