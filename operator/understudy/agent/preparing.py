@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import os
 import sys
+import time
 from pathlib import Path
 
 from understudy.agent.holds import write_atomically
 from understudy.api import filling, names
+from understudy.api.strengths import strength
 
 
 def main(argv: list[str]) -> int:
@@ -39,5 +41,6 @@ def write(profiles: str, directory: Path, pod: str) -> Path:
     path = directory / names.PROFILES_KEY
     if not path.exists():
         # for all users: the application's processes have users of their own
-        write_atomically(path, filling.variables(profiles, {names.POD_VARIABLE: pod}), 0o644)
+        values = {names.POD_VARIABLE: pod, names.STRENGTH_VARIABLE: str(strength(time.time()))}
+        write_atomically(path, filling.variables(profiles, values), 0o644)
     return path

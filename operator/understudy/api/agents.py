@@ -97,6 +97,8 @@ class AgentStatus:
     configured: bool = False
     """Whether it has a health tree."""
     outputs: Mapping[str, OutputCount] = field(default_factory=dict)
+    strength: tuple[int, int] | None = None
+    """Least and greatest ownership strength that its writers may have; None where they have none, or none is up."""
 
     def to_wire(self) -> dict[str, Any]:
         """As it is sent."""
@@ -109,6 +111,7 @@ class AgentStatus:
             "readyAt": self.ready_at,
             "configured": self.configured,
             "outputs": {topic: {"count": o.count, "last": o.last} for topic, o in self.outputs.items()},
+            **({"strength": list(self.strength)} if self.strength else {}),
         }
 
     @classmethod
@@ -118,6 +121,7 @@ class AgentStatus:
         Raises ProtocolError when it is no status.
         """
         try:
+            strength = data.get("strength")
             return cls(
                 phase=data["phase"],
                 ready=bool(data["ready"]),
@@ -129,6 +133,7 @@ class AgentStatus:
                 outputs={
                     topic: OutputCount(int(o["count"]), o.get("last")) for topic, o in data.get("outputs", {}).items()
                 },
+                strength=(int(strength[0]), int(strength[1])) if strength else None,
             )
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
+        except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
             raise ProtocolError(f"not a status: {error!r} in {data!r:.200}") from error

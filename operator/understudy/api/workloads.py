@@ -217,6 +217,13 @@ class RobotWorkloadSpec(Model):
                 for kind in ("topic", "service", "action")
             ),
             (
+                "(has(self.gate) && has(self.gate.reflex)) == (has(oldSelf.gate) && has(oldSelf.gate.reflex)) && "
+                "(!has(self.gate) || !has(self.gate.reflex) || self.gate.reflex.deadline == oldSelf.gate.reflex.deadline)",
+                "gate.reflex and its deadline can't be changed: the robot's processes and the pods that run have read theirs, and "
+                "wouldn't hear each other. Delete the RobotWorkload, create it anew and restart the robot's processes",
+                ".gate",
+            ),
+            (
                 "!has(self.tasks) || self.tasks.all(a, self.tasks.exists_one(b, b.action == a.action))",
                 "tasks has the same action twice",
                 ".tasks",
@@ -284,7 +291,9 @@ class Moments(Model):
 class Attempt(Model):
     """One strategy that was tried in a recovery."""
 
-    strategy: str = Field(description="Fallback/Executing, Fallback/Uninitialized or Restart.")
+    strategy: str = Field(
+        description="Fallback/Executing, Fallback/Executing (reflex), Fallback/Initialized, Fallback/Uninitialized or Restart."
+    )
     pod: str = Field(default="", description="The understudy.")
     result: Literal["Verified", "NotVerified", "NotAvailable"] = Field(description="How it ended.")
     message: str = Field(default="", description="Why.")
@@ -352,6 +361,7 @@ class RobotWorkloadStatus(Model):
         default=None,
         description="Accepted: spec and policy can be followed. Reconciled: everything was built. Protected: the first strategy could "
         "take over now. Monitored: every topic of the health tree is watched. Healthy: the tree holds. GateEnforced: packets show that "
-        "only the pod in control gets through. Recovering: a failure is being dealt with.",
+        "only the pod in control gets through. Recovering: a failure is being dealt with. Reflex: a standby is let through, so that the "
+        "robot's readers can fall over to it.",
         json_schema_extra={"x-kubernetes-list-type": "map", "x-kubernetes-list-map-keys": ["type"]},
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from understudy.api import names
-from understudy.api.workloads import Output, Ros
+from understudy.api.workloads import Output, Reflex, Ros
 from understudy.cluster.client import Object
 from understudy.ros.profiles import profiles_xml
 
@@ -36,7 +36,9 @@ def introspecting(environment: Mapping[str, str]) -> dict[str, str]:
     return {**environment, **({"ROS_SUPER_CLIENT": "TRUE"} if "ROS_DISCOVERY_SERVER" in environment else {})}
 
 
-def config_maps(workload: str, environment: Mapping[str, str], outputs: Sequence[Output]) -> list[Object]:
+def config_maps(
+    workload: str, environment: Mapping[str, str], outputs: Sequence[Output], reflex: Reflex | None = None
+) -> list[Object]:
     """What the robot's side takes in: environment (``envFrom``) and profiles (mounted at PROFILES_DIR).
 
     Raises ValueError where the gated ports don't suffice for the outputs.
@@ -52,6 +54,6 @@ def config_maps(workload: str, environment: Mapping[str, str], outputs: Sequence
             "apiVersion": "v1",
             "kind": "ConfigMap",
             "metadata": {"name": names.robot_profiles(workload)},
-            "data": {PROFILES_KEY: profiles_xml(outputs)},
+            "data": {PROFILES_KEY: profiles_xml(outputs, reflex)},
         },
     ]

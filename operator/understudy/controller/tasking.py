@@ -19,7 +19,7 @@ def proxied(spec: RobotWorkloadSpec) -> bool:
 
 def instance_profiles(spec: RobotWorkloadSpec) -> str:
     """The DDS profiles of the instances; empty where they need none."""
-    return instance_profiles_xml(spec.tasks if proxied(spec) else [])
+    return instance_profiles_xml(spec.tasks if proxied(spec) else [], spec.outputs, spec.gate.reflex)
 
 
 def profiles_map(workload: str, profiles: str) -> Object:

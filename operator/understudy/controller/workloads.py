@@ -41,6 +41,7 @@ from understudy.controller import (
     policies,
     pools,
     references,
+    reflexes,
     robots,
     tasking,
 )
@@ -170,6 +171,8 @@ def understand(observed: Observed, images: Images) -> Understanding:
         stripped = references.label_keys(referred)
     if words := instances.problem(template, held=False, path=path):
         return refuse(Problem("TemplateInvalid", words))
+    if words := reflexes.problem(spec, template):
+        return refuse(Problem("ReflexUnsafe", words))
     service = observed.owned.get(("services", names.discovery(name)))
     address = discovery.address(service)
     if spec.ros.discovery.mode == "Managed" and address is None:
@@ -292,7 +295,8 @@ def _gate(made: Plan, observed: Observed, spec: RobotWorkloadSpec) -> None:
 def _configure(made: Plan, observed: Observed, understanding: Understanding, environment: Mapping[str, str]) -> None:
     assert understanding.spec is not None
     name = objects.name(observed.workload)
-    for body in robots.config_maps(name, environment, understanding.spec.outputs):
+    spec = understanding.spec
+    for body in robots.config_maps(name, environment, spec.outputs, spec.gate.reflex):
         made.writes.append(_ours(observed, CONFIG_MAPS, body))
     if understanding.profiles:
         made.writes.append(_ours(observed, CONFIG_MAPS, tasking.profiles_map(name, understanding.profiles)))
@@ -370,7 +374,7 @@ def _monitor(
     shared = [choice.name for choice in _choices(observed, understanding) if choice.readiness == "Uninitialized"]
     for kind, body in monitors.access(name, source=_source(observed, understanding), pools=shared):
         made.writes.append(_ours(observed, _BY_KIND[kind], body))
-    profiles = robots.config_maps(name, environment, spec.outputs)[1]["data"][robots.PROFILES_KEY]
+    profiles = robots.config_maps(name, environment, spec.outputs, spec.gate.reflex)[1]["data"][robots.PROFILES_KEY]
     body = monitors.deployment(
         name, namespace, spec.monitor, images, environment, profiles, tasks=tasking.proxied(spec)
     )

@@ -34,6 +34,8 @@ class Progress(Model):
     failed: list[PodIdentity] = Field(default_factory=list)
     """Pods that failed: the one that was in control, then every understudy that didn't verify."""
     target: PodIdentity | None = None
+    taken_over: PodIdentity | None = None
+    """The standby that the robot's own readers had fallen over to before anything was decided (the reflex)."""
     index: int = 0
     """The strategy being tried, an index into the policy's list."""
     attempts: list[Attempt] = Field(default_factory=list)
@@ -58,7 +60,12 @@ class Progress(Model):
         return progress
 
     def charge(self, part: Part, until: float) -> None:
-        """Account the time since the last call to a part of the recovery time (equation 1 of the paper)."""
+        """Account the time since the last call to a part of the recovery time (equation 1 of the paper).
+
+        Where the reflex put a standby in control, nothing after that was waited for.
+        """
+        if part != "detection" and self.taken_over is not None and not self.has_failed(self.taken_over.uid):
+            return
         self.parts[part] = self.parts.get(part, 0.0) + max(0.0, until - self.cursor)
         self.cursor = max(self.cursor, until)
 

@@ -85,8 +85,10 @@ class ExecutingFallback(Strategy):
             candidates = self._candidates(means, progress)
             if not candidates:
                 raise NotAvailable(self.available(means, progress) or "no standby is ready")
-            # One of the pool's own first: the workload's controller may be about to replace its pod.
-            target = min(candidates, key=lambda i: (i.pool != self.pool, i.created, i.name))
+            # The one that readers with exclusive ownership may be heeding already; else one of the pool's own first: the
+            # workload's controller may be about to replace its pod.
+            admitted = means.gate.state.admitted_uid
+            target = min(candidates, key=lambda i: (i.uid != admitted, i.pool != self.pool, i.created, i.name))
             await _open(target, progress, means)
         await _wait_enforced(target, progress, means)
         return target

@@ -8,6 +8,8 @@ policy closes exactly the outputs of a standby and leaves discovery, acknowledge
 In an instance the endpoints of its tasks are in a DDS partition of its pod's own: its clients see the task proxy's server
 only, and its own agent alone reaches what it serves.
 
+With the reflex, the readers of outputs on the robot's side choose among the instances' writers (see ownership.py).
+
 Fast DDS picks an endpoint's profile by the name of its DDS topic, so no source is changed.
 
 Imports no ROS: the operator writes these profiles too.
@@ -20,7 +22,8 @@ from xml.sax.saxutils import quoteattr
 
 from understudy.api import names
 from understudy.api.tasks import Task
-from understudy.api.workloads import Output
+from understudy.api.workloads import Output, Reflex
+from understudy.ros import ownership
 
 _ACTION_SERVICES = ("send_goal", "get_result", "cancel_goal")
 _ACTION_TOPICS = ("feedback", "status")
@@ -76,33 +79,45 @@ def gate_ports(outputs: Iterable[Output]) -> dict[str, int]:
     return ports
 
 
-def profiles_xml(outputs: Iterable[Output]) -> str:
+def profiles_xml(outputs: Iterable[Output], reflex: Reflex | None = None) -> str:
     """The profile file for FASTRTPS_DEFAULT_PROFILES_FILE, for the robot's nodes and the monitor.
 
-    The locators name a port and no address, so that Fast DDS announces it for every interface. Only locators are set:
-    rmw_fastrtps overwrites the QoS it knows with what the node asked for.
+    The locators name a port and no address, so that Fast DDS announces it for every interface. Of the QoS, only ownership
+    and deadline are set, for topics with the reflex: rmw_fastrtps overwrites the rest with what the node asked for.
 
     Raises ValueError as :func:`gate_ports` does.
     """
-    readers = "".join(_READER.format(name=quoteattr(name), port=port) for name, port in gate_ports(outputs).items())
+    outputs = list(outputs)
+    exclusive = {output.topic for output in outputs if output.topic} if reflex else set()
+    readers = "".join(
+        _READER.format(
+            name=quoteattr(name), qos=ownership.robot_reader(reflex) if reflex and name in exclusive else "", port=port
+        )
+        for name, port in gate_ports(outputs).items()
+    )
     return _FILE.format(profiles=readers)
 
 
-def instance_profiles_xml(tasks: Iterable[Task]) -> str:
+def instance_profiles_xml(tasks: Iterable[Task], outputs: Iterable[Output] = (), reflex: Reflex | None = None) -> str:
     """The profile file for the processes of an instance and its agent; empty where nothing needs one.
 
-    rmw_fastrtps keeps the partition that a profile sets, for readers and writers both. What differs from pod to pod is
-    left as variables (see api/filling.py).
+    rmw_fastrtps keeps the partition that a profile sets, for readers and writers both, and ownership too. What differs
+    from pod to pod is left as variables (see api/filling.py).
     """
-    endpoints = [name for task in tasks for name in _action_endpoints(task.action)]
-    if not endpoints:
-        return ""
     profiles = "".join(
         _PARTITIONED.format(kind=kind, name=quoteattr(name), partition=PARTITION)
-        for name in endpoints
+        for task in tasks
+        for name in _action_endpoints(task.action)
         for kind in ("data_reader", "data_writer")
     )
-    return _FILE.format(profiles=profiles)
+    if reflex is not None:
+        for topic in dict.fromkeys(output.topic for output in outputs if output.topic):
+            for kind, qos in (
+                ("data_reader", ownership.instance_reader()),
+                ("data_writer", ownership.instance_writer(reflex)),
+            ):
+                profiles += _OWNED.format(kind=kind, name=quoteattr(topic), qos=qos)
+    return _FILE.format(profiles=profiles) if profiles else ""
 
 
 def _action_endpoints(action: str) -> list[str]:
@@ -120,12 +135,18 @@ _FILE = """\
 
 _READER = """\
     <data_reader profile_name={name}>
-      <unicastLocatorList><locator><udpv4><port>{port}</port></udpv4></locator></unicastLocatorList>
+      {qos}<unicastLocatorList><locator><udpv4><port>{port}</port></udpv4></locator></unicastLocatorList>
     </data_reader>
 """
 
 _PARTITIONED = """\
     <{kind} profile_name={name}>
       <qos><partition><names><name>{partition}</name></names></partition></qos>
+    </{kind}>
+"""
+
+_OWNED = """\
+    <{kind} profile_name={name}>
+      {qos}
     </{kind}>
 """
