@@ -28,6 +28,8 @@ class Endpoint:
     gid: bytes
     node: str
     """Fully qualified; empty until the node's own announcement has come."""
+    latched: bool = False
+    """Whether it is a writer that gives its last messages to those who join late (transient local)."""
 
 
 class Graph:
@@ -50,16 +52,17 @@ class Graph:
             parameter_overrides=[Parameter("start_type_description_service", value=False)],
         )
 
-    def subscribe(self, topic: str, type_name: str, *, depth: int) -> Any:
+    def subscribe(self, topic: str, type_name: str, *, depth: int, latched: bool = False) -> Any:
         """A subscription that matches every publisher: best effort, volatile, the last ``depth`` samples kept.
 
+        With ``latched`` it matches those that are reliable and transient local, and is given what they had said before.
         Raises TypeNotInstalled.
         """
         qos = QoSProfile(
             history=HistoryPolicy.KEEP_LAST,
             depth=depth,
-            reliability=ReliabilityPolicy.BEST_EFFORT,
-            durability=DurabilityPolicy.VOLATILE,
+            reliability=ReliabilityPolicy.RELIABLE if latched else ReliabilityPolicy.BEST_EFFORT,
+            durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
         )
         return self.node.create_subscription(
             message_class(type_name),
@@ -113,6 +116,8 @@ def _endpoints(infos: list[Any]) -> list[Endpoint]:
             info.topic_type,
             bytes(info.endpoint_gid)[:16],
             f"{info.node_namespace.rstrip('/')}/{info.node_name}" if info.node_name != "_NODE_NAME_UNKNOWN_" else "",
+            info.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+            and info.qos_profile.reliability == ReliabilityPolicy.RELIABLE,
         )
         for info in infos
     ]

@@ -62,7 +62,7 @@ _INFO = struct.Struct("@qqQQP16s?")
 publisher (rmw_gid_t: pointer to the implementation's name, 16 bytes), whether from within the process."""
 
 
-def _loaded(name: str) -> ctypes.CDLL:
+def loaded(name: str) -> ctypes.CDLL:
     """The library that rclpy has loaded; by its path, since wheels keep it off the loader's search path."""
     pattern = re.compile(rf"/{name}(-[0-9a-f]+)?\.so[.0-9]*$")
     with open("/proc/self/maps") as maps:
@@ -77,7 +77,7 @@ class Taker:
     """Takes samples into one reused buffer. For one thread; one serves all subscriptions of a process."""
 
     def __init__(self) -> None:
-        utils = _loaded("librcutils")
+        utils = loaded("librcutils")
         utils.rcutils_get_default_allocator.restype = _Allocator
         utils.rcutils_uint8_array_init.argtypes = [
             ctypes.POINTER(_Bytes),
@@ -92,7 +92,7 @@ class Taker:
             raise MemoryError(f"no {_FIRST_CAPACITY} bytes for samples")
         # Rounded up as the compiler does; read by one unpack, which costs a tenth of looking at fields by ctypes.
         self._info = ctypes.create_string_buffer((_INFO.size + 7) // 8 * 8)
-        self._take = _loaded("librcl").rcl_take_serialized_message
+        self._take = loaded("librcl").rcl_take_serialized_message
         self._take.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p]
         self._into = (ctypes.addressof(self._bytes), ctypes.addressof(self._info), None)
         weakref.finalize(self, utils.rcutils_uint8_array_fini, self._bytes)
@@ -110,5 +110,8 @@ class Taker:
             self._reset_error()
             raise TakeError(f"taking a sample failed with rcl's code {result}")
         sent, received, sequence, _, _, gid, _ = _INFO.unpack_from(self._info)
-        data = ctypes.string_at(self._bytes.buffer, self._bytes.length) if with_data else b""
-        return Sample(received * 1e-9, sent * 1e-9, gid, sequence, data)
+        return Sample(received * 1e-9, sent * 1e-9, gid, sequence, self.data() if with_data else b"")
+
+    def data(self) -> bytes:
+        """What the sample that was taken last says; for where that depends on who sent it."""
+        return ctypes.string_at(self._bytes.buffer, self._bytes.length)

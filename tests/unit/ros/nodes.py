@@ -3,6 +3,9 @@
 publish TOPIC RATE [BYTES]    std_msgs/String, best effort and reliable readers match
 robot TOPIC SERVICE ACTION    subscribes, serves, and calls: every reader that an output can have on a robot's side
 look TOPIC SERVICE            what a node sees of them that neither publishes, nor subscribes, nor calls; prints it as JSON
+pose TOPIC X RATE [latched]   geometry_msgs/PoseWithCovarianceStamped at x = X; a rate of 0 says it once
+capture JSON                  Capturing, told by JSON what to take, who the instances are, and which are in control in
+                              turn, as soon as all that is published was seen; prints the poses that it took as JSON
 watch SECONDS JSON            Watching, told by JSON what to watch (publishing hosts by topic), who the instances are,
                               and which are in control in turn; prints what it saw as JSON
 """
@@ -29,6 +32,62 @@ def publish(topic: str, rate: str, size: str = "1") -> None:
         publisher.publish(message)
         due += 1 / float(rate)
         time.sleep(max(0.0, due - time.monotonic()))
+
+
+def pose(topic: str, x: str, rate: str, latched: str = "") -> None:
+    import rclpy
+    from geometry_msgs.msg import PoseWithCovarianceStamped
+    from rclpy.node import Node
+    from rclpy.qos import DurabilityPolicy, QoSProfile
+
+    rclpy.init()
+    node = Node(f"pose{abs(hash(topic + x))}")
+    durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
+    publisher = node.create_publisher(PoseWithCovarianceStamped, topic, QoSProfile(depth=1, durability=durability))
+    message = PoseWithCovarianceStamped()
+    message.header.frame_id = "map"
+    message.pose.pose.position.x = float(x)
+    publisher.publish(message)
+    print("ready", flush=True)
+    while True:
+        time.sleep(1 / float(rate) if float(rate) else 60.0)
+        if float(rate):
+            publisher.publish(message)
+
+
+def capture(text: str) -> None:
+    from geometry_msgs.msg import PoseWithCovarianceStamped
+    from rclpy.serialization import deserialize_message
+
+    from understudy.ros.capturing import Capturing
+    from understudy.ros.graph import Graph
+
+    wish = json.loads(text)
+    capturing = Capturing(Graph("capturer"))
+    capturing.follow(dict.fromkeys(wish["topics"], None))
+    seen: list[list[object]] = []
+
+    def drain() -> None:
+        for message in capturing.drain():
+            x = deserialize_message(message.data, PoseWithCovarianceStamped).pose.pose.position.x
+            seen.append([message.topic, x, message.standing])
+
+    print("ready", flush=True)
+    results = []
+    for active in wish["active"]:
+        seen.clear()
+        capturing.attribute(wish["instances"], active)
+        end = time.monotonic() + 20
+        while not all(any(topic == s[0] and x == s[1] for s in seen) for topic, x in wish["expect"][active]):
+            assert time.monotonic() < end, f"{active}: {seen}"
+            drain()
+            time.sleep(0.02)
+        end = time.monotonic() + 1.0
+        while time.monotonic() < end:  # whatever else would come by mistake
+            drain()
+            time.sleep(0.02)
+        results.append(list(seen))
+    print(json.dumps(results), flush=True)
 
 
 def robot(topic: str, service: str, action: str) -> None:
@@ -122,4 +181,6 @@ def look(topic: str, service: str) -> None:
 
 
 if __name__ == "__main__":
-    {"look": look, "publish": publish, "robot": robot, "watch": watch}[sys.argv[1]](*sys.argv[2:])
+    {"capture": capture, "look": look, "pose": pose, "publish": publish, "robot": robot, "watch": watch}[sys.argv[1]](
+        *sys.argv[2:]
+    )

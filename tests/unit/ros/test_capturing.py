@@ -1,0 +1,163 @@
+"""The state of topics is taken as bytes: what was said before, of whom, and until when it holds."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from tests.unit.ros.network import Network, network
+from tests.unit.ros.processes import Processes
+from understudy.ros.capturing import Captured, Capturing
+from understudy.ros.graph import Graph
+
+pytestmark = pytest.mark.ros
+
+POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="network namespaces need root")
+
+
+@pytest.fixture
+def capturing(graph: Graph) -> Iterator[Capturing]:
+    made = Capturing(graph)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def took(capturing: Capturing, eventually: Callable[..., None]) -> Callable[[str], Captured]:
+    """Wait for a message of a topic."""
+
+    def wait(topic: str) -> Captured:
+        found: list[Captured] = []
+        eventually(lambda: [found.append(m) for m in capturing.drain() if m.topic == topic] and found)
+        return found[-1]
+
+    return wait
+
+
+def x(message: Captured) -> float:
+    from geometry_msgs.msg import PoseWithCovarianceStamped
+    from rclpy.serialization import deserialize_message
+
+    return float(deserialize_message(message.data, PoseWithCovarianceStamped).pose.pose.position.x)
+
+
+def test_what_was_said_once_before_anyone_listened_is_taken_with_its_own_time(
+    capturing: Capturing, processes: Processes, took: Callable[[str], Captured]
+) -> None:
+    before = time.time()
+    processes.node("pose", "/amcl_pose", "1.5", "0", "latched")
+    said = time.time()
+    time.sleep(1.0)
+    capturing.follow({"/amcl_pose": POSE})
+    message = took("/amcl_pose")
+    assert (x(message), message.type, message.standing) == (1.5, POSE, True)
+    assert before <= message.taken_at <= said, "its age is that of the message, not of the subscription"
+    assert message.received_at >= said + 1.0
+
+
+def test_a_publisher_that_comes_later_is_taken_whether_it_holds_its_messages_or_not(
+    capturing: Capturing, processes: Processes, took: Callable[[str], Captured]
+) -> None:
+    capturing.follow({"/amcl_pose": POSE, "/odom": POSE})
+    assert capturing.waiting == {"/amcl_pose": "nobody publishes it", "/odom": "nobody publishes it"}
+    processes.node("pose", "/amcl_pose", "2.5", "0", "latched")
+    processes.node("pose", "/odom", "3.5", "20")
+    assert x(took("/amcl_pose")) == 2.5
+    message = took("/odom")
+    assert (x(message), message.standing) == (3.5, False)
+    assert message.taken_at == message.received_at
+    assert capturing.waiting == capturing.problems == {}
+
+
+def test_type_is_learnt_from_the_graph(
+    capturing: Capturing, processes: Processes, took: Callable[[str], Captured]
+) -> None:
+    capturing.follow({"/amcl_pose": None})
+    assert capturing.waiting == {"/amcl_pose": "nobody publishes it, so that its type isn't known"}
+    processes.node("pose", "/amcl_pose", "1.0", "0", "latched")
+    assert took("/amcl_pose").type == POSE
+
+
+def test_only_the_last_of_many_messages_is_taken(
+    capturing: Capturing, processes: Processes, took: Callable[[str], Captured]
+) -> None:
+    capturing.follow({"/odom": POSE})
+    processes.node("pose", "/odom", "1.0", "100")
+    took("/odom")
+    time.sleep(0.5)
+    assert len(capturing.drain()) <= 1
+
+
+def test_type_that_is_not_installed_is_a_problem_and_the_others_are_taken(
+    capturing: Capturing, processes: Processes, took: Callable[[str], Captured]
+) -> None:
+    capturing.follow({"/plan": "nav2_msgs/msg/Plan", "/amcl_pose": POSE})
+    assert "nav2_msgs/msg/Plan is not installed in the monitor's image" in capturing.problems["/plan"]
+    processes.node("pose", "/amcl_pose", "1.0", "0", "latched")
+    took("/amcl_pose")
+
+
+def test_a_type_that_is_not_the_one_that_is_published_is_a_problem(
+    capturing: Capturing, processes: Processes, eventually: Callable[..., None]
+) -> None:
+    capturing.follow({"/amcl_pose": "geometry_msgs/msg/Pose"})
+    processes.node("pose", "/amcl_pose", "1.0", "0", "latched")
+    eventually(lambda: capturing.drain() or capturing.problems)
+    assert capturing.problems == {
+        "/amcl_pose": f"it is published as {POSE}, not as geometry_msgs/msg/Pose: correct state.keep"
+    }
+
+
+def test_topics_that_are_not_kept_any_more_are_let_go(capturing: Capturing, graph: Graph) -> None:
+    capturing.follow({"/amcl_pose": POSE, "/odom": POSE})
+    assert len(list(graph.node.subscriptions)) == 2
+    capturing.follow({"/odom": POSE})
+    assert [s.topic_name for s in graph.node.subscriptions] == ["/odom"]
+
+
+@pytest.fixture
+def lan(dds: None, monkeypatch: pytest.MonkeyPatch) -> Iterator[Network]:
+    """Hosts on one switch, where nodes find each other by multicast."""
+    monkeypatch.delenv("ROS_AUTOMATIC_DISCOVERY_RANGE")
+    with network() as made:
+        yield made
+
+
+@needs_root
+def test_only_the_instance_in_control_and_the_robot_are_taken(lan: Network, processes: Processes) -> None:
+    pods = {"primary": "10.77.0.2", "standby": "10.77.0.3"}
+    robot = "10.77.100.1"
+    processes.node("pose", "/amcl_pose", "1.0", "0", "latched", inside=(primary := lan.host(pods["primary"])))
+    processes.node("pose", "/odom", "10.0", "20", inside=primary)
+    processes.node("pose", "/amcl_pose", "2.0", "0", "latched", inside=(standby := lan.host(pods["standby"])))
+    processes.node("pose", "/odom", "20.0", "20", inside=standby)
+    processes.node("pose", "/docked", "3.0", "20", inside=lan.host(robot))
+    wish = {
+        "topics": ["/amcl_pose", "/odom", "/docked"],
+        "instances": pods,
+        "active": ["primary", "standby"],
+        "expect": {
+            "primary": [["/amcl_pose", 1.0], ["/odom", 10.0], ["/docked", 3.0]],
+            "standby": [["/amcl_pose", 2.0], ["/odom", 20.0], ["/docked", 3.0]],
+        },
+    }
+    capturer = processes.node("capture", json.dumps(wish), inside=lan.host("10.77.200.1"))
+    first, second = json.loads(processes.line(capturer, 60))
+    assert {tuple(seen) for seen in first} == {
+        ("/amcl_pose", 1.0, True),
+        ("/odom", 10.0, False),
+        ("/docked", 3.0, False),
+    }
+    # The standby's pose was said once, long before it took over, and holds.
+    assert {tuple(seen) for seen in second} == {
+        ("/amcl_pose", 2.0, True),
+        ("/odom", 20.0, False),
+        ("/docked", 3.0, False),
+    }
