@@ -68,15 +68,39 @@ debian_programs() {
     debian_packages "${missing[@]}"
 }
 
+# interface_wheels FOLDER: builds the ROS interface packages of the examples into a folder, once.
+interface_wheels() {
+    [ -e "$1/.complete" ] && return
+    # Environments with other packages are made with the same wheels.
+    exec 8>"$1.lock"
+    flock 8
+    [ -e "$1/.complete" ] && return
+    debian_programs cmake=cmake g++=g++
+    "$base" -c 'import os, sys, sysconfig; sys.exit(not os.path.exists(sysconfig.get_path("include") + "/Python.h"))' ||
+        debian_packages python3-dev
+    say "building the interfaces of the examples in $1 (two minutes, once)"
+    rm -rf "$1"
+    "$base" -m venv "$1/environment"
+    quietly interfaces "$base" "$REPOSITORY/examples/navigation/interfaces/build" \
+        --environment "$1/environment" --constraints "$REPOSITORY/constraints.txt" --out "$1"
+    rm -rf "$1/environment"
+    touch "$1/.complete"
+    exec 8>&-
+}
+
 # python_environment: makes, once for each set of packages, the Python environment for development, and sets PYTHON to its interpreter.
 python_environment() {
-    local base=/usr/bin/python3 wanted folder
+    local base=/usr/bin/python3 wanted folder interfaces
     [ -x "$base" ] || { command -v apt-get >/dev/null && debian_packages python3; }
     [ -x "$base" ] || base=$(command -v python3) || fail "there is no python3: install Python 3.11 or newer"
     "$base" -c 'import sys; sys.exit(sys.version_info < (3, 11))' ||
         fail "$("$base" --version) is too old: Python 3.11 or newer is needed"
     local requirements=("$base" "$REPOSITORY/docker/requirements.py" "$REPOSITORY/pyproject.toml" ros dev)
-    wanted=$(cat <("${requirements[@]}") "$REPOSITORY/constraints.txt" <("$base" --version) | sha256sum | cut -c 1-12)
+    # The examples' interfaces depend on the versions they are built against, and the environment on both.
+    wanted=$(cd "$REPOSITORY/examples/navigation/interfaces" && find . -type f -not -name '*.md' | LC_ALL=C sort |
+        xargs sha256sum | cat - "$REPOSITORY/constraints.txt" <("$base" --version) | sha256sum | cut -c 1-12)
+    interfaces=$CACHE/interfaces-$wanted
+    wanted=$(cat <("${requirements[@]}") "$REPOSITORY/constraints.txt" <("$base" --version) <(echo "$wanted") | sha256sum | cut -c 1-12)
     folder=$CACHE/venv-$wanted
     PYTHON=$folder/bin/python
     export PYTHON
@@ -86,12 +110,14 @@ python_environment() {
     exec 9>"$folder.lock"
     flock 9
     if [ ! -e "$folder/.complete" ]; then
+        interface_wheels "$interfaces"
         say "making a Python environment in $folder (two minutes, once)"
         rm -rf "$folder"
         "$base" -m venv "$folder"
         "${requirements[@]}" >"$folder/requirements.txt"
         quietly pip "$folder/bin/pip" install --disable-pip-version-check \
             --constraint "$REPOSITORY/constraints.txt" --requirement "$folder/requirements.txt"
+        quietly pip-interfaces "$folder/bin/pip" install --disable-pip-version-check --no-index --no-deps "$interfaces"/*.whl
         touch "$folder/.complete"
     fi
     exec 9>&-

@@ -1,0 +1,107 @@
+"""The interface packages that were built from source, as they are installed."""
+
+from __future__ import annotations
+
+import importlib
+import subprocess
+import sys
+from importlib.metadata import metadata
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+pytestmark = pytest.mark.ros
+pytest.importorskip("rclpy")
+
+INTERFACES = Path(__file__).parents[3] / "examples" / "navigation" / "interfaces"
+
+# As Nav2 1.3 and geometry2 0.36 have them (Jazzy): field names, types and order are what goes over the wire.
+NAV2 = {
+    "action.NavigateToPose.Goal": {"pose": "geometry_msgs/PoseStamped", "behavior_tree": "string"},
+    "action.NavigateToPose.Result": {"error_code": "uint16", "error_msg": "string"},
+    "action.NavigateToPose.Feedback": {
+        "current_pose": "geometry_msgs/PoseStamped",
+        "navigation_time": "builtin_interfaces/Duration",
+        "estimated_time_remaining": "builtin_interfaces/Duration",
+        "number_of_recoveries": "int16",
+        "distance_remaining": "float",
+    },
+    "action.ComputePathToPose.Goal": {
+        "goal": "geometry_msgs/PoseStamped",
+        "start": "geometry_msgs/PoseStamped",
+        "planner_id": "string",
+        "use_start": "boolean",
+    },
+    "action.ComputePathToPose.Result": {
+        "path": "nav_msgs/Path",
+        "planning_time": "builtin_interfaces/Duration",
+        "error_code": "uint16",
+        "error_msg": "string",
+    },
+    "action.FollowPath.Goal": {
+        "path": "nav_msgs/Path",
+        "controller_id": "string",
+        "goal_checker_id": "string",
+        "progress_checker_id": "string",
+    },
+    "action.FollowPath.Result": {"result": "std_msgs/Empty", "error_code": "uint16", "error_msg": "string"},
+    "action.FollowPath.Feedback": {"distance_to_goal": "float", "speed": "float"},
+    "srv.ManageLifecycleNodes.Request": {"command": "uint8"},
+    "srv.ManageLifecycleNodes.Response": {"success": "boolean"},
+    "msg.ParticleCloud": {"header": "std_msgs/Header", "particles": "sequence<nav2_msgs/Particle>"},
+}
+TF2 = {"msg.TFMessage": {"transforms": "sequence<geometry_msgs/TransformStamped>"}}
+
+
+@pytest.mark.parametrize(
+    ("package", "type_name", "fields"),
+    [("nav2_msgs", name, fields) for name, fields in NAV2.items()]
+    + [("tf2_msgs", name, fields) for name, fields in TF2.items()],
+)
+def test_types_have_the_fields_of_the_originals(package: str, type_name: str, fields: dict[str, str]) -> None:
+    kind, *names = type_name.split(".")
+    found = importlib.import_module(f"{package}.{kind}")
+    for name in names:
+        found = getattr(found, name)
+    assert list(found.get_fields_and_field_types().items()) == list(fields.items())
+
+
+def test_messages_survive_the_wire() -> None:
+    from nav2_msgs.action import NavigateToPose
+    from rclpy.serialization import deserialize_message, serialize_message
+    from tf2_msgs.msg import TFMessage
+
+    goal = NavigateToPose.Goal(behavior_tree="tree")
+    goal.pose.header.frame_id = "map"
+    goal.pose.pose.position.x = 1.5
+    assert deserialize_message(serialize_message(goal), NavigateToPose.Goal) == goal
+    assert deserialize_message(serialize_message(TFMessage()), TFMessage) == TFMessage()
+
+
+@pytest.mark.parametrize("package", ["nav2_msgs", "tf2_msgs"])
+def test_wheels_say_what_the_packages_say(package: str) -> None:
+    described = ElementTree.parse(INTERFACES / package / "package.xml").getroot()
+    installed = metadata(f"ros-jazzy-{package.replace('_', '-')}")
+    assert installed["Version"] == described.findtext("version")
+    assert installed["License"] == described.findtext("license")
+    needed = {f"ros-jazzy-{(node.text or '').replace('_', '-')}" for node in described.findall("depend")}
+    assert needed <= set(installed.get_all("Requires-Dist") or [])
+
+
+def test_what_is_defined_is_built() -> None:
+    for package in ("nav2_msgs", "tf2_msgs"):
+        listed = (INTERFACES / package / "CMakeLists.txt").read_text()
+        for file in (INTERFACES / package).glob("*/*.*"):
+            assert f'"{file.parent.name}/{file.name}"' in listed
+            assert hasattr(importlib.import_module(f"{package}.{file.parent.name}"), file.stem)
+
+
+def test_a_folder_that_is_no_environment_is_named(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, INTERFACES / "build", "--environment", tmp_path / "none", "--out", tmp_path],
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 1
+    assert f"--environment {tmp_path / 'none'}: no virtual environment" in done.stderr
