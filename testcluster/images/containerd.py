@@ -1,13 +1,17 @@
 """Bringing images from the store to a containerd, whole or as far as it lacks them."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from testcluster.images import store
 from testcluster.images.store import Reference
-from testcluster.shell import run
+from testcluster.shell import CommandFailed, run
 
 _NAMESPACE = ("-n", "k8s.io")
+
+_FORMER = "-former"
+"""Ending of the name by which an image is kept while its successor is imported."""
 
 
 def present(ctr: Sequence[str | Path]) -> dict[str, str]:
@@ -25,7 +29,29 @@ def load(ctr: Sequence[str | Path], wanted: Sequence[Reference]) -> list[Referen
     has = present(ctr)
     missing = [reference for reference in wanted if has.get(reference.name) != reference.digest]
     if missing:
-        blobs = run(*ctr, *_NAMESPACE, "content", "list", "--quiet").split()
-        with store.archive(missing, blobs) as archive:
-            run(*ctr, *_NAMESPACE, "images", "import", archive)
+        with _kept(ctr, [reference.name for reference in missing if reference.name in has]):
+            try:
+                _import(ctr, missing, run(*ctr, *_NAMESPACE, "content", "list", "--quiet").split())
+            except CommandFailed:
+                # What was listed may have been garbage that was collected since, as after a start.
+                _import(ctr, missing, [])
     return missing
+
+
+def _import(ctr: Sequence[str | Path], wanted: Sequence[Reference], parts: Collection[str]) -> None:
+    with store.archive(wanted, parts) as archive:
+        run(*ctr, *_NAMESPACE, "images", "import", archive)
+
+
+@contextmanager
+def _kept(ctr: Sequence[str | Path], images: Sequence[str]) -> Iterator[None]:
+    """Keeps images under a second name: an image whose name is given to another is garbage at once, with the layers that
+    its successor is just being built on.
+    """
+    for name in images:
+        run(*ctr, *_NAMESPACE, "images", "tag", "--force", name, name + _FORMER)
+    try:
+        yield
+    finally:
+        for name in images:
+            run(*ctr, *_NAMESPACE, "images", "remove", name + _FORMER)
