@@ -16,7 +16,7 @@ import dataclasses
 import logging
 import re
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -119,11 +119,20 @@ class _OwnOutputs:
 class Health:
     """Looks at the instance until cancelled, and says what it sees in ``judgement``."""
 
-    def __init__(self, pod: str, *, on_change: Callable[[], None]) -> None:
-        """``on_change`` is called when anything but the outputs' counts is another."""
+    def __init__(
+        self,
+        pod: str,
+        *,
+        on_change: Callable[[], None],
+        on_writers: Callable[[Iterable[bytes]], object] = lambda gids: None,
+    ) -> None:
+        """``on_change`` is called when anything but the outputs' counts is another, ``on_writers`` now and then with the
+        GIDs of this pod's writers of outputs.
+        """
         self.judgement = Judgement()
         self._node_name = "understudy_agent_" + re.sub(r"[^a-zA-Z0-9_]", "_", pod)
         self._on_change = on_change
+        self._on_writers = on_writers
         self._plan: Plan | None = None
         self._new_plan = asyncio.Event()
         self._keep_ready = False
@@ -223,8 +232,9 @@ class Health:
         if self._present and now < self._looked_for_presence + PRESENCE_PERIOD:
             return
         self._looked_for_presence = now
-        endpoints = (endpoint for output in plan.outputs for endpoint in graph.endpoints(output))
-        self._present = any(endpoint.gid[HOST] == host for endpoint in endpoints)
+        found = [(output, end) for output in plan.outputs for end in graph.endpoints(output) if end.gid[HOST] == host]
+        self._present = bool(found)
+        self._on_writers(end.gid for output, end in found if output.topic)
 
     def _say(self, ready: bool, reason: str) -> None:
         judgement = self.judgement

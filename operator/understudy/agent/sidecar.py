@@ -7,7 +7,7 @@ import dataclasses
 import logging
 import os
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from understudy.agent import preparing
@@ -16,6 +16,7 @@ from understudy.agent.holds import Holds
 from understudy.agent.identity import Identity
 from understudy.agent.memory import Memory
 from understudy.agent.sessions import Operation, Peer, Refused
+from understudy.agent.strengths import Strengths
 from understudy.api import holding, names
 from understudy.api.agents import AgentStatus, Phase
 from understudy.cluster.probes import ProbeSender
@@ -32,7 +33,8 @@ class Sidecar:
         self._holds = Holds(identity.directory, identity.held)
         self._holds.prepare()
         self._memory = Memory.load(identity.directory)
-        self._health = Health(identity.pod, on_change=self._health_changed)
+        self._strengths = Strengths(identity.directory)
+        self._health = Health(identity.pod, on_change=self._health_changed, on_writers=self._writers_seen)
         self._health.resume(self._memory.process_up_at, self._memory.ready_at)
         self._configuring = asyncio.Lock()
         self._looking: asyncio.Task[None] | None = None
@@ -103,6 +105,7 @@ class Sidecar:
             ready_at=judgement.ready_at,
             configured=configured,
             outputs=dict(judgement.outputs),
+            strength=self._strengths.range,
         )
 
     @property
@@ -221,6 +224,10 @@ class Sidecar:
             memory.process_up_at, memory.ready_at = judgement.process_up_at, judgement.ready_at
             self._save()
         self._notify()
+
+    def _writers_seen(self, gids: Iterable[bytes]) -> None:
+        if self._strengths.saw(gids):
+            self._notify()
 
     def _save(self) -> None:
         """Keep what is known. A full volume must not end an agent."""
