@@ -199,6 +199,21 @@ class Caller:
             finally:
                 opened.node.destroy_publisher(publisher)
 
+    async def topic_type(self, topic: str, within: float) -> str:
+        """The type that the publishers of a topic announce, waiting for one that is here. Raises CallFailed."""
+        async with self._bound(f"topic {topic}", within) as (opened, bound):
+            bound.missing = f"nobody publishes {topic}"
+            found: set[str] = set()
+
+            def known() -> bool:
+                found.update(opened.published_types(topic))
+                return bool(found)
+
+            await _until(known)
+            if len(found) > 1:
+                raise CallFailed(f"the publishers of {topic} disagree about its type: {', '.join(sorted(found))}")
+            return found.pop()
+
     async def wait_sample(
         self, topic: str, type_name: str, within: float, since: float | None = None, *, own: bool = False
     ) -> Sample:
@@ -275,7 +290,7 @@ class Caller:
                 assert self._opened is not None, "it was waited for"
                 yield self._opened, bound
         except TimeoutError:
-            raise CallFailed(f"{bound.missing} within {within:g} s") from None
+            raise CallFailed(f"{bound.missing} within {within:.3g} s") from None
         except (TypeNotInstalled, MessageError, ValueError) as error:
             raise CallFailed(f"{what}: {error}") from error
         finally:
@@ -369,6 +384,10 @@ class _Opened:
             reader for reader in self.node.get_subscriptions_info_by_topic(topic) if reader.topic_type == type_name
         ]
         return any(map(self._here, readers)) and bool(publisher.get_subscription_count() >= len(readers))
+
+    def published_types(self, topic: str) -> set[str]:
+        """The types of a topic's publishers that are here."""
+        return {e.topic_type for e in self.node.get_publishers_info_by_topic(topic) if self._here(e)}
 
     def _here(self, endpoint: Any) -> bool:
         return self.host is None or bytes(endpoint.endpoint_gid)[HOST] == self.host

@@ -101,18 +101,3 @@ def _plain(value: Any) -> Any:
     if hasattr(value, "tolist"):  # numpy's and array's own
         return value.tolist()
     return [_plain(item) for item in value]
-
-
-def mismatch(found: Mapping[str, Any], expected: Mapping[str, Any], *, path: str = "") -> str | None:
-    """What of the expected fields isn't so, in plain words; None where all are. Fields that aren't named may be anything."""
-    for field, value in expected.items():
-        place = f"{path}.{field}" if path else str(field)
-        if field not in found:
-            return f"there is no field {place}; there are {', '.join(found)}"
-        present = found[field]
-        if isinstance(value, Mapping) and isinstance(present, Mapping):
-            if (reason := mismatch(present, value, path=place)) is not None:
-                return reason
-        elif present != value:
-            return f"{place} is {present!r:.100}, expected {value!r:.100}"
-    return None

@@ -32,3 +32,28 @@ class AnyOf(Composite):
         else:
             self.status = Status.FAILURE
         yield self
+
+
+class FirstOf(Composite):
+    """Tries its children in order until one succeeds, each once.
+
+    py_trees' Selector with memory forgets why the earlier ones failed.
+    """
+
+    def __init__(self, name: str, children: list[Behaviour]) -> None:
+        super().__init__(name, children)
+        self._place = 0
+
+    def tick(self) -> Iterator[Behaviour]:
+        """Go on with the child that runs, or with the next one after a failure."""
+        if self.status != Status.RUNNING:
+            self._place = 0
+        self.status = Status.FAILURE
+        while self._place < len(self.children):
+            child = self.children[self._place]
+            yield from child.tick()
+            if child.status != Status.FAILURE:
+                self.status = child.status
+                break
+            self._place += 1
+        yield self

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
@@ -11,26 +10,18 @@ from py_trees.common import ParallelPolicy
 from py_trees.composites import Parallel, Sequence
 from py_trees.decorators import Inverter
 
-from understudy.api.base import seconds
 from understudy.api.rosnames import ROS_NAME_PATTERN, ROS_TYPE_PATTERN
 from understudy.trees.composites import AnyOf
 from understudy.trees.health import Build, HealthTree, WatchedTopic
 from understudy.trees.leaves import Glance, TopicLeaf, duration
 from understudy.trees.problems import Problem, TreeError, did_you_mean
 from understudy.trees.rates import Band, Window
+from understudy.trees.reading import DEEPEST, MOST, Reader, duration_of, found_text
 
 __all__ = ["Problem", "TreeError", "load"]
 
 KINDS = ("parallel", "sequence", "selector", "inverter", "topic")
 TOPIC_KEYS = ("name", "type", "gap", "rate", "window")
-DEEPEST = 32
-"""Levels a tree may have; a healthy one has three or four."""
-MOST = 512
-"""Nodes a tree may have."""
-LONGEST = 24 * 3600
-"""Seconds that a gap or a window may have."""
-
-_NODE_NAME = re.compile(r"[A-Za-z0-9_.-]{1,63}")
 
 
 def load(tree: Mapping[str, Any], *, path: str = "spec.monitoring.yaml", grace: float = 30.0) -> HealthTree:
@@ -47,19 +38,16 @@ def load(tree: Mapping[str, Any], *, path: str = "spec.monitoring.yaml", grace: 
     return HealthTree(build, loader.glance, list(loader.topics.values()))
 
 
-class _Loader:
+class _Loader(Reader):
     """Turns nodes into what builds their behaviours, and collects problems; one with a problem in it becomes None."""
 
     def __init__(self, glance: Glance) -> None:
+        super().__init__()
         self.glance = glance
-        self.problems: list[Problem] = []
         self.topics: dict[str, WatchedTopic] = {}
         self._type_paths: dict[str, str] = {}
         self._leaf_paths: dict[str, str] = {}
         self._nodes = 0
-
-    def problem(self, path: str, message: str) -> None:
-        self.problems.append(Problem(path, message))
 
     def node(self, value: object, path: str, above: list[str], depth: int) -> Build | None:
         """What builds one node; ``above`` are the names of the nodes it is in."""
@@ -72,13 +60,13 @@ class _Loader:
             self.problem(path, f"the tree is more than {DEEPEST} levels deep")
             return None
         if not isinstance(value, Mapping):
-            self.problem(path, f"found {_found(value)}; a node is a mapping with one of {', '.join(KINDS)}")
+            self.problem(path, f"found {found_text(value)}; a node is a mapping with one of {', '.join(KINDS)}")
             return None
         kinds = [kind for kind in KINDS if kind in value]
         for key in value:
             if key not in KINDS and key != "name":
                 self._unknown_node_key(str(key), path)
-        name = self._name(value, path)
+        name = self.name(value, path)
         if len(kinds) > 1:
             self.problem(path, f"found {' and '.join(kinds)} in one node; give each a node of its own")
             return None
@@ -101,20 +89,9 @@ class _Loader:
         else:
             self.problem(f"{path}.{key}", f"unknown key {key!r}{did_you_mean(key, (*KINDS, 'name'))}")
 
-    def _name(self, value: Mapping[str, Any], path: str) -> str | None:
-        if "name" not in value:
-            return None
-        name = value["name"]
-        if not isinstance(name, str) or not _NODE_NAME.fullmatch(name):
-            self.problem(
-                f"{path}.name", f"found {_found(name)}; a node's name is 1 to 63 letters, digits, '_', '-' and '.'"
-            )
-            return None
-        return name
-
     def _composite(self, kind: str, value: object, path: str, name: str, below: list[str], depth: int) -> Build | None:
         if not isinstance(value, list):
-            self.problem(path, f"found {_found(value)}; {kind} has a list of nodes")
+            self.problem(path, f"found {found_text(value)}; {kind} has a list of nodes")
             return None
         if not value:
             self.problem(path, f"the list is empty; {kind} needs at least one node")
@@ -128,20 +105,20 @@ class _Loader:
     def _topic(self, value: object, path: str, above: list[str], name: str | None) -> Build | None:
         before = len(self.problems)
         if not isinstance(value, Mapping):
-            self.problem(path, f"found {_found(value)}; topic is a mapping with name and with gap or rate")
+            self.problem(path, f"found {found_text(value)}; topic is a mapping with name and with gap or rate")
             return None
         for key in value:
             if key not in TOPIC_KEYS:
                 self.problem(f"{path}.{key}", f"unknown key {str(key)!r}{did_you_mean(str(key), TOPIC_KEYS)}")
-        topic = self._matching(value, "name", path, ROS_NAME_PATTERN, "a fully qualified topic name such as /cmd_vel")
+        topic = self.matching(value, "name", path, ROS_NAME_PATTERN, "a fully qualified topic name such as /cmd_vel")
         if "name" not in value:
             self.problem(f"{path}.name", "missing; give the topic's fully qualified name, such as /cmd_vel")
-        type_ = self._matching(
+        type_ = self.matching(
             value, "type", path, ROS_TYPE_PATTERN.replace("(msg|srv|action)", "msg"), "package/msg/Name"
         )
-        gap = self._given(value, "gap", path, _duration)
-        band = self._given(value, "rate", path, _band)
-        length = self._given(value, "window", path, _duration)
+        gap = self.given(value, "gap", path, duration_of)
+        band = self.given(value, "rate", path, _band)
+        length = self.given(value, "window", path, duration_of)
         if "gap" not in value and "rate" not in value:
             self.problem(path, "neither gap nor rate is given; give gap, such as 500ms, or rate, such as '> 8 Hz'")
         if "window" in value and "rate" not in value:
@@ -192,27 +169,6 @@ class _Loader:
         )
         return True
 
-    def _matching(self, value: Mapping[str, Any], key: str, path: str, pattern: str, right: str) -> str | None:
-        if key not in value:
-            return None
-        found = value[key]
-        if not isinstance(found, str) or not re.fullmatch(pattern, found):
-            message = f"found {_found(found)}; give {right}"
-            if isinstance(found, str) and re.fullmatch(pattern, f"/{found}"):
-                message = f"found {_found(found)}; did you mean '/{found}'?"
-            self.problem(f"{path}.{key}", message)
-            return None
-        return found
-
-    def _given(self, value: Mapping[str, Any], key: str, path: str, read: Callable[[object], Any]) -> Any:
-        if key not in value:
-            return None
-        try:
-            return read(value[key])
-        except ValueError as error:
-            self.problem(f"{path}.{key}", str(error))
-            return None
-
 
 _COMPOSITES: dict[str, Callable[[str, list[Behaviour]], Behaviour]] = {
     "parallel": lambda name, nodes: Parallel(name, ParallelPolicy.SuccessOnAll(synchronise=False), nodes),
@@ -231,30 +187,7 @@ def _composite(make: Callable[[list[Behaviour]], Behaviour], children: list[Buil
     return build
 
 
-def _duration(value: object) -> float:
-    if not isinstance(value, str):
-        raise ValueError(f"found {_found(value)}, which has no unit; write it with ms, s, m or h, such as 500ms")
-    length = seconds(value)
-    if length <= 0:
-        raise ValueError(f"found {value!r}; it must be longer than 0")
-    if length > LONGEST:
-        raise ValueError(f"found {value!r}; it must be at most {LONGEST // 3600}h")
-    return length
-
-
 def _band(value: object) -> Band:
     if not isinstance(value, str):
-        raise ValueError(f"found {_found(value)}; write '> 8 Hz', '>= 8 Hz', '< 20 Hz', '<= 20 Hz' or '9 to 11 Hz'")
+        raise ValueError(f"found {found_text(value)}; write '> 8 Hz', '>= 8 Hz', '< 20 Hz', '<= 20 Hz' or '9 to 11 Hz'")
     return Band.parse(value)
-
-
-def _found(value: object) -> str:
-    """A value in words for a message."""
-    if value is None:
-        return "nothing"
-    if isinstance(value, Mapping):
-        return "a mapping"
-    if isinstance(value, list):
-        return "a list"
-    text = repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."

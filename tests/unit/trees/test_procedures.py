@@ -1,0 +1,353 @@
+"""Procedures over an instance of plain Python: what is done, in which order, and what is said when it can't be."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import pytest
+
+from understudy.trees.health import HealthTree, Verdict
+from understudy.trees.observations import Recorded, TopicRecord
+from understudy.trees.problems import TreeError
+from understudy.trees.procedures import ProcedureFailed, load_check, load_procedure
+
+LONG = 20.0
+"""Seconds for what ends by itself."""
+
+
+class Instance:
+    """An instance whose nodes and services are said by the test."""
+
+    def __init__(self) -> None:
+        self.done: list[str] = []
+        self.states: dict[str, str] = {}
+        self.answers: dict[str, list[dict[str, Any]]] = {}
+        self.never: set[str] = set()
+        self.parameters: dict[str, Any] = {}
+        self.record: TopicRecord | None = None
+        self.nodes: set[str] = set()
+        self.cancelled: list[str] = []
+        self.since = asyncio.get_running_loop().time()
+
+    async def _step(self, what: str, name: str) -> None:
+        self.done.append(f"{what} {name}")
+        if name in self.never:
+            try:
+                await asyncio.Event().wait()
+            except asyncio.CancelledError:
+                self.cancelled.append(name)
+                raise
+        await asyncio.sleep(0)
+
+    async def call(self, service: str, type_name: str, request: Mapping[str, Any], within: float) -> dict[str, Any]:
+        await self._step("call", service)
+        answers = self.answers.get(service, [{}])
+        return answers.pop(0) if len(answers) > 1 else answers[0]
+
+    async def service_present(self, service: str) -> bool:
+        return service in self.nodes
+
+    async def node_present(self, node: str) -> bool:
+        return node in self.nodes
+
+    async def lifecycle_state(self, node: str, within: float) -> str:
+        return self.states.get(node, "unconfigured")
+
+    async def bring_to(self, node: str, state: str, within: float) -> None:
+        await self._step(state, node)
+        self.states[node] = state
+
+    async def get_parameters(self, node: str, names: Sequence[str], within: float) -> dict[str, Any]:
+        return {name: self.parameters[name] for name in names}
+
+    async def set_parameters(self, node: str, values: Mapping[str, Any], within: float) -> None:
+        self.parameters |= values
+        await self._step("set", node)
+
+    async def publish(self, topic: str, type_name: str, message: Mapping[str, Any], within: float) -> None:
+        await self._step("publish", topic)
+
+    async def wait_sample(self, topic: str, type_name: str, within: float) -> object:
+        await self._step("sample", topic)
+        return None
+
+    async def restore_state(self, only: Sequence[str] | None, within: float) -> None:
+        await self._step("restore", ",".join(only) if only else "all")
+
+    async def resend_goals(self, within: float) -> None:
+        await self._step("resend", "goals")
+
+    def health(self, tree: HealthTree) -> Verdict:
+        now = asyncio.get_running_loop().time()
+        topics = {"/scan": self.record} if self.record else {}
+        return tree.evaluate(Recorded(topics), now=now, since=self.since)
+
+
+def procedure(tree: object):
+    return load_procedure(tree, path="bringUp")
+
+
+async def test_a_sequence_does_one_after_the_other() -> None:
+    instance = Instance()
+    tree = procedure(
+        {
+            "sequence": [
+                {"set_lifecycle": {"node": "/map_server", "state": "active"}},
+                {"restore_state": {"only": ["/amcl_pose"]}},
+                {"call_service": {"service": "/go", "type": "std_srvs/srv/Trigger", "expect": {"success": True}}},
+                {"set_parameters": {"node": "/amcl", "values": {"rate": 1.0}}},
+                {"publish": {"topic": "/mode", "type": "std_msgs/msg/String", "message": {"data": "auto"}}},
+                {"wait_for": {"topic": "/scan", "type": "sensor_msgs/msg/LaserScan"}},
+                {"resend_goals": {}},
+            ]
+        }
+    )
+    instance.answers["/go"] = [{"success": True, "message": ""}]
+
+    await tree.run(instance, LONG)
+
+    assert instance.done == [
+        "active /map_server",
+        "restore /amcl_pose",
+        "call /go",
+        "set /amcl",
+        "publish /mode",
+        "sample /scan",
+        "resend goals",
+    ]
+    assert tree.restores_state
+    assert tree.resends_goals
+
+
+async def test_a_failed_leaf_is_named_with_its_place_and_ends_the_sequence() -> None:
+    instance = Instance()
+    instance.answers["/go"] = [{"success": False, "message": "no map"}]
+    tree = procedure(
+        {
+            "sequence": [
+                {"call_service": {"service": "/go", "type": "std_srvs/srv/Trigger", "expect": {"success": True}}},
+                {"set_lifecycle": {"node": "/amcl", "state": "active"}},
+            ]
+        }
+    )
+
+    with pytest.raises(ProcedureFailed) as failure:
+        await tree.run(instance, LONG)
+
+    assert str(failure.value) == (
+        "bringUp.sequence[0].call_service: service /go answered otherwise: success is False, expected True"
+    )
+    assert instance.done == ["call /go"]
+
+
+async def test_a_parallel_works_on_all_at_once_and_a_failure_cancels_the_rest() -> None:
+    instance = Instance()
+    instance.never = {"/slow"}
+    instance.answers["/go"] = [{"success": False}]
+    tree = procedure(
+        {
+            "parallel": [
+                {"set_lifecycle": {"node": "/slow", "state": "active"}},
+                {"call_service": {"service": "/go", "type": "std_srvs/srv/Trigger", "expect": {"success": True}}},
+            ]
+        }
+    )
+
+    with pytest.raises(ProcedureFailed, match=r"parallel\[1\]"):
+        await tree.run(instance, LONG)
+
+    assert instance.cancelled == ["/slow"]
+
+
+async def test_a_parallel_does_each_of_its_nodes_once() -> None:
+    instance = Instance()
+    instance.answers["/go"] = [{"success": False}, {"success": False}, {"success": True}]
+    go = {"call_service": {"service": "/go", "type": "std_srvs/srv/Trigger", "expect": {"success": True}}}
+    tree = procedure(
+        {
+            "parallel": [
+                {"set_lifecycle": {"node": "/map_server", "state": "active"}},
+                {"retry": {"times": 5, "wait": "10ms", "do": go}},
+            ]
+        }
+    )
+
+    await tree.run(instance, LONG)
+
+    assert sorted(instance.done) == ["active /map_server", "call /go", "call /go", "call /go"]
+
+
+async def test_a_selector_takes_the_first_that_succeeds() -> None:
+    instance = Instance()
+    tree = procedure(
+        {
+            "selector": [
+                {"lifecycle_is": {"node": "/amcl", "state": "active"}},
+                {"set_lifecycle": {"node": "/amcl", "state": "active"}},
+            ]
+        }
+    )
+
+    await tree.run(instance, LONG)
+    await tree.run(instance, LONG)
+
+    assert instance.done == ["active /amcl"], "what is so already is left alone the second time"
+
+
+async def test_a_selector_that_fails_gives_all_reasons() -> None:
+    tree = procedure({"selector": [{"node_present": {"node": "/a"}}, {"service_present": {"service": "/b"}}]})
+    with pytest.raises(ProcedureFailed) as failure:
+        await tree.run(Instance(), LONG)
+    assert str(failure.value) == (
+        "bringUp.selector[0].node_present: node /a is not there; "
+        "bringUp.selector[1].service_present: service /b is not there"
+    )
+
+
+async def test_a_tree_that_never_ends_fails_in_time_and_names_the_leaf_that_runs() -> None:
+    instance = Instance()
+    instance.never = {"/amcl"}
+    tree = procedure({"sequence": [{"resend_goals": {}}, {"set_lifecycle": {"node": "/amcl", "state": "active"}}]})
+
+    with pytest.raises(ProcedureFailed) as failure:
+        await tree.run(instance, 0.3)
+
+    assert str(failure.value) == "not done within 0.3 s: bringUp.sequence[1].set_lifecycle is still running"
+    assert instance.cancelled == ["/amcl"]
+
+
+async def test_endless_tries_fail_in_time_and_say_what_they_failed_by() -> None:
+    instance = Instance()
+    tree = procedure({"retry": {"times": 1000, "wait": "100s", "do": {"node_present": {"node": "/amcl"}}}})
+    with pytest.raises(ProcedureFailed) as failure:
+        await tree.run(instance, 0.3)
+    assert str(failure.value) == "not done within 0.3 s: bringUp.retry.do.node_present: node /amcl is not there"
+
+
+async def test_a_timeout_bounds_its_node() -> None:
+    instance = Instance()
+    instance.never = {"/amcl"}
+    tree = procedure({"timeout": {"within": "200ms", "do": {"set_lifecycle": {"node": "/amcl", "state": "active"}}}})
+    with pytest.raises(ProcedureFailed) as failure:
+        await tree.run(instance, LONG)
+    assert str(failure.value) == (
+        "bringUp.timeout: not done within 0.2 s: bringUp.timeout.do.set_lifecycle is still running"
+    )
+    assert instance.cancelled == ["/amcl"]
+
+
+async def test_a_leaf_is_told_how_much_time_is_left() -> None:
+    class Asked(Instance):
+        async def bring_to(self, node: str, state: str, within: float) -> None:
+            self.within = within
+
+    instance = Asked()
+    tree = procedure({"timeout": {"within": "10s", "do": {"set_lifecycle": {"node": "/amcl", "state": "active"}}}})
+    await tree.run(instance, 1000)
+    assert 5 < instance.within < 10
+
+
+async def test_a_cancelled_procedure_cancels_what_runs() -> None:
+    instance = Instance()
+    instance.never = {"/amcl"}
+    running = asyncio.create_task(
+        procedure({"set_lifecycle": {"node": "/amcl", "state": "active"}}).run(instance, LONG)
+    )
+    while not instance.done:
+        await asyncio.sleep(0.01)
+
+    running.cancel()
+
+    with pytest.raises(asyncio.CancelledError):
+        await running
+    assert instance.cancelled == ["/amcl"]
+
+
+async def test_a_topic_is_waited_for_in_a_procedure_and_looked_at_in_a_check() -> None:
+    instance = Instance()
+    leaf = {"topic": {"name": "/scan", "gap": "1h"}}
+    with pytest.raises(ProcedureFailed, match="waiting for the first /scan"):
+        await load_check(leaf, path="check").run(instance, LONG)
+    running = asyncio.create_task(procedure(leaf).run(instance, LONG))
+    await asyncio.sleep(0.1)
+    assert not running.done()
+    instance.record = TopicRecord()
+    instance.record.add(asyncio.get_running_loop().time())
+    await running
+    await load_check(leaf, path="check").run(instance, LONG)
+    assert [topic.name for topic in procedure(leaf).topics] == ["/scan"]
+
+
+async def test_an_inverter_needs_its_node_to_fail() -> None:
+    instance = Instance()
+    tree = load_check({"inverter": {"lifecycle_is": {"node": "/amcl", "state": "finalized"}}}, path="check")
+    await tree.run(instance, LONG)
+    instance.states["/amcl"] = "finalized"
+    with pytest.raises(ProcedureFailed, match=r"check\.inverter\.lifecycle_is: it holds, which must not be"):
+        await tree.run(instance, LONG)
+
+
+async def test_a_parameter_is_compared() -> None:
+    instance = Instance()
+    instance.parameters["rate"] = 2.0
+    tree = load_check({"parameter_is": {"node": "/amcl", "name": "rate", "value": 2}}, path="check")
+    await tree.run(instance, LONG)
+    instance.parameters["rate"] = 3.0
+    with pytest.raises(ProcedureFailed, match=r"parameter rate of node /amcl is 3\.0, not 2"):
+        await tree.run(instance, LONG)
+
+
+@pytest.mark.parametrize(
+    ("tree", "message"),
+    [
+        ({}, "p: the node says nothing; give one of sequence"),
+        ("x", "p: found 'x'; a node is a mapping with one of sequence"),
+        ({"sequence": []}, "p.sequence: the list is empty"),
+        ({"sequense": []}, "p.sequense: unknown key 'sequense', did you mean 'sequence'?"),
+        ({"sequence": [], "parallel": []}, "found sequence and parallel in one node"),
+        (
+            {"set_lifecycle": {"node": "amcl", "state": "active"}},
+            "p.set_lifecycle.node: found 'amcl'; did you mean '/amcl'?",
+        ),
+        (
+            {"set_lifecycle": {"node": "/amcl", "state": "on"}},
+            "p.set_lifecycle.state: found 'on'; give one of unconfigured",
+        ),
+        ({"set_lifecycle": {"node": "/amcl"}}, "p.set_lifecycle.state: found nothing"),
+        ({"set_lifecycle": []}, "p.set_lifecycle: found a list; set_lifecycle is a mapping of node and state"),
+        (
+            {"call_service": {"service": "/x", "typ": "a"}},
+            "p.call_service.typ: unknown key 'typ', did you mean 'type'?",
+        ),
+        ({"call_service": {"service": "/x", "type": "std_msgs/msg/String"}}, "p.call_service.type: found"),
+        ({"call_service": {"type": "std_srvs/srv/Trigger"}}, "p.call_service.service: missing"),
+        ({"wait_for": {"topic": "/x", "node": "/y"}}, "p.wait_for: found topic and node of topic, service and node"),
+        ({"wait_for": {"topic": "/x"}}, "p.wait_for.type: missing; give package/msg/Name"),
+        ({"wait_for": {"node": "/x", "within": 5}}, "p.wait_for.within: found 5, which has no unit"),
+        ({"retry": {"times": 0, "do": {"resend_goals": {}}}}, "p.retry.times: found 0; give how often"),
+        ({"retry": {"times": 3}}, "p.retry.do: missing"),
+        ({"timeout": {"do": {"resend_goals": {}}}}, "p.timeout.within: missing"),
+        ({"restore_state": {"only": []}}, "p.restore_state.only: found a list; give a list of kept topics"),
+        ({"topic": {"name": "/x"}}, "p.topic: neither gap nor rate is given"),
+        ({"set_parameters": {"node": "/x", "values": {}}}, "p.set_parameters.values: missing"),
+        ({"resend_goals": {}, "within": "5s"}, "p.within: unknown key; within belongs inside timeout or retry"),
+    ],
+)
+def test_mistakes_are_named_with_what_would_be_right(tree: object, message: str) -> None:
+    with pytest.raises(TreeError) as error:
+        load_procedure(tree, path="p")
+    assert message in str(error.value)
+
+
+def test_a_check_only_looks() -> None:
+    with pytest.raises(TreeError) as error:
+        load_check({"sequence": [{"set_lifecycle": {"node": "/amcl", "state": "active"}}]}, path="p")
+    assert "p.sequence[0].set_lifecycle: a check only looks; set_lifecycle belongs into a procedure" in str(error.value)
+
+
+def test_all_mistakes_are_told_at_once() -> None:
+    with pytest.raises(TreeError) as error:
+        load_procedure({"sequence": [{"resend_goals": {"x": 1}}, {"topic": {"name": "/x"}}, 3]}, path="p")
+    assert len(error.value.problems) == 3
