@@ -1,4 +1,10 @@
-"""Real ROS 2 nodes for the tests: ``python nodes.py talk TOPIC RATE`` or ``python nodes.py serve SERVICE``."""
+"""Real ROS 2 nodes for the tests: ``python nodes.py ROLE ...``.
+
+talk TOPIC RATE     std_msgs/String
+serve SERVICE       std_srvs/Trigger
+localize [DEAF]     lifecycle node /localizer with parameter speed: once configured, it says each /initialpose that it is
+                    given on /amcl_pose, latched, but not the first DEAF of them
+"""
 
 from __future__ import annotations
 
@@ -31,5 +37,32 @@ def serve(service: str) -> None:
     rclpy.spin(node)
 
 
+def localize(deaf: str = "0") -> None:
+    from geometry_msgs.msg import PoseWithCovarianceStamped
+    from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
+    from rclpy.qos import DurabilityPolicy, QoSProfile
+
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+    class Localizer(LifecycleNode):
+        heard = 0
+
+        def on_configure(self, state):
+            self.said = rclpy.node.Node.create_publisher(self, PoseWithCovarianceStamped, "/amcl_pose", latched)
+            self.create_subscription(PoseWithCovarianceStamped, "/initialpose", self.take, 1)
+            return TransitionCallbackReturn.SUCCESS
+
+        def take(self, message):
+            Localizer.heard += 1
+            if Localizer.heard > int(deaf):
+                self.said.publish(message)
+
+    node = Localizer("localizer")
+    node.declare_parameter("speed", 0.25)
+    print(f"up {time.time()}", flush=True)
+    rclpy.spin(node)
+
+
 if __name__ == "__main__":
-    {"talk": talk, "serve": serve}[sys.argv[1]](*sys.argv[2:])
+    {"localize": localize, "talk": talk, "serve": serve}[sys.argv[1]](*sys.argv[2:])

@@ -1,0 +1,261 @@
+"""Kept state is given to real nodes: poses with the present stamp, parameters, lifecycle states; in bounded time."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from rclpy.serialization import deserialize_message, serialize_message
+
+from understudy.agent.restoring import Restorer, stamped
+from understudy.agent.sessions import Peer, Refused
+from understudy.api.kept import KeptSample, KeptState, LifecycleState, NotRestored, ParameterValues, RestoreReport
+from understudy.ros.calling import Caller, CallFailed
+
+pytestmark = pytest.mark.ros
+
+POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+WITHIN = 25.0
+"""Seconds for what is done at once on a machine that is not busy."""
+PEER = Peer("shop", "", "127.0.0.1")
+
+
+@pytest.fixture(autouse=True)
+def domain(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp")
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(10 + os.getpid() % 90))
+    monkeypatch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    for name in ("ROS_DISCOVERY_SERVER", "FASTRTPS_DEFAULT_PROFILES_FILE", "ROS_STATIC_PEERS"):
+        monkeypatch.delenv(name, raising=False)
+
+
+@pytest.fixture
+def caller() -> Iterator[Caller]:
+    made = Caller("restorer")
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def restorer(caller: Caller) -> Restorer:
+    return Restorer(lambda: caller)
+
+
+@pytest.fixture
+def localizer() -> Iterator[Callable[..., None]]:
+    """Starts the node that takes /initialpose."""
+    started: list[subprocess.Popen[str]] = []
+
+    def start(*arguments: str) -> None:
+        command = [sys.executable, str(Path(__file__).parent / "nodes.py"), "localize", *arguments]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        started.append(process)
+        assert process.stdout is not None
+        assert process.stdout.readline().startswith("up")
+
+    yield start
+    for process in started:
+        process.kill()
+        process.wait()
+
+
+def pose(x: float = 1.5, *, age: float = 10.0, **fields: Any) -> KeptSample:
+    message = PoseWithCovarianceStamped()
+    message.header.frame_id = "map"
+    message.header.stamp.sec = 42
+    message.pose.pose.position.x = x
+    message.pose.covariance[35] = 0.25
+    usual = {"to": "/initialpose", "stamp": "now"}
+    return KeptSample("/amcl_pose", POSE, time.time() - age, serialize_message(message), **usual | fields)
+
+
+async def localized(caller: Caller) -> PoseWithCovarianceStamped:
+    sample = await caller.wait_sample("/amcl_pose", POSE, WITHIN)
+    return deserialize_message(sample.data, PoseWithCovarianceStamped)
+
+
+def names(report: RestoreReport) -> list[str]:
+    return [entry.name for entry in report.restored]
+
+
+async def test_a_pose_is_given_with_the_present_stamp_and_all_else_as_it_was(
+    localizer: Callable[..., None], restorer: Restorer, caller: Caller
+) -> None:
+    localizer()
+    await caller.bring_to("/localizer", "inactive", WITHIN)
+    before = time.time()
+    sample = pose()
+    report = await restorer.restore(KeptState((sample,)), within=WITHIN)
+    assert (names(report), report.not_restored) == (["/amcl_pose"], ())
+    assert report.restored[0].taken_at == sample.taken_at
+    taken = await localized(caller)
+    assert before - 0.001 <= taken.header.stamp.sec + taken.header.stamp.nanosec * 1e-9 <= time.time()
+    assert (taken.header.frame_id, taken.pose.pose.position.x, taken.pose.covariance[35]) == ("map", 1.5, 0.25)
+
+
+async def test_a_kept_stamp_stays(localizer: Callable[..., None], restorer: Restorer, caller: Caller) -> None:
+    localizer()
+    await caller.bring_to("/localizer", "inactive", WITHIN)
+    await restorer.restore(KeptState((pose(stamp="kept"),)), within=WITHIN)
+    assert (await localized(caller)).header.stamp.sec == 42
+
+
+async def test_it_is_said_again_until_it_is_confirmed(
+    localizer: Callable[..., None], restorer: Restorer, caller: Caller
+) -> None:
+    localizer("2")
+    await caller.bring_to("/localizer", "inactive", WITHIN)
+    report = await restorer.restore(KeptState((pose(confirm="/amcl_pose"),)), within=WITHIN)
+    assert (names(report), report.not_restored) == (["/amcl_pose"], ())
+    assert (await localized(caller)).pose.pose.position.x == 1.5
+
+
+async def test_what_was_said_before_confirms_nothing(
+    localizer: Callable[..., None], restorer: Restorer, caller: Caller
+) -> None:
+    localizer()
+    await caller.bring_to("/localizer", "inactive", WITHIN)
+    await restorer.restore(KeptState((pose(),)), within=WITHIN)
+    await localized(caller)  # latched: it is there for every late joiner
+    other = KeptSample("/map_pose", POSE, time.time(), pose().data, to="/nowhere", confirm="/amcl_pose")
+    begun = time.monotonic()
+    report = await restorer.restore(KeptState((other,)), within=2.0)
+    assert time.monotonic() - begun < 10
+    assert [entry.reason for entry in report.failed] == [f"nobody subscribes to /nowhere as {POSE} within 1.95 s"]
+
+
+async def test_without_a_confirmation_it_fails_in_bounded_time_and_says_so(
+    localizer: Callable[..., None], restorer: Restorer, caller: Caller
+) -> None:
+    localizer("1000")
+    await caller.bring_to("/localizer", "inactive", WITHIN)
+    begun = time.monotonic()
+    report = await restorer.restore(KeptState((pose(confirm="/amcl_pose"),)), within=8.0)
+    assert time.monotonic() - begun < 20
+    (entry,) = report.failed
+    assert entry.name == "/amcl_pose"
+    assert entry.reason.startswith("it was published on /initialpose, but not confirmed: nothing ")
+
+
+async def test_a_target_without_a_subscriber_fails_in_bounded_time_and_names_it(restorer: Restorer) -> None:
+    begun = time.monotonic()
+    report = await restorer.restore(KeptState((pose(),)), within=1.0)
+    assert time.monotonic() - begun < 10
+    assert report.restored == ()
+    assert report.problem == f"/amcl_pose: nobody subscribes to /initialpose as {POSE} within 0.95 s"
+
+
+async def test_parameters_are_set_and_nodes_brought_up_before_a_pose_finds_its_subscriber(
+    localizer: Callable[..., None], restorer: Restorer, caller: Caller
+) -> None:
+    localizer()
+    state = KeptState(
+        (pose(),),
+        (ParameterValues("/localizer", {"speed": 0.75}, 1.0),),
+        (LifecycleState("/localizer", "active", 2.0),),
+    )
+    report = await restorer.restore(state, within=WITHIN)
+    assert report.not_restored == ()
+    assert sorted(names(report)) == ["/amcl_pose", "/localizer (lifecycle)", "/localizer (parameters)"]
+    found = await restorer.inspect({"/localizer": ["speed"]}, ["/localizer"], within=WITHIN)
+    assert found == {
+        "parameters": {"/localizer": {"speed": 0.75}},
+        "lifecycle": {"/localizer": "active"},
+        "problems": [],
+    }
+    again = await restorer.restore(state, within=WITHIN)
+    assert again.not_restored == (), "it can be done again"
+
+
+async def test_what_can_not_be_given_keeps_nothing_else_back(
+    localizer: Callable[..., None], restorer: Restorer, caller: Caller
+) -> None:
+    localizer()
+    await caller.bring_to("/localizer", "inactive", WITHIN)
+    state = KeptState(
+        (pose(), KeptSample("/plan", "nav2_msgs/msg/Plan", 1.0, b"\0\1\0\0", to="/plan")),
+        (ParameterValues("/localizer", {"nope": 1}, 1.0), ParameterValues("/localizer", {"speed": 0.5}, 1.0)),
+        (),
+        (NotRestored("/map", "what is kept is 61.0 s old, more than maxAge (1m)", failed=False),),
+    )
+    report = await restorer.restore(state, within=WITHIN)
+    assert sorted(names(report)) == ["/amcl_pose", "/localizer (parameters)"]
+    reasons = {entry.name: entry for entry in report.not_restored}
+    assert "nope" in reasons["/localizer (parameters)"].reason
+    assert "nav2_msgs/msg/Plan is not installed" in reasons["/plan"].reason
+    assert reasons["/map"].reason == "what is kept is 61.0 s old, more than maxAge (1m)"
+    assert "/map" not in report.problem, "what is too old was not tried"
+
+
+async def test_only_what_is_named_is_given(localizer: Callable[..., None], restorer: Restorer, caller: Caller) -> None:
+    localizer()
+    await caller.bring_to("/localizer", "inactive", WITHIN)
+    state = KeptState((pose(),), (ParameterValues("/localizer", {"speed": 0.5}, 1.0),))
+    report = await restorer.restore(state, within=WITHIN, only=["/amcl_pose", "/map"])
+    assert names(report) == ["/amcl_pose"]
+    assert report.problem == "/map: it is not among what the policy keeps and restores"
+    found = await restorer.inspect({"/localizer": ["speed"]}, [], within=WITHIN)
+    assert found["parameters"] == {"/localizer": {"speed": 0.25}}
+
+
+async def test_an_inspection_says_what_could_not_be_told(localizer: Callable[..., None], restorer: Restorer) -> None:
+    localizer()
+    found = await restorer.inspect({"/localizer": ["speed"], "/gone": ["speed"]}, ["/localizer"], within=8.0)
+    assert found["parameters"] == {"/localizer": {"speed": 0.25}}
+    assert found["lifecycle"] == {"/localizer": "unconfigured"}
+    (problem,) = found["problems"]
+    assert (problem["kind"], problem["node"]) == ("parameters", "/gone")
+    assert "/gone" in problem["reason"]
+
+
+async def test_requests_carry_the_state_and_answers_the_report(
+    localizer: Callable[..., None], restorer: Restorer, caller: Caller
+) -> None:
+    localizer()
+    await caller.bring_to("/localizer", "inactive", WITHIN)
+    operations = restorer.operations()
+    answer = await operations["restore"]({"state": KeptState((pose(),)).to_wire(), "within": WITHIN}, PEER)
+    assert answer is not None
+    assert names(RestoreReport.from_wire(answer["report"])) == ["/amcl_pose"]
+    asked = {"parameters": [{"node": "/localizer", "names": ["speed"]}], "lifecycle": ["/localizer"], "within": WITHIN}
+    answer = await operations["inspect"](asked, PEER)
+    assert answer is not None
+    assert answer["lifecycle"] == {"/localizer": "inactive"}
+
+
+@pytest.mark.parametrize(
+    ("op", "body"),
+    [
+        ("restore", {"state": {"samples": [{"topic": "/a"}]}}),
+        ("restore", {"state": {"samples": [{"topic": "/a", "type": "b", "takenAt": 1, "data": "?"}]}}),
+        ("restore", {"state": {}, "within": -1}),
+        ("inspect", {"parameters": [{"node": "/a"}]}),
+        ("inspect", {"within": "long"}),
+    ],
+)
+async def test_requests_that_are_none_are_refused(restorer: Restorer, op: str, body: dict[str, Any]) -> None:
+    with pytest.raises(Refused):
+        await restorer.operations()[op](body, PEER)
+
+
+def test_a_message_without_a_header_stays_as_it_is() -> None:
+    from std_msgs.msg import String
+
+    data = serialize_message(String(data="home"))
+    assert stamped(KeptSample("/dock", "std_msgs/msg/String", 1.0, data, to="/dock", stamp="now")) == data
+
+
+def test_bytes_that_are_no_message_are_named() -> None:
+    with pytest.raises(CallFailed, match="what is kept of /amcl_pose is no geometry_msgs"):
+        stamped(KeptSample("/amcl_pose", POSE, 1.0, b"\0\1\0\0\1", to="/initialpose", stamp="now"))
