@@ -7,7 +7,10 @@ t_re-initialization are zero). What is left is to keep the loser, which is the s
 from __future__ import annotations
 
 import asyncio
+from bisect import bisect_right
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 from understudy.mitigation.interfaces import Instance, NotAvailable
 from understudy.mitigation.progress import PodIdentity, Progress
@@ -31,19 +34,50 @@ class TakenOver:
     """First output of the standby after it."""
 
 
-def judge(active: float | None, others: dict[str, tuple[float, float]], *, deadline: float) -> str | None:
-    """The name of the standby that drives the robot now; None while the instance in control does.
+JITTER = 0.05
+"""Part of the gaps between outputs that may be longer than the deadline before it counts as too short."""
 
-    ``active`` is when that was last received at a reader that has the robot's QoS; ``others`` has, for each standby, when
-    it was first received since and when last. A reader that is late, since its process was stalled, may deliver a standby's
-    sample too: so the instance in control must have been silent for the deadline (seconds) before it.
+ENOUGH = 10
+"""Outputs that must have been seen before anything is said about their period."""
+
+ENOUGH_FOR = 2.0
+"""Seconds over which they must have been seen."""
+
+
+def switched(
+    active: Sequence[float], standby: Sequence[float], *, deadline: float, now: float, since: float
+) -> tuple[float, float] | None:
+    """When the instance in control was last heard and the standby first after it, where the standby drives now; else None.
+
+    ``active`` and ``standby`` are when samples of them were received, by a reader that chooses as the robot's does; ``since``
+    is from when on the one in control should be heard. All in unix seconds, ``deadline`` in seconds.
+
+    A standby that is a little ahead when both begin after a pause is heard for a moment: so after a longer silence the one
+    in control gets another deadline.
     """
-    found = [
-        (last, name)
-        for name, (first, last) in others.items()
-        if active is None or (last > active and first - active >= deadline)
-    ]
-    return max(found)[1] if found else None
+    last = active[-1] if active else since
+    place = bisect_right(standby, last)
+    if place == len(standby) or now - last < deadline:
+        return None
+    first = standby[place]
+    if first - last >= 2 * deadline and now - first < deadline:
+        return None
+    return last, first
+
+
+def longest_gap(arrivals: Sequence[float], deadline: float) -> float | None:
+    """The longest gap between outputs (seconds) where the deadline is too short for them: longer ones come again and again.
+
+    None where it is long enough, or where not enough was seen to say so.
+    """
+    gaps = [later - earlier for earlier, later in pairwise(arrivals)]
+    over = [gap for gap in gaps if gap > deadline]
+    return max(over) if len(over) >= 3 and len(over) > JITTER * len(gaps) else None
+
+
+def measured(arrivals: Sequence[float], now: float) -> bool:
+    """Whether enough outputs were seen of late to know their period."""
+    return len(arrivals) >= ENOUGH and arrivals[-1] - arrivals[0] >= ENOUGH_FOR and now - arrivals[-1] < ENOUGH_FOR
 
 
 def begin(taken: TakenOver, active: PodIdentity, deadline: float) -> Progress:

@@ -53,7 +53,7 @@ class Reporter:
         self._recoveries = list(status.recoveries or [])
         self._count = status.recovery_count or 0
         self._last_time = status.last_recovery_time
-        ours = {"Healthy", "Monitored", "GateEnforced", "Recovering"}
+        ours = {"Healthy", "Monitored", "GateEnforced", "Recovering", "Reflex"}
         self._conditions = {c.type: c for c in status.conditions or [] if c.type in ours}
         self.reference = {
             "apiVersion": API_VERSION,

@@ -17,7 +17,7 @@ from understudy.monitor.gating import PolicyGate
 from understudy.ros.graph import Graph
 from understudy.ros.types import TypeNotInstalled, interface_class
 from understudy.ros.watching import Watching
-from understudy.trees.health import HealthTree, Verdict
+from understudy.trees.health import HealthTree, Verdict, WatchedTopic
 from understudy.trees.loading import TreeError, load
 from understudy.trees.observations import Observations
 
@@ -60,10 +60,14 @@ class Sight:
             except TypeNotInstalled as error:
                 self._problems.append(f"outputs[{index}].type: {error}.")
         types = {output.topic: output.type for output in outputs if output.topic}
-        if self._tree is not None:
-            self._watching.follow(
-                topic if topic.type else replace(topic, type=types.get(topic.name)) for topic in self._tree.topics
-            )
+        wanted = {topic.name: topic for topic in (self._tree.topics if self._tree is not None else [])}
+        if spec is not None and spec.gate.reflex is not None:
+            # Which instance they come from is watched, whether the tree judges them or not.
+            for name, type_ in types.items():
+                wanted.setdefault(name, WatchedTopic(name, type_, 0.0, None))
+        self._watching.follow(
+            topic if topic.type else replace(topic, type=types.get(topic.name)) for topic in wanted.values()
+        )
 
     @property
     def observations(self) -> Observations:
@@ -119,6 +123,14 @@ class Sight:
         """When a gated topic was last received from a pod."""
         times = [last for topic in self.gated if (last := self._watching.last_from(topic, pod)) is not None]
         return max(times, default=None)
+
+    def arrivals(self, topic: str, pod: str) -> Sequence[float]:
+        """When a topic was received from a pod, of late; unix seconds."""
+        return self._watching.arrivals(topic, pod)
+
+    def ambiguous(self, pod: str) -> bool:
+        """Whether a pod's samples can't be told from those of another instance."""
+        return any(pod in names for names in self._watching.sources.ambiguous)
 
     def outputs(self, fleet: Fleet, gate: PolicyGate) -> GatedReaders:
         """The gated readers as the failover protocol sees them."""

@@ -19,7 +19,8 @@ from understudy.api.policies import FailurePolicySpec
 from understudy.api.workloads import GateStatus
 from understudy.cluster.client import ApiError
 from understudy.cluster.probes import ProbeReceiver
-from understudy.mitigation.failover import recover
+from understudy.mitigation import reflex
+from understudy.mitigation.failover import Choice, recover
 from understudy.mitigation.interfaces import Instance, Superseded
 from understudy.mitigation.journal import Journal
 from understudy.mitigation.progress import PodIdentity, Progress
@@ -29,6 +30,7 @@ from understudy.monitor.choosing import choices
 from understudy.monitor.faults import CrashPoints
 from understudy.monitor.fleet import Fleet
 from understudy.monitor.gating import PolicyGate
+from understudy.monitor.reflexes import Reflexes
 from understudy.monitor.reporting import Reporter, describe
 from understudy.monitor.sidecars import Sidecars
 from understudy.monitor.sight import Sight
@@ -62,6 +64,9 @@ DEAD_AFTER = 0.1
 SETTLE = 2.0
 """Most seconds that a new monitor takes to hear of the understudies before it goes on with a recovery."""
 
+REFLEX_WITHIN = 10.0
+"""Seconds within which a standby that took over by the reflex must be seen to drive alone, once the gate names it."""
+
 SLOW = 1.0
 """Seconds between looks at what isn't urgent: labels, whether the gate is enforced."""
 
@@ -73,6 +78,8 @@ class Failure:
     reason: str
     onset: float
     detected: float
+    taken: reflex.TakenOver | None = None
+    """The standby that the robot follows already, if one does."""
 
 
 @dataclass
@@ -106,10 +113,13 @@ class Supervisor:
         self._backoff = BACKOFF_FIRST
         self._next_slow = 0.0
         self._gate_changed = self._since
-        self._active_uid = ""
+        self._let_through = ("", "")
         self._cooldown_told = False
         self._trusted_from = 0.0
         self._labelling: asyncio.Task[None] | None = None
+        self._reflexes = Reflexes(
+            parts.view, parts.fleet, parts.gate, parts.sidecars, parts.sight, parts.probes, parts.reporter
+        )
 
     async def run(self) -> None:
         """Watch and recover until cancelled."""
@@ -125,9 +135,12 @@ class Supervisor:
             failed = [PodIdentity(name=state.active, uid=state.active_uid)] if not state.closed else []
             metrics.lateness(time.time() - failure.detected)
             _logger.warning("failure of %s: %s", active.name if active else state.active, failure.reason)
-            await self._carry_out(
-                Progress.begin(failure.reason, last_healthy=failure.onset, detected=failure.detected, failed=failed)
-            )
+            if failure.taken is not None:
+                await self._carry_out(reflex.begin(failure.taken, failed[0], self._reflexes.deadline))
+            else:
+                await self._carry_out(
+                    Progress.begin(failure.reason, last_healthy=failure.onset, detected=failure.detected, failed=failed)
+                )
 
     # -- watching ---------------------------------------------------------------------------------------------------
 
@@ -152,6 +165,9 @@ class Supervisor:
                     return failure
                 if deadline is not None:
                     next_look = min(next_look, deadline + WAKE_LATE)
+                self._reflexes.guard()
+                if (again := self._reflexes.next_look(time.time())) is not None:
+                    next_look = min(next_look, again)
             if now >= self._next_slow:
                 self._next_slow = now + SLOW
                 self._housekeeping()
@@ -170,13 +186,18 @@ class Supervisor:
         if not self._gate.exists:
             self._reporter.set(health="Unknown")
             return None, None
-        if state.active_uid != self._active_uid:
-            self._active_uid = state.active_uid
+        if (state.active_uid, state.admitted_uid) != self._let_through:
+            self._let_through = (state.active_uid, state.admitted_uid)
             self._gate_changed = now
         if state.closed:
             await self._bootstrap(policy, now)
             return None, None
         active = self._fleet.find(state.active_uid)
+        if (taken := self._reflexes.taken_over(now, self._since)) is not None:
+            if now < self._trusted_from:
+                return None, self._trusted_from
+            reason = f"{state.active} is silent and {taken.standby.name} has taken over"
+            return Failure(reason, taken.last, taken.first, taken), None
         if (loss := self._lost(active, now)) is not None:
             failure, look = loss
             return (self._counted(failure, now) if failure else None), look
@@ -297,8 +318,20 @@ class Supervisor:
         self._say_watched()
         active_uid = self._gate.state.active_uid
         last = {i.uid: found for i in instances if (found := self._parts.probes.last(i.uid)) is not None}
-        judged = enforcement.judge(instances, active_uid, last, now=time.time(), since=self._gate_changed)
-        if judged[1] != "Settling" and self._reporter.condition("GateEnforced", *judged) and judged[0] == "False":
+        judged = enforcement.judge(
+            instances,
+            active_uid,
+            last,
+            now=time.time(),
+            since=self._gate_changed,
+            admitted_uid=self._gate.state.admitted_uid,
+        )
+        self._reflexes.keep(time.time(), enforced=judged[0] == "True")
+        if (
+            judged[1] not in ("Settling", "Admitted")
+            and self._reporter.condition("GateEnforced", *judged)
+            and judged[0] == "False"
+        ):
             self._reporter.event("Warning", f"Gate{judged[1]}", judged[2])
 
     async def _label(self, instances: Sequence[Instance]) -> None:
@@ -358,7 +391,7 @@ class Supervisor:
         self._reporter.set(health="Recovering")
         self._reporter.condition("Recovering", "True", "FailureDetected", progress.reason)
         try:
-            done = await recover(progress, choices(policy, settings), self._means())
+            done = await self._recovered(progress, choices(policy, settings))
         except Superseded as reason:
             _logger.warning("recovery %s given up: %s", progress.id, reason)
             self._reporter.condition("Recovering", "False", "Superseded", str(reason))
@@ -390,6 +423,13 @@ class Supervisor:
             self._reporter.event("Warning", "RecoveryFailed", text)
             self._after(self._backoff)
             self._backoff = min(2 * self._backoff, BACKOFF_MOST)
+
+    async def _recovered(self, progress: Progress, choices: list[Choice]) -> Progress:
+        means = self._means()
+        if progress.taken_over is not None:
+            await reflex.commit(progress, means)
+            choices = [Choice(reflex.ReflexFallback(), REFLEX_WITHIN), *choices]
+        return await recover(progress, choices, means)
 
     def _after(self, wait: float) -> None:
         now = time.time()

@@ -11,7 +11,7 @@ import logging
 import math
 import time
 from bisect import bisect_left
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -297,6 +297,11 @@ class Watching:
         """When a topic was last received from a pod; None for never, or where the pod can't be told from another."""
         record = self._record_of(name, pod)
         return record.last if record is not None else None
+
+    def arrivals(self, name: str, pod: str) -> Sequence[float]:
+        """When a topic was received from a pod, of late (HISTORY); empty where the pod can't be told from another."""
+        record = self._record_of(name, pod)
+        return record.arrivals if record is not None else ()
 
     def first_from(self, name: str, pod: str, *, since: float) -> float | None:
         """When a topic was first received from a pod at or after a time, which must not be long ago (HISTORY)."""
