@@ -175,6 +175,22 @@ class KeptState:
             tuple(n for n in self.left_out if n.name.split(" ")[0] in names),
         )
 
+    def batches(self, most: int) -> list[KeptState]:
+        """The same in parts whose messages have at most so many bytes, or are one; all but messages is in the first."""
+        parts: list[list[KeptSample]] = [[]]
+        for sample in self.samples:
+            if parts[-1] and sum(len(s.data) for s in parts[-1]) + len(sample.data) > most:
+                parts.append([])
+            parts[-1].append(sample)
+        first, *others = parts
+        return [replace(self, samples=tuple(first)), *(KeptState(tuple(part)) for part in others)]
+
+    def not_given(self, reason: str) -> RestoreReport:
+        """The report of who could give none of it."""
+        names = [s.name for s in self.restored_samples]
+        names += [p.name for p in self.parameters] + [n.name for n in self.lifecycle]
+        return RestoreReport((), (*self.left_out, *(NotRestored(name, reason) for name in names)))
+
     def newer_than(self, times: Mapping[str, float]) -> KeptState:
         """What was taken after the time noted for its topic or node; all of it for those without one."""
 

@@ -103,3 +103,12 @@ class KeptStatus(Model):
     taken_at: Time | None = Field(default=None, description="When the message was taken that would be restored now.")
     bytes: int = Field(default=0, description="Its size.")
     message: str = Field(default="", description="What is wrong with it, if anything.")
+
+
+class RestoredState(Model):
+    """What became of one thing that is kept, in a recovery."""
+
+    name: str = Field(description="Topic, or node with what of it.")
+    restored: bool = Field(description="Whether the instance that took over was given it.")
+    age_seconds: float | None = Field(default=None, description="How old it was when the failure began, in seconds.")
+    message: str = Field(default="", description="Why it was not restored.")

@@ -18,7 +18,7 @@ from understudy.api.base import (
 from understudy.api.conditions import Condition, Time
 from understudy.api.procedures import Procedure
 from understudy.api.rosnames import ROS_TYPE_MESSAGE, ROS_TYPE_PATTERN, RosName
-from understudy.api.states import KeptStatus
+from understudy.api.states import KeptStatus, RestoredState
 from understudy.api.tasks import Task, TaskStatus
 from understudy.api.templates import pod_template
 
@@ -315,6 +315,10 @@ class Recovery(Model):
     moments: Moments = Field(default_factory=Moments, description="When each step happened.")
     attempts: list[Attempt] = Field(default_factory=list, description="The strategies tried, in order.")
     resumed: bool = Field(default=False, description="Whether a new monitor finished what an earlier one had begun.")
+    state: list[RestoredState] = Field(
+        default_factory=list,
+        description="What became of the kept state: what was restored and how old it was, what was not and why.",
+    )
 
 
 class GateStatus(Model):

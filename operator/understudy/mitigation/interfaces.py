@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
+from understudy.api.kept import KeptState, RestoreReport
 from understudy.mitigation.progress import Progress
 
 
@@ -132,6 +133,9 @@ class Agents(Protocol):
 
     async def ready(self, instance: Instance) -> float:
         """Wait until the health tree holds on its own outputs; when it first did, in unix seconds."""
+
+    async def restore(self, instance: Instance, state: KeptState, within: float) -> RestoreReport:
+        """Give it the state of the last healthy instance, in so many seconds. What can't be given is in the report."""
 
     def is_ready(self, instance: Instance) -> tuple[bool, str]:
         """Whether the health tree holds on its own outputs now, and else why not."""

@@ -14,6 +14,8 @@ from typing import Literal
 from pydantic import Field
 
 from understudy.api.base import Model
+from understudy.api.kept import RestoreReport
+from understudy.api.states import RestoredState
 from understudy.api.workloads import Attempt, Moments, Parts, Recovery
 
 Part = Literal["detection", "cluster", "startup", "reinitialization"]
@@ -47,6 +49,8 @@ class Progress(Model):
     """Up to when the time is accounted for."""
     parts: dict[Part, float] = Field(default_factory=dict)
     moments: dict[str, float] = Field(default_factory=dict)
+    state: list[RestoredState] = Field(default_factory=list)
+    """What became of the kept state in the present attempt."""
 
     @classmethod
     def begin(
@@ -82,6 +86,18 @@ class Progress(Model):
     def forget_attempt(self) -> None:
         """Drop the moments of an attempt that came to nothing; those of the failure stay."""
         self.moments = {name: time for name, time in self.moments.items() if name in ("last_healthy", "detected")}
+        self.state = []
+
+    def note_state(self, report: RestoreReport) -> None:
+        """Record what the instance that takes over was given, and what not. What was tried again counts as it ended last."""
+        onset = self.moments.get("last_healthy", self.cursor)
+        entries = [
+            RestoredState(name=r.name, restored=True, age_seconds=round(max(0.0, onset - r.taken_at), 3))
+            for r in report.restored
+        ]
+        entries += [RestoredState(name=n.name, restored=False, message=n.reason) for n in report.not_restored]
+        known = {entry.name: entry for entry in self.state} | {entry.name: entry for entry in entries}
+        self.state = list(known.values())
 
     def to_recovery(self, number: int) -> Recovery:
         """As it stands in ``status.recoveries``."""
@@ -100,6 +116,7 @@ class Progress(Model):
             moments=Moments(**{name: rfc3339(time) for name, time in self.moments.items()}),
             attempts=self.attempts,
             resumed=self.resumed,
+            state=self.state,
         )
 
 

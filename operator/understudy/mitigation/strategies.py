@@ -11,6 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from understudy.api.kept import KeptState
 from understudy.mitigation.interfaces import Agents, ClaimLost, Gate, Instance, Instances, NotAvailable, Outputs
 from understudy.mitigation.progress import PodIdentity, Progress
 
@@ -32,6 +33,10 @@ class Means:
     clock: Callable[[], float]
     save: Callable[[Progress], None]
     workload_uid: str
+    kept: Callable[[float], KeptState] = lambda onset: KeptState()
+    """The state that is given to the instance that takes over after a failure that began then (unix seconds)."""
+    restore_within: float = 5.0
+    """Seconds that giving it may take."""
 
 
 class Strategy(ABC):
@@ -205,6 +210,8 @@ async def _bring_up(target: Instance, progress: Progress, means: Means, *, withi
         up = await means.agents.up(target)
         progress.moments["started"] = up
         progress.charge("startup", up)
+    await restore(target, progress, means)
+    if target.has_agent:
         try:
             # An application may need an answer of the robot before its outputs flow: half the time for the other order.
             async with asyncio.timeout(within / 2):
@@ -215,6 +222,28 @@ async def _bring_up(target: Instance, progress: Progress, means: Means, *, withi
         progress.charge("reinitialization", ready)
     await _open(target, progress, means)
     await _wait_enforced(target, progress, means)
+
+
+async def restore(target: Instance, progress: Progress, means: Means) -> None:
+    """Give a started instance the state of the last healthy one, as far as that can be.
+
+    What can't be given is recorded and keeps nothing back: a robot that nobody drives is worse off than one whose
+    application begins without some of its state. Where that isn't so, a recovery tree can insist (restore_state).
+    """
+    state = kept(progress, means)
+    if not state and not state.left_out:
+        return
+    if target.has_agent:
+        report = await means.agents.restore(target, state, means.restore_within)
+    else:
+        report = state.not_given(f"pod {target.name} has no agent, since a referred controller made it")
+    progress.note_state(report)
+    means.save(progress)
+
+
+def kept(progress: Progress, means: Means) -> KeptState:
+    """The state to give after this failure; the same however often it is asked for."""
+    return means.kept(progress.moments.get("last_healthy", progress.cursor))
 
 
 async def _wait_enforced(target: Instance, progress: Progress, means: Means) -> None:

@@ -5,14 +5,15 @@ from __future__ import annotations
 import asyncio
 import base64
 import logging
-from collections.abc import Callable, Coroutine, Sequence
+from collections.abc import Callable, Coroutine, Mapping, Sequence
 from typing import Any
 
 import aiohttp
 
 from understudy.api import names
-from understudy.api.agents import AgentStatus
+from understudy.api.agents import AgentStatus, ProtocolError
 from understudy.api.base import seconds
+from understudy.api.kept import LARGEST, KeptState, RestoreReport
 from understudy.cluster.agents import AgentGone, AgentLink, AgentRefused
 from understudy.cluster.client import SECRETS, ApiError, Client
 from understudy.mitigation.interfaces import Instance
@@ -26,6 +27,9 @@ PROBE_INTERVAL = 0.001
 
 RETRY = 0.05
 """Seconds before an unanswered request is sent again; requests can be repeated."""
+
+ANSWER_LATE = 1.0
+"""Seconds after an operation's own end at which its answer is given up: it has a way to go."""
 
 
 class Sidecars:
@@ -189,6 +193,36 @@ class Sidecars:
         status = await link.wait_for(lambda status: status.configured and status.ready and status.ready_at is not None)
         assert status.ready_at is not None
         return status.ready_at
+
+    async def restore(self, instance: Instance, state: KeptState, within: float) -> RestoreReport:
+        """Give it the state of the last healthy instance, in so many seconds. What can't be given is in the report."""
+        loop = asyncio.get_running_loop()
+        end = loop.time() + within
+        report = RestoreReport()
+        problem = "its agent isn't connected"
+        for batch in state.batches(LARGEST):
+            given: RestoreReport | None = None
+            while given is None and (rest := end - loop.time()) > 0:
+                try:
+                    async with asyncio.timeout(rest):
+                        link = await self._connected(instance)
+                    body = {"state": await asyncio.to_thread(batch.to_wire), "within": max(0.1, end - loop.time())}
+                    answer = await link.request("restore", body, within=max(0.1, end - loop.time()) + ANSWER_LATE)
+                    given = RestoreReport.from_wire(answer.get("report", {}))
+                except (AgentRefused, ProtocolError) as error:
+                    problem, given = str(error), batch.not_given(str(error))
+                except (AgentGone, TimeoutError) as error:
+                    problem = str(error) or problem
+                    await asyncio.sleep(RETRY)
+            report = report.merged(given or batch.not_given(f"{problem} within {within:.3g} s"))
+        return report
+
+    async def inspect(self, instance: Instance, body: Mapping[str, Any], within: float) -> dict[str, Any]:
+        """What an instance's nodes answer about their parameters and states. Raises AgentGone, AgentRefused."""
+        link = self._links.get(instance.uid)
+        if link is None:
+            raise AgentGone("its agent isn't connected")
+        return await link.request("inspect", {**body, "within": within}, within=within + ANSWER_LATE)
 
     def is_ready(self, instance: Instance) -> tuple[bool, str]:
         """Whether the health tree holds on its own outputs now, and else why not."""

@@ -7,6 +7,7 @@ import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
+from understudy.api.kept import KeptState, Restored, RestoreReport
 from understudy.mitigation.interfaces import ClaimLost, GateState, Instance, Superseded
 from understudy.mitigation.progress import Progress
 from understudy.mitigation.strategies import Means
@@ -34,6 +35,10 @@ class Store:
     others_claim: set[str] = field(default_factory=set)
     counter: itertools.count[int] = field(default_factory=lambda: itertools.count(1))
     source_makes_broken: bool = False
+    kept: KeptState = field(default_factory=KeptState)
+    """What was kept of the instance that failed."""
+    given: dict[str, KeptState] = field(default_factory=dict)
+    """State by the name of the pod that was given it."""
 
     def add(self, name: str, **values: object) -> Instance:
         pod = replace(Instance(name=name, uid=f"uid-{name}", ip="10.0.0.1", running=True, ready=True), **values)  # type: ignore[arg-type]
@@ -74,6 +79,7 @@ class World:
             clock=self.clock,
             save=self._save,
             workload_uid="uid-w",
+            kept=lambda onset: self.store.kept,
         )
 
     def _save(self, progress: Progress) -> None:
@@ -180,6 +186,14 @@ class _Agents(_Part):
             await asyncio.sleep(PERIOD)
         await asyncio.sleep(PERIOD)
         return self.world.clock()
+
+    async def restore(self, instance: Instance, state: KeptState, within: float) -> RestoreReport:
+        self.world.effect()
+        assert self.store.gate.closed, "state was given while the gate was open"
+        self.store.given[instance.name] = state
+        self.world.effect()
+        items = (*state.restored_samples, *state.parameters, *state.lifecycle)
+        return RestoreReport(tuple(Restored(item.name, item.taken_at) for item in items), state.left_out)
 
     def is_ready(self, instance: Instance) -> tuple[bool, str]:
         return instance.ready, "" if instance.ready else "no /cmd_vel for 500 ms"

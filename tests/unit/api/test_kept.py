@@ -1,0 +1,92 @@
+"""Kept state survives the wire, and what is none is refused."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from understudy.api.agents import MAX_LINE, ProtocolError, encode
+from understudy.api.kept import (
+    LARGEST,
+    KeptSample,
+    KeptState,
+    LifecycleState,
+    NotRestored,
+    ParameterValues,
+    Restored,
+    RestoreReport,
+)
+
+POSE = KeptSample("/amcl_pose", "a/msg/Pose", 10.5, bytes(range(256)), "/initialpose", "now", "/amcl_pose")
+MAP = KeptSample("/map", "n/msg/Map", 2.0, b"map")
+PARAMETERS = ParameterValues("/controller", {"speed": 0.5, "count": 2, "names": ["a"], "on": True}, 3.0)
+STATE = LifecycleState("/controller", "active", 4.0)
+OLD = NotRestored("/plan", "too old", failed=False)
+KEPT = KeptState((POSE, MAP), (PARAMETERS,), (STATE,), (OLD,))
+
+
+def test_state_and_report_survive_the_wire() -> None:
+    assert KeptState.from_wire(json.loads(json.dumps(KEPT.to_wire()))) == KEPT
+    report = RestoreReport((Restored("/amcl_pose", 10.5),), (OLD, NotRestored("/x", "no")))
+    assert RestoreReport.from_wire(json.loads(json.dumps(report.to_wire()))) == report
+
+
+def test_the_largest_message_fits_into_a_line() -> None:
+    state = KeptState((KeptSample("/map", "n/msg/Map", 1.0, bytes(LARGEST), to="/map"),))
+    assert len(encode({"id": 1, "op": "restore", "state": state.to_wire(), "within": 5.0})) <= MAX_LINE
+
+
+@pytest.mark.parametrize(
+    "wire",
+    [
+        {"samples": [{}]},
+        {"samples": [{"topic": "/a", "type": "t", "takenAt": "x", "data": ""}]},
+        {"samples": [{"topic": "/a", "type": "t", "takenAt": 1, "data": "%%"}]},
+        {"parameters": [{"node": "/a", "values": 3, "takenAt": 1}]},
+        {"lifecycle": 7},
+    ],
+)
+def test_what_is_no_state_is_refused(wire: dict[str, object]) -> None:
+    with pytest.raises(ProtocolError, match="not a kept"):
+        KeptState.from_wire(wire)
+
+
+def test_a_node_has_its_parameters_and_its_state_reported_apart() -> None:
+    assert PARAMETERS.name != STATE.name
+    assert RestoreReport((Restored(PARAMETERS.name, 1.0),)).merged(RestoreReport((Restored(STATE.name, 1.0),))) == (
+        RestoreReport((Restored(PARAMETERS.name, 1.0), Restored(STATE.name, 1.0)))
+    )
+
+
+def test_only_some_of_it_by_topic_or_by_what_it_is_restored_to() -> None:
+    assert KEPT.only(["/amcl_pose"]).samples == KEPT.only(["/initialpose"]).samples == (POSE,)
+    assert KEPT.only(["/controller"]) == KeptState((), (PARAMETERS,), (STATE,))
+    assert KEPT.only(["/plan"]).left_out == (OLD,)
+    assert KEPT.only([]) == KEPT
+
+
+def test_only_what_is_newer() -> None:
+    newer = KEPT.newer_than({"/amcl_pose": 10.5, "/controller (parameters)": 2.9})
+    assert (newer.samples, newer.parameters, newer.lifecycle) == ((MAP,), (PARAMETERS,), (STATE,))
+
+
+def test_in_batches_everything_comes_once() -> None:
+    big = [KeptSample(f"/t{i}", "t", 1.0, bytes(size), to="/x") for i, size in enumerate((40, 50, 60, 200, 10))]
+    batches = KeptState(tuple(big), (PARAMETERS,), (STATE,), (OLD,)).batches(100)
+    assert [[len(s.data) for s in batch.samples] for batch in batches] == [[40, 50], [60], [200], [10]]
+    assert [bool(b.parameters or b.lifecycle or b.left_out) for b in batches] == [True, False, False, False]
+    assert KeptState().batches(100) == [KeptState()]
+
+
+def test_what_none_of_was_given_is_all_in_the_report() -> None:
+    report = KEPT.not_given("gone")
+    assert report.problem == "/amcl_pose: gone; /controller (parameters): gone; /controller (lifecycle): gone"
+    assert OLD in report.not_restored
+
+
+def test_what_was_tried_again_counts_as_it_ended_last() -> None:
+    first = RestoreReport((), (NotRestored("/a", "no"), NotRestored("/b", "no")))
+    assert first.merged(RestoreReport((Restored("/a", 1.0),))) == RestoreReport(
+        (Restored("/a", 1.0),), (NotRestored("/b", "no"),)
+    )
