@@ -21,6 +21,12 @@ _FAULTS: dict[str, tuple[str, Callable[[Provider, str], None]]] = {
 }
 
 
+_API: dict[str, Callable[[Provider], None]] = {
+    "stop": lambda provider: provider.api_stop(),
+    "start": lambda provider: provider.api_start(),
+}
+
+
 def select(name: str | None, cluster: str | None, progress: Progress) -> Provider:
     """The provider of a name, or the one that suits this machine: kind where it works, else local.
 
@@ -78,6 +84,10 @@ def parser() -> argparse.ArgumentParser:
     )
     node.add_argument("action", choices=list(_FAULTS))
     node.add_argument("node")
+    api = commands.add_parser(
+        "api", parents=[common], help="stop: end the API server, everything else goes on; start: start it again"
+    )
+    api.add_argument("action", choices=list(_API))
     return top
 
 
@@ -97,6 +107,8 @@ def main(arguments: list[str] | None = None) -> int:
             print(provider.kubeconfig())
         elif options.command == "node":
             _FAULTS[options.action][1](provider, options.node)
+        elif options.command == "api":
+            _API[options.action](provider)
         else:
             status = provider.status()
             print("\n".join([status.summary, *(f"  {line}" for line in status.details)]))

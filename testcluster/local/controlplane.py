@@ -1,5 +1,8 @@
 """etcd and the Kubernetes control plane, in the network namespace of the cluster's switch."""
 
+import contextlib
+import os
+import signal
 import ssl
 import urllib.request
 from pathlib import Path
@@ -114,6 +117,24 @@ def running(layout: Layout) -> dict[str, bool]:
     group = network.control_plane_group(layout)
     names = ("etcd", "kube-apiserver", "kube-controller-manager", "kube-scheduler")
     return {name: processes.find(group, name) is not None for name in names}
+
+
+def stop_api(layout: Layout) -> None:
+    """Ends the API server as a crash would, and returns when it is gone. What is gone already is no error.
+
+    Raises:
+        TimeoutError: the kernel does not end it.
+    """
+    group = network.control_plane_group(layout)
+
+    def gone() -> bool:
+        pid = processes.find(group, "kube-apiserver")
+        if pid is not None:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+        return pid is None
+
+    wait_until(gone, 20, "the API server has ended")
 
 
 def up(layout: Layout, programs: Programs, pki: Path, holder: int) -> None:

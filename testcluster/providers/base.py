@@ -81,6 +81,14 @@ class Provider(ABC):
         """Stops every process of a node where it stands, or lets them go on."""
         raise NotSupported(f"provider {self.name} cannot freeze a node")
 
+    def api_stop(self) -> None:
+        """Ends the API server at once; everything else goes on without it."""
+        raise NotSupported(f"provider {self.name} cannot stop the API server")
+
+    def api_start(self) -> None:
+        """Starts the API server again, and returns when it answers."""
+        raise NotSupported(f"provider {self.name} cannot start the API server")
+
     def node_link(self, node: str, connected: bool) -> None:
         """Pulls a node's network cable, or puts it back. Its pods go on running."""
         raise NotSupported(f"provider {self.name} cannot cut a node off")

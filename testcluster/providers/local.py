@@ -216,6 +216,18 @@ class LocalProvider(Provider):
         layout = self._layout()
         cgroups.freeze(nodes.group(layout, node_number(node, layout)), frozen)
 
+    def api_stop(self) -> None:
+        with self._locked():
+            controlplane.stop_api(self._layout())
+
+    def api_start(self) -> None:
+        with self._locked():
+            layout = self._layout()
+            holder = network.holder(layout)
+            if holder is None:
+                raise ClusterError(f"cluster {self._cluster} does not run; `scripts/cluster up` starts it")
+            controlplane.up(layout, tools.ensure(self._progress), pki.create(layout), holder)
+
     def node_link(self, node: str, connected: bool) -> None:
         layout = self._layout()
         network.set_node_link(layout, node_number(node, layout), connected)
