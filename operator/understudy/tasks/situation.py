@@ -1,0 +1,58 @@
+"""What the monitor tells the task proxy: the tasks, the instances, and which of them is in control."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Rule:
+    """A task, as far as its goals' fate goes."""
+
+    action: str
+    type: str
+    on_failover: str = "Resend"
+    """Resend, Abort or Tree."""
+    abort_grace: float = 2.0
+    """Seconds for which an end that nobody asked for isn't told yet."""
+
+
+@dataclass(frozen=True)
+class Peer:
+    """An instance whose agent the proxy may command."""
+
+    uid: str
+    pod: str
+    ip: str
+    port: int
+    token: str
+    claim: str
+    executing: bool = False
+    """Whether it is a standby that runs in full, and is given all goals too."""
+
+
+@dataclass(frozen=True)
+class Situation:
+    """What is so, by the monitor."""
+
+    workload: str
+    epoch: int = 0
+    active: str = ""
+    """UID of the instance in control; empty while none is."""
+    settled: bool = True
+    """Whether no failure is seen and no recovery under way."""
+    rules: tuple[Rule, ...] = ()
+    peers: tuple[Peer, ...] = ()
+
+    def to_wire(self) -> dict[str, Any]:
+        """As one JSON object."""
+        return asdict(self)
+
+    @classmethod
+    def from_wire(cls, data: Mapping[str, Any]) -> Situation:
+        """Raises KeyError and TypeError where it is none."""
+        rules = tuple(Rule(**rule) for rule in data["rules"])
+        peers = tuple(Peer(**peer) for peer in data["peers"])
+        return cls(**{**data, "rules": rules, "peers": peers})
