@@ -24,9 +24,10 @@ from understudy.api.agents import OutputCount
 
 if TYPE_CHECKING:
     from understudy.api.workloads import Output
+    from understudy.ros.calling import Place
     from understudy.ros.graph import Graph
     from understudy.ros.watching import Watching
-    from understudy.trees.health import HealthTree, WatchedTopic
+    from understudy.trees.health import HealthTree, Verdict, WatchedTopic
     from understudy.trees.observations import TopicRecord
 
 _logger = logging.getLogger(__name__)
@@ -46,6 +47,9 @@ PRESENCE_PERIOD = 2.0
 OWN_GID = 5.0
 """Seconds within which the agent's node must see its own publisher."""
 
+OURS = "/understudy_"
+"""How the names of this process's own nodes begin."""
+
 RETRY = 5.0
 """Seconds before joining the ROS graph is tried again."""
 
@@ -56,6 +60,9 @@ class Plan:
 
     tree: HealthTree
     outputs: Sequence[Output]
+    managed: bool = False
+    """Whether procedures bring its nodes up: then its processes are up with their first node, and not only with its first
+    output, which may take a procedure."""
 
     @classmethod
     def of(cls, body: Mapping[str, Any]) -> Plan:
@@ -70,7 +77,7 @@ class Plan:
             raise ValueError(f"grace {grace!r}: expected a number of seconds")
         try:
             outputs = [Output.model_validate(output) for output in body.get("outputs", [])]
-            return cls(load(body.get("tree", {}), grace=float(grace)), outputs)
+            return cls(load(body.get("tree", {}), grace=float(grace)), outputs, bool(body.get("managed")))
         except (TreeError, ValidationError, TypeError) as error:
             raise ValueError(str(error)) from error
 
@@ -139,6 +146,58 @@ class Health:
         self._since = 0.0
         self._looked_for_presence = 0.0
         self._present = False
+        self._joined: tuple[Graph, Watching, bytes] | None = None
+        self._own: _OwnOutputs | None = None
+        self._also: dict[str, tuple[WatchedTopic, ...]] = {}
+        self._also_since = 0.0
+
+    def place(self) -> Place | None:
+        """Where in the ROS graph this process is; None while it has not joined."""
+        from understudy.ros.calling import Place
+
+        if self._joined is None:
+            return None
+        graph, _, host = self._joined
+        return Place(graph.node.context, host)
+
+    def watch(self, purpose: str, topics: Sequence[WatchedTopic]) -> None:
+        """Watch some topics more, for trees of a purpose; the last ones of that purpose are let go."""
+        if tuple(topics) == self._also.get(purpose, ()):
+            return
+        self._also[purpose] = tuple(topics)
+        self._also_since = time.time()
+        self._follow()
+
+    def verdict(self, tree: HealthTree) -> Verdict:
+        """The verdict of a tree whose topics are watched, on this instance."""
+        from understudy.trees.health import Verdict
+
+        if self._own is None or self._joined is None:
+            return Verdict("Starting", "the agent hasn't joined the ROS graph yet", "", None)
+        watching = self._joined[1]
+        watching.drain()
+        tree.leave_out(watching.unwatchable)
+        if tree.root is None:
+            return Verdict("Failed", "; ".join(watching.problems), "", None)
+        return tree.evaluate(self._own, now=time.time(), since=self._also_since)
+
+    def _follow(self) -> None:
+        """Watch what the plan and all other trees need."""
+        if self._joined is None or self._plan is None:
+            return
+        watching = self._joined[1]
+        found: dict[str, WatchedTopic] = {}
+        types = {output.topic: output.type for output in self._plan.outputs if output.topic}
+        for topic in [*self._plan.topics(), *(topic for topics in self._also.values() for topic in topics)]:
+            known = found.get(topic.name, topic)
+            rates = [rate for rate in (known.rate, topic.rate) if rate is not None]
+            found[topic.name] = dataclasses.replace(
+                known,
+                type=known.type or topic.type or types.get(topic.name),
+                window=max(known.window, topic.window),
+                rate=max(rates, default=None),
+            )
+        watching.follow(found.values())
 
     def resume(self, process_up_at: float | None, ready_at: float | None) -> None:
         """Go on from what an earlier agent of this pod saw."""
@@ -162,12 +221,14 @@ class Health:
                 await asyncio.sleep(RETRY)
                 continue
             try:
+                self._joined = graph, watching, host
                 await self._look(graph, watching, host)
             except Exception as error:
                 _logger.exception("looking at the instance")
                 self._say(False, f"looking at the instance failed: {error!r}")
                 await asyncio.sleep(RETRY)
             finally:
+                self._joined = self._own = None
                 watching.close()
                 graph.close()
 
@@ -182,8 +243,8 @@ class Health:
             assert plan is not None, "it was waited for"
             if self._new_plan.is_set():
                 self._new_plan.clear()
-                watching.follow(plan.topics())
-                own = _OwnOutputs(watching, plan.outputs, host)
+                self._follow()
+                own = self._own = _OwnOutputs(watching, plan.outputs, host)
                 self._since = time.time()
             watching.drain()
             plan.tree.leave_out(watching.unwatchable)
@@ -205,7 +266,8 @@ class Health:
     def _judge(self, graph: Graph, watching: Watching, host: bytes, plan: Plan, own: _OwnOutputs, now: float) -> None:
         judgement = self.judgement
         self._look_for_presence(graph, host, plan)
-        if self._present and judgement.process_up_at is None:
+        up = self._present or (plan.managed and judgement.process_up_at is None and _application(graph, host))
+        if up and judgement.process_up_at is None:
             judgement.process_up_at = now
             self._on_change()
         verdict = plan.tree.evaluate(own, now=now, since=self._since)
@@ -243,6 +305,14 @@ class Health:
                 _logger.info("ready" if ready else "not ready: %s", *([] if ready else [reason]))
             judgement.ready, judgement.reason = ready, reason
             self._on_change()
+
+
+def _application(graph: Graph, host: bytes) -> bool:
+    """Whether a node of the application is there: one on this host that is none of ours."""
+    from understudy.ros.sources import HOST
+
+    nodes = graph.publishers("/parameter_events")
+    return any(node.gid[HOST] == host and node.node and not node.node.startswith(OURS) for node in nodes)
 
 
 def _join(node_name: str) -> tuple[Graph, Watching, bytes]:

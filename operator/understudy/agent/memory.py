@@ -32,6 +32,10 @@ class Memory:
     ready_at: float | None = None
     configuration: dict[str, Any] | None = None
     """The monitor's last ``configure``."""
+    standby: dict[str, Any] | None = None
+    """What that said of an instance that waits."""
+    brought: str = ""
+    """What the instance was brought to by a procedure, as the monitor called it."""
 
     def variables(self, containers: Sequence[str]) -> dict[str, dict[str, str]]:
         """The environment of each held container: the robot's graph, and the container's own over it."""

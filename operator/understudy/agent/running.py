@@ -51,6 +51,7 @@ async def _run(identity: Identity, probes: ProbeSender) -> None:
         loop.add_signal_handler(number, told.set)
     sidecar = Sidecar(identity, probes)
     sessions = Sessions(sidecar)
+    sidecar.publish = sessions.publish
 
     def ready() -> tuple[int, str]:
         status = sidecar.status()

@@ -6,20 +6,28 @@ import asyncio
 import dataclasses
 import logging
 import os
+import re
 import time
-from collections.abc import Iterable, Mapping
-from typing import Any
+from collections.abc import Callable, Iterable, Mapping
+from typing import TYPE_CHECKING, Any
 
 from understudy.agent import preparing
 from understudy.agent.health import Health, Plan
 from understudy.agent.holds import Holds
 from understudy.agent.identity import Identity
 from understudy.agent.memory import Memory
+from understudy.agent.procedures import InstanceActions, Procedures
+from understudy.agent.restoring import Restorer
 from understudy.agent.sessions import Operation, Peer, Refused
+from understudy.agent.standing import Readiness, Standing
 from understudy.agent.strengths import Strengths
 from understudy.api import holding, names
 from understudy.api.agents import AgentStatus, Phase
+from understudy.api.kept import KeptState
 from understudy.cluster.probes import ProbeSender
+
+if TYPE_CHECKING:
+    from understudy.ros.calling import Caller
 
 _logger = logging.getLogger(__name__)
 
@@ -36,6 +44,18 @@ class Sidecar:
         self._strengths = Strengths(identity.directory)
         self._health = Health(identity.pod, on_change=self._health_changed, on_writers=self._writers_seen)
         self._health.resume(self._memory.process_up_at, self._memory.ready_at)
+        self._caller: Caller | None = None
+        self._restorer = Restorer(lambda: self.caller)
+        self._procedures = Procedures(
+            self._actions,
+            self._health.watch,
+            on_begin=self._procedure_begins,
+            on_success=self._procedure_done,
+            on_end=self._notify,
+        )
+        self._readiness = Readiness(lambda: self._actions(KeptState()), self._health.watch, self._notify)
+        self.publish: Callable[[Mapping[str, Any]], None] = lambda event: None
+        """Sends an event to whoever is connected."""
         self._configuring = asyncio.Lock()
         self._looking: asyncio.Task[None] | None = None
         self._version = 0
@@ -52,6 +72,11 @@ class Sidecar:
             except ValueError as error:
                 _logger.error("the health tree of an earlier agent is left out: %s", error)
                 self._memory.configuration = None
+        try:
+            self._expect(self._memory.standby)
+        except Refused as error:
+            _logger.error("what an earlier agent was told of a standby is left out: %s", error)
+            self._memory.standby = None
         if self._memory.workload and self._identity.held:
             self._holds.start(self._memory.variables(self._identity.held))
             self._look()
@@ -63,6 +88,9 @@ class Sidecar:
 
     async def end(self) -> None:
         """Stop looking."""
+        await self._readiness.end()
+        if self._caller is not None:
+            self._caller.close()
         if self._looking is not None:
             self._looking.cancel()
             await asyncio.wait([self._looking])
@@ -96,15 +124,22 @@ class Sidecar:
             reason = f"not waiting (yet): {', '.join(missing)}" if missing else ""
             return AgentStatus("Held", not missing, reason, configured=configured)
         phase: Phase = "Running" if judgement.ready_at is not None else "Starting"
+        brought, doing = self._memory.brought, self._procedures.doing
+        ready, reason = self._readiness.judge(
+            judgement.ready, judgement.reason, brought=brought, busy=self._procedures.summary
+        )
         return AgentStatus(
             phase=phase,
-            ready=judgement.ready,
-            reason=judgement.reason,
+            ready=ready,
+            reason=reason,
             started_at=self._memory.started_at,
             process_up_at=judgement.process_up_at,
             ready_at=judgement.ready_at,
             configured=configured,
             outputs=dict(judgement.outputs),
+            initialized=brought,
+            check=self._readiness.reason,
+            procedure=doing,
             strength=self._strengths.range,
         )
 
@@ -127,11 +162,14 @@ class Sidecar:
 
     def operations(self) -> Mapping[str, Operation]:
         """What a monitor can ask for."""
-        return {"configure": self.configure, "start": self.start, "probe": self.probe}
+        own: dict[str, Operation] = {"configure": self.configure, "start": self.start, "probe": self.probe}
+        return {**own, **self._restorer.operations(), **self._procedures.operations()}
 
     async def configure(self, body: Mapping[str, Any], peer: Peer) -> None:
         """Take a health tree, and where probes go. Nothing changes by the same again. Raises Refused."""
         configuration = {key: body.get(key) for key in ("tree", "outputs", "grace")}
+        if body.get("managed"):
+            configuration["managed"] = True
         async with self._configuring:
             if configuration != self._memory.configuration:
                 try:
@@ -140,6 +178,11 @@ class Sidecar:
                     raise Refused(str(error)) from error
                 self._health.configure(plan)
                 self._memory.configuration = configuration
+                self._save()
+                self._notify()
+            if (standby := body.get("standby")) != self._memory.standby:
+                self._expect(standby)
+                self._memory.standby = standby
                 self._save()
                 self._notify()
         probe = body.get("probe") or {"host": peer.host, "port": names.PROBE_PORT}
@@ -201,6 +244,46 @@ class Sidecar:
             self._probes.burst(float(body.get("interval", 0.001)), float(body.get("duration", 1.0)))
         except (TypeError, ValueError) as error:
             raise Refused(str(error)) from error
+
+    # -- procedures -------------------------------------------------------------------------------------------------
+
+    @property
+    def caller(self) -> Caller:
+        """What reaches this pod's instance; ROS is imported when it is first asked for."""
+        if self._caller is None:
+            from understudy.ros.calling import Caller
+
+            name = "understudy_calls_" + re.sub(r"[^a-zA-Z0-9_]", "_", self._identity.pod)
+            self._caller = Caller(name, place=self._health.place)
+        return self._caller
+
+    def _actions(self, state: KeptState) -> InstanceActions:
+        if self.held:
+            raise Refused(f"pod {self._identity.pod} is held: nothing runs in it yet")
+        return InstanceActions(self.caller, self._health, self._restorer.restore, self._resend, state)
+
+    async def _resend(self, within: float) -> None:
+        """Ask whoever keeps the goals to send the unfinished ones to this instance."""
+        self.publish({"resendGoals": True})
+
+    def _expect(self, standby: object) -> None:
+        """Judge a waiting instance by this. Raises Refused."""
+        try:
+            self._readiness.expect(Standing.from_wire(standby))
+        except ValueError as error:
+            raise Refused(str(error)) from error
+
+    def _procedure_begins(self, name: str, brought: str) -> None:
+        """While it is being brought somewhere, it is nowhere."""
+        if brought:
+            self._memory.brought = ""
+            self._save()
+        self._notify()
+
+    def _procedure_done(self, name: str, brought: str) -> None:
+        if brought:
+            self._memory.brought = brought
+            self._save()
 
     # -- inside -----------------------------------------------------------------------------------------------------
 

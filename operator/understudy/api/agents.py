@@ -97,6 +97,12 @@ class AgentStatus:
     configured: bool = False
     """Whether it has a health tree."""
     outputs: Mapping[str, OutputCount] = field(default_factory=dict)
+    initialized: str = ""
+    """What a procedure has brought it to, as the monitor called it; empty where none has, or while one runs."""
+    check: str = ""
+    """Why its readiness check doesn't hold; empty where it does or there is none."""
+    procedure: str = ""
+    """Name of the procedure that runs on it."""
     strength: tuple[int, int] | None = None
     """Least and greatest ownership strength that its writers may have; None where they have none, or none is up."""
 
@@ -111,6 +117,9 @@ class AgentStatus:
             "readyAt": self.ready_at,
             "configured": self.configured,
             "outputs": {topic: {"count": o.count, "last": o.last} for topic, o in self.outputs.items()},
+            "initialized": self.initialized,
+            "check": self.check,
+            "procedure": self.procedure,
             **({"strength": list(self.strength)} if self.strength else {}),
         }
 
@@ -133,6 +142,9 @@ class AgentStatus:
                 outputs={
                     topic: OutputCount(int(o["count"]), o.get("last")) for topic, o in data.get("outputs", {}).items()
                 },
+                initialized=str(data.get("initialized") or ""),
+                check=str(data.get("check") or ""),
+                procedure=str(data.get("procedure") or ""),
                 strength=(int(strength[0]), int(strength[1])) if strength else None,
             )
         except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:

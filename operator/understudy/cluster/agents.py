@@ -107,13 +107,20 @@ class AgentLink:
         grace: float,
         *,
         probe: tuple[str, int] | None = None,
+        standby: Mapping[str, Any] | None = None,
+        managed: bool = False,
     ) -> None:
         """Give it the health tree (the policy's ``monitoring.yaml``) and the workload's outputs as on the wire.
 
         ``grace`` in seconds. ``probe`` is where its probe of every second goes; this side of the connection, at the
-        probe port, where none is given. Raises AgentRefused (a tree that doesn't load, say) and AgentGone.
+        probe port, where none is given. ``standby`` is what it must be to be ready while it waits (agent/standing.py),
+        ``managed`` says that procedures bring its nodes up. Raises AgentRefused (a tree that doesn't load, say) and AgentGone.
         """
         body: dict[str, Any] = {"tree": tree, "outputs": list(outputs), "grace": grace}
+        if standby is not None:
+            body["standby"] = standby
+        if managed:
+            body["managed"] = True
         if probe is not None:
             body["probe"] = {"host": probe[0], "port": probe[1]}
         await self.request("configure", body)
@@ -135,6 +142,25 @@ class AgentLink:
         Raises AgentRefused and AgentGone.
         """
         await self.request("probe", {"host": host, "port": port, "interval": interval, "duration": duration})
+
+    async def procedure(
+        self,
+        tree: Mapping[str, Any],
+        within: float,
+        *,
+        name: str,
+        state: Mapping[str, Any] | None = None,
+        brought: str = "",
+    ) -> Mapping[str, Any]:
+        """Run a procedure on its instance for at most so many seconds; it takes the place of one that runs.
+
+        ``state`` is kept state on the wire for its leaves, ``brought`` what its success is remembered by. What became of
+        the state is in the answer. Raises AgentRefused, which says why it failed, and AgentGone.
+        """
+        body = {"tree": tree, "within": within, "name": name, "state": state, "as": brought}
+        answer = await self.request("procedure", body, within=within + ANSWER)
+        found: Mapping[str, Any] = answer.get("report") or {}
+        return found
 
     async def ask(self) -> AgentStatus:
         """Its status at this moment. Raises AgentGone."""

@@ -1,0 +1,187 @@
+"""The agent runs procedures on real managed nodes beside it, and says how far its instance was brought."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.unit.agent.conftest import Pod, eventually
+from understudy.cluster.agents import AgentLink, AgentRefused
+
+pytestmark = pytest.mark.ros
+
+NODES = str(Path(__file__).parent / "nodes.py")
+OUTPUTS = [{"topic": "/cmd_vel", "type": "std_msgs/msg/String"}]
+TREE = {"topic": {"name": "/cmd_vel", "gap": "300ms"}}
+ACTIVATE = {"set_lifecycle": {"node": "/localizer", "state": "active"}}
+CHECK = {"lifecycle_is": {"node": "/localizer", "state": "active"}}
+WITHIN = 25.0
+
+
+@pytest.fixture
+def robot(pod: Pod, monkeypatch: pytest.MonkeyPatch) -> Iterator[Pod]:
+    """A pod that isn't held, with a managed node in it."""
+    ros = {
+        "ROS_DOMAIN_ID": str(10 + os.getpid() % 90),
+        "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
+    }
+    for name, value in ros.items():
+        monkeypatch.setenv(name, value)
+    pod.environment = {"UNDERSTUDY_HELD_CONTAINERS": "", "UNDERSTUDY_WORKLOAD": "robot"}
+    pod.start_agent()
+    return pod
+
+
+def run(pod: Pod, *arguments: str) -> subprocess.Popen[bytes]:
+    """A node in the pod."""
+    process = subprocess.Popen([sys.executable, NODES, *arguments], stdout=subprocess.DEVNULL)
+    pod._processes.append(process)
+    return process
+
+
+def localize(pod: Pod) -> subprocess.Popen[bytes]:
+    return run(pod, "localize")
+
+
+async def connected(pod: Pod, links: list[AgentLink], **configuration) -> AgentLink:
+    links.append(link := pod.link())
+    await link.wait_connected(WITHIN)
+    await link.configure(TREE, OUTPUTS, 20.0, **configuration)
+    return link
+
+
+async def test_a_standby_is_ready_once_it_was_initialized_and_stays_so_over_a_restart_of_its_agent(robot: Pod, links):
+    localize(robot)
+    link = await connected(robot, links, standby={"brought": "init:1", "tree": False})
+    assert (await link.ask()).ready is False
+    assert (await link.ask()).reason == "not initialized yet"
+
+    await link.procedure(ACTIVATE, WITHIN, name="initialization", brought="init:1")
+
+    status = await link.wait_for(lambda s: s.ready, WITHIN)
+    assert (status.initialized, status.procedure) == ("init:1", "")
+    assert (await robot.page("/ready"))[0] == 200
+    robot.kill(robot.agent)
+    robot.start_agent()
+    again = robot.link()
+    links.append(again)
+    assert (await again.wait_for(lambda s: s.ready, WITHIN)).initialized == "init:1"
+
+
+async def test_what_was_initialized_otherwise_is_not_ready(robot: Pod, links):
+    localize(robot)
+    link = await connected(robot, links, standby={"brought": "init:1", "tree": False})
+    await link.procedure(ACTIVATE, WITHIN, name="initialization", brought="init:1")
+    await link.configure(TREE, OUTPUTS, 20.0, standby={"brought": "init:2", "tree": False})
+    assert (await link.wait_for(lambda s: not s.ready, WITHIN)).reason == "not initialized yet"
+
+
+async def test_a_failed_procedure_says_which_leaf_and_why(robot: Pod, links):
+    localize(robot)
+    link = await connected(robot, links, standby={"brought": "init:1", "tree": False})
+    wrong = {
+        "sequence": [
+            ACTIVATE,
+            {"parameter_is": {"node": "/localizer", "name": "speed", "value": 3.0}},
+        ]
+    }
+    with pytest.raises(AgentRefused, match=r"initialization\.sequence\[1\]\.parameter_is: parameter speed of node"):
+        await link.procedure(wrong, WITHIN, name="initialization", brought="init:1")
+    status = await link.ask()
+    assert not status.ready
+    assert status.initialized == ""
+    assert status.reason.startswith("not initialized: initialization.sequence[1].parameter_is")
+
+
+async def test_a_tree_that_never_ends_fails_in_its_time(robot: Pod, links):
+    link = await connected(robot, links)
+    never = {"sequence": [{"wait_for": {"node": "/nobody"}}]}
+    with pytest.raises(AgentRefused, match=r"bringUp\.sequence\[0\]\.wait_for: node /nobody is not there within"):
+        await link.procedure(never, 3.0, name="bringUp")
+
+
+async def test_a_wrong_tree_is_refused_before_anything_is_done(robot: Pod, links):
+    link = await connected(robot, links)
+    with pytest.raises(AgentRefused, match=r"bringUp\.set_lifecycel: unknown key 'set_lifecycel', did you mean"):
+        await link.procedure({"set_lifecycel": {}}, 3.0, name="bringUp")
+    with pytest.raises(AgentRefused, match="within -1: expected a number of seconds"):
+        await link.procedure(ACTIVATE, -1, name="bringUp")
+
+
+async def test_a_newer_procedure_takes_the_place_of_the_one_that_runs(robot: Pod, links):
+    link = await connected(robot, links)
+    waiting = asyncio.create_task(
+        link.procedure({"wait_for": {"node": "/nobody"}}, 60.0, name="initialization", brought="init:1")
+    )
+    await link.wait_for(lambda s: s.procedure == "initialization", WITHIN)
+    localize(robot)
+
+    await link.procedure(ACTIVATE, WITHIN, name="recovery", brought="up:1")
+
+    with pytest.raises(AgentRefused, match="initialization gave way to another procedure"):
+        await waiting
+    assert (await link.ask()).initialized == "up:1"
+
+
+async def test_the_end_of_its_session_ends_a_procedure(robot: Pod, links):
+    link = await connected(robot, links)
+    waiting = asyncio.create_task(link.procedure({"wait_for": {"node": "/nobody"}}, 60.0, name="bringUp"))
+    await link.wait_for(lambda s: s.procedure == "bringUp", WITHIN)
+    await link.close()
+    links.append(other := robot.link())
+    await other.wait_for(lambda s: s.procedure == "", WITHIN)
+    waiting.cancel()
+
+
+async def test_a_check_is_looked_at_again_and_again(robot: Pod, links):
+    node = localize(robot)
+    link = await connected(robot, links, standby={"brought": "", "check": CHECK, "period": 0.1})
+    status = await link.wait_for(lambda s: "is unconfigured, not active" in s.reason, WITHIN)
+    assert "readinessCheck.lifecycle_is: node /localizer is unconfigured" in status.check
+    await link.procedure(ACTIVATE, WITHIN, name="initialization")
+    assert (await link.wait_for(lambda s: s.ready, WITHIN)).check == ""
+    robot.kill(node)
+    lost = await link.wait_for(lambda s: not s.ready, WITHIN)
+    assert "/localizer" in lost.check
+    assert (await robot.page("/ready"))[0] == 503
+
+
+async def test_a_check_may_look_at_topics_that_the_health_tree_does_not(robot: Pod, links):
+    check = {"topic": {"name": "/chatter", "type": "std_msgs/msg/String", "gap": "1s"}}
+    link = await connected(robot, links, standby={"check": check, "period": 0.1})
+    await link.wait_for(lambda s: "waiting for the first /chatter" in s.check, WITHIN)
+    run(robot, "talk", "/chatter", "20")
+    await link.wait_for(lambda s: s.ready, WITHIN)
+
+
+async def test_managed_processes_are_up_with_their_first_node(robot: Pod, links):
+    link = await connected(robot, links, managed=True)
+    assert (await link.ask()).process_up_at is None
+    localize(robot)
+    status = await link.wait_for(lambda s: s.process_up_at is not None, WITHIN)
+    assert not status.ready, "its outputs come later, by a procedure"
+
+
+async def test_a_held_pod_has_nothing_to_run_a_procedure_on(pod: Pod, links):
+    pod.start_agent()
+    links.append(link := pod.link())
+    await link.wait_connected(WITHIN)
+    with pytest.raises(AgentRefused, match="pod pool-abcde is held: nothing runs in it yet"):
+        await link.procedure(ACTIVATE, 3.0, name="bringUp")
+
+
+async def test_resending_goals_is_asked_of_whoever_is_connected(robot: Pod, links):
+    events = []
+    links.append(link := robot.link(on_event=lambda _, event: events.append(event)))
+    await link.wait_connected(WITHIN)
+    await link.configure(TREE, OUTPUTS, 20.0)
+    await link.procedure({"resend_goals": {}}, 5.0, name="recovery")
+    await eventually(lambda: events == [{"resendGoals": True}], WITHIN)
