@@ -47,10 +47,13 @@ def _yaml(world_map: Map) -> str:
 
 
 def geoms(world: World) -> str:
-    """What belongs into a MuJoCo model's worldbody: the floor (group 0), walls and things (group 1)."""
+    """What belongs into a MuJoCo model's worldbody: the floor (group 0), walls and things (group 1).
+
+    What meets the floor has bit 2 of contype and conaffinity, what meets walls and things bit 1.
+    """
     lines = [
         f'<geom name="floor" type="plane" pos="{WIDTH / 2} {DEPTH / 2} 0" size="{WIDTH} {DEPTH} 1" '
-        'friction="1 .005 .0001" rgba=".75 .75 .72 1"/>'
+        'friction="1 .005 .0001" contype="2" conaffinity="2" rgba=".75 .75 .72 1"/>'
     ]
     for kind, shapes, colour in (("wall", world.walls, ".45 .5 .6 1"), ("thing", world.things, ".7 .5 .3 1")):
         lines += [_geom(f"{kind}{number}", shape, colour) for number, shape in enumerate(shapes)]

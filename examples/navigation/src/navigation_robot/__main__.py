@@ -1,0 +1,30 @@
+"""Runs the robot: ``python -m navigation_robot``. NAVIGATION_SEED says in which world, ROBOT_LOG where the log goes."""
+
+from __future__ import annotations
+
+import os
+
+import rclpy
+from navigation_world import generate
+
+from navigation_robot.journal import Journal
+from navigation_robot.robot import Robot
+
+
+def main() -> None:
+    """Run the robot until it is told to stop."""
+    rclpy.init()
+    robot = Robot(generate(int(os.environ.get("NAVIGATION_SEED", "7"))), Journal(os.environ.get("ROBOT_LOG")))
+    try:
+        robot.run()
+    except KeyboardInterrupt:
+        pass
+    except Exception:
+        if rclpy.ok():  # otherwise a signal ended ROS in the middle of a tick
+            raise
+    finally:
+        robot.close()
+
+
+if __name__ == "__main__":
+    main()

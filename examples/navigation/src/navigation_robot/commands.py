@@ -1,0 +1,58 @@
+"""Commands as they arrive, with who sent them and when the middleware received them.
+
+A Twist doesn't say who sent it, and two instances of one navigation stack send the same. The GID of the DDS writer
+tells them apart, and its first four bytes the host (understudy.ros.sources says how), which in a cluster is the pod. rclpy
+drops it, so the queue is read with Understudy's reader. That is for the log alone: the robot drives as it is told by
+whoever gets through to it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from geometry_msgs.msg import Twist
+from rclpy.node import Node
+from rclpy.serialization import deserialize_message
+
+from understudy.ros.sources import HOST
+from understudy.ros.taking import Taker
+
+DEPTH = 50
+"""Commands that wait to be taken; more than two seconds' of any controller."""
+
+
+class Command(NamedTuple):
+    """One command. Times are Unix seconds."""
+
+    received: float
+    sent: float
+    source: str
+    """The host that the sender runs on: vendor and host id of its GID, in hexadecimal."""
+    writer: str
+    """The sender itself: its whole GID."""
+    linear: float
+    angular: float
+
+
+class Commands:
+    """The robot's ear on /cmd_vel. No executor may spin its node: it would take the commands."""
+
+    def __init__(self, node: Node, topic: str = "/cmd_vel") -> None:
+        self._subscription = node.create_subscription(Twist, topic, lambda _: None, DEPTH)
+        self._taker = Taker()
+
+    def take(self) -> Iterator[Command]:
+        """What has arrived since the last time."""
+        handle = self._subscription.handle
+        with handle:
+            while (sample := self._taker.take(handle.pointer)) is not None:
+                twist = deserialize_message(sample.data, Twist)
+                yield Command(
+                    sample.received,
+                    sample.sent,
+                    sample.gid[HOST].hex(),
+                    sample.gid.hex(),
+                    twist.linear.x,
+                    twist.angular.z,
+                )
