@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import math
+import time
 
 import aiohttp
 from pydantic import ValidationError
@@ -21,6 +23,9 @@ from understudy.monitor.view import View
 _logger = logging.getLogger(__name__)
 
 RETRY_FIRST, RETRY_MOST = 0.05, 1.0  # seconds
+
+WAKING = 15.0
+"""Seconds after its return for which a refusal of an API server isn't final: it may not know the roles again yet."""
 
 
 class PolicyGate:
@@ -76,7 +81,7 @@ class PolicyGate:
             raise Superseded(f"NetworkPolicy {names.gate(self._view.workload)} is gone")
         if target is not None:
             await self._fleet.label(target)
-        record, retry = begun, RETRY_FIRST
+        record, retry, away = begun, RETRY_FIRST, -math.inf
         name, uid = (target.name, target.uid) if target else ("", "")
         self._crash_points.step("before commit")
         recovery = progress.model_copy(update={"epoch": begun.epoch + 1}).model_dump_json() if progress else ""
@@ -93,11 +98,15 @@ class PolicyGate:
                 )
                 break
             except ApiError as error:
-                if error.status < 500 and error.status not in (409, 429):
+                waking = error.status in (401, 403) and time.monotonic() - away < WAKING
+                if error.status < 500 and error.status not in (409, 429) and not waking:
                     raise
                 _logger.warning("committing the gate: %s", error)
+                if waking:
+                    await asyncio.sleep(RETRY_FIRST)
             except (aiohttp.ClientError, TimeoutError, OSError) as error:
                 _logger.warning("committing the gate, the API server is away: %r", error)
+                away = time.monotonic()
                 await asyncio.sleep(retry)
                 retry = min(2 * retry, RETRY_MOST)
             record = await self._reread(begun, uid, recovery) or record

@@ -1,0 +1,157 @@
+"""The reflex, seen from the robot: its own reader falls over to the standby, and the loser never comes back."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Iterator
+
+import pytest
+from understudy_demo.recovery import Recovered
+
+from tests.e2e.faults import ApiServer, signal_processes
+from tests.e2e.kubectl import Failed, Kubectl, Object
+from tests.e2e.scenario import APPLICATION, Late, Robot, eventually, manifest
+from tests.e2e.test_strategies import ENFORCEMENT
+
+DEADLINE = 0.1
+"""Seconds of silence after which the robot's reader takes the standby's commands."""
+
+TIMEOUT = 0.5
+"""Seconds of silence after which the quickstart's policy calls it a failure: the reflex is there long before."""
+
+STRATEGY = "Fallback/Executing (reflex)"
+
+
+def with_reflex(workload: Object) -> None:
+    workload["spec"]["gate"] = {"reflex": {"deadline": f"{DEADLINE * 1000:.0f}ms"}}
+
+
+@pytest.fixture
+def reflexive(kubectl: Kubectl) -> Robot:
+    """A robot whose reader falls over to an executing standby by itself."""
+    robot = Robot(kubectl)
+    kubectl.apply(manifest("strategies/executing.yaml"))
+    kubectl.apply(robot.objects(policy="quickstart-executing", edit=with_reflex))
+    robot.wait_protected()
+    return robot
+
+
+@pytest.fixture
+def api_server(kubectl: Kubectl) -> Iterator[ApiServer]:
+    """The API server, which runs again when the test has ended."""
+    server = ApiServer(kubectl)
+    yield server
+    if server.stopped:
+        server.start()
+
+
+def wait_armed(robot: Robot, within: float = 120.0) -> str:
+    """Wait until a standby is let through beside the pod in control; that pod."""
+    robot.wait_protected(within)
+    eventually(
+        lambda: robot.condition("Reflex").get("status") == "True",
+        within=within,
+        what="a standby is let through",
+        note=robot.describe,
+    )
+    active: str = robot.status()["active"]
+    return active
+
+
+def assert_fell_over(robot: Robot, recovery: Recovered, *, returned: bool = False) -> None:
+    """At the robot: the standby came well before anybody's timeout, and nothing of the loser after the commit."""
+    time.sleep(1.5)
+    log = robot.log()
+    handover = log.handover(recovery.old, recovery.new, switch=recovery.moments["lastHealthy"])
+    print(f"\n{recovery.strategy}: {recovery.seconds:.3f} s; robot: {handover.to_json()}")
+    assert recovery.strategy == STRATEGY, recovery
+    assert recovery.parts["cluster"] == recovery.parts["startup"] == recovery.parts["reinitialization"] == 0
+    assert recovery.seconds == pytest.approx(recovery.parts["detection"], abs=1e-3)
+    assert handover.first_new is not None, "the standby's commands arrive"
+    fenced = recovery.moments["fenced"]
+    after = [c for c in log.of(recovery.old) if c.received > fenced + ENFORCEMENT]
+    assert not after, f"commands of {recovery.old} after it was fenced: {after[:3]}"
+    if not returned:
+        assert not log.returns(), "control moves once, and never back"
+    if handover.gap is None or handover.gap > TIMEOUT:
+        raise Late(f"the robot had no command for {handover.gap} s, the reflex should have been there")
+
+
+@pytest.mark.parametrize("how", ["killed", "frozen"])
+def test_the_robots_reader_falls_over_by_itself_and_the_loser_is_fenced(reflexive: Robot, how: str) -> None:
+    old = wait_armed(reflexive)
+    reflexive.fail(old, how)
+    recovery = reflexive.wait_recovered(1)
+    assert (recovery.old, recovery.epoch) == (old, 2)
+    if how == "frozen":
+        try:
+            reflexive.signal(old, "CONT")
+        except Failed:
+            print("it was gone before it could be thawed")
+    assert_fell_over(reflexive, recovery)
+    eventually(lambda: not reflexive.has_pod(old), within=60, what=f"the failed pod {old} is gone")
+    assert wait_armed(reflexive) == recovery.new, "and the next standby is let through"
+
+
+@pytest.mark.local_only
+@pytest.mark.parametrize("how", ["killed", "frozen"])
+def test_it_works_without_the_api_server_and_is_committed_when_that_is_back(
+    reflexive: Robot, api_server: ApiServer, how: str
+) -> None:
+    old = wait_armed(reflexive)
+    uid = reflexive.kubectl.get("pod", old)["metadata"]["uid"]
+    api_server.stop()
+    failed = time.time()
+    assert signal_processes(uid, APPLICATION, signal.SIGKILL if how == "killed" else signal.SIGSTOP)
+    time.sleep(8)  # also for the kubelet, which starts a killed application again by itself
+    back = time.time()
+    api_server.start()
+    recovery = reflexive.wait_recovered(1)
+    assert recovery.old == old
+    assert recovery.moments["detected"] < back < recovery.moments["fenced"], "committed when it could be"
+    assert_fell_over(reflexive, recovery)
+    alone = reflexive.log().between(failed + TIMEOUT, back)
+    assert set(alone.sources()) == {recovery.new}, "driven by the standby alone, with no API server at all"
+    eventually(lambda: not reflexive.has_pod(old), within=60, what=f"the failed pod {old} is gone")
+
+
+@pytest.mark.local_only
+def test_a_pod_that_thaws_while_there_is_no_api_server_drives_until_the_commit_and_never_after(
+    reflexive: Robot, api_server: ApiServer
+) -> None:
+    old = wait_armed(reflexive)
+    uid = reflexive.kubectl.get("pod", old)["metadata"]["uid"]
+    api_server.stop()
+    assert signal_processes(uid, APPLICATION, signal.SIGSTOP)
+    time.sleep(3)
+    assert signal_processes(uid, APPLICATION, signal.SIGCONT)
+    time.sleep(2)
+    api_server.start()
+    recovery = reflexive.wait_recovered(1)
+    assert recovery.old == old
+    assert_fell_over(reflexive, recovery, returned=True)
+
+
+def test_a_reflex_with_several_outputs_is_refused_unless_all_are_accepted(kubectl: Kubectl) -> None:
+    robot = Robot(kubectl)
+    kubectl.apply(manifest("strategies/executing.yaml"))
+
+    def several(workload: Object) -> None:
+        with_reflex(workload)
+        workload["spec"]["outputs"].append({"topic": "/lamp", "type": "std_msgs/msg/Bool"})
+
+    objects = robot.objects(policy="quickstart-executing", edit=several)
+    kubectl.apply(objects)
+    eventually(
+        lambda: robot.condition("Accepted").get("reason") == "ReflexUnsafe", within=30, what="the reflex is refused"
+    )
+    message = robot.condition("Accepted")["message"]
+    assert "spec.gate.reflex.accept (missing: /cmd_vel, /lamp)" in message
+    workload = next(item for item in objects if item["kind"] == "RobotWorkload")
+    workload["spec"]["gate"]["reflex"]["accept"] = ["/cmd_vel", "/lamp"]
+    kubectl.apply([workload])
+    eventually(lambda: robot.condition("Accepted").get("status") == "True", within=30, what="it is accepted by name")
+    workload["spec"]["gate"]["reflex"]["deadline"] = "200ms"
+    with pytest.raises(Failed, match="can't be changed"):
+        kubectl.apply([workload])
