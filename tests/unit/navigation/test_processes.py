@@ -1,0 +1,162 @@
+"""Robot and client as they run in their pods, as processes over loopback."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import pytest
+from navigation_world import generate
+from understudy_demo.robotview import RobotLog, parse
+
+pytestmark = pytest.mark.ros
+pytest.importorskip("rclpy")
+pytest.importorskip("mujoco")
+
+REPOSITORY = Path(__file__).parents[3]
+SOURCES = (REPOSITORY / "operator", REPOSITORY / "examples" / "navigation" / "src")
+NODES = str(Path(__file__).with_name("nodes.py"))
+SEED = 7
+
+
+class Run:
+    """Processes of one test, in a ROS domain of their own, with their outputs in files."""
+
+    def __init__(self, folder: Path, stack: ExitStack) -> None:
+        self.folder = folder
+        self._stack = stack
+        self._environment = {
+            k: v for k, v in os.environ.items() if not k.startswith(("ROS_", "FASTRTPS_", "FASTDDS_"))
+        } | {
+            "PYTHONPATH": os.pathsep.join(map(str, SOURCES)),
+            "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
+            "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            "ROS_DOMAIN_ID": os.environ.get("ROS_DOMAIN_ID") or str(10 + os.getpid() % 80),
+            "NAVIGATION_SEED": str(SEED),
+            "ROBOT_LOG": str(folder / "robot.jsonl"),
+            "NAVIGATION_CLIENT_LOG": str(folder / "client.jsonl"),
+        }
+
+    def start(self, name: str, *command: str) -> subprocess.Popen[bytes]:
+        output = self._stack.enter_context((self.folder / f"{name}.out").open("wb"))
+        process = subprocess.Popen(
+            [sys.executable, *command], env=self._environment, stdout=output, stderr=subprocess.STDOUT
+        )
+        self._stack.callback(stop, process)
+        return process
+
+    def records(self, name: str) -> list[dict[str, Any]]:
+        """What a process has said, in JSON."""
+        lines = (self.folder / f"{name}.out").read_text().splitlines(keepends=True)
+        return [json.loads(line) for line in lines if line.startswith("{") and line.endswith("\n")]
+
+    def log(self) -> RobotLog:
+        file = self.folder / "robot.jsonl"
+        return parse(file.read_text() if file.exists() else "")
+
+    def wait(self, what: str, condition: Callable[[], object], *, within: float = 30.0) -> None:
+        end = time.monotonic() + within
+        while not condition():
+            if time.monotonic() > end:
+                outputs = "\n".join(f"{f.name}:\n{f.read_text()[-1500:]}" for f in self.folder.glob("*.out"))
+                pytest.fail(f"not within {within} s: {what}\n{outputs}")
+            time.sleep(0.1)
+
+
+def stop(process: subprocess.Popen[bytes]) -> None:
+    if process.poll() is None:
+        process.kill()
+    process.wait(10)
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Iterator[Run]:
+    with ExitStack() as stack:
+        yield Run(tmp_path, stack)
+
+
+@pytest.mark.timeout(180)
+def test_the_robot_drives_as_it_is_told_and_stops_when_nobody_does(run: Run) -> None:
+    run.start("listen", NODES, "listen")
+    robot = run.start("robot", "-m", "navigation_robot")
+    steer = run.start("steer", NODES, "steer", "0.0", "0.6")
+    run.wait("the robot turns", lambda: any(m.turn > 0.5 for m in run.log().motions))
+    keys = {"odom", "scan", "tf", "tf_static", "truth"}
+    run.wait("everything is heard", lambda: any(keys <= record.keys() for record in run.records("listen")))
+    run.wait("a standing watchdog has let go", lambda: not run.log().motions[-1].held)
+
+    os.kill(steer.pid, signal.SIGSTOP)  # silent, and still in the graph
+    run.wait("the watchdog holds it", lambda: run.log().motions[-1].held)
+    run.wait("it stands", lambda: abs(run.log().motions[-1].turn) < 0.01)
+    log = run.log()
+    last = log.commands[-1].received
+    held = next(m.time for m in log.motions if m.held and m.time > last)
+    assert held - last > 0.4, "it was held before its time"
+
+    other = run.start("other", NODES, "steer", "0.0", "-0.6")
+    run.wait("another one turns it", lambda: run.log().motions[-1].turn < -0.5)
+    records = [r for r in run.records("robot") if r["event"] == "command"]
+    writers = list(dict.fromkeys(r["writer"] for r in records))
+    assert len(writers) == 2, "each sender is told from the other"
+    assert {r["writer"][:8] for r in records} == {r["source"] for r in records}
+    assert [r["sequence"] for r in records] == list(range(1, len(records) + 1))
+    assert all(0 <= r["received"] - r["sent"] < 5 for r in records)
+    stop(other)
+
+    heard = run.records("listen")[-1]
+    start = generate(SEED).start
+    assert heard["odom"][:2] == ["odom", "base_link"]
+    assert heard["scan"][:2] == ["laser", 360]
+    assert heard["scan"][2] == pytest.approx(math.pi)
+    assert 0.1 <= heard["scan"][4] < 8.0
+    assert heard["tf"][:2] == ["odom", "base_link"]
+    assert heard["tf_static"] == ["base_link", "laser", pytest.approx(-0.04), pytest.approx(0.2)]
+    # It turned on the spot.
+    assert heard["truth"] == ["map", pytest.approx(start.x, abs=0.05), pytest.approx(start.y, abs=0.05)]
+
+    robot.send_signal(signal.SIGTERM)
+    assert robot.wait(20) == 0
+    assert (run.folder / "robot.jsonl").read_text().startswith('{"event":"started"')
+
+
+@pytest.mark.timeout(120)
+def test_the_client_works_through_its_goals_and_says_what_came_of_each(run: Run) -> None:
+    run.start("navigate", NODES, "navigate", "no", "succeed", "abort", "succeed")
+    client = run.start("client", "-m", "navigation_client", "--goals", "3", "--wait", "60")
+    assert client.wait(90) == 1
+    records = run.records("client")
+    goals = generate(SEED).goals(3)
+    assert [r["x"] for r in records if r["event"] == "goal"] == [pytest.approx(g.x) for g in goals]
+    answers = [(r["number"], r["accepted"]) for r in records if r["event"] == "answer"]
+    assert answers == [(1, False), (1, True), (2, True), (3, True)]
+    results = [r for r in records if r["event"] == "result"]
+    assert [r["status"] for r in results] == ["succeeded", "aborted", "succeeded"]
+    assert [r["error_code"] for r in results] == [0, 9001, 0]
+    assert results[1]["error_msg"] == "no way"
+    # The last of it may be overtaken by the result.
+    assert all(1 <= r["feedback"] <= 5 for r in results)
+    assert records[-1]["event"] == "summary"
+    assert (records[-1]["goals"], records[-1]["succeeded"], records[-1]["aborted"]) == (3, 2, 1)
+    asked = [r for r in run.records("navigate") if "asked" in r]
+    assert len(asked) == 4
+    assert {r["frame"] for r in asked} == {"map"}
+    assert [json.loads(line) for line in (run.folder / "client.jsonl").read_text().splitlines()] == records
+
+
+@pytest.mark.timeout(60)
+def test_the_client_ends_where_there_is_no_navigator(run: Run) -> None:
+    client = run.start("client", "-m", "navigation_client", "--goals", "2", "--wait", "1")
+    assert client.wait(40) == 1
+    events = [r["event"] for r in run.records("client")]
+    assert events == ["client", "no-server", "summary"]
+    assert run.records("client")[-1]["succeeded"] == 0
