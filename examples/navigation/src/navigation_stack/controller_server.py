@@ -79,7 +79,7 @@ class ControllerServer(managed.Managed):
         self._patience = self.parameter("failure_tolerance", 2.0)
         self._frame = self.parameter("global_frame", "map")
         self._base = self.parameter("base_frame_id", "base_link")
-        self._stamped = self.parameter("enable_stamped_cmd_vel", True)
+        self._stamped = self.parameter("enable_stamped_cmd_vel", False)
         self._laser, self._whereabouts = Laser(self), Whereabouts(self)
         self._commands = self.create_lifecycle_publisher(TwistStamped if self._stamped else Twist, "/cmd_vel", 1)
         self.at_cleanup(lambda: self.destroy_lifecycle_publisher(self._commands))

@@ -6,17 +6,19 @@ taken out of the queue (:class:`Input`) by a loop that runs while the node is ac
 
 from __future__ import annotations
 
-import contextlib
+import os
+import signal
 import threading
 import time
 from collections.abc import Callable
 from typing import Any, Generic, TypeVar
 
 import rclpy
-from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
+from rclpy.executors import MultiThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
 
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """Kept for those who come late: maps, and the last pose."""
@@ -138,7 +140,7 @@ class Managed(LifecycleNode):
         return done
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        self._rest()
+        self.rest()
         self.say("inactive")
         return super().on_deactivate(state)
 
@@ -147,22 +149,22 @@ class Managed(LifecycleNode):
         return super().on_cleanup(state)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        self._rest()
+        self.rest()
         self._clean()
         return super().on_shutdown(state)
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        self._rest()
+        self.rest()
         self._clean()
         return super().on_error(state)
 
     def close(self) -> None:
-        """Ends everything, in whatever state the node is."""
-        self._rest()
+        """Leave the graph."""
         self._queues.destroy_node()
         self.destroy_node()
 
-    def _rest(self) -> None:
+    def rest(self) -> None:
+        """End the work, if there is any."""
         if self.active:
             self.active = False
             self.deactivated()
@@ -176,21 +178,31 @@ class Managed(LifecycleNode):
 
 
 def run(make: Callable[[], Managed], *, threads: int = 2) -> None:
-    """Run a node until the process is told to end."""
-    rclpy.init()
+    """Run a node until the process is told to end; then it is brought to rest before it leaves the graph."""
+    ending = {signal.SIGTERM, signal.SIGINT}
+    # Taken up by the main thread, where it waits for them. rclpy's own handler would end ROS under a node that works.
+    signal.pthread_sigmask(signal.SIG_BLOCK, ending)
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = make()
     executor = MultiThreadedExecutor(num_threads=threads)
     executor.add_node(node)
+    broken: list[BaseException] = []
+
+    def serve() -> None:
+        try:
+            executor.spin()
+        except BaseException as error:
+            broken.append(error)
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    serving = threading.Thread(target=serve, daemon=True)
+    serving.start()
     node.say("waits to be configured")
-    try:
-        executor.spin()
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    except RuntimeError:
-        if rclpy.ok():  # otherwise a signal ended ROS in the middle of a callback
-            raise
-    finally:
-        with contextlib.suppress(Exception):  # the context may be gone, and with it what is to be ended
-            node.close()
-        executor.shutdown(timeout_sec=1)
-        rclpy.try_shutdown()
+    signal.sigwait(ending)
+    node.rest()
+    executor.shutdown(timeout_sec=1)
+    serving.join(1)
+    node.close()
+    rclpy.try_shutdown()
+    if broken:
+        raise broken[0]

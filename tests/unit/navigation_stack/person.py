@@ -1,0 +1,239 @@
+"""Who stands before the robot: tells the stack where it is, sends it goals, and sees where it really is."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import pytest
+from navigation_stack.names import NODES
+from navigation_stack.poses import Pose
+
+SOURCES = Path(__file__).parents[3] / "examples" / "navigation" / "src"
+OPERATOR = Path(__file__).parents[3] / "operator"
+
+
+class Site:
+    """A robot and what drives it, as processes over loopback, and one person."""
+
+    def __init__(self, folder: Path, cleanup: ExitStack) -> None:
+        self.folder = folder
+        self._cleanup = cleanup
+        self._environment = {
+            name: value
+            for name, value in os.environ.items()
+            if not name.startswith(("ROS_", "FASTRTPS_", "FASTDDS_", "NAVIGATION_"))
+        } | {
+            "PYTHONPATH": f"{SOURCES}:{OPERATOR}",
+            "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            # A domain of its own for each run; 2 to 9 and 90 up are left to others.
+            "ROS_DOMAIN_ID": os.environ.get("ROS_DOMAIN_ID") or str(10 + os.getpid() % 80),
+        }
+        self.start("navigation_robot", ROBOT_LOG=str(folder / "robot.jsonl"))
+
+    def start(self, module: str, **more: str) -> subprocess.Popen[bytes]:
+        output = self._cleanup.enter_context((self.folder / f"{module}.out").open("ab"))
+        process = subprocess.Popen(
+            [sys.executable, "-m", module],
+            env=self._environment | more,
+            stdout=output,
+            stderr=subprocess.STDOUT,
+        )
+        self._cleanup.callback(end, process)
+        return process
+
+    def person(self) -> Person:
+        for name in ("ROS_AUTOMATIC_DISCOVERY_RANGE", "RMW_IMPLEMENTATION"):
+            os.environ[name] = self._environment[name]
+        made = Person(int(self._environment["ROS_DOMAIN_ID"]))
+        self._cleanup.callback(made.close)
+        return made
+
+    def output(self, module: str) -> str:
+        file = self.folder / f"{module}.out"
+        return file.read_text() if file.exists() else ""
+
+    @property
+    def log(self) -> str:
+        file = self.folder / "robot.jsonl"
+        return file.read_text() if file.exists() else ""
+
+    def until(self, what: str, condition: Callable[[], Any], *, within: float = 30) -> Any:
+        """What the condition gave when it was met."""
+        end = time.monotonic() + within
+        while not (found := condition()):
+            if time.monotonic() > end:
+                outputs = "\n".join(f"{f.name}:\n{f.read_text()[-3000:]}" for f in self.folder.glob("*.out"))
+                pytest.fail(f"not within {within} s: {what}\n{outputs}")
+            time.sleep(0.05)
+        return found
+
+
+def end(process: subprocess.Popen[bytes]) -> None:
+    if process.poll() is None:
+        process.send_signal(signal.SIGTERM)
+        try:
+            process.wait(10)
+        except subprocess.TimeoutExpired:
+            process.kill()
+    process.wait(10)
+
+
+class Person:
+    def __init__(self, domain: int) -> None:
+        from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+        from nav2_msgs.action import NavigateToPose
+        from navigation_stack.conversions import pose_of
+        from navigation_stack.managed import LATCHED
+        from rclpy.action import ActionClient
+        from rclpy.context import Context
+        from rclpy.executors import SingleThreadedExecutor
+        from rclpy.node import Node
+        from std_msgs.msg import Header
+
+        context = Context()
+        context.init(args=[], initialize_logging=False, domain_id=domain)
+        self._context = context
+        self._node = Node("person", context=context, use_global_arguments=False, enable_rosout=False)
+        self._executor = SingleThreadedExecutor(context=context)
+        self._executor.add_node(self._node)
+        self.truth: list[Pose] = []
+        self.believed: list[tuple[Pose, Any]] = []
+        self.heartbeats = 0
+
+        def beaten(message: Header) -> None:
+            self.heartbeats += 1
+
+        self._node.create_subscription(
+            PoseStamped, "/ground_truth/pose", lambda message: self.truth.append(pose_of(message.pose)), 10
+        )
+        self._node.create_subscription(
+            PoseWithCovarianceStamped,
+            "/amcl_pose",
+            lambda message: self.believed.append((pose_of(message.pose.pose), message)),
+            LATCHED,
+        )
+        self._node.create_subscription(Header, "/navigation/heartbeat", beaten, 10)
+        self._initial = self._node.create_publisher(PoseWithCovarianceStamped, "/initialpose", 1)
+        self._client = ActionClient(self._node, NavigateToPose, "/navigate_to_pose")
+        self._clients: dict[tuple[str, str], Any] = {}
+        self._thread = threading.Thread(target=self._executor.spin, daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        self._executor.shutdown(timeout_sec=5)
+        self._thread.join(5)
+        self._node.destroy_node()
+        self._context.try_shutdown()
+
+    # -- lifecycle --------------------------------------------------------------------------------------------------
+
+    def _called(self, kind: Any, name: str, request: Any, within: float = 2.0) -> Any:
+        client = self._clients.get((name, kind.__name__))
+        if client is None:
+            client = self._clients[(name, kind.__name__)] = self._node.create_client(kind, name)
+        if not client.wait_for_service(timeout_sec=within):
+            return None
+        done = threading.Event()
+        future = client.call_async(request)
+        future.add_done_callback(lambda _: done.set())
+        return future.result() if done.wait(within) else None
+
+    def state(self, node: str) -> str:
+        from lifecycle_msgs.srv import GetState
+
+        answer = self._called(GetState, f"/{node}/get_state", GetState.Request())
+        return "" if answer is None else str(answer.current_state.label)
+
+    def bring(self, site: Site, transition: str, state: str, nodes: list[str] = NODES) -> None:
+        """Bring nodes from one state into another, by a transition."""
+        from lifecycle_msgs.msg import Transition
+        from lifecycle_msgs.srv import ChangeState
+
+        request = ChangeState.Request()
+        request.transition.id = getattr(Transition, f"TRANSITION_{transition.upper()}")
+        for node in nodes:
+            # An answer can be lost while the graph is young: the state tells.
+            site.until(
+                f"{node} is {state}",
+                lambda node=node: (
+                    self.state(node) == state
+                    or (self._called(ChangeState, f"/{node}/change_state", request) and self.state(node) == state)
+                ),
+            )
+
+    # -- navigation -------------------------------------------------------------------------------------------------
+
+    def told_where(self, pose: Pose) -> None:
+        from geometry_msgs.msg import PoseWithCovarianceStamped
+        from navigation_stack.conversions import message_of
+
+        message = PoseWithCovarianceStamped()
+        message.header.frame_id = "map"
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        message.pose.pose = message_of(pose)
+        self._initial.publish(message)
+
+    def restore(self, message: Any) -> None:
+        """Give it a pose that it had published."""
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        self._initial.publish(message)
+
+    @property
+    def localizable(self) -> bool:
+        return self._initial.get_subscription_count() > 0
+
+    def goal(self, pose: Pose) -> Errand:
+        from nav2_msgs.action import NavigateToPose
+        from navigation_stack.conversions import stamped
+
+        assert self._client.wait_for_server(timeout_sec=20)
+        request = NavigateToPose.Goal(pose=stamped(pose, "map", self._node.get_clock().now().to_msg()))
+        errand = Errand()
+        sent = self._client.send_goal_async(request, feedback_callback=errand.fed_back)
+        sent.add_done_callback(errand.answered)
+        assert errand.told.wait(20), "no answer to the goal"
+        return errand
+
+    @property
+    def off(self) -> float:
+        """How far the last pose that was believed is from where the robot is, in m."""
+        return self.believed[-1][0].distance(self.truth[-1]) if self.believed and self.truth else float("inf")
+
+
+class Errand:
+    """A goal that was sent."""
+
+    def __init__(self) -> None:
+        self.told = threading.Event()
+        self.accepted = False
+        self.feedback: list[Any] = []
+        self.status: int | None = None
+        self.result: Any = None
+        self._handle: Any = None
+
+    def fed_back(self, message: Any) -> None:
+        self.feedback.append(message.feedback)
+
+    def answered(self, future: Any) -> None:
+        self._handle = future.result()
+        self.accepted = self._handle.accepted
+        if self.accepted:
+            self._handle.get_result_async().add_done_callback(self._resulted)
+        self.told.set()
+
+    def _resulted(self, future: Any) -> None:
+        answer = future.result()
+        self.result, self.status = answer.result, answer.status
+
+    def cancel(self) -> None:
+        self._handle.cancel_goal_async()
