@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from understudy.agent import preparing
+from understudy.agent.goals import Goals
 from understudy.agent.health import Health, Plan
 from understudy.agent.holds import Holds
 from understudy.agent.identity import Identity
@@ -46,6 +47,8 @@ class Sidecar:
         self._health.resume(self._memory.process_up_at, self._memory.ready_at)
         self._caller: Caller | None = None
         self._restorer = Restorer(lambda: self.caller)
+        name = "understudy_goals_" + re.sub(r"[^a-zA-Z0-9_]", "_", identity.pod)
+        self._goals = Goals(name, self._health.place, lambda event: self.publish(event))
         self._procedures = Procedures(
             self._actions,
             self._health.watch,
@@ -89,6 +92,7 @@ class Sidecar:
     async def end(self) -> None:
         """Stop looking."""
         await self._readiness.end()
+        await self._goals.close()
         if self._caller is not None:
             self._caller.close()
         if self._looking is not None:
@@ -163,7 +167,12 @@ class Sidecar:
     def operations(self) -> Mapping[str, Operation]:
         """What a monitor can ask for."""
         own: dict[str, Operation] = {"configure": self.configure, "start": self.start, "probe": self.probe}
-        return {**own, **self._restorer.operations(), **self._procedures.operations()}
+        return {
+            **own,
+            **self._restorer.operations(),
+            **self._procedures.operations(),
+            **self._goals.operations(),
+        }
 
     async def configure(self, body: Mapping[str, Any], peer: Peer) -> None:
         """Take a health tree, and where probes go. Nothing changes by the same again. Raises Refused."""
@@ -260,11 +269,7 @@ class Sidecar:
     def _actions(self, state: KeptState) -> InstanceActions:
         if self.held:
             raise Refused(f"pod {self._identity.pod} is held: nothing runs in it yet")
-        return InstanceActions(self.caller, self._health, self._restorer.restore, self._resend, state)
-
-    async def _resend(self, within: float) -> None:
-        """Ask whoever keeps the goals to send the unfinished ones to this instance."""
-        self.publish({"resendGoals": True})
+        return InstanceActions(self.caller, self._health, self._restorer.restore, self._goals.resend, state)
 
     def _expect(self, standby: object) -> None:
         """Judge a waiting instance by this. Raises Refused."""

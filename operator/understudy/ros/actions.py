@@ -287,7 +287,7 @@ class ActionClient:
         type_: ActionType,
         *,
         on_feedback: Callable[[str, bytes], None],
-        on_status: Callable[[Sequence[Known]], None],
+        on_status: Callable[[Sequence[Known]], None] | None = None,
     ) -> None:
         """``on_feedback`` is given a goal's id and the whole serialized message, both are called in the loop."""
         self.action, self.type = action, type_
@@ -341,6 +341,8 @@ class ActionClient:
             ("feedback", self.type.feedback, _DRAINED, self._feedback_came),
             ("status", GoalStatusArray, _STATUS, self._status_came),
         ):
+            if name == "status" and self._on_status is None:
+                continue
             subscription = node.create_subscription(type_, f"{hidden}/{name}", _never_told, qos, raw=True)
             self._subscriptions.append(subscription)
             self._spinning.add("subscription", subscription, self._received(subscription, taken))
@@ -404,7 +406,8 @@ class ActionClient:
         goals = [
             Known(_hex(s.goal_info.goal_id), _nanoseconds(s.goal_info.stamp), int(s.status)) for s in found.status_list
         ]
-        self._spinning.tell(self._on_status, goals)
+        if self._on_status is not None:
+            self._spinning.tell(self._on_status, goals)
 
 
 def _never_told(message: object) -> None:

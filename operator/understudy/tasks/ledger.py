@@ -130,10 +130,7 @@ class Ledger:
     def cancel(self, action: str, id: str, until: int, request: RequestKey, now: float) -> None:
         """A client cancels a goal, those accepted up to a time (Unix nanoseconds), or, with neither, all."""
         mine = [g for g in self.goals.values() if g.action == action and g.phase is not Phase.PENDING]
-        if id or until:
-            chosen = [g for g in mine if g.id == id or (until and g.accepted <= until)]
-        else:
-            chosen = mine
+        chosen = [g for g in mine if (not id and not until) or g.id == id or (until and g.accepted <= until)]
         open_ones = [goal for goal in chosen if goal.open]
         if not open_ones:
             code = CANCEL_OK if not id else CANCEL_ENDED if chosen else CANCEL_UNKNOWN
@@ -467,9 +464,7 @@ class Ledger:
 
     def _mirror(self, goal: Goal, uid: str, now: float) -> None:
         attempt = goal.attempts.get(uid)
-        if attempt is None:
-            goal.attempt(uid)
-        elif not attempt.open and attempt.status != SUCCEEDED and attempt.after <= now:
+        if attempt is None or (not attempt.open and attempt.status != SUCCEEDED and attempt.after <= now):
             goal.attempt(uid)
 
     def _forget(self, now: float) -> None:

@@ -1,0 +1,140 @@
+"""The agent as the only client of its instance's action server, against real processes."""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import os
+import uuid
+
+import pytest
+
+from tests.unit.agent.conftest import Pod, eventually
+from tests.unit.tasks.conftest import ABORTED, ACTION, CANCELED, HERE, SUCCEEDED, TYPE, start  # noqa: F401
+from understudy.cluster.agents import AgentRefused
+
+pytestmark = pytest.mark.ros
+
+OUTPUTS = [{"topic": "/cmd_vel", "type": "std_msgs/msg/String"}]
+TREE = {"topic": {"name": "/cmd_vel", "type": "std_msgs/msg/String", "gap": "300ms"}}
+
+
+@pytest.fixture
+def dds(monkeypatch: pytest.MonkeyPatch, tmp_path):
+    """This machine's loopback; the application and the agent are in the partition of their pod."""
+    from understudy.api.tasks import Task
+    from understudy.ros.profiles import instance_profiles_xml
+
+    (tmp_path / "profiles.xml").write_text(instance_profiles_xml([Task(action=ACTION, type=TYPE)]))
+    for name, value in {
+        "ROS_DOMAIN_ID": str(10 + os.getpid() % 90),
+        "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
+        "FASTRTPS_DEFAULT_PROFILES_FILE": str(tmp_path / "profiles.xml"),
+        "UNDERSTUDY_POD": "pool-abcde",
+    }.items():
+        monkeypatch.setenv(name, value)
+
+
+class Told:
+    """The events of an agent."""
+
+    def __init__(self) -> None:
+        self.goals: list[dict] = []
+        self.feedback: list[dict] = []
+        self.resends: list[int] = []
+
+    def __call__(self, link, event) -> None:
+        if "goal" in event:
+            self.goals.append(event["goal"])
+        elif "feedback" in event:
+            self.feedback.append(event["feedback"])
+        else:
+            self.resends.append(event["resendGoals"])
+
+    def said(self, goal: str, state: str) -> dict | None:
+        return next((g for g in self.goals if g["id"] == goal and g["state"] == state), None)
+
+
+def goal_of(order: int) -> str:
+    from rclpy.serialization import serialize_message
+    from test_msgs.action import Fibonacci
+
+    return base64.b64encode(serialize_message(Fibonacci.Goal(order=order))).decode()
+
+
+def body(goal: str, order: int) -> dict:
+    return {"goal": goal, "action": ACTION, "type": TYPE, "data": goal_of(order)}
+
+
+@pytest.fixture
+async def agent(dds, pod: Pod, links):
+    pod.environment = {"UNDERSTUDY_WORKLOAD": "robot"}
+    pod.start_agent()
+    told = Told()
+    links.append(link := pod.link(claim="", on_event=told))
+    await link.wait_connected(30)
+    await link.configure(TREE, OUTPUTS, 60.0)
+    return link, told
+
+
+async def test_goals_are_followed_and_executed_once_though_the_agent_is_killed(agent, pod: Pod, links, start):  # noqa: F811
+    link, told = agent
+    long, short, wrong, aborted = (uuid.uuid4().hex for _ in range(4))
+    # Asked for before the server is there: it is waited for.
+    await link.request("goal", body(short, 4))
+    server = start("serve", ACTION, STEP="0.2")
+    outside = start("client", ACTION, "3", UNDERSTUDY_POD="another-pod")
+    await eventually(lambda: told.said(short, "ended"), 30)
+    assert told.said(short, "ended")["status"] == SUCCEEDED
+    assert len([f for f in told.feedback if f["id"] == short]) == 4
+    for goal, order in ((long, 480), (wrong, 1000), (aborted, 510)):
+        await link.request("goal", body(goal, order))
+    await eventually(lambda: told.said(long, "running") and told.said(wrong, "rejected"), 30)
+    await eventually(lambda: told.said(aborted, "ended"), 30)
+    assert told.said(aborted, "ended")["status"] == ABORTED
+    pod.kill(pod.agent)
+    await eventually(lambda: not link.connected)
+    pod.start_agent()
+    await link.wait_connected(30)
+    assert (await link.request("goals", {}))["goals"] == []
+    told.goals.clear()
+    await link.request("goal", body(long, 480))
+    await eventually(lambda: told.said(long, "running"), 30)
+    assert len(server.said("executing", goal=long)) == 1
+    assert (await link.request("cancel", {"goal": long})).items() >= {"known": True, "accepted": True}.items()
+    await eventually(lambda: told.said(long, "ended"), 30)
+    assert told.said(long, "ended")["status"] == CANCELED
+    assert not (await link.request("cancel", {"goal": uuid.uuid4().hex}))["known"]
+    # The server is in its pod's partition: a client of another one doesn't reach it.
+    assert not outside.said("ready")
+
+
+async def test_a_server_that_was_started_anew_has_lost_its_goals(agent, start):  # noqa: F811
+    link, told = agent
+    goal = uuid.uuid4().hex
+    server = start("serve", ACTION, STEP="0.2")
+    await link.request("goal", body(goal, 499))
+    await eventually(lambda: told.said(goal, "running"), 30)
+    server.kill()
+    start("serve", ACTION)
+    await eventually(lambda: told.said(goal, "lost"), 60)
+
+
+async def test_what_cannot_be_is_refused(agent):
+    link, _ = agent
+    with pytest.raises(AgentRefused, match="robots_msgs/action/Dock is not installed"):
+        await link.request("goal", {**body(uuid.uuid4().hex, 1), "type": "robots_msgs/action/Dock"})
+    with pytest.raises(AgentRefused, match="32 hex digits"):
+        await link.request("goal", {**body("x", 1)})
+
+
+async def test_a_recovery_tree_asks_for_the_goals_and_waits_until_they_were_sent(agent):
+    link, told = agent
+    tree = {"resend_goals": {}}
+    running = asyncio.create_task(link.request("procedure", {"tree": tree, "within": 20, "name": "p"}, within=30))
+    await eventually(lambda: told.resends, 20)
+    assert not running.done()
+    await link.request("resent", {"number": told.resends[0]})
+    await running
