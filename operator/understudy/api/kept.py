@@ -191,17 +191,20 @@ class KeptState:
         names += [p.name for p in self.parameters] + [n.name for n in self.lifecycle]
         return RestoreReport((), (*self.left_out, *(NotRestored(name, reason) for name in names)))
 
-    def newer_than(self, times: Mapping[str, float]) -> KeptState:
-        """What was taken after the time noted for its topic or node; all of it for those without one."""
+    def contents(self) -> dict[str, object]:
+        """What is in each of its parts, by name, whenever it was taken."""
+        found: dict[str, object] = {s.name: s.data for s in self.samples}
+        found |= {p.name: dict(p.values) for p in self.parameters}
+        return found | {n.name: n.state for n in self.lifecycle}
 
-        def fresh(item: KeptSample | ParameterValues | LifecycleState) -> bool:
-            return item.taken_at > times.get(item.name, float("-inf"))
-
+    def changed_from(self, contents: Mapping[str, object]) -> KeptState:
+        """What is other than those contents, or not among them."""
+        changed = {name for name, content in self.contents().items() if contents.get(name) != content}
         return replace(
             self,
-            samples=tuple(filter(fresh, self.samples)),
-            parameters=tuple(filter(fresh, self.parameters)),
-            lifecycle=tuple(filter(fresh, self.lifecycle)),
+            samples=tuple(s for s in self.samples if s.name in changed),
+            parameters=tuple(p for p in self.parameters if p.name in changed),
+            lifecycle=tuple(n for n in self.lifecycle if n.name in changed),
         )
 
     def to_wire(self) -> dict[str, Any]:

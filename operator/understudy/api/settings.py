@@ -19,6 +19,9 @@ class PoolChoice(Model):
     template_hash: str = Field(
         default="", description="Hash of the pool's present template; pods of another are not claimed."
     )
+    keep_up: str | None = Field(
+        default=None, description="Time between two hand-overs of the kept state to its standbys; absent for none."
+    )
 
 
 class WorkloadSettings(Model):

@@ -344,9 +344,11 @@ def _choices(observed: Observed, understanding: Understanding) -> list[PoolChoic
     for name in dict.fromkeys(policies.named_pools(policy)):
         if name not in served:
             continue
-        readiness = policies.pool_spec(served[name]).readiness
+        pool = policies.pool_spec(served[name])
+        readiness = pool.readiness
+        keep_up = pool.keep_up.period if pool.keep_up and readiness == "Initialized" else None
         allowed = pools.claimable_hash(observed.held_policies.get(name)) if readiness == "Uninitialized" else ""
-        found.append(PoolChoice(name=name, readiness=readiness, template_hash=allowed))
+        found.append(PoolChoice(name=name, readiness=readiness, template_hash=allowed, keep_up=keep_up))
     return found
 
 

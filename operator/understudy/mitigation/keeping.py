@@ -298,6 +298,10 @@ class Keeper:
         """Say why something can't come: what is told of it where nothing is kept of it."""
         self._notes = dict(notes)
 
+    def is_patient_no_more(self, now: float) -> bool:
+        """Whether the instance has been healthy for so long that what never came is missing."""
+        return self._healthy_since is not None and now - self._healthy_since > PATIENCE
+
     def entries(self, now: float) -> list[Entry]:
         """How it stands with everything that should be kept, if the instance failed now."""
         found: list[Entry] = []
@@ -310,11 +314,11 @@ class Keeper:
             elif key in self._notes:
                 trouble, message = self._notes[key]
             elif version is None and not item.versions:
-                if self._healthy_since is not None and now - self._healthy_since > PATIENCE:
+                if self.is_patient_no_more(now):
                     trouble, message = "NeverCame", f"{key.label}: {self._why_none(key, item)}"
             elif version is not None and now - version.taken_at > item.max_age:
                 trouble = "TooOld"
-                message = f"{key.label}: {self._why_old(key, now - version.taken_at)}"
+                message = f"{key.label}: what is kept is older than maxAge ({self._topics[key.name].max_age}), it would not be restored"
             found.append(
                 Entry(
                     key,

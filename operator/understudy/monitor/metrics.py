@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import get_args
 
 from prometheus_client import Counter, Gauge, Histogram
@@ -22,6 +23,8 @@ _LATENESS = Histogram(
     "How long after its deadline a failure was detected.",
     buckets=(0.0005, 0.001, 0.002, 0.005, 0.01, 0.015, 0.05, 0.1, 0.5),
 )
+_KEPT_AT = Gauge("understudy_kept_timestamp_seconds", "When the state was taken that would be restored now.", ["name"])
+_KEPT_BYTES = Gauge("understudy_kept_bytes", "Size of the state that would be restored now.", ["name"])
 
 
 def health(value: Health) -> None:
@@ -33,6 +36,16 @@ def health(value: Health) -> None:
 def epoch(value: int) -> None:
     """Set the gate's epoch."""
     _EPOCH.set(value)
+
+
+def kept(entries: Mapping[str, tuple[float | None, int]]) -> None:
+    """Set when each part of the kept state was taken (unix seconds), and its bytes."""
+    _KEPT_AT.clear()
+    _KEPT_BYTES.clear()
+    for name, (taken_at, size) in entries.items():
+        if taken_at is not None:
+            _KEPT_AT.labels(name=name).set(taken_at)
+            _KEPT_BYTES.labels(name=name).set(size)
 
 
 def lateness(seconds: float) -> None:

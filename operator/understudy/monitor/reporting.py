@@ -5,11 +5,13 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
+from collections.abc import Sequence
 
 import aiohttp
 
 from understudy.api.base import API_VERSION
 from understudy.api.conditions import Condition, condition, merged
+from understudy.api.states import KeptStatus
 from understudy.api.workloads import GateStatus, Health, Recovery, RobotWorkloadStatus
 from understudy.cluster.client import WORKLOADS, ApiError, Client, Object
 from understudy.cluster.events import Recorder
@@ -37,6 +39,7 @@ class Reporter:
         self._changed = asyncio.Event()
         self._applied = ""
         self._conditions: dict[str, Condition] = {}
+        self._kept: list[KeptStatus] = []
         self._recoveries: list[Recovery] = []
         self._count = 0
         self._last_time: str | None = None
@@ -53,7 +56,7 @@ class Reporter:
         self._recoveries = list(status.recoveries or [])
         self._count = status.recovery_count or 0
         self._last_time = status.last_recovery_time
-        ours = {"Healthy", "Monitored", "GateEnforced", "Recovering", "Reflex"}
+        ours = {"Healthy", "Monitored", "GateEnforced", "Recovering", "Reflex", "StateKept", "StateRestored"}
         self._conditions = {c.type: c for c in status.conditions or [] if c.type in ours}
         self.reference = {
             "apiVersion": API_VERSION,
@@ -100,6 +103,12 @@ class Reporter:
         self._changed.set()
         return old is None or (old.status, old.reason) != (status, reason)
 
+    def keep(self, kept: Sequence[KeptStatus]) -> None:
+        """Say what is kept."""
+        if self._kept != list(kept):
+            self._kept = list(kept)
+            self._changed.set()
+
     def record(self, progress: Progress) -> Recovery:
         """Add a finished recovery. One that failed like the last is told once, with its latest times."""
         again = (
@@ -137,6 +146,7 @@ class Reporter:
             recovery_count=self._count,
             last_recovery_time=self._last_time,
             recoveries=self._recoveries,
+            state=self._kept or None,
             conditions=sorted(self._conditions.values(), key=lambda c: c.type),
         )
         return {

@@ -20,9 +20,11 @@ from understudy.cluster.events import Recorder
 from understudy.cluster.pages import serve
 from understudy.cluster.probes import ProbeReceiver
 from understudy.mitigation.journal import Journal
+from understudy.mitigation.shelf import Shelf
 from understudy.monitor.faults import CrashPoints
 from understudy.monitor.fleet import Fleet
 from understudy.monitor.gating import PolicyGate
+from understudy.monitor.keeping import StateKeeping
 from understudy.monitor.reporting import Reporter
 from understudy.monitor.sidecars import Sidecars
 from understudy.monitor.sight import Sight
@@ -96,6 +98,7 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
             reporter=reporter,
             journal=Journal(state / "recovery.json"),
             crash_points=crash_points,
+            keeping=StateKeeping(sight.graph, Shelf(state / "kept"), sidecars, reporter),
         )
         supervisor = Supervisor(parts)
         watchers.append(supervisor)

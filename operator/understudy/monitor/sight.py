@@ -34,7 +34,8 @@ class Sight:
     """The health tree over drained subscriptions."""
 
     def __init__(self) -> None:
-        self._watching = Watching(Graph("understudy_monitor"))
+        self.graph = Graph("understudy_monitor")
+        self._watching = Watching(self.graph)
         self._tree: HealthTree | None = None
         self._loaded: tuple[Monitoring, list[Output]] | None = None
         self._outputs: list[Output] = []
@@ -104,10 +105,15 @@ class Sight:
                 self._addresses[instance.name] = (instance.ip, now)
         for name in [n for n, (_, seen) in self._addresses.items() if now - seen > REMEMBERED]:
             del self._addresses[name]
-        self._watching.attribute({name: ip for name, (ip, _) in self._addresses.items()}, active)
+        self._watching.attribute(self.addresses, active)
         self._watching.drain()
         if self._tree is not None:
             self._tree.leave_out(self._watching.unwatchable)
+
+    @property
+    def addresses(self) -> dict[str, str]:
+        """The instances that there are, and were a moment ago: IP by pod name."""
+        return {name: ip for name, (ip, _) in self._addresses.items()}
 
     def verdict(self, *, now: float, since: float) -> Verdict:
         """The health tree's verdict on the instance in control. Times are unix seconds."""

@@ -16,6 +16,7 @@ import aiohttp
 
 from understudy.api.base import seconds
 from understudy.api.policies import FailurePolicySpec
+from understudy.api.settings import WorkloadSettings
 from understudy.api.workloads import GateStatus
 from understudy.cluster.client import ApiError
 from understudy.cluster.probes import ProbeReceiver
@@ -30,6 +31,7 @@ from understudy.monitor.choosing import choices
 from understudy.monitor.faults import CrashPoints
 from understudy.monitor.fleet import Fleet
 from understudy.monitor.gating import PolicyGate
+from understudy.monitor.keeping import StateKeeping
 from understudy.monitor.reflexes import Reflexes
 from understudy.monitor.reporting import Reporter, describe
 from understudy.monitor.sidecars import Sidecars
@@ -95,6 +97,7 @@ class Parts:
     reporter: Reporter
     journal: Journal
     crash_points: CrashPoints
+    keeping: StateKeeping
 
 
 class Supervisor:
@@ -104,6 +107,7 @@ class Supervisor:
         self._parts = parts
         self._view, self._fleet, self._gate = parts.view, parts.fleet, parts.gate
         self._sidecars, self._sight, self._reporter = parts.sidecars, parts.sight, parts.reporter
+        self._keeping = parts.keeping
         self.wake = asyncio.Event()
         """Set to have it look at once, such as when a pod of the workload changed."""
         self._since = time.time()
@@ -160,6 +164,7 @@ class Supervisor:
             else:
                 self._sight.follow(policy, self._view.spec)
                 self._sight.drain(self._fleet.of_workload(), self._gate.state.active)
+                self._keeping.take(policy.state, self._sight.addresses, self._gate.state.active)
                 failure, deadline = await self._look(policy, now)
                 if failure is not None:
                     return failure
@@ -204,6 +209,7 @@ class Supervisor:
         assert active is not None
         verdict = self._verdict(active, policy, now)
         self._say(verdict)
+        self._keeping.judge(verdict.state, now)
         if verdict.state != "Failed":
             self._failing_since = None
             if verdict.state == "Healthy":
@@ -251,6 +257,7 @@ class Supervisor:
 
     def _counted(self, failure: Failure, now: float) -> Failure | None:
         """The failure, unless the limits say not now."""
+        self._keeping.judge("Failed", now)
         self._reporter.set(health="Failed")
         if now >= self._not_before:
             self._cooldown_told = False
@@ -316,6 +323,7 @@ class Supervisor:
         self._reporter.generation = item["metadata"].get("generation") if item else None
         self._reporter.set(strategy=usable)
         self._say_watched()
+        self._keeping.housekeeping(self._fleet.find(self._gate.state.active_uid), self._kept_up(instances, settings))
         active_uid = self._gate.state.active_uid
         last = {i.uid: found for i in instances if (found := self._parts.probes.last(i.uid)) is not None}
         judged = enforcement.judge(
@@ -333,6 +341,20 @@ class Supervisor:
             and judged[0] == "False"
         ):
             self._reporter.event("Warning", f"Gate{judged[1]}", judged[2])
+
+    def _kept_up(self, instances: Sequence[Instance], settings: WorkloadSettings) -> list[tuple[Instance, float]]:
+        """The standbys that are given state while they wait, each with its period in seconds."""
+        periods = {pool.name: seconds(pool.keep_up) for pool in settings.pools if pool.keep_up}
+        if not periods:
+            return []
+        active = self._gate.state.active_uid
+        # One that the workload's own controller made is a standby like the pool's.
+        return [
+            (instance, periods.get(instance.pool, min(periods.values())))
+            for instance in instances
+            if instance.uid != active and instance.usable and instance.has_agent and not instance.held
+            if (not instance.pool or instance.pool in periods) and self._sidecars.is_ready(instance)[0]
+        ]
 
     async def _label(self, instances: Sequence[Instance]) -> None:
         """Label new pods, beside the loop: an API server that is slow to answer must not delay a detection."""
@@ -364,6 +386,8 @@ class Supervisor:
             clock=time.time,
             save=self._save,
             workload_uid=settings.uid,
+            kept=self._keeping.select,
+            restore_within=seconds(policy.state.within) if (policy := self._view.policy) else 5.0,
         )
 
     def _save(self, progress: Progress) -> None:
@@ -408,6 +432,7 @@ class Supervisor:
         recovery = self._reporter.record(done)
         state = self._gate.state
         self._reporter.set(active=state.active, gate=GateStatus(epoch=state.epoch, active=state.active))
+        self._keeping.tell(recovery)
         text = describe(recovery)
         _logger.warning("recovery %d: %s", recovery.number, text)
         if done.result == "Recovered":

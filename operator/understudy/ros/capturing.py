@@ -21,7 +21,7 @@ from understudy.ros.types import TypeNotInstalled
 
 _logger = logging.getLogger(__name__)
 
-DEPTH = 8
+DEPTH = 16
 """Messages that a topic's queue holds between two drains. Only the last of each sender is of interest."""
 
 LOOK_UP = 1.0

@@ -66,9 +66,12 @@ def test_only_some_of_it_by_topic_or_by_what_it_is_restored_to() -> None:
     assert KEPT.only([]) == KEPT
 
 
-def test_only_what_is_newer() -> None:
-    newer = KEPT.newer_than({"/amcl_pose": 10.5, "/controller (parameters)": 2.9})
-    assert (newer.samples, newer.parameters, newer.lifecycle) == ((MAP,), (PARAMETERS,), (STATE,))
+def test_only_what_has_changed() -> None:
+    given = KEPT.contents() | {"/amcl_pose": b"elsewhere"}
+    given.pop(STATE.name)
+    changed = KEPT.changed_from(given)
+    assert (changed.samples, changed.parameters, changed.lifecycle) == ((POSE,), (), (STATE,))
+    assert not KEPT.changed_from(KEPT.contents())
 
 
 def test_in_batches_everything_comes_once() -> None:

@@ -165,7 +165,7 @@ def test_a_message_older_than_max_age_is_reported_and_not_given() -> None:
     (entry,) = keeper.entries(START + 30)
     assert (entry.trouble, entry.taken_at) == ("TooOld", pytest.approx(START + 5))
     assert "/amcl_pose" in entry.message
-    assert "maxAge (10s)" in entry.message
+    assert "older than maxAge (10s)" in entry.message
 
 
 def test_the_age_counts_from_the_beginning_of_the_failure() -> None:

@@ -1,0 +1,325 @@
+"""Keeps the state of the instance in control: takes it, persists it, tells of it, and gives it to waiting standbys.
+
+What is the last healthy state is decided in mitigation/keeping.py; here it meets ROS, the agents, the disk and the
+status. Nothing of it waits in the monitor's loop.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import time
+from collections.abc import Coroutine, Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Literal
+
+from understudy.api.base import seconds
+from understudy.api.kept import KeptState
+from understudy.api.states import KeptStatus, State
+from understudy.api.workloads import Recovery
+from understudy.cluster.agents import AgentGone, AgentRefused
+from understudy.mitigation.interfaces import Instance
+from understudy.mitigation.keeping import Entry, Keeper, Key, Trouble
+from understudy.mitigation.progress import rfc3339
+from understudy.mitigation.shelf import Shelf
+from understudy.monitor import metrics
+from understudy.monitor.reporting import Reporter
+from understudy.monitor.sidecars import Sidecars
+from understudy.ros.capturing import Capturing
+from understudy.ros.graph import Graph
+
+_logger = logging.getLogger(__name__)
+
+LEAST_LOOK = 0.05
+"""Seconds between two looks at the kept topics, where the policy's period is shorter; what comes in between is left to
+the middleware, which keeps the last."""
+
+PERSIST = 1.0
+"""Seconds between two writes to the disk, at least."""
+
+INSPECT = 2.0
+"""Seconds between two questions for parameters and lifecycle states."""
+
+INSPECT_WITHIN = 3.0
+"""Seconds that an answer may take."""
+
+TELL = 30.0
+"""Seconds between two updates of the status, where only ages have changed."""
+
+CLOCK_STEP = 0.05
+"""Seconds by which the clock must have moved against the monotonic one to count as having been set."""
+
+REASONS: tuple[Trouble, ...] = ("NotWatched", "TooBig", "NeverCame", "NotAsked", "TooOld")
+"""Reasons of the condition StateKept, the gravest first."""
+
+Health = Literal["Starting", "Healthy", "Failed"]
+
+
+class StateKeeping:
+    """The kept state of one workload."""
+
+    def __init__(self, graph: Graph, shelf: Shelf, sidecars: Sidecars, reporter: Reporter) -> None:
+        """Take up what an earlier monitor had kept."""
+        self._capturing = Capturing(graph)
+        self._shelf, self._sidecars, self._reporter = shelf, sidecars, reporter
+        self._keeper = Keeper()
+        self._state: State | None = None
+        self._adopted = shelf.load()
+        self._offset = time.time() - time.monotonic()
+        self._next_look = 0.0
+        self._active = ""
+        self._persisted = self._keeper.revision
+        self._persisting: asyncio.Task[None] | None = None
+        self._next_persist = 0.0
+        self._inspecting: asyncio.Task[None] | None = None
+        self._next_inspect = 0.0
+        self._unanswered: dict[Key, str] = {}
+        self._told: tuple[object, ...] = ()
+        self._next_told = 0.0
+        self._upkeep: dict[str, _Upkeep] = {}
+
+    # -- each look --------------------------------------------------------------------------------------------------
+
+    def take(self, state: State, instances: Mapping[str, str], active: str) -> None:
+        """Take in what has come of what the policy keeps. ``instances`` has their IPs; ``active`` is in control."""
+        if state != self._state:
+            self._follow(state)
+        if not self._keeper.keys:
+            return
+        self._follow_clock()
+        if self._capturing.attribute(instances, active) or active != self._active:
+            self._active = active
+            self._keeper.forget_offers()
+        now = time.monotonic()
+        if now < self._next_look:
+            return
+        self._next_look = now + max(LEAST_LOOK, seconds(state.period) / 2)
+        for message in self._capturing.drain():
+            self._keeper.offer(
+                Key("Topic", message.topic),
+                message.data,
+                taken_at=message.taken_at,
+                received_at=message.received_at,
+                type=message.type,
+                standing=message.standing,
+            )
+
+    def judge(self, health: Health, now: float) -> None:
+        """What was taken counts if the instance was healthy, and is. ``now`` in unix seconds."""
+        self._keeper.judge(health, now)
+
+    def _follow(self, state: State) -> None:
+        self._state = state
+        self._keeper.follow(state)
+        self._capturing.follow({topic.topic: topic.type for topic in state.keep})
+        if self._adopted:
+            # Only now it is known what of it is wanted. The policy may be another by then, or back.
+            self._keeper.adopt(self._adopted, time.time())
+            self._adopted = {}
+
+    def _follow_clock(self) -> None:
+        """Ages stay what they are when the clock is set."""
+        before, now, after = time.monotonic(), time.time(), time.monotonic()
+        if after - before > CLOCK_STEP / 4:
+            return  # this process was stalled just here: the next look tells
+        step, self._offset = now - before - self._offset, now - before
+        if abs(step) > CLOCK_STEP:
+            self._keeper.shift(step)
+            self._capturing.shift(step)
+
+    # -- giving out -------------------------------------------------------------------------------------------------
+
+    def select(self, onset: float) -> KeptState:
+        """The state for the instance that takes over after a failure that began then (unix seconds)."""
+        return self._keeper.select(onset)
+
+    def tell(self, recovery: Recovery) -> None:
+        """Say what became of the state in a recovery."""
+        if not recovery.state:
+            return
+        missing = [entry for entry in recovery.state if not entry.restored]
+        given = ", ".join(f"{e.name} ({e.age_seconds:.1f} s old)" for e in recovery.state if e.restored)
+        if not missing:
+            self._reporter.condition("StateRestored", "True", "Restored", f"{recovery.to_pod} was given {given}.")
+            return
+        reasons = "; ".join(f"{entry.name}: {entry.message}" for entry in missing)
+        text = f"{recovery.to_pod or 'No pod'} was not given all of the kept state: {reasons}."
+        self._reporter.condition(
+            "StateRestored", "False", "NotRestored", text + (f" It was given {given}." if given else "")
+        )
+        self._reporter.event("Warning", "StateNotRestored", text)
+
+    # -- what has time ----------------------------------------------------------------------------------------------
+
+    def housekeeping(self, active: Instance | None, waiting: Sequence[tuple[Instance, float]]) -> None:
+        """Persist, ask, tell and keep standbys up. ``waiting`` are standbys that are given state, each with its period
+        in seconds. Called about once a second; returns at once.
+        """
+        now = time.monotonic()
+        if self._state is None:
+            return
+        self._persist(now)
+        if self._keeper.keys or self._told:
+            self._inspect(now, active)
+            self._note()
+            self._say(now)
+        self._keep_up(waiting, now)
+
+    def _persist(self, now: float) -> None:
+        busy = self._persisting is not None and not self._persisting.done()
+        if busy or now < self._next_persist or self._keeper.revision == self._persisted or self._adopted:
+            return
+        self._next_persist = now + PERSIST
+        revision, kept = self._keeper.revision, self._keeper.versions()
+
+        async def persist() -> None:
+            try:
+                await asyncio.to_thread(self._shelf.save, kept)
+                self._persisted = revision
+            except OSError as error:
+                _logger.error("what is kept would not outlast a restart: %s", error)
+
+        self._persisting = asyncio.create_task(persist())
+
+    def _inspect(self, now: float, active: Instance | None) -> None:
+        state = self._state
+        assert state is not None, "it is looked at before"
+        if not (state.parameters or state.lifecycle) or now < self._next_inspect:
+            return
+        if self._inspecting is not None and not self._inspecting.done():
+            return
+        self._next_inspect = now + INSPECT
+        keys = [Key("Parameters", p.node) for p in state.parameters] + [Key("Lifecycle", n) for n in state.lifecycle]
+        if active is not None and not active.has_agent:
+            reason = f"pod {active.name} has no agent that could be asked, since a referred controller made it"
+            self._unanswered = dict.fromkeys(keys, reason)
+        elif active is not None and self._keeper.healthy_since is not None:
+            self._inspecting = asyncio.create_task(self._ask(active, state, keys))
+
+    async def _ask(self, active: Instance, state: State, keys: Sequence[Key]) -> None:
+        body = {
+            "parameters": [{"node": p.node, "names": p.names} for p in state.parameters],
+            "lifecycle": list(state.lifecycle),
+        }
+        asked = time.time()
+        try:
+            answer = await self._sidecars.inspect(active, body, INSPECT_WITHIN)
+        except (AgentGone, AgentRefused) as error:
+            self._unanswered = dict.fromkeys(keys, str(error))
+            return
+        since = self._keeper.healthy_since
+        self._unanswered = {
+            Key("Parameters" if p.get("kind") == "parameters" else "Lifecycle", str(p.get("node"))): str(
+                p.get("reason")
+            )
+            for p in answer.get("problems", [])
+        }
+        if state is not self._state or active.name != self._active or since is None or asked < since:
+            return
+        for key, data in _answers(answer):
+            self._keeper.offer(key, data, taken_at=asked, received_at=time.time())
+
+    def _note(self) -> None:
+        notes: dict[Key, tuple[Trouble, str]] = {}
+        for name, problem in self._capturing.problems.items():
+            notes[Key("Topic", name)] = ("NotWatched", f"{name}: {problem}")
+        if self._keeper.is_patient_no_more(time.time()):
+            kept = self._keeper.versions()
+            for name, reason in self._capturing.waiting.items():
+                if Key("Topic", name) not in kept:
+                    notes[Key("Topic", name)] = ("NeverCame", f"{name}: {reason}")
+        for key, reason in self._unanswered.items():
+            notes[key] = ("NotAsked", f"{key.label}: {reason}")
+        self._keeper.note(notes)
+
+    def _say(self, now: float) -> None:
+        """Update status, condition and metrics: at once where something is wrong or right again, else seldom."""
+        entries = self._keeper.entries(time.time())
+        metrics.kept({entry.key.label: (entry.taken_at, entry.bytes) for entry in entries})
+        shape = tuple((entry.key, entry.trouble, entry.taken_at is None) for entry in entries)
+        if shape == self._told and now < self._next_told:
+            return
+        self._told, self._next_told = shape, now + TELL
+        self._reporter.keep([_status(entry) for entry in entries])
+        if not entries:
+            self._reporter.condition("StateKept", "True", "NothingToKeep", "The policy keeps no state (any more).")
+            return
+        troubled = sorted((e for e in entries if e.trouble), key=lambda e: REASONS.index(e.trouble))
+        if troubled:
+            text = ". ".join(entry.message for entry in troubled) + "."
+            reason = "TypeNotInstalled" if "not installed" in text else str(troubled[0].trouble)
+            if self._reporter.condition("StateKept", "False", reason, text):
+                self._reporter.event("Warning", f"State{reason}", text)
+        elif missing := [entry.key.label for entry in entries if entry.taken_at is None]:
+            text = f"Waiting for {', '.join(missing)} of a healthy instance."
+            self._reporter.condition("StateKept", "Unknown", "Waiting", text)
+        else:
+            names = ", ".join(entry.key.label for entry in entries)
+            self._reporter.condition("StateKept", "True", "Kept", f"Keeping {names}.")
+
+    def _keep_up(self, waiting: Sequence[tuple[Instance, float]], now: float) -> None:
+        """Give standbys that wait what is newer than what they were given last."""
+        state = self._state
+        assert state is not None, "it is looked at before"
+        known = {instance.uid for instance, _ in waiting}
+        for uid in [uid for uid in self._upkeep if uid not in known]:
+            self._upkeep.pop(uid).cancel()
+        for instance, period in waiting:
+            upkeep = self._upkeep.setdefault(instance.uid, _Upkeep())
+            if now >= upkeep.due and not upkeep.busy and self._keeper.healthy_since is not None:
+                upkeep.due = now + period
+                # Not the lifecycle states: they would make it drive before its time.
+                fresh = replace(self._keeper.select(time.time()), lifecycle=(), left_out=()).changed_from(upkeep.given)
+                if fresh:
+                    upkeep.begin(self._hand(instance, fresh, upkeep, seconds(state.within)))
+
+    async def _hand(self, instance: Instance, fresh: KeptState, upkeep: _Upkeep, within: float) -> None:
+        report = await self._sidecars.restore(instance, fresh, within)
+        given = {entry.name for entry in report.restored}
+        upkeep.given |= {name: content for name, content in fresh.contents().items() if name in given}
+        if report.problem != upkeep.problem:
+            upkeep.problem = report.problem
+            if report.problem:
+                self._reporter.event("Warning", "StandbyNotKeptUp", f"{instance.name}: {report.problem}")
+
+
+def _answers(answer: Mapping[str, Any]) -> Iterator[tuple[Key, bytes]]:
+    """What nodes said of their parameters and states; only states in which a node rests can be restored."""
+    for node, values in answer.get("parameters", {}).items():
+        yield Key("Parameters", node), json.dumps(values, sort_keys=True).encode()
+    for node, state in answer.get("lifecycle", {}).items():
+        if state in ("unconfigured", "inactive", "active"):
+            yield Key("Lifecycle", node), str(state).encode()
+
+
+def _status(entry: Entry) -> KeptStatus:
+    return KeptStatus(
+        name=entry.key.name,
+        kind=entry.key.kind,
+        taken_at=f"{rfc3339(entry.taken_at)[:19]}Z" if entry.taken_at is not None else None,
+        bytes=entry.bytes,
+        message=entry.message,
+    )
+
+
+class _Upkeep:
+    """What a waiting standby was given."""
+
+    def __init__(self) -> None:
+        self.due = 0.0
+        self.given: dict[str, object] = {}
+        """What it was given last, by name."""
+        self.problem = ""
+        self._task: asyncio.Task[None] | None = None
+
+    @property
+    def busy(self) -> bool:
+        return self._task is not None and not self._task.done()
+
+    def begin(self, work: Coroutine[Any, Any, None]) -> None:
+        self._task = asyncio.create_task(work)
+
+    def cancel(self) -> None:
+        if self._task is not None:
+            self._task.cancel()

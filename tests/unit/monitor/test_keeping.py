@@ -1,0 +1,334 @@
+"""The monitor keeps state of real topics, over its own restart, tells of it, and keeps standbys up with it."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import time
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.serialization import deserialize_message
+
+from understudy.api.kept import KeptState, NotRestored, Restored, RestoreReport
+from understudy.api.states import KeptStatus, RestoredState, State
+from understudy.api.workloads import Recovery
+from understudy.cluster.agents import AgentGone
+from understudy.mitigation import keeping as pure
+from understudy.mitigation.interfaces import Instance
+from understudy.mitigation.shelf import Shelf
+from understudy.monitor import keeping as module
+from understudy.monitor.keeping import StateKeeping
+from understudy.ros.graph import Graph
+
+pytestmark = pytest.mark.ros
+
+POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+ACTIVE = Instance("w-1", "uid-1", running=True)
+STANDBY = Instance("w-2", "uid-2", running=True, pool="warm")
+STATE = State.model_validate(
+    {"keep": [{"topic": "/amcl_pose", "type": POSE, "restoreTo": "/initialpose"}], "margin": "100ms", "period": "50ms"}
+)
+
+
+@pytest.fixture
+def graph(monkeypatch: pytest.MonkeyPatch) -> Iterator[Graph]:
+    monkeypatch.setenv("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp")
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(10 + os.getpid() % 90))
+    monkeypatch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    for name in ("ROS_DISCOVERY_SERVER", "FASTRTPS_DEFAULT_PROFILES_FILE", "ROS_STATIC_PEERS"):
+        monkeypatch.delenv(name, raising=False)
+    made = Graph("keeper")
+    yield made
+    made.close()
+
+
+class Agents:
+    """What the agents answer, and what they were given."""
+
+    def __init__(self) -> None:
+        self.given: list[tuple[str, KeptState]] = []
+        self.refusal = ""
+        self.answer: Mapping[str, Any] | None = None
+
+    async def restore(self, instance: Instance, state: KeptState, within: float) -> RestoreReport:
+        self.given.append((instance.name, state))
+        if self.refusal:
+            return state.not_given(self.refusal)
+        return RestoreReport(tuple(Restored(s.name, s.taken_at) for s in state.restored_samples))
+
+    async def inspect(self, instance: Instance, body: Mapping[str, Any], within: float) -> Mapping[str, Any]:
+        if self.answer is None:
+            raise AgentGone("its agent isn't connected")
+        return self.answer
+
+
+class Told:
+    """What is said."""
+
+    def __init__(self) -> None:
+        self.conditions: dict[str, tuple[str, str, str]] = {}
+        self.events: list[tuple[str, str]] = []
+        self.kept: list[list[KeptStatus]] = []
+
+    def condition(self, type_: str, status: str, reason: str, message: str = "") -> bool:
+        before, self.conditions[type_] = self.conditions.get(type_), (status, reason, message)
+        return before is None or before[:2] != (status, reason)
+
+    def event(self, kind: str, reason: str, message: str) -> None:
+        self.events.append((reason, message))
+
+    def keep(self, kept: list[KeptStatus]) -> None:
+        self.kept.append(kept)
+
+
+class Monitor:
+    """The loop of a monitor, as far as it is about state."""
+
+    def __init__(self, graph: Graph, folder: Path) -> None:
+        self.agents, self.told = Agents(), Told()
+        self.keeping = StateKeeping(graph, Shelf(folder), self.agents, self.told)  # type: ignore[arg-type]
+        self.state, self.health, self.active = STATE, "Healthy", ACTIVE
+        self.waiting: list[tuple[Instance, float]] = []
+
+    async def until(
+        self, holds: Callable[[], object], within: float = 25.0, each: Callable[[], None] = lambda: None
+    ) -> None:
+        """Go on looking until something holds."""
+        end = time.monotonic() + within
+        while not holds():
+            assert time.monotonic() < end, f"not within {within} s"
+            each()
+            self.keeping.take(self.state, {}, self.active.name)
+            self.keeping.judge(self.health, time.time())  # type: ignore[arg-type]
+            self.keeping.housekeeping(self.active, self.waiting)
+            await asyncio.sleep(0.02)
+
+    def x(self, onset: float | None = None) -> float | None:
+        """Where the robot would be said to be."""
+        samples = self.keeping.select(time.time() if onset is None else onset).samples
+        return (
+            float(deserialize_message(samples[0].data, PoseWithCovarianceStamped).pose.pose.position.x)
+            if samples
+            else None
+        )
+
+
+@pytest.fixture
+async def monitor(graph: Graph, tmp_path: Path) -> Monitor:
+    return Monitor(graph, tmp_path)
+
+
+@pytest.fixture
+def say(graph: Graph) -> Callable[[float], None]:
+    """Publish a pose, latched as AMCL does."""
+    qos = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    publisher = graph.node.create_publisher(PoseWithCovarianceStamped, "/amcl_pose", qos)
+
+    def publish(x: float) -> None:
+        message = PoseWithCovarianceStamped()
+        message.header.frame_id = "map"
+        message.pose.pose.position.x = x
+        publisher.publish(message)
+
+    return publish
+
+
+async def test_the_last_healthy_pose_is_kept_and_told(monitor: Monitor, say: Callable[[float], None]) -> None:
+    say(1.0)
+    await monitor.until(lambda: monitor.x() == 1.0 and monitor.told.conditions.get("StateKept"))
+    await monitor.until(lambda: monitor.told.conditions["StateKept"] == ("True", "Kept", "Keeping /amcl_pose."))
+    (status,) = monitor.told.kept[-1]
+    assert (status.name, status.kind, status.message) == ("/amcl_pose", "Topic", "")
+    assert status.bytes > 300
+    assert status.taken_at
+    say(2.0)
+    await monitor.until(lambda: monitor.x() == 2.0)
+
+
+async def test_what_is_said_while_the_workload_fails_is_never_given(
+    monitor: Monitor, say: Callable[[float], None]
+) -> None:
+    say(1.0)
+    await monitor.until(lambda: monitor.x() == 1.0)
+    onset = time.time()
+    monitor.health = "Failed"
+    say(9.0)
+    end = time.monotonic() + 1.0
+    await monitor.until(lambda: time.monotonic() > end)
+    monitor.health = "Healthy"
+    end = time.monotonic() + 1.0
+    await monitor.until(lambda: time.monotonic() > end)
+    assert monitor.x(onset) == monitor.x() == 1.0
+
+
+async def test_it_outlasts_the_monitor(
+    monitor: Monitor, say: Callable[[float], None], graph: Graph, tmp_path: Path
+) -> None:
+    say(1.0)
+    await monitor.until(lambda: monitor.x() == 1.0)
+    await monitor.until(lambda: (tmp_path / "kept").exists())
+    await monitor.until(
+        lambda: Shelf(tmp_path).load() == {k: list(v) for k, v in monitor.keeping._keeper.versions().items()}
+    )
+    onset = time.time()
+    later = Monitor(graph, tmp_path)
+    later.health = "Starting"
+    later.keeping.take(STATE, {}, "w-1")
+    assert later.x(onset) == 1.0
+    assert later.keeping.select(onset) == monitor.keeping.select(onset)
+
+
+async def test_a_topic_that_never_comes_is_told_in_time(monitor: Monitor, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pure, "PATIENCE", 0.3)
+    await monitor.until(lambda: monitor.told.conditions.get("StateKept", ("",))[0] == "False")
+    assert monitor.told.conditions["StateKept"] == ("False", "NeverCame", "/amcl_pose: nobody publishes it.")
+    assert monitor.told.events == [("StateNeverCame", "/amcl_pose: nobody publishes it.")]
+    assert monitor.keeping.select(time.time()).left_out == (
+        NotRestored("/amcl_pose", "nobody publishes it", failed=False),
+    )
+
+
+async def test_a_type_that_is_not_installed_is_told_at_once(monitor: Monitor) -> None:
+    monitor.state = State.model_validate({"keep": [{"topic": "/plan", "type": "nav2_msgs/msg/Plan"}]})
+    await monitor.until(lambda: "StateKept" in monitor.told.conditions)
+    status, reason, message = monitor.told.conditions["StateKept"]
+    assert (status, reason) == ("False", "TypeNotInstalled")
+    assert message.startswith("/plan: nav2_msgs/msg/Plan is not installed in the monitor's image")
+
+
+async def test_a_state_that_is_too_old_is_told(monitor: Monitor, say: Callable[[float], None]) -> None:
+    monitor.state = State.model_validate({"keep": [{"topic": "/amcl_pose", "maxAge": "500ms"}], "margin": "0s"})
+    say(1.0)
+    await monitor.until(lambda: monitor.told.conditions.get("StateKept", ("", ""))[1] == "TooOld")
+    assert "older than maxAge (500ms)" in monitor.told.conditions["StateKept"][2]
+    (left,) = monitor.keeping.select(time.time()).left_out
+    assert "more than maxAge (500ms)" in left.reason
+
+
+async def test_ages_alone_are_seldom_written(monitor: Monitor, say: Callable[[float], None]) -> None:
+    count = [0.0]
+
+    def move() -> None:
+        count[0] += 1
+        say(count[0])
+
+    await monitor.until(lambda: monitor.x() is not None, each=move)
+    end = time.monotonic() + 1.5
+    await monitor.until(lambda: time.monotonic() > end, each=move)
+    assert len(monitor.told.kept) <= 4
+    assert count[0] > 10
+
+
+async def test_parameters_and_states_are_asked_of_the_agent(monitor: Monitor) -> None:
+    monitor.state = State.model_validate(
+        {"parameters": [{"node": "/controller", "names": ["speed"]}], "lifecycle": ["/amcl"], "margin": "0s"}
+    )
+    monitor.agents.answer = {
+        "parameters": {"/controller": {"speed": 0.3}},
+        "lifecycle": {"/amcl": "active"},
+        "problems": [],
+    }
+    await monitor.until(lambda: len(monitor.keeping.select(time.time()).lifecycle) == 1)
+    kept = monitor.keeping.select(time.time())
+    assert kept.parameters[0].values == {"speed": 0.3}
+    assert (kept.lifecycle[0].node, kept.lifecycle[0].state) == ("/amcl", "active")
+
+
+async def test_an_agent_that_does_not_answer_is_told(monitor: Monitor) -> None:
+    monitor.state = State.model_validate({"lifecycle": ["/amcl"]})
+    await monitor.until(lambda: monitor.told.conditions.get("StateKept", ("", ""))[1] == "NotAsked")
+    assert monitor.told.conditions["StateKept"][2] == "/amcl (lifecycle): its agent isn't connected."
+
+
+async def test_a_pod_without_an_agent_is_told(monitor: Monitor) -> None:
+    monitor.state = State.model_validate({"lifecycle": ["/amcl"]})
+    monitor.active = Instance("w-1", "uid-1", running=True, has_agent=False)
+    await monitor.until(lambda: monitor.told.conditions.get("StateKept", ("", ""))[1] == "NotAsked")
+    assert "pod w-1 has no agent that could be asked" in monitor.told.conditions["StateKept"][2]
+
+
+async def test_a_waiting_standby_is_given_what_is_new_and_only_that(
+    monitor: Monitor, say: Callable[[float], None]
+) -> None:
+    monitor.waiting = [(STANDBY, 0.1)]
+    monitor.state = STATE.model_copy(update={"lifecycle": ["/amcl"]})
+    monitor.agents.answer = {"parameters": {}, "lifecycle": {"/amcl": "active"}, "problems": []}
+    say(1.0)
+    await monitor.until(lambda: monitor.agents.given and monitor.keeping.select(time.time()).lifecycle)
+    end = time.monotonic() + 1.0
+    await monitor.until(lambda: time.monotonic() > end)
+    ((name, first),) = monitor.agents.given
+    assert (name, len(first.samples), first.lifecycle) == ("w-2", 1, ()), "it isn't made to drive before its time"
+    say(2.0)
+    await monitor.until(lambda: len(monitor.agents.given) == 2)
+    assert monitor.agents.given[1][1].samples[0].data != first.samples[0].data
+
+
+async def test_a_standby_that_can_not_be_kept_up_is_told_once(monitor: Monitor, say: Callable[[float], None]) -> None:
+    monitor.waiting = [(STANDBY, 0.1)]
+    monitor.agents.refusal = "nobody subscribes to /initialpose"
+    say(1.0)
+    await monitor.until(lambda: len(monitor.agents.given) > 3)
+    assert monitor.told.events == [("StandbyNotKeptUp", "w-2: /amcl_pose: nobody subscribes to /initialpose")]
+
+
+async def test_nothing_is_given_to_standbys_while_the_workload_is_not_healthy(
+    monitor: Monitor, say: Callable[[float], None]
+) -> None:
+    say(1.0)
+    await monitor.until(lambda: monitor.x() == 1.0)
+    monitor.health = "Failed"
+    monitor.waiting = [(STANDBY, 0.1)]
+    end = time.monotonic() + 0.5
+    await monitor.until(lambda: time.monotonic() > end)
+    assert monitor.agents.given == []
+
+
+async def test_what_became_of_it_in_a_recovery_is_told(monitor: Monitor) -> None:
+    given = RestoredState(name="/amcl_pose", restored=True, age_seconds=0.75)
+    missing = RestoredState(name="/map", restored=False, message="what is kept is 61.0 s old, more than maxAge (1m)")
+    recovery = Recovery(id="1", reason="x", result="Recovered", to_pod="w-2", state=[given])
+    monitor.keeping.tell(recovery)
+    assert monitor.told.conditions["StateRestored"] == (
+        "True",
+        "Restored",
+        "w-2 was given /amcl_pose (0.8 s old).",
+    )
+    assert not monitor.told.events
+    monitor.keeping.tell(recovery.model_copy(update={"state": [given, missing]}))
+    assert monitor.told.conditions["StateRestored"][:2] == ("False", "NotRestored")
+    ((reason, message),) = monitor.told.events
+    assert reason == "StateNotRestored"
+    assert message == (
+        "w-2 was not given all of the kept state: /map: what is kept is 61.0 s old, more than maxAge (1m)."
+    )
+
+
+@pytest.mark.parametrize("step", [-3600.0, 3600.0])
+async def test_a_clock_that_is_set_changes_no_age(
+    monitor: Monitor, say: Callable[[float], None], monkeypatch: pytest.MonkeyPatch, step: float
+) -> None:
+    say(1.0)
+    await monitor.until(lambda: monitor.x() == 1.0)
+
+    class Stepped:
+        monotonic = staticmethod(time.monotonic)
+
+        @staticmethod
+        def time() -> float:
+            return time.time() + step
+
+    (before,) = monitor.keeping.select(time.time()).samples
+    monkeypatch.setattr(module, "time", Stepped)
+    monitor.keeping.take(STATE, {}, "w-1")
+    (after,) = monitor.keeping.select(time.time() + step).samples
+    assert after.taken_at - before.taken_at == pytest.approx(step, abs=0.5)
