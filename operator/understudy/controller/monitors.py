@@ -21,6 +21,16 @@ _TASKS_REQUESTS = {"cpu": "20m", "memory": "96Mi"}
 _TASKS_MOUNT: Object = {"name": "tasks", "mountPath": names.TASKS_DIR}
 _RBAC = "rbac.authorization.k8s.io"
 
+KEPT_VOLUME = "kept"
+"""Volume of a PersistentVolumeClaim for kept state."""
+
+
+def claimed(deployment: Object | None) -> str | None:
+    """The claim that a monitor has its kept state on; None where that is in an emptyDir."""
+    volumes = deployment["spec"]["template"]["spec"].get("volumes") or [] if deployment else []
+    found = (v["persistentVolumeClaim"]["claimName"] for v in volumes if v["name"] == KEPT_VOLUME)
+    return next(found, None)
+
 
 def labels(workload: str) -> dict[str, str]:
     """Labels of the monitor's pods."""
@@ -36,11 +46,12 @@ def deployment(
     profiles: str,
     *,
     tasks: bool = False,
+    claim: str | None = None,
 ) -> Object:
     """The monitor. Its readers have the gated ports, so that it sees what the robot sees.
 
     ``profiles`` is the text of the profile file: when that changes, a process that has read it must start anew.
-    ``tasks`` is whether there is a task proxy beside it.
+    ``tasks`` is whether there is a task proxy beside it, ``claim`` the PersistentVolumeClaim for kept state.
     """
     fixed = {
         "UNDERSTUDY_WORKLOAD": workload,
@@ -84,6 +95,13 @@ def deployment(
         container["volumeMounts"].append(dict(_TASKS_MOUNT))
         containers.append(_tasks(workload, namespace, settings, images, environment))
         shared.append({"name": _TASKS_MOUNT["name"], "emptyDir": {}})
+    owned: Object = {}
+    if claim:
+        # A policy serves many workloads, and its claim all of their monitors: each has a folder of its own.
+        container["volumeMounts"].append({"name": KEPT_VOLUME, "mountPath": f"{STATE_DIR}/kept", "subPath": workload})
+        shared.append({"name": KEPT_VOLUME, "persistentVolumeClaim": {"claimName": claim}})
+        group = HARDENED["runAsGroup"]
+        owned = {"securityContext": {"fsGroup": group, "fsGroupChangePolicy": "OnRootMismatch"}}
     return {
         "apiVersion": "apps/v1",
         "kind": "Deployment",
@@ -103,6 +121,7 @@ def deployment(
                     "enableServiceLinks": False,
                     "terminationGracePeriodSeconds": 5,
                     "tolerations": TOLERATIONS,
+                    **owned,
                     "containers": containers,
                     "volumes": [
                         {"name": "state", "emptyDir": {}},

@@ -377,8 +377,12 @@ def _monitor(
     for kind, body in monitors.access(name, source=_source(observed, understanding), pools=shared):
         made.writes.append(_ours(observed, _BY_KIND[kind], body))
     profiles = robots.config_maps(name, environment, spec.outputs, spec.gate.reflex)[1]["data"][robots.PROFILES_KEY]
+    if understanding.policy_problem is not None:
+        claim = monitors.claimed(observed.owned.get(("deployments", names.monitor(name))))
+    else:
+        claim = policies.spec(observed.policies[spec.failure_policy_ref.name]).state.storage.claim_name
     body = monitors.deployment(
-        name, namespace, spec.monitor, images, environment, profiles, tasks=tasking.proxied(spec)
+        name, namespace, spec.monitor, images, environment, profiles, tasks=tasking.proxied(spec), claim=claim
     )
     made.writes.append(_ours(observed, DEPLOYMENTS, body))
 
