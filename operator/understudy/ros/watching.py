@@ -18,7 +18,7 @@ from typing import Any
 from understudy.ros.graph import Graph
 from understudy.ros.sources import HOST, Sources
 from understudy.ros.taking import Taker
-from understudy.ros.types import TypeNotInstalled
+from understudy.ros.types import TypeNotInstalled, message_class
 from understudy.trees.health import WatchedTopic
 from understudy.trees.observations import TopicRecord
 
@@ -43,6 +43,8 @@ LOOK_UP = 1.0
 
 MOST_WRITERS = 64
 """Writers of one host that are told apart; a host that restarts its nodes for months has had many."""
+
+ACCEPTED, EXECUTING, CANCELING = 1, 2, 3  # action_msgs/msg/GoalStatus
 
 CLOCK_STEP = 0.005
 """Seconds by which the clock must have moved against the monotonic one to count as having been set."""
@@ -90,6 +92,8 @@ class _Topic:
     sources: dict[bytes, SourceRecord] = field(default_factory=dict)
     counted: TopicRecord = field(default_factory=TopicRecord)
     """Samples that count for the instance in control."""
+    active: dict[bytes, float] = field(default_factory=dict)
+    """Of an action's status: when each server with an active goal got it, by the GID of its writer."""
 
 
 class Watching:
@@ -166,7 +170,7 @@ class Watching:
                 )
             return
         try:
-            topic.subscription = self._graph.subscribe(want.name, type_name, depth=depth(want))
+            topic.subscription = self._graph.subscribe(want.name, type_name, depth=depth(want), latched=want.task)
         except TypeNotInstalled as error:
             topic.problem = f"{want.name}: {error}"
 
@@ -174,12 +178,21 @@ class Watching:
         if topic.subscription is not None:
             self._graph.unsubscribe(topic.subscription)
             topic.subscription = None
+        topic.active.clear()
 
     def _look_up_types(self) -> None:
         """Try again to subscribe to topics whose type only the graph can tell."""
         for topic in self._topics.values():
             if topic.subscription is None and topic.want.type is None:
                 self._subscribe(topic)
+
+    def _forget_servers(self) -> None:
+        """A server that is gone has no goal any more; it couldn't say so."""
+        for topic in self._topics.values():
+            if topic.active:
+                there = {endpoint.gid for endpoint in self._graph.publishers(topic.want.name)}
+                for gid in [gid for gid in topic.active if gid not in there]:
+                    del topic.active[gid]
 
     # -- whose samples count ----------------------------------------------------------------------------------------
 
@@ -229,6 +242,7 @@ class Watching:
         if now >= self._next_look_up:
             self._next_look_up = now + LOOK_UP
             self._look_up_types()
+            self._forget_servers()
         taken = 0
         for topic in self._topics.values():
             if topic.subscription is not None:
@@ -242,11 +256,12 @@ class Watching:
         taken = 0
         # A writer that is faster than we are must not keep us here.
         most = 4 * depth(topic.want)
+        task = topic.want.task
         with handle:
             pointer = handle.pointer
-            while taken < most and (sample := take(pointer, with_data=False)) is not None:
+            while taken < most and (sample := take(pointer, with_data=task)) is not None:
                 taken += 1
-                received, _, gid, sequence, _ = sample
+                received, _, gid, sequence, data = sample
                 if bounded:
                     received = min(max(received, low), high)
                 source = sources.get(gid[HOST]) or self._new_source(topic, gid[HOST])
@@ -254,6 +269,8 @@ class Watching:
                 source.number(gid, sequence)
                 if source.accepted and topic.counted is not source:
                     topic.counted.add(received)
+                if task:
+                    _note_goals(topic.active, gid, received, data)
         return taken
 
     def _new_source(self, topic: _Topic, host: bytes) -> SourceRecord:
@@ -278,6 +295,7 @@ class Watching:
         for topic in self._topics.values():
             for source in topic.sources.values():
                 source.shift(step)
+            topic.active = {gid: since + step for gid, since in topic.active.items()}
             self._count_again(topic)
         return self._drained, time.time()
 
@@ -287,6 +305,19 @@ class Watching:
         """What counts for the instance in control; None where the topic isn't watched."""
         topic = self._topics.get(name)
         return topic.counted if topic is not None else None
+
+    def active(self, name: str) -> dict[bytes, float]:
+        """When each server of an action got its active goal, by the GID of the writer of its status."""
+        topic = self._topics.get(name)
+        return topic.active if topic is not None else {}
+
+    def task(self, name: str) -> float | None:
+        """Since when the instance in control (or what is no instance, such as a proxy) has had an active goal."""
+        topic = self._topics.get(name)
+        if topic is None:
+            return None
+        times = [since for gid, since in topic.active.items() if self._accepted(gid[HOST])]
+        return min(times, default=None)
 
     def records(self, name: str) -> dict[bytes, SourceRecord]:
         """What was received on a topic, by the HOST part of the senders' GIDs."""
@@ -331,6 +362,17 @@ class Watching:
         for topic in self._topics.values():
             self._end(topic)
         self._topics.clear()
+
+
+def _note_goals(active: dict[bytes, float], gid: bytes, received: float, data: bytes) -> None:
+    """Note from an action's status (action_msgs/msg/GoalStatusArray) whether one of its goals is active."""
+    from rclpy.serialization import deserialize_message
+
+    status = deserialize_message(data, message_class("action_msgs/msg/GoalStatusArray"))
+    if any(goal.status in (ACCEPTED, EXECUTING, CANCELING) for goal in status.status_list):
+        active.setdefault(gid, received)
+    else:
+        active.pop(gid, None)
 
 
 def _offset() -> float:

@@ -16,8 +16,9 @@ from py_trees.composites import Parallel, Sequence
 from py_trees.decorators import Inverter
 
 from understudy.trees.composites import AnyOf
-from understudy.trees.leaves import STATE, Glance, State, TopicLeaf
-from understudy.trees.observations import Observations
+from understudy.trees.leaves import STATE, State, TopicLeaf
+from understudy.trees.observations import Glance, Observations
+from understudy.trees.situations import While
 
 Build = Callable[[Collection[str]], Behaviour | None]
 """Builds the behaviours of a node without the leaves of some topics; None where nothing is left."""
@@ -37,6 +38,8 @@ class WatchedTopic:
     """Seconds of arrivals that are looked at; 0 where only the last one is."""
     rate: float | None
     """Messages per second to be ready for; None where the tree doesn't say."""
+    task: bool = False
+    """Whether it is the status of an action, of which it matters whether a goal is active."""
 
 
 @dataclass(frozen=True)
@@ -193,6 +196,8 @@ def _onset(node: Behaviour) -> float | None:
     """When a failed node was last seen to be good."""
     if isinstance(node, TopicLeaf):
         return node.last()
+    if isinstance(node, While):
+        return _onset(node.decorated)
     if not isinstance(node, Parallel | Sequence | AnyOf):
         return None  # An inverter fails by a message, and the last good moment was no message's.
     onsets = [onset for child in _deciding(node) if (onset := _onset(child)) is not None]

@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from typing import Literal
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 
-from understudy.trees.observations import Observations, Recorded, TopicRecord
+from understudy.trees.observations import Glance, TopicRecord
 from understudy.trees.rates import Window, hertz
+from understudy.trees.situations import Situation, TaskActive, situation
 
 State = Literal["Healthy", "Starting", "Failed"]
 
@@ -23,21 +23,6 @@ STATE: dict[Status, State] = {status: state for state, status in STATUS.items()}
 """How a status of py_trees is said here."""
 
 
-@dataclass
-class Glance:
-    """The moment a tree is judged for; one object shared by all its leaves, changed before each tick."""
-
-    grace: float
-    """Seconds that an instance has to become healthy for the first time."""
-    observations: Observations = field(default_factory=lambda: Recorded({}))
-    now: float = 0.0
-    """Unix seconds."""
-    since: float = 0.0
-    """Unix seconds: when the instance that is judged took control. What was received earlier isn't its own."""
-    real: bool = True
-    """False while a later moment is tried out, which must leave no trace."""
-
-
 class TopicLeaf(Behaviour):
     """Holds while a topic is received often enough.
 
@@ -46,16 +31,27 @@ class TopicLeaf(Behaviour):
 
     Before the first sample, and for a rate until the band has held for the first time, it is starting, for as long as
     the grace lasts; and in any case until a window has passed since the first sample.
+
+    One that is for a task isn't judged while that isn't active. Its clocks begin when it becomes active at the earliest,
+    and it has some time to start then.
     """
 
     def __init__(
-        self, path: str, topic: str, glance: Glance, *, gap: float | None = None, window: Window | None = None
+        self,
+        path: str,
+        topic: str,
+        glance: Glance,
+        *,
+        gap: float | None = None,
+        window: Window | None = None,
+        tasks: Sequence[TaskActive] = (),
     ) -> None:
         """A leaf over a topic; ``gap`` in seconds. At least one of gap and window is given."""
         super().__init__(path)
         self.topic = topic
         self.gap = gap
         self.window = window
+        self.tasks = tasks
         self._glance = glance
         self._held: float | None = None
         """The instance (its ``since``) whose rate has been in the band once."""
@@ -72,6 +68,8 @@ class TopicLeaf(Behaviour):
 
     def state(self) -> State:
         """The state at the glance's moment."""
+        if self.tasks:
+            return self._task_state()
         states = [self._gap_state()] if self.gap is not None else []
         if self.window is not None:
             states.append(self._rate_state(self.window))
@@ -88,6 +86,8 @@ class TopicLeaf(Behaviour):
 
         The same as :meth:`state` says, by less work: this is what is asked of every leaf at every tick.
         """
+        if self.tasks:
+            return self._task_healthy_until()
         record, now, since = self._glance.observations.topic(self.topic), self._glance.now, self._glance.since
         if record is None or record.last is None or record.last < since:
             return None
@@ -103,6 +103,10 @@ class TopicLeaf(Behaviour):
         """The moments after the glance's at which the state may be another with no further message."""
         record, since = self._record(), self._glance.since
         moments = [since + self._glance.grace]
+        if self.tasks and (found := situation(self.tasks, self._glance)) is not None:
+            moments += [found.settled]
+            moments += [self._gap_limit(found, record)] if self.gap is not None else []
+            moments += [self._judged_from(found, self.window)] if self.window is not None else []
         if record is not None and record.last is not None:
             if self.gap is not None:
                 moments.append(record.last + self.gap)
@@ -113,22 +117,36 @@ class TopicLeaf(Behaviour):
         return [moment for moment in moments if moment > self._glance.now]
 
     def last(self) -> float | None:
-        """When the instance's last sample was received, in Unix seconds."""
+        """When all was last well: when the instance's last sample was received, or its task became active, in Unix seconds."""
         record = self._record()
-        return record.last if record is not None else None
+        last = record.last if record is not None else None
+        if not self.tasks or (found := situation(self.tasks, self._glance)) is None:
+            return last
+        known = [time for time in (last, found.active) if time is not None and time >= self._glance.since]
+        return max(known, default=None)
 
     def reason(self, state: State) -> str:
         """Why it is in this state, in plain words. Says the same for as long as nothing changes."""
+        if self.tasks and state == "Failed":
+            return f"{self._plain_reason(state)} while a goal of {' and of '.join(task.action for task in self.tasks)} is active"
+        return self._plain_reason(state)
+
+    def _plain_reason(self, state: State) -> str:
         record = self._record()
         if record is None:
             if state == "Starting":
                 return f"waiting for the first {self.topic}, for up to {duration(self._glance.grace)}"
+            if state == "Failed" and self.tasks:
+                return f"no {self.topic}"
             if state == "Failed":
                 return f"no {self.topic} within {duration(self._glance.grace)} of the start"
             return f"{self.topic} is silent"
         if state == "Healthy":
             return f"{self.topic} is received"
-        if self.gap is not None and self._gap_state() == "Failed":
+        gap_failed = (
+            self._task_gap_failed(record) if self.tasks else self.gap is not None and self._gap_state() == "Failed"
+        )
+        if self.gap is not None and gap_failed:
             return f"no {self.topic} for {duration(self.gap)}"
         assert self.window is not None, "a gap alone fails by the gap"
         if state == "Starting":
@@ -141,6 +159,65 @@ class TopicLeaf(Behaviour):
             return "Starting" if glance.now < glance.since + glance.grace else "Failed"
         assert self.gap is not None
         return "Healthy" if glance.now < record.last + self.gap else "Failed"
+
+    # -- for a task -------------------------------------------------------------------------------------------------
+
+    def _task_state(self) -> State:
+        glance, found = self._glance, situation(self.tasks, self._glance)
+        if found is None:
+            return "Healthy"
+        record = self._record()
+        in_grace = glance.now < glance.since + glance.grace
+        failed: list[bool] = []
+        if self.gap is not None:
+            failed.append(glance.now >= self._gap_limit(found, record))
+        if self.window is not None:
+            arrivals = self._task_arrivals(found, record)
+            unjudged = glance.now < self._judged_from(found, self.window)
+            failed.append(not unjudged and not self.window.holds(arrivals, glance.now))
+        if not any(failed):
+            return "Healthy"
+        # Grace is for an instance that hasn't been healthy yet.
+        fresh = record is None or (self.window is not None and failed[-1] and self._held != glance.since)
+        return "Starting" if in_grace and fresh else "Failed"
+
+    def _task_healthy_until(self) -> float | None:
+        found = situation(self.tasks, self._glance)
+        if found is None:
+            return math.inf
+        if self._task_state() != "Healthy":
+            return None
+        record, until = self._record(), math.inf
+        if self.gap is not None:
+            until = self._gap_limit(found, record)
+        if self.window is not None:
+            arrivals, judged = self._task_arrivals(found, record), self._judged_from(found, self.window)
+            if self._glance.now < judged and self.window.exceeded(arrivals, judged):
+                return min(until, judged)
+            until = min(until, max(judged, self.window.until(arrivals)))
+        return until
+
+    def _task_gap_failed(self, record: TopicRecord | None) -> bool:
+        found = situation(self.tasks, self._glance)
+        return found is not None and self.gap is not None and self._glance.now >= self._gap_limit(found, record)
+
+    def _gap_limit(self, found: Situation, record: TopicRecord | None) -> float:
+        """When a gap fails if nothing more arrives. An instance that took over an active task has the grace instead."""
+        assert self.gap is not None
+        last = record.last if record is not None and record.last is not None else -math.inf
+        begun = found.active if found.active >= self._glance.since else -math.inf
+        return max(found.settled, max(last, begun) + self.gap)
+
+    def _judged_from(self, found: Situation, window: Window) -> float:
+        """When a rate is judged first: a window after what it counts could have started."""
+        return window.leaves(max(found.settled, found.active, self._glance.since))
+
+    def _task_arrivals(self, found: Situation, record: TopicRecord | None) -> Sequence[float]:
+        """The instance's arrivals since the task became active."""
+        if record is None:
+            return ()
+        arrivals = list(record.arrivals)
+        return arrivals[bisect_left(arrivals, max(found.active, self._glance.since)) :]
 
     def _rate_state(self, window: Window) -> State:
         record, glance = self._record(), self._glance

@@ -13,14 +13,18 @@ from py_trees.decorators import Inverter
 from understudy.api.rosnames import ROS_NAME_PATTERN, ROS_TYPE_PATTERN
 from understudy.trees.composites import AnyOf
 from understudy.trees.health import Build, HealthTree, WatchedTopic
-from understudy.trees.leaves import Glance, TopicLeaf, duration
+from understudy.trees.leaves import TopicLeaf, duration
+from understudy.trees.observations import Glance
 from understudy.trees.problems import Problem, TreeError, did_you_mean
 from understudy.trees.rates import Band, Window
 from understudy.trees.reading import DEEPEST, MOST, Reader, duration_of, found_text
+from understudy.trees.situations import SETTLE, STATUS_TYPE, TaskActive, While
 
 __all__ = ["Problem", "TreeError", "load"]
 
-KINDS = ("parallel", "sequence", "selector", "inverter", "topic")
+KINDS = ("parallel", "sequence", "selector", "inverter", "while", "topic")
+WHILE_KEYS = ("do", "settle")
+TASK_KEYS = ("action", "type")
 TOPIC_KEYS = ("name", "type", "gap", "rate", "window")
 
 
@@ -47,6 +51,7 @@ class _Loader(Reader):
         self.topics: dict[str, WatchedTopic] = {}
         self._type_paths: dict[str, str] = {}
         self._leaf_paths: dict[str, str] = {}
+        self._tasks: list[TaskActive] = []
         self._nodes = 0
 
     def node(self, value: object, path: str, above: list[str], depth: int) -> Build | None:
@@ -64,7 +69,7 @@ class _Loader(Reader):
             return None
         kinds = [kind for kind in KINDS if kind in value]
         for key in value:
-            if key not in KINDS and key != "name":
+            if key not in KINDS and key != "name" and not ("while" in kinds and key in WHILE_KEYS):
                 self._unknown_node_key(str(key), path)
         name = self.name(value, path)
         if len(kinds) > 1:
@@ -78,12 +83,67 @@ class _Loader(Reader):
         below = [*above, name] if name else above
         if kind == "topic":
             return self._topic(value["topic"], f"{path}.topic", above, name)
+        if kind == "while":
+            return self._while(value, path, name or kind, below, depth)
         if kind == "inverter":
             child = self.node(value["inverter"], f"{path}.inverter", below, depth + 1)
             return _composite(lambda children: Inverter(name or kind, *children), [child]) if child else None
         return self._composite(kind, value[kind], f"{path}.{kind}", name or kind, below, depth)
 
+    def _while(self, value: Mapping[str, Any], path: str, name: str, below: list[str], depth: int) -> Build | None:
+        before = len(self.problems)
+        settle = self.given(value, "settle", path, duration_of) if "settle" in value else SETTLE
+        task = self._task(value["while"], f"{path}.while", settle)
+        if "do" not in value:
+            self.problem(f"{path}.do", "missing; give the node that must hold while the task is active")
+            return None
+        if task is None:
+            self.node(value["do"], f"{path}.do", below, depth + 1)
+            return None
+        self._tasks.append(task)
+        child = self.node(value["do"], f"{path}.do", below, depth + 1)
+        self._tasks.pop()
+        if child is None or len(self.problems) > before:
+            return None
+
+        def build(left_out: Collection[str]) -> Behaviour | None:
+            # Whether a task is active can't be told of a topic that isn't watched: then nothing hangs on it.
+            node = child(left_out) if task.topic not in left_out else None
+            return While(name, node, task, self.glance) if node is not None else None
+
+        return build
+
+    def _task(self, value: object, path: str, settle: float | None) -> TaskActive | None:
+        before = len(self.problems)
+        if not isinstance(value, Mapping) or "task_active" not in value:
+            self.problem(path, f"found {found_text(value)}; while is a mapping with task_active, such as {_WHILE}")
+            return None
+        self.known(value, ("task_active",), path)
+        path, fields = f"{path}.task_active", value["task_active"]
+        if not isinstance(fields, Mapping):
+            self.problem(
+                path, f"found {found_text(fields)}; task_active is a mapping with the action's name, such as {_WHILE}"
+            )
+            return None
+        self.known(fields, TASK_KEYS, path)
+        if "action" not in fields:
+            self.problem(f"{path}.action", "missing; give the action's fully qualified name, such as /navigate_to_pose")
+        action = self.matching(
+            fields, "action", path, ROS_NAME_PATTERN, "a fully qualified action name such as /navigate_to_pose"
+        )
+        self.matching(
+            fields, "type", path, ROS_TYPE_PATTERN.replace("(msg|srv|action)", "action"), "package/action/Name"
+        )
+        if action is None or settle is None or len(self.problems) > before:
+            return None
+        task = TaskActive(action, settle)
+        self.topics[task.topic] = WatchedTopic(task.topic, STATUS_TYPE, 0.0, None, task=True)
+        return task
+
     def _unknown_node_key(self, key: str, path: str) -> None:
+        if key in WHILE_KEYS:
+            self.problem(f"{path}.{key}", f"unknown key; {key} belongs beside while")
+            return
         if key in TOPIC_KEYS:
             self.problem(f"{path}.{key}", f"unknown key; {key} belongs inside topic")
         else:
@@ -135,8 +195,12 @@ class _Loader(Reader):
         if not self._watch(topic, type_, window, path):
             return None
 
+        tasks = tuple(self._tasks)
+
         def build(left_out: Collection[str]) -> Behaviour | None:
-            return None if topic in left_out else TopicLeaf(leaf_path, topic, self.glance, gap=gap, window=window)
+            if topic in left_out:
+                return None
+            return TopicLeaf(leaf_path, topic, self.glance, gap=gap, window=window, tasks=tasks)
 
         return build
 
@@ -154,6 +218,9 @@ class _Loader(Reader):
     def _watch(self, topic: str, type_: str | None, window: Window | None, path: str) -> bool:
         """Note that a topic is needed; False, with a problem, where two leaves differ about its type."""
         known = self.topics.get(topic, WatchedTopic(topic, None, 0.0, None))
+        if known.task:
+            self.problem(path, f"{topic} is looked at by task_active already; it has no rate or gap of its own")
+            return False
         if type_ and known.type and type_ != known.type:
             where = self._type_paths[topic]
             self.problem(f"{path}.type", f"found {type_}, but {where} says {known.type} of the same topic {topic}")
@@ -169,6 +236,8 @@ class _Loader(Reader):
         )
         return True
 
+
+_WHILE = "{task_active: {action: /navigate_to_pose}}"
 
 _COMPOSITES: dict[str, Callable[[str, list[Behaviour]], Behaviour]] = {
     "parallel": lambda name, nodes: Parallel(name, ParallelPolicy.SuccessOnAll(synchronise=False), nodes),

@@ -9,6 +9,7 @@ from __future__ import annotations
 from bisect import insort
 from collections import deque
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Protocol
 
 
@@ -53,13 +54,38 @@ class Observations(Protocol):
         """The record of a topic, None where it isn't watched (yet)."""
         ...
 
+    def task(self, name: str) -> float | None:
+        """Since when the action of this status topic has had an active goal (Unix seconds); None while it has none."""
+        ...
+
 
 class Recorded:
     """Observations out of a mapping of records."""
 
-    def __init__(self, topics: Mapping[str, TopicRecord]) -> None:
+    def __init__(self, topics: Mapping[str, TopicRecord], tasks: Mapping[str, float] | None = None) -> None:
+        """``tasks`` has when each active action became so, by its status topic."""
         self._topics = topics
+        self._tasks = tasks if tasks is not None else {}
 
     def topic(self, name: str) -> TopicRecord | None:
         """The record of a topic, None where there is none."""
         return self._topics.get(name)
+
+    def task(self, name: str) -> float | None:
+        """When the action became active, None while it isn't."""
+        return self._tasks.get(name)
+
+
+@dataclass
+class Glance:
+    """The moment a tree is judged for; one object shared by all its leaves, changed before each tick."""
+
+    grace: float
+    """Seconds that an instance has to become healthy for the first time."""
+    observations: Observations = field(default_factory=lambda: Recorded({}))
+    now: float = 0.0
+    """Unix seconds."""
+    since: float = 0.0
+    """Unix seconds: when the instance that is judged took control. What was received earlier isn't its own."""
+    real: bool = True
+    """False while a later moment is tried out, which must leave no trace."""

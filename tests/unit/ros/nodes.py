@@ -2,6 +2,8 @@
 
 publish TOPIC RATE [BYTES]    std_msgs/String, best effort and reliable readers match
 robot TOPIC SERVICE ACTION    subscribes, serves, and calls: every reader that an output can have on a robot's side
+work ACTION                   test_msgs/Fibonacci action server, with a goal from a client of its own that is worked on
+                              until a line is read: "succeed" ends the goal, any other one the server
 look TOPIC SERVICE            what a node sees of them that neither publishes, nor subscribes, nor calls; prints it as JSON
 pose TOPIC X RATE [latched]   geometry_msgs/PoseWithCovarianceStamped at x = X; a rate of 0 says it once
 capture JSON                  Capturing, told by JSON what to take, who the instances are, and which are in control in
@@ -112,6 +114,43 @@ def robot(topic: str, service: str, action: str) -> None:
     del kept
 
 
+def work(action: str) -> None:
+    import threading
+
+    import rclpy
+    from rclpy.action import ActionClient, ActionServer
+    from rclpy.executors import MultiThreadedExecutor
+    from rclpy.node import Node
+    from test_msgs.action import Fibonacci
+
+    rclpy.init()
+    node = Node("worker")
+    done = threading.Event()
+
+    def execute(goal):
+        done.wait()
+        goal.succeed()
+        return Fibonacci.Result()
+
+    server = ActionServer(node, Fibonacci, action, execute)
+    client = ActionClient(node, Fibonacci, action)
+    executor = MultiThreadedExecutor(3)
+    executor.add_node(node)
+    threading.Thread(target=executor.spin, daemon=True).start()
+    assert client.wait_for_server(20)
+    client.send_goal_async(Fibonacci.Goal(order=1))
+    print("ready", flush=True)
+    if sys.stdin.readline() == "succeed\n":
+        done.set()
+        sys.stdin.readline()
+    done.set()
+    executor.shutdown()
+    server.destroy()
+    client.destroy()
+    node.destroy_node()
+    rclpy.shutdown()
+
+
 def watch(duration: str, text: str) -> None:
     from understudy.ros.graph import Graph
     from understudy.ros.watching import Watching
@@ -181,6 +220,6 @@ def look(topic: str, service: str) -> None:
 
 
 if __name__ == "__main__":
-    {"capture": capture, "look": look, "pose": pose, "publish": publish, "robot": robot, "watch": watch}[sys.argv[1]](
-        *sys.argv[2:]
-    )
+    {"capture": capture, "look": look, "pose": pose, "publish": publish, "robot": robot, "watch": watch, "work": work}[
+        sys.argv[1]
+    ](*sys.argv[2:])

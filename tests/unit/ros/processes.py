@@ -23,6 +23,7 @@ class Processes:
         """Start a role of nodes.py and wait until it says that it's ready; ``inside`` is a command to run it by."""
         process = subprocess.Popen(
             [*inside, sys.executable, str(HERE / "nodes.py"), *arguments],
+            stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
             env={**os.environ, "PYTHONPATH": str(PACKAGE), **environment},
@@ -44,5 +45,6 @@ class Processes:
         for process in self._running:
             process.kill()  # rclpy answers SIGTERM by itself and a stopped process doesn't at all
             process.wait()
-            if process.stdout:
-                process.stdout.close()
+            for pipe in (process.stdin, process.stdout):
+                if pipe:
+                    pipe.close()

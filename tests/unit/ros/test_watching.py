@@ -155,3 +155,43 @@ def test_frozen_publisher_is_noticed_at_the_deadline(watching, processes, eventu
     assert verdict.reason == "no /chat for 200 ms"
     assert verdict.onset == watching.topic("/chat").last
     assert 0 <= now - (verdict.onset + 0.2) < 0.5  # the bench measures it; here a busy machine must not matter
+
+
+STATUS = "/count/_action/status"
+
+
+def test_an_active_goal_is_known_from_the_status_of_its_action(graph, processes, eventually):
+    worker = processes.node("work", "/count")
+    first = Watching(graph)
+    first.follow([WatchedTopic(STATUS, "action_msgs/msg/GoalStatusArray", 0.0, None, task=True)])
+    eventually(lambda: first.drain() and first.task(STATUS))
+    assert first.task(STATUS) == pytest.approx(time.time(), abs=20)
+    late = Watching(graph)
+    late.follow([WatchedTopic(STATUS, "action_msgs/msg/GoalStatusArray", 0.0, None, task=True)])
+    eventually(lambda: late.drain() and late.task(STATUS))
+    worker.stdin.write("succeed\n")
+    worker.stdin.flush()
+    for watching in (first, late):
+        eventually(lambda watching=watching: watching.drain() is not None and watching.task(STATUS) is None)
+        watching.close()
+
+
+def test_a_goal_is_not_active_any_more_when_its_server_is_gone(watching, processes, eventually):
+    worker = processes.node("work", "/count")
+    watching.follow([WatchedTopic(STATUS, "action_msgs/msg/GoalStatusArray", 0.0, None, task=True)])
+    eventually(lambda: watching.drain() and watching.task(STATUS))
+    worker.stdin.write("end\n")
+    worker.stdin.flush()
+    eventually(lambda: watching.drain() is not None and watching.task(STATUS) is None)
+
+
+def test_goals_of_an_instance_that_is_not_in_control_do_not_count(watching, processes, eventually):
+    processes.node("work", "/count")
+    watching.follow([WatchedTopic(STATUS, "action_msgs/msg/GoalStatusArray", 0.0, None, task=True)])
+    eventually(lambda: watching.drain() and watching.active(STATUS))
+    (gid,) = watching.active(STATUS)
+    pods = {"elsewhere": "192.0.2.1"}
+    watching.attribute(pods, "elsewhere")
+    assert watching.task(STATUS) is not None, "a server in no pod of the workload's, such as a proxy"
+    watching._sources._pods[gid[module.HOST]] = ("standby",)
+    assert watching.task(STATUS) is None

@@ -5,7 +5,7 @@ import pytest
 from understudy.trees.loading import Problem, TreeError, load
 
 ROOT = "spec.monitoring.yaml"
-KINDS = "parallel, sequence, selector, inverter, topic"
+KINDS = "parallel, sequence, selector, inverter, while, topic"
 RATES = "'> 8 Hz', '>= 8 Hz', '< 20 Hz', '<= 20 Hz' or '9 to 11 Hz'"
 
 SCAN = {"topic": {"name": "/scan", "rate": "> 8 Hz"}}
@@ -45,6 +45,9 @@ def test_leaf_paths_are_the_names_of_named_nodes():
     )
     leaves = [node.name for node in tree.root.iterate() if not node.children]
     assert leaves == ["sensors/scan", "cmd_vel", "again"]
+
+
+LEAF = {"topic": {"name": "/cmd_vel", "gap": "500ms"}}
 
 
 @pytest.mark.parametrize(
@@ -195,3 +198,37 @@ def test_tree_too_deep_is_refused_and_not_recursed_into():
 def test_tree_too_large_is_refused_once():
     leaves = [{**SCAN, "name": f"leaf{i}"} for i in range(600)]
     assert problems({"parallel": leaves}) == ["spec.monitoring.yaml.parallel[511]: the tree has more than 512 nodes"]
+
+
+@pytest.mark.parametrize(
+    ("tree", "message"),
+    [
+        ({"while": {"task_active": {"action": "/go"}}}, "spec.monitoring.yaml.do: missing; give the node"),
+        ({"while": {}, "do": LEAF}, "spec.monitoring.yaml.while: found a mapping; while is a mapping with task_active"),
+        (
+            {"while": {"task_active": {"action": "go"}}, "do": LEAF},
+            "spec.monitoring.yaml.while.task_active.action: found 'go'; did you mean '/go'?",
+        ),
+        (
+            {"while": {"task_active": {"acton": "/go"}}, "do": LEAF},
+            "spec.monitoring.yaml.while.task_active.acton: unknown key 'acton', did you mean 'action'?",
+        ),
+        (
+            {"while": {"task_active": {"action": "/go", "type": "a/msg/B"}}, "do": LEAF},
+            "spec.monitoring.yaml.while.task_active.type: found 'a/msg/B'; give package/action/Name",
+        ),
+        (
+            {"while": {"task_active": {"action": "/go"}}, "do": LEAF, "settle": 2},
+            "spec.monitoring.yaml.settle: found 2, which has no unit",
+        ),
+        ({"parallel": [LEAF], "do": LEAF}, "spec.monitoring.yaml.do: unknown key; do belongs beside while"),
+        (
+            {"while": {"task_active": {"action": "/go"}}, "do": {"topic": {"name": "/go/_action/status", "gap": "1s"}}},
+            "/go/_action/status is looked at by task_active already",
+        ),
+    ],
+)
+def test_mistakes_in_a_while_are_named(tree, message):
+    with pytest.raises(TreeError) as error:
+        load(tree)
+    assert message in str(error.value)

@@ -12,7 +12,7 @@ PAGE = (Path(__file__).parents[3] / "docs" / "trees.md").read_text()
 
 
 def test_the_example_loads_and_its_leaves_are_called_as_it_says():
-    (example,) = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
+    example, *_ = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
     tree = load(yaml.safe_load(example))
     leaves = [node.name for node in tree.root.iterate() if not node.children]
     assert leaves == ["cmd_vel", "sensors/scan", "sensors/odom"]
