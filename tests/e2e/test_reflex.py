@@ -14,8 +14,10 @@ from tests.e2e.kubectl import Failed, Kubectl, Object
 from tests.e2e.scenario import APPLICATION, Late, Robot, eventually, manifest
 from tests.e2e.test_strategies import ENFORCEMENT
 
-DEADLINE = 0.1
-"""Seconds of silence after which the robot's reader takes the standby's commands."""
+DEADLINE = 0.25
+"""Seconds of silence after which the robot's reader takes the standby's commands. Long for commands every 50 ms, since on a
+machine that is busy with other things the pod in control is late at times, and being late is what the reflex is for.
+"""
 
 TIMEOUT = 0.5
 """Seconds of silence after which the quickstart's policy calls it a failure: the reflex is there long before."""
@@ -59,13 +61,20 @@ def wait_armed(robot: Robot, within: float = 120.0) -> str:
     return active
 
 
+def recovered(robot: Robot, old: str) -> Recovered:
+    """The first recovery, of the failure that was made; on a busy machine the pod may have been late before that."""
+    recovery = robot.wait_recovered(1)
+    if recovery.old != old or recovery.strategy != STRATEGY:
+        raise Late(f"{old} was to fail and its standby to take over by the reflex; it came to {recovery}")
+    return recovery
+
+
 def assert_fell_over(robot: Robot, recovery: Recovered, *, returned: bool = False) -> None:
     """At the robot: the standby came well before anybody's timeout, and nothing of the loser after the commit."""
     time.sleep(1.5)
     log = robot.log()
     handover = log.handover(recovery.old, recovery.new, switch=recovery.moments["lastHealthy"])
     print(f"\n{recovery.strategy}: {recovery.seconds:.3f} s; robot: {handover.to_json()}")
-    assert recovery.strategy == STRATEGY, recovery
     assert recovery.parts["cluster"] == recovery.parts["startup"] == recovery.parts["reinitialization"] == 0
     assert recovery.seconds == pytest.approx(recovery.parts["detection"], abs=1e-3)
     assert handover.first_new is not None, "the standby's commands arrive"
@@ -82,8 +91,8 @@ def assert_fell_over(robot: Robot, recovery: Recovered, *, returned: bool = Fals
 def test_the_robots_reader_falls_over_by_itself_and_the_loser_is_fenced(reflexive: Robot, how: str) -> None:
     old = wait_armed(reflexive)
     reflexive.fail(old, how)
-    recovery = reflexive.wait_recovered(1)
-    assert (recovery.old, recovery.epoch) == (old, 2)
+    recovery = recovered(reflexive, old)
+    assert recovery.epoch == 2
     if how == "frozen":
         try:
             reflexive.signal(old, "CONT")
@@ -107,8 +116,7 @@ def test_it_works_without_the_api_server_and_is_committed_when_that_is_back(
     time.sleep(8)  # also for the kubelet, which starts a killed application again by itself
     back = time.time()
     api_server.start()
-    recovery = reflexive.wait_recovered(1)
-    assert recovery.old == old
+    recovery = recovered(reflexive, old)
     assert recovery.moments["detected"] < back < recovery.moments["fenced"], "committed when it could be"
     assert_fell_over(reflexive, recovery)
     alone = reflexive.log().between(failed + TIMEOUT, back)
@@ -128,8 +136,7 @@ def test_a_pod_that_thaws_while_there_is_no_api_server_drives_until_the_commit_a
     assert signal_processes(uid, APPLICATION, signal.SIGCONT)
     time.sleep(2)
     api_server.start()
-    recovery = reflexive.wait_recovered(1)
-    assert recovery.old == old
+    recovery = recovered(reflexive, old)
     assert_fell_over(reflexive, recovery, returned=True)
 
 

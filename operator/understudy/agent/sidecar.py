@@ -167,6 +167,7 @@ class Sidecar:
     def operations(self) -> Mapping[str, Operation]:
         """What a monitor can ask for."""
         own: dict[str, Operation] = {"configure": self.configure, "start": self.start, "probe": self.probe}
+        own["give_way"] = self.give_way
         return {
             **own,
             **self._restorer.operations(),
@@ -245,6 +246,13 @@ class Sidecar:
         except (ValueError, OSError) as error:
             raise Refused(str(error)) from error
         return bound
+
+    async def give_way(self, body: Mapping[str, Any], peer: Peer) -> None:
+        """Another instance drives: a container of this one that is restarted must not be heard. Raises Refused."""
+        try:
+            self._strengths.give_way()
+        except OSError as error:
+            raise Refused(str(error)) from error
 
     async def probe(self, body: Mapping[str, Any], peer: Peer) -> None:
         """Send gate probes for a while. Raises Refused."""

@@ -2,11 +2,14 @@
 
 A process reads its strength from the pod's profiles when it starts. A container that was restarted must not have the
 strength of its first start, or it would take the robot back from the standby that took over: so as soon as the
-application is up, the file is kept at the strength of a process that starts now. That makes running ones no weaker.
+application is up, the file is kept at the strength of a process that starts now. That makes running ones no weaker. One that starts
+after a standby took over must not be heard at all, not even where that one is late: its writers then offer no deadline,
+which no reader on the robot's side accepts.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
 import logging
 import re
@@ -22,6 +25,7 @@ _logger = logging.getLogger(__name__)
 
 NAME = "strength.json"
 _VALUE = re.compile(r"(<ownershipStrength><value>)(\d+)(</value></ownershipStrength>)")
+_DEADLINE = re.compile(r"<deadline>.*?</deadline>", re.DOTALL)
 _PROCESS = slice(0, 12)
 """The part of a writer's GID that is the same for all writers of a process: its participant's GUID prefix."""
 
@@ -68,6 +72,14 @@ class Strengths:
         except OSError as error:
             _logger.error("%s: a restarted process would be as strong as this one: %s", path, error)
         return self.range != before
+
+    def give_way(self) -> None:
+        """Have no process that starts from now on be heard by the robot. Running ones aren't changed. Raises OSError."""
+        path = self._directory / names.PROFILES_KEY
+        with contextlib.suppress(FileNotFoundError):
+            text = path.read_text()
+            if _VALUE.search(text) and _DEADLINE.search(text):
+                write_atomically(path, _DEADLINE.sub("", text), 0o644)
 
     def _keep(self, found: tuple[int, int]) -> None:
         kept = {"processes": sorted(self._known), "least": found[0], "most": found[1]}

@@ -125,6 +125,9 @@ class Agents(Protocol):
     async def probe(self, instance: Instance, duration: float) -> None:
         """Have it send gate probes every millisecond for so many seconds; returns at once, and never fails."""
 
+    async def give_way(self, instance: Instance) -> None:
+        """Have its restarted processes not be heard by a robot with the reflex; returns at once, and never fails."""
+
     async def start(self, instance: Instance) -> None:
         """Start the held processes of a claimed instance with this robot's settings. Harmless when repeated."""
 

@@ -109,6 +109,8 @@ async def commit(progress: Progress, means: Means) -> None:
     means.save(progress)
     for instance in means.instances.of_workload():
         if progress.has_failed(instance.uid):
+            # No API server is needed for this, and a crashed container is back in a second.
+            await means.agents.give_way(instance)
             await means.agents.probe(instance, PROBE_SECONDS)
     await means.gate.commit(target, progress)
     progress.moments["committed"] = means.clock()

@@ -163,6 +163,21 @@ class Sidecars:
         self._spawn(probe())
         await asyncio.sleep(0)  # lets the request leave before the commit does
 
+    async def give_way(self, instance: Instance) -> None:
+        """Have a restarted container of it not be heard by the robot; returns at once, and never fails."""
+        link = self._links.get(instance.uid)
+        if link is None or not link.connected:
+            return
+
+        async def give_way() -> None:
+            try:
+                await link.request("give_way", {})
+            except (AgentGone, AgentRefused) as error:
+                _logger.info("%s doesn't give way: %s", instance.name, error)
+
+        self._spawn(give_way())
+        await asyncio.sleep(0)  # lets the request leave before the commit does
+
     async def start(self, instance: Instance) -> None:
         """Start the held processes of a claimed instance with this robot's settings. Harmless when repeated."""
         settings = self._view.settings

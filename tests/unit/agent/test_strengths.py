@@ -69,6 +69,19 @@ def test_another_agent_of_the_pod_goes_on_from_there(tmp_path: Path) -> None:
     assert not again.saw([process(1)])
 
 
+def test_after_a_standby_took_over_a_restarted_process_offers_nothing_that_the_robot_accepts(tmp_path: Path) -> None:
+    strengths, clock = prepared(tmp_path)
+    file = tmp_path / "profiles.xml"
+    deadline = "<deadline><period><sec>0</sec></period></deadline>"
+    file.write_text(file.read_text().replace("<name>", deadline + "<name>"))
+    strengths.saw([process(1)])
+    strengths.give_way()
+    strengths.give_way()
+    clock.now += 30
+    strengths.saw([process(1)])
+    assert file.read_text() == FILE.format(strength(START + 30)), "and it stays so while the strength falls"
+
+
 def test_a_clock_that_was_set_back_makes_no_process_stronger(tmp_path: Path) -> None:
     strengths, clock = prepared(tmp_path)
     strengths.saw([process(1)])

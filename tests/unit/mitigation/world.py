@@ -32,6 +32,7 @@ class Store:
     claims: dict[str, str] = field(default_factory=dict)
     started: set[str] = field(default_factory=set)
     deleted: list[str] = field(default_factory=list)
+    gave_way: list[str] = field(default_factory=list)
     others_claim: set[str] = field(default_factory=set)
     counter: itertools.count[int] = field(default_factory=lambda: itertools.count(1))
     source_makes_broken: bool = False
@@ -168,6 +169,9 @@ class _Instances(_Part):
 
 
 class _Agents(_Part):
+    async def give_way(self, instance: Instance) -> None:
+        self.store.gave_way.append(instance.name)
+
     async def probe(self, instance: Instance, duration: float) -> None:
         return
 
