@@ -15,7 +15,7 @@ the proxy, of an agent or of the monitor, loses a goal or has one executed twice
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -276,7 +276,6 @@ class Ledger:
     def to_wire(self) -> dict[str, Any]:
         """Everything, as one JSON object."""
         return {
-            "situation": self.situation.to_wire() if self.situation else None,
             "goals": [goal.to_wire() for goal in self._in_order()],
             "resent": self.resent,
             "former": sorted(self._former),
@@ -474,8 +473,3 @@ class Ledger:
         for index, goal in enumerate(ended):
             if index < surplus or now - goal.ended_at >= KEPT:
                 del self.goals[goal.id]
-
-
-def open_goals(goals: Iterable[Goal]) -> int:
-    """How many have been accepted and not ended."""
-    return sum(goal.open and goal.phase is not Phase.PENDING for goal in goals)

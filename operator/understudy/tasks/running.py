@@ -1,0 +1,55 @@
+"""The task proxy's process: puts its parts together and ends them on SIGTERM."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+import re
+import signal
+import sys
+from pathlib import Path
+
+from understudy.api import names
+from understudy.cluster import logs
+from understudy.ros.spinning import Spinning
+from understudy.tasks.journal import Journal
+from understudy.tasks.proxy import Proxy
+from understudy.tasks.talking import Talk
+
+_logger = logging.getLogger(__name__)
+
+STATE = Path("/var/lib/understudy")
+
+
+def main(argv: list[str]) -> int:
+    """Run until SIGTERM or SIGINT. The workload is named by UNDERSTUDY_WORKLOAD, its ROS graph by the environment."""
+    logs.configure(os.environ.get("UNDERSTUDY_LOG_LEVEL", "INFO"))
+    workload = os.environ.get("UNDERSTUDY_WORKLOAD")
+    if argv or not workload:
+        print("understudy tasks: set UNDERSTUDY_WORKLOAD, and give no arguments", file=sys.stderr)
+        return 2
+    state = Path(os.environ.get("UNDERSTUDY_STATE", STATE)) / "tasks"
+    state.mkdir(parents=True, exist_ok=True)
+    socket = Path(os.environ.get("UNDERSTUDY_TASKS_SOCKET", f"{names.TASKS_DIR}/{names.TASKS_SOCKET}"))
+    socket.unlink(missing_ok=True)  # of an earlier proxy
+    asyncio.run(_run(workload, state, socket))
+    return 0
+
+
+async def _run(workload: str, state: Path, socket: Path) -> None:
+    loop = asyncio.get_running_loop()
+    told = asyncio.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, told.set)
+    spinning = Spinning("understudy_tasks_" + re.sub(r"[^a-zA-Z0-9_]", "_", workload))
+    proxy = Proxy(spinning, Journal(state / "goals.json"))
+    talk = Talk(proxy.place, proxy.report)
+    proxy.on_report = talk.tell
+    server = await talk.listen(socket)
+    _logger.info("task proxy of %s", workload)
+    await told.wait()
+    server.close()
+    await proxy.close()
+    await spinning.close()
+    _logger.info("ended")
