@@ -8,6 +8,8 @@ look TOPIC SERVICE            what a node sees of them that neither publishes, n
 pose TOPIC X RATE [latched]   geometry_msgs/PoseWithCovarianceStamped at x = X; a rate of 0 says it once
 capture JSON                  Capturing, told by JSON what to take, who the instances are, and which are in control in
                               turn, as soon as all that is published was seen; prints the poses that it took as JSON
+obey TOPIC JSON               a robot's reader of std_msgs/String: told by JSON who the instances are (IP by name), prints
+                              the name of the sender of each sample, as they come
 watch SECONDS JSON            Watching, told by JSON what to watch (publishing hosts by topic), who the instances are,
                               and which are in control in turn; prints what it saw as JSON
 """
@@ -151,6 +153,21 @@ def work(action: str) -> None:
     rclpy.shutdown()
 
 
+def obey(topic: str, text: str) -> None:
+    from understudy.ros.graph import Graph
+    from understudy.ros.sources import Sources
+    from understudy.ros.taking import Taker
+
+    sources, taker = Sources(json.loads(text)), Taker()
+    subscription = Graph("robot").subscribe(topic, "std_msgs/msg/String", depth=100)
+    print("ready", flush=True)
+    while True:
+        with subscription.handle:
+            while (sample := taker.take(subscription.handle.pointer, with_data=False)) is not None:
+                print(sources.pod(sample.gid), flush=True)
+        time.sleep(0.01)
+
+
 def watch(duration: str, text: str) -> None:
     from understudy.ros.graph import Graph
     from understudy.ros.watching import Watching
@@ -220,6 +237,13 @@ def look(topic: str, service: str) -> None:
 
 
 if __name__ == "__main__":
-    {"capture": capture, "look": look, "pose": pose, "publish": publish, "robot": robot, "watch": watch, "work": work}[
-        sys.argv[1]
-    ](*sys.argv[2:])
+    {
+        "capture": capture,
+        "look": look,
+        "obey": obey,
+        "pose": pose,
+        "publish": publish,
+        "robot": robot,
+        "watch": watch,
+        "work": work,
+    }[sys.argv[1]](*sys.argv[2:])
