@@ -228,6 +228,11 @@ def test_printed_columns(cluster: Cluster, make) -> None:
                 "strategy": "Executing",
                 "recoveryCount": 3,
                 "lastRecoveryTime": workload["metadata"]["creationTimestamp"],
+                "kept": "/amcl_pose, /map",
+                "state": [
+                    {"name": "/amcl_pose", "kind": "Topic", "takenAt": workload["metadata"]["creationTimestamp"]},
+                    {"name": "/map", "kind": "Topic"},
+                ],
             }
         },
         subresource="status",
@@ -243,6 +248,9 @@ def test_printed_columns(cluster: Cluster, make) -> None:
     assert rows[0] == ["NAME", "ACTIVE", "HEALTH", "STANDBY", "STRATEGY", "RECOVERIES", "LAST", "AGE"]
     assert rows[1][:6] == ["robot-17", "robot-17-7k2xq", "Healthy", "Executing (1/1)", "Executing", "3"]
     assert rows[1][6].endswith("s")
+    wide = dict(zip(*_table(cluster.kubectl("get", "rw", "--namespace", namespace, "-o", "wide"))[:2], strict=True))
+    assert wide["KEPT"] == "/amcl_pose, /map"
+    assert wide["TAKEN"].endswith("s")
     rows = _table(cluster.kubectl("get", "fp", "--namespace", namespace))
     assert rows[0] == ["NAME", "ACCEPTED", "WORKLOADS", "STRATEGIES", "AGE"]
     assert rows[1][:4] == ["navigation", "True", "2", "Restart"]

@@ -55,7 +55,9 @@ def definition(kind: Kind) -> dict[str, Any]:
         "served": True,
         "storage": True,
         "additionalPrinterColumns": [
-            {"name": c.name, "type": c.type, "description": c.description, "jsonPath": c.path} for c in kind.columns
+            {"name": c.name, "type": c.type, "description": c.description, "jsonPath": c.path}
+            | ({"priority": 1} if c.wide else {})
+            for c in kind.columns
         ],
         "subresources": {"status": {}},
         "schema": {"openAPIV3Schema": root(kind)},

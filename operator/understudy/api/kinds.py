@@ -24,6 +24,8 @@ class Column:
     path: str
     description: str
     type: str = "string"
+    wide: bool = False
+    """Whether it is only in ``-o wide``."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +78,8 @@ KINDS = (
             Column("Strategy", ".status.strategy", "The strategy that would be used if it failed now."),
             Column("Recoveries", ".status.recoveryCount", "Recoveries since it was created.", "integer"),
             Column("Last", ".status.lastRecoveryTime", "Time since the last recovery.", "date"),
+            Column("Kept", ".status.kept", "What is kept of a healthy instance.", wide=True),
+            Column("Taken", ".status.state[0].takenAt", "How old the first of it is.", "date", wide=True),
             AGE,
         ),
         rules=_SHORT_NAME,

@@ -355,6 +355,7 @@ class RobotWorkloadStatus(Model):
         description="The tasks and their goals.",
         json_schema_extra={"x-kubernetes-list-type": "atomic"},
     )
+    kept: str | None = Field(default=None, description="What is kept of a healthy instance, in short.")
     state: list[KeptStatus] | None = Field(
         default=None,
         max_length=64,
@@ -366,6 +367,7 @@ class RobotWorkloadStatus(Model):
         description="Accepted: spec and policy can be followed. Reconciled: everything was built. Protected: the first strategy could "
         "take over now. Monitored: every topic of the health tree is watched. Healthy: the tree holds. GateEnforced: packets show that "
         "only the pod in control gets through. Recovering: a failure is being dealt with. Reflex: a standby is let through, so that the "
-        "robot's readers can fall over to it.",
+        "robot's readers can fall over to it. StateKept: all that the policy keeps is kept. StateRestored: the last instance that took "
+        "over was given all of it.",
         json_schema_extra={"x-kubernetes-list-type": "map", "x-kubernetes-list-map-keys": ["type"]},
     )

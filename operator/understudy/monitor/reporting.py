@@ -24,6 +24,9 @@ MANAGER = "understudy-monitor"
 KEPT = 10
 """Recoveries in the status."""
 
+NAMED = 3
+"""Names that a column shows."""
+
 QUIET = 0.25
 """Seconds that a change waits for others, so that a failover in milliseconds costs one write and not three."""
 
@@ -146,6 +149,7 @@ class Reporter:
             recovery_count=self._count,
             last_recovery_time=self._last_time,
             recoveries=self._recoveries,
+            kept=in_short([entry.name for entry in self._kept if entry.taken_at is not None]) or None,
             state=self._kept or None,
             conditions=sorted(self._conditions.values(), key=lambda c: c.type),
         )
@@ -182,6 +186,13 @@ class Reporter:
 
 
 _background: set[asyncio.Future[None]] = set()
+
+
+def in_short(names: Sequence[str]) -> str:
+    """Names for a column of a table."""
+    distinct = list(dict.fromkeys(names))
+    more = f" and {len(distinct) - NAMED} more" if len(distinct) > NAMED else ""
+    return ", ".join(distinct[:NAMED]) + more
 
 
 def describe(recovery: Recovery) -> str:
