@@ -8,7 +8,6 @@ the pose for each scan, also while the robot stands, so that silence always mean
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Sequence
 
 import numpy as np
@@ -41,7 +40,13 @@ PERIOD = 0.02
 SETTLING = 15
 """Scans after an initial pose that are used although the robot stands, to find where exactly it is."""
 
-_Start = tuple[Pose, Sequence[Sequence[float]], float]
+MADE_UP_FOR = 0.03
+"""m that an initial pose is doubted by where it is known what was driven since."""
+
+FRESH = 0.15
+"""s: who stamps a pose with the time of sending it, as RViz does, doesn't say when the robot was there."""
+
+_Start = tuple[Pose, Sequence[Sequence[float]], float | None]
 
 
 class Amcl(managed.Managed):
@@ -49,8 +54,9 @@ class Amcl(managed.Managed):
 
     Parameters, named as Nav2's: max_particles, max_beams, sigma_hit, laser_likelihood_max_dist, update_min_d,
     update_min_a, set_initial_pose, initial_pose.{x,y,yaw}, tf_broadcast, global_frame_id, odom_frame_id, base_frame_id.
-    And initial_pose_spread: m that an initial pose is doubted by on top of what its covariance says, since a restored
-    one is as old as the failure; headings by half of it, in rad.
+    And initial_pose_spread: m that an initial pose is doubted by on top of what its covariance says, headings by half of
+    it in rad: a restored one is as old as the failure, and the robot drove on for a while. Where its stamp says when it
+    was so, and odometry what was driven since, that is made up for instead.
     """
 
     def __init__(self) -> None:
@@ -66,7 +72,7 @@ class Amcl(managed.Managed):
         self._odom_frame = self.parameter("odom_frame_id", "odom")
         self._least = self.parameter("update_min_d", 0.03), self.parameter("update_min_a", 0.05)
         self._broadcast = self.parameter("tf_broadcast", True)
-        self._spread = self.parameter("initial_pose_spread", 0.2)
+        self._spread = self.parameter("initial_pose_spread", 0.25)
         self._count = self.parameter("max_particles", 500)
         self._sensor = Sensor(
             beams=self.parameter("max_beams", 90),
@@ -88,7 +94,7 @@ class Amcl(managed.Managed):
             self.at_cleanup(lambda subscription=subscription: self.destroy_subscription(subscription))
         if self.parameter("set_initial_pose", False) and not self._told:
             place = [self.parameter(f"initial_pose.{name}", 0.0) for name in ("x", "y", "yaw")]
-            self._begin(Pose(*place), np.diag([0.05, 0.05, 0.03]).tolist(), time.time())
+            self._begin(Pose(*place), np.diag([0.05, 0.05, 0.03]).tolist(), None)
 
     def activated(self) -> None:
         if self._start is None and self._filter is None:
@@ -110,17 +116,18 @@ class Amcl(managed.Managed):
             return
         try:
             pose = pose_of(message.pose.pose)
-            self._begin(pose, covariance_of(message.pose.covariance), seconds(message.header.stamp))
+            stamp = seconds(message.header.stamp)
+            fresh = abs(self.get_clock().now().nanoseconds / 1e9 - stamp) < FRESH
+            self._begin(pose, covariance_of(message.pose.covariance), None if fresh else stamp)
         except ValueError as error:
             self.get_logger().error(f"/initialpose: {error}")
             return
         self._told = True
         self.say(f"told to be at {pose.x:.2f}, {pose.y:.2f}, heading {pose.heading:.2f}")
 
-    def _begin(self, pose: Pose, covariance: Sequence[Sequence[float]], stamp: float) -> None:
-        doubt = np.square([self._spread, self._spread, self._spread / 2])
+    def _begin(self, pose: Pose, covariance: Sequence[Sequence[float]], stamp: float | None) -> None:
         with self._guard:
-            self._start = pose, (np.asarray(covariance) + np.diag(doubt)).tolist(), stamp
+            self._start = pose, covariance, stamp
 
     def _charted(self, message: OccupancyGrid) -> None:
         try:
@@ -157,9 +164,11 @@ class Amcl(managed.Managed):
     def _begin_at(self, grid: Grid, start: _Start, here: Pose) -> None:
         pose, covariance, stamp = start
         # What was driven since then, as far back as odometry is known.
-        then = self._odometry.history.at(stamp, slack=0.0)
+        then = None if stamp is None else self._odometry.history.at(stamp, slack=0.0)
+        doubt = self._spread if then is None else MADE_UP_FOR
         if then is not None:
             pose = pose.then(then.to(here))
+        covariance = (np.asarray(covariance) + np.diag(np.square([doubt, doubt, doubt / 2]))).tolist()
         if self._filter is None:
             self._filter = ParticleFilter(grid, particles=self._count, motion=Motion(), sensor=self._sensor)
         self._filter.spread(pose, covariance)

@@ -1,8 +1,9 @@
 """bt_navigator: brings the robot to a pose, by the action /navigate_to_pose.
 
 As Nav2's default tree does it: plan, follow, plan again each second; after a failure recover and try again, so many
-times and no more. A newer goal takes the place of the one before, which is aborted, and the robot drives on meanwhile.
-While it is active it publishes /navigation/heartbeat, so that its loss is noticed also when there is nothing to do.
+times and no more. Where the map says that there is no way, it is given up at once: the map won't change. A newer goal
+takes the place of the one before, which is aborted, and the robot drives on meanwhile. While it is active it publishes
+/navigation/heartbeat, so that its loss is noticed also when there is nothing to do.
 """
 
 from __future__ import annotations
@@ -34,6 +35,11 @@ FEEDBACK = 0.25
 
 UNKNOWN = 9000
 """Error code where the cause has none of its own (Nav2 gives the navigator codes from 9000)."""
+
+
+_Plan = ComputePathToPose.Result
+_FINAL = {_Plan.GOAL_OCCUPIED, _Plan.GOAL_OUTSIDE_MAP, _Plan.NO_VALID_PATH}
+"""Error codes of the planner that another try won't change."""
 
 
 class _Failed(Exception):
@@ -152,7 +158,7 @@ class Navigator(managed.Managed):
                     journey.attempt(recoveries)
                     break
                 except _Failed as failure:
-                    if recoveries >= self._retries:
+                    if recoveries >= self._retries or failure.code in _FINAL:
                         raise
                     recoveries += 1
                     self.get_logger().warning(f"recovery {recoveries} of {self._retries}: {failure}")
@@ -242,9 +248,7 @@ class _Journey:
             now = time.monotonic()
             if now - planned >= self._navigator.replan_period:
                 planned = now
-                # Where nobody answers, the old path is still good. Where there is no way any more, it isn't.
-                if (path := self._navigator.path(self._target, self._goal)) is not None and not self._ended:
-                    self._follow(path)
+                self._plan_again()
             if now - told >= FEEDBACK:
                 told = now
                 self._feed_back(recoveries)
@@ -252,9 +256,14 @@ class _Journey:
         if status != GoalStatus.STATUS_SUCCEEDED and not self._goal.over:
             raise _Failed(code or UNKNOWN, why or "the controller gave up")
 
-    @property
-    def _ended(self) -> bool:
-        return self._following.ended.is_set()
+    def _plan_again(self) -> None:
+        try:
+            path = self._navigator.path(self._target, self._goal)
+        except _Failed as failure:  # the old path is still as good as it was; what is in the way the controller sees
+            self._navigator.get_logger().warning(f"no newer path: {failure}")
+            return
+        if path is not None and not self._following.ended.is_set():
+            self._follow(path)
 
     def _follow(self, path: Any) -> None:
         self._following.follow(FollowPath.Goal(path=path))

@@ -26,6 +26,9 @@ _Result = FollowPath.Result
 FEEDBACK = 0.25
 """s between two messages of feedback."""
 
+HOLD = 2.0
+"""s for which the robot is told to stand after a path: one command can be lost, and a short silence isn't one of a goal."""
+
 STALE = 1.0
 """s after which a scan or a pose is too old to drive by."""
 
@@ -52,7 +55,7 @@ class _Progress:
 
 
 class ControllerServer(managed.Managed):
-    """Publishes /cmd_vel while it follows a path, and a last command to stand.
+    """Publishes /cmd_vel while it follows a path, and for a while afterwards commands to stand.
 
     Parameters, named as Nav2's: controller_frequency, failure_tolerance, enable_stamped_cmd_vel,
     progress_checker.{required_movement_radius,movement_time_allowance}, and FollowPath.NAME for each of pursuit.Limits.
@@ -85,7 +88,12 @@ class ControllerServer(managed.Managed):
         self.at_cleanup(lambda: self.destroy_lifecycle_publisher(self._commands))
         Server(self, FollowPath, "/follow_path", self._follow)
 
+    def activated(self) -> None:
+        self._hold_until = 0.0
+        self._holding = managed.Loop(self._period, self._hold)
+
     def deactivated(self) -> None:
+        self._holding.stop()
         with self._turn:  # the last word
             self._send(Command())
 
@@ -111,6 +119,11 @@ class ControllerServer(managed.Managed):
         message.twist.linear.x, message.twist.angular.z = command.linear, command.angular
         self._commands.publish(message)
 
+    def _hold(self) -> None:
+        if time.monotonic() < self._hold_until and self._turn.acquire(blocking=False):
+            self._send(Command())
+            self._turn.release()
+
     def _now(self) -> float:
         return float(self.get_clock().now().nanoseconds / 1e9)
 
@@ -130,6 +143,7 @@ class ControllerServer(managed.Managed):
             if not goal.superseded:
                 self._pursuit.forget()
                 self._send(Command())
+                self._hold_until = time.monotonic() + HOLD
         if goal.over:
             return "canceled" if goal.canceled else "aborted", result
         if result.error_code != _Result.NONE:

@@ -44,7 +44,7 @@ class Pose(NamedTuple):
 class Odometry:
     """The last seconds of odometry, to be asked for the pose at a time in between."""
 
-    def __init__(self, *, length: int = 200) -> None:
+    def __init__(self, *, length: int = 500) -> None:
         self._times: deque[float] = deque(maxlen=length)
         self._poses: deque[Pose] = deque(maxlen=length)
 
