@@ -52,3 +52,18 @@ def test_a_pod_without_an_agent_is_not_judged() -> None:
 
 def test_without_a_standby_holding_back_is_not_claimed() -> None:
     assert judge([ACTIVE], "uid-w-1", {"uid-w-1": NOW}, now=NOW, since=SINCE)[:2] == ("Unknown", "NoStandby")
+
+
+def test_a_standby_that_is_let_through_is_no_leak() -> None:
+    last = {"uid-w-1": NOW, "uid-w-2": NOW}
+    judged = judge([ACTIVE, STANDBY], "uid-w-1", last, now=NOW, since=SINCE, admitted_uid="uid-w-2")
+    assert judged[:2] == ("Unknown", "Admitted"), "and nobody is left to be held back"
+    third = instance("w-3", pool="hot")
+    judged = judge([ACTIVE, STANDBY, third], "uid-w-1", last, now=NOW, since=SINCE, admitted_uid="uid-w-2")
+    assert judged[:2] == ("True", "SeenFromPackets")
+    judged = judge(
+        [ACTIVE, STANDBY, third], "uid-w-1", last | {"uid-w-3": NOW}, now=NOW, since=SINCE, admitted_uid="uid-w-2"
+    )
+    assert judged[:2] == ("False", "NotEnforced")
+    assert "w-3" in judged[2]
+    assert "w-2" not in judged[2]
