@@ -1,0 +1,238 @@
+"""Which standby is let through beside the pod in control, when no longer, and what is said about it."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from understudy.api.agents import AgentStatus
+from understudy.api.workloads import Output, Reflex
+from understudy.mitigation.interfaces import GateState, Instance
+from understudy.monitor.enforcement import SETTLE, SILENT
+from understudy.monitor.reflexes import LOOK, TOO_STRONG_FOR, Reflexes
+
+NOW = 1000.0
+TOPIC = "/cmd_vel"
+
+
+@dataclass
+class World:
+    """What the monitor sees, and what it did."""
+
+    state: GateState = field(default_factory=lambda: GateState(epoch=1, active="w-1", active_uid="uid-w-1"))
+    pods: dict[str, Instance] = field(default_factory=dict)
+    strengths: dict[str, tuple[int, int]] = field(default_factory=dict)
+    unready: set[str] = field(default_factory=set)
+    arrivals: dict[str, list[float]] = field(default_factory=dict)
+    twins: set[str] = field(default_factory=set)
+    probes: dict[str, float] = field(default_factory=dict)
+    writes: list[str] = field(default_factory=list)
+    retired: list[str] = field(default_factory=list)
+    said: tuple[str, str, str] = ("", "", "")
+    api_away: bool = False
+    now: float = NOW
+
+    def __post_init__(self) -> None:
+        for name, strength in (("w-1", 200), ("w-2", 100)):
+            self.add(name, strength)
+        self.arrivals["w-1"] = [NOW - 0.05 * i for i in range(150)][::-1]
+        spec = SimpleNamespace(
+            outputs=[Output(topic=TOPIC, type="geometry_msgs/msg/Twist")],
+            gate=SimpleNamespace(reflex=Reflex(deadline="100ms")),
+        )
+        parts: dict[str, Any] = {
+            "view": SimpleNamespace(spec=spec),
+            "fleet": SimpleNamespace(
+                of_workload=lambda: list(self.pods.values()),
+                find=lambda uid: next((p for p in self.pods.values() if p.uid == uid), None),
+                retire=self._retire,
+            ),
+            "gate": _Gate(self),
+            "sidecars": SimpleNamespace(
+                is_ready=lambda i: (i.name not in self.unready, "no /cmd_vel for 500 ms"),
+                status=lambda i: AgentStatus(strength=self.strengths.get(i.name)),
+            ),
+            "sight": SimpleNamespace(
+                arrivals=lambda topic, pod: self.arrivals.get(pod, []), ambiguous=lambda pod: pod in self.twins
+            ),
+            "probes": SimpleNamespace(last=self.probes.get),
+            "reporter": SimpleNamespace(condition=self._condition, event=lambda *_: None),
+        }
+        self.reflexes = Reflexes(**parts)
+
+    def add(self, name: str, strength: int | None) -> None:
+        self.pods[name] = Instance(name=name, uid=f"uid-{name}", running=True, pool="" if name == "w-1" else "hot")
+        if strength is not None:
+            self.strengths[name] = (strength, strength)
+
+    async def _retire(self, instance: Instance) -> None:
+        self.retired.append(instance.name)
+
+    def _condition(self, type_: str, *said: str) -> bool:
+        assert type_ == "Reflex"
+        self.said = said  # type: ignore[assignment]
+        return True
+
+    async def keep(self, *, enforced: bool = True, seconds: float = 10.0) -> tuple[str, str]:
+        """Housekeeping for so long, while the pod in control goes on."""
+        for _ in range(int(seconds)):
+            self.now += 1
+            if self.arrivals.get("w-1"):
+                self.arrivals["w-1"] = [time + 1 for time in self.arrivals["w-1"]]
+            self.reflexes.keep(self.now, enforced=enforced)
+            await asyncio.sleep(0)
+            await asyncio.sleep(0)
+        return self.said[:2]
+
+
+class _Gate:
+    def __init__(self, world: World) -> None:
+        self._world = world
+
+    @property
+    def state(self) -> GateState:
+        return self._world.state
+
+    async def admit(self, standby: Instance | None) -> bool:
+        world = self._world
+        world.writes.append(standby.name if standby else "")
+        if not world.api_away:
+            name, uid = (standby.name, standby.uid) if standby else ("", "")
+            world.state = replace(world.state, admitted=name, admitted_uid=uid)
+        return not world.api_away
+
+
+@pytest.fixture
+def world() -> World:
+    return World()
+
+
+async def test_a_healthy_weaker_standby_is_let_through_once_the_gate_was_seen_to_hold_it(world: World) -> None:
+    assert await world.keep(enforced=False) == ("Unknown", "GateNotProven")
+    assert not world.writes
+    assert await world.keep(seconds=2) == ("True", "Armed")
+    assert world.writes == ["w-2"], "written once"
+
+
+async def test_it_is_not_let_through_before_it_was_ready_for_as_long_as_the_gate_takes_to_show(world: World) -> None:
+    await world.keep(seconds=SETTLE)
+    assert not world.writes
+    await world.keep(seconds=2)
+    assert world.writes == ["w-2"]
+
+
+async def test_of_several_the_strongest_is_let_through(world: World) -> None:
+    world.add("w-3", 150)
+    world.add("w-4", 50)
+    await world.keep()
+    assert world.writes == ["w-3"]
+
+
+async def test_a_standby_that_is_no_longer_healthy_is_shut_out_at_once(world: World) -> None:
+    await world.keep()
+    world.reflexes.guard()
+    assert world.writes == ["w-2"], "while it's healthy nothing is written"
+    world.unready.add("w-2")
+    world.reflexes.guard()
+    await asyncio.sleep(0)
+    assert world.writes == ["w-2", ""]
+    assert world.state.admitted == ""
+    assert await world.keep() == ("False", "NoStandby")
+    assert "w-2: no /cmd_vel for 500 ms" in world.said[2]
+
+
+async def test_one_that_is_gone_is_shut_out_too(world: World) -> None:
+    await world.keep()
+    del world.pods["w-2"]
+    world.reflexes.guard()
+    await asyncio.sleep(0)
+    assert world.writes == ["w-2", ""]
+
+
+async def test_a_write_that_failed_is_tried_again_after_a_while_only(world: World) -> None:
+    await world.keep()
+    world.api_away = True
+    world.unready.add("w-2")
+    for _ in range(50):
+        world.reflexes.guard()
+        await asyncio.sleep(0)
+    assert world.writes == ["w-2", ""]
+
+
+@pytest.mark.parametrize("strength", [200, 201])
+async def test_one_that_is_as_strong_as_the_pod_in_control_is_replaced(world: World, strength: int) -> None:
+    world.strengths["w-2"] = (50, strength)
+    assert await world.keep(seconds=3) == ("False", "StandbyTooStrong")
+    assert not world.retired
+    await world.keep(seconds=TOO_STRONG_FOR + 10)
+    assert world.retired == ["w-2"], "once: where clocks differ another would be no better"
+    assert not world.writes
+
+
+async def test_a_restarted_pod_in_control_counts_as_its_weakest(world: World) -> None:
+    world.strengths["w-1"] = (90, 200)
+    assert await world.keep(seconds=3) == ("False", "StandbyTooStrong")
+
+
+async def test_while_the_strength_in_control_is_unknown_nothing_changes(world: World) -> None:
+    await world.keep()
+    del world.strengths["w-1"]
+    assert await world.keep() == ("Unknown", "StrengthUnknown")
+    assert world.writes == ["w-2"]
+
+
+async def test_commands_slower_than_the_deadline_are_told_and_nobody_is_let_through(world: World) -> None:
+    world.arrivals["w-1"] = [NOW - 0.2 * i for i in range(50)][::-1]
+    assert await world.keep() == ("False", "DeadlineTooShort")
+    assert "gaps of up to 200 ms" in world.said[2]
+    assert not world.writes
+
+
+async def test_nothing_is_let_through_before_the_period_is_known(world: World) -> None:
+    world.arrivals["w-1"] = []
+    assert await world.keep() == ("Unknown", "Measuring")
+    assert not world.writes
+
+
+async def test_pods_that_cannot_be_told_apart_have_no_reflex(world: World) -> None:
+    world.twins = {"w-1", "w-2"}
+    assert await world.keep() == ("False", "Ambiguous")
+    assert not world.writes
+
+
+async def test_a_standby_whose_packets_do_not_arrive_is_told(world: World) -> None:
+    await world.keep()
+    assert await world.keep(seconds=SILENT + 2) == ("False", "Blocked")
+    world.probes["uid-w-2"] = world.now
+    assert await world.keep(seconds=1) == ("True", "Armed")
+
+
+# -- noticing ------------------------------------------------------------------------------------------------------
+
+
+async def test_the_standby_that_is_let_through_is_seen_to_drive(world: World) -> None:
+    await world.keep()
+    last = world.arrivals["w-1"][-1]
+    assert world.reflexes.taken_over(last + 0.2, NOW) is None, "silence alone is nothing"
+    world.arrivals["w-2"] = [last + 0.12]
+    taken = world.reflexes.taken_over(last + 0.13, NOW)
+    assert taken is not None
+    assert (taken.standby.name, taken.last, taken.first) == ("w-2", last, last + 0.12)
+
+
+async def test_nobody_takes_over_who_is_not_let_through(world: World) -> None:
+    world.arrivals["w-2"] = [world.arrivals["w-1"][-1] + 0.12]
+    assert world.reflexes.taken_over(world.arrivals["w-2"][-1] + 1, NOW) is None
+
+
+async def test_it_looks_at_the_deadline_and_then_often_for_a_while(world: World) -> None:
+    assert world.reflexes.next_look(NOW) is None, "nobody is let through"
+    await world.keep()
+    last = world.arrivals["w-1"][-1]
+    assert world.reflexes.next_look(last + 0.02) == pytest.approx(last + 0.1)
+    assert world.reflexes.next_look(last + 0.15) == pytest.approx(last + 0.15 + LOOK)
+    assert world.reflexes.next_look(last + 5) is None, "it may be at rest"
