@@ -83,8 +83,7 @@ class Sidecars:
         return self._connecting[instance.uid]
 
     async def _link(self, instance: Instance) -> AgentLink | None:
-        secret = names.pool_secret(instance.pool) if instance.claim else names.agent_secret(self._view.workload)
-        token = await self._token(secret)
+        token = await self.token(instance)
         if token is None:
             return None
         if instance.uid not in self._links:
@@ -97,6 +96,12 @@ class Sidecars:
                 on_change=lambda link: self._changed(instance.uid, link),
             )
         return self._links[instance.uid]
+
+    async def token(self, instance: Instance) -> bytes | None:
+        """The secret shared with an instance's agent; None while it can't be read."""
+        return await self._token(
+            names.pool_secret(instance.pool) if instance.claim else names.agent_secret(self._view.workload)
+        )
 
     async def _token(self, secret: str) -> bytes | None:
         if secret not in self._tokens:
