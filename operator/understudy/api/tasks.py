@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from understudy.api.base import Model, matching
+from understudy.api.base import Duration, Model, matching
 from understudy.api.rosnames import ROS_TYPE_MESSAGE, RosName
 
 ACTION_TYPE_PATTERN = r"^[a-zA-Z][a-zA-Z0-9_]*/action/[A-Z][a-zA-Z0-9]*$"
@@ -26,6 +26,11 @@ class Task(Model):
         default="Resend",
         description="What becomes of a goal when another instance takes over. Resend: it stays active and is sent to the new "
         "instance. Abort: it is aborted. Tree: it stays active, and the strategy's recovery tree sends it (resend_goals).",
+    )
+    abort_grace: Duration = Field(
+        default="2s",
+        description="An abort that nobody asked for is told to the client this much later, and not at all if a failure is seen by "
+        "then: an instance that dies may abort its goals first.",
     )
 
 

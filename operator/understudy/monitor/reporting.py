@@ -12,6 +12,7 @@ import aiohttp
 from understudy.api.base import API_VERSION
 from understudy.api.conditions import Condition, condition, merged
 from understudy.api.states import KeptStatus
+from understudy.api.tasks import TaskStatus
 from understudy.api.workloads import GateStatus, Health, Recovery, RobotWorkloadStatus
 from understudy.cluster.client import WORKLOADS, ApiError, Client, Object
 from understudy.cluster.events import Recorder
@@ -43,6 +44,7 @@ class Reporter:
         self._applied = ""
         self._conditions: dict[str, Condition] = {}
         self._kept: list[KeptStatus] = []
+        self._tasks: list[TaskStatus] = []
         self._recoveries: list[Recovery] = []
         self._count = 0
         self._last_time: str | None = None
@@ -59,7 +61,16 @@ class Reporter:
         self._recoveries = list(status.recoveries or [])
         self._count = status.recovery_count or 0
         self._last_time = status.last_recovery_time
-        ours = {"Healthy", "Monitored", "GateEnforced", "Recovering", "Reflex", "StateKept", "StateRestored"}
+        ours = {
+            "Healthy",
+            "Monitored",
+            "GateEnforced",
+            "Recovering",
+            "Reflex",
+            "StateKept",
+            "StateRestored",
+            "TasksProxied",
+        }
         self._conditions = {c.type: c for c in status.conditions or [] if c.type in ours}
         self.reference = {
             "apiVersion": API_VERSION,
@@ -112,6 +123,17 @@ class Reporter:
             self._kept = list(kept)
             self._changed.set()
 
+    def tasks(self, tasks: Sequence[TaskStatus]) -> None:
+        """Say how the tasks are doing."""
+        if self._tasks != list(tasks):
+            self._tasks = list(tasks)
+            self._changed.set()
+
+    def withdraw(self, type_: str) -> None:
+        """Say a condition no longer: what it is about isn't there any more."""
+        if self._conditions.pop(type_, None) is not None:
+            self._changed.set()
+
     def record(self, progress: Progress) -> Recovery:
         """Add a finished recovery. One that failed like the last is told once, with its latest times."""
         again = (
@@ -151,6 +173,7 @@ class Reporter:
             recoveries=self._recoveries,
             kept=in_short([entry.name for entry in self._kept if entry.taken_at is not None]) or None,
             state=self._kept or None,
+            tasks=self._tasks or None,
             conditions=sorted(self._conditions.values(), key=lambda c: c.type),
         )
         return {

@@ -29,6 +29,7 @@ from understudy.monitor.reporting import Reporter
 from understudy.monitor.sidecars import Sidecars
 from understudy.monitor.sight import Sight
 from understudy.monitor.supervising import Parts, Supervisor
+from understudy.monitor.tasks import TaskLink
 from understudy.monitor.view import View
 
 _logger = logging.getLogger(__name__)
@@ -104,6 +105,8 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
         watchers.append(supervisor)
         sidecars.on_status = supervisor.wake.set
         group.create_task(reporter.run())
+        socket = Path(os.environ.get("UNDERSTUDY_TASKS_SOCKET", f"{names.TASKS_DIR}/{names.TASKS_SOCKET}"))
+        group.create_task(TaskLink(socket, view, fleet, gate, sidecars, reporter).run())
         alive["ready"] = time.time()
         _logger.info("watching %s in %s", workload, namespace)
         await supervisor.run()

@@ -17,11 +17,6 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from typing import Any, Literal, TypeVar
 
-from understudy.ros.lean import leave_out_generator
-
-leave_out_generator()
-
-# isort: split
 from rclpy.context import Context
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node

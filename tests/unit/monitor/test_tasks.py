@@ -1,0 +1,191 @@
+"""The monitor tells the task proxy what is so, and reports what it hears."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from understudy.api.settings import PoolChoice, WorkloadSettings
+from understudy.api.tasks import TaskStatus
+from understudy.api.workloads import RobotWorkloadSpec
+from understudy.mitigation.interfaces import GateState, Instance
+from understudy.monitor.tasks import CONDITION, TaskLink, executing, judged, reachable, settled
+from understudy.tasks.situation import Situation
+from understudy.tasks.talking import Talk
+
+GATE = GateState(epoch=3, active="w-1", active_uid="1")
+ACTIVE = Instance("w-1", "1", ip="10.0.0.1", running=True)
+STANDBY = Instance("w-2", "2", ip="10.0.0.2", running=True, pool="hot")
+TASK = {"action": "/goto", "type": "test_msgs/action/Fibonacci", "abortGrace": "1500ms"}
+
+
+class Source:
+    """Of changes that never come: what changes is found by looking."""
+
+    async def changed(self) -> None:
+        await asyncio.Event().wait()
+
+
+@dataclass
+class View:
+    """Everything that the link reads."""
+
+    spec: RobotWorkloadSpec | None
+    settings: WorkloadSettings
+    workload: str = "w"
+    gates: Source = field(default_factory=Source)
+    pods: Source = field(default_factory=Source)
+
+
+@dataclass
+class World:
+    """Stands for fleet, gate, agents and reporter."""
+
+    instances: list[Instance]
+    state: GateState = GATE
+    health: str = "Healthy"
+    conditions: dict[str, tuple[str, str, str]] = field(default_factory=dict)
+    events: list[tuple[str, str, str]] = field(default_factory=list)
+    told: list[TaskStatus] = field(default_factory=list)
+
+    def of_workload(self) -> list[Instance]:
+        return self.instances
+
+    def find(self, uid: str) -> Instance | None:
+        return next((i for i in self.instances if i.uid == uid), None)
+
+    async def token(self, instance: Instance) -> bytes:
+        return f"token of {instance.name}".encode()
+
+    def tasks(self, tasks: list[TaskStatus]) -> None:
+        self.told = tasks
+
+    def condition(self, type_: str, *words: str) -> bool:
+        changed = self.conditions.get(type_, ("", ""))[:2] != words[:2]
+        self.conditions[type_] = words  # type: ignore[assignment]
+        return changed
+
+    def withdraw(self, type_: str) -> None:
+        self.conditions.pop(type_, None)
+
+    def event(self, *words: str) -> None:
+        self.events.append(words)  # type: ignore[arg-type]
+
+
+def view(*tasks: dict[str, Any], problem: str = "", **more: Any) -> View:
+    spec = {
+        "template": {"spec": {"containers": [{"name": "app", "image": "app"}]}},
+        "outputs": [{"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist"}],
+        "failurePolicyRef": {"name": "p"},
+        "tasks": list(tasks),
+        **more,
+    }
+    settings = WorkloadSettings(
+        workload="w",
+        namespace="n",
+        uid="u",
+        source_kind="ReplicaSet",
+        source_name="w",
+        tasks_problem=problem,
+        pools=[PoolChoice(name="hot", readiness="Executing")],
+    )
+    return View(RobotWorkloadSpec.model_validate(spec), settings)
+
+
+async def eventually(holds: Any, within: float = 20.0) -> None:
+    end = time.monotonic() + within
+    while not holds():
+        assert time.monotonic() < end, f"not within {within} s"
+        await asyncio.sleep(0.02)
+
+
+@pytest.fixture
+def socket(tmp_path: Path) -> Path:
+    return tmp_path / "tasks.sock"
+
+
+def link(socket: Path, seen: View, world: World) -> asyncio.Task[None]:
+    return asyncio.create_task(TaskLink(socket, seen, world, world, world, world).run())  # type: ignore[arg-type]
+
+
+async def test_the_proxy_is_told_every_change_and_reported_even_when_it_starts_late(socket: Path) -> None:
+    world, seen = World([ACTIVE, STANDBY]), view(TASK)
+    running = link(socket, seen, world)
+    heard: list[Situation] = []
+    tasks = [{"action": "/goto", "active": 2, "resent": 1, "message": "", "served": True}]
+    talk = Talk(heard.append, lambda: {"tasks": tasks, "epoch": 3})
+    server = await talk.listen(socket)
+    await eventually(lambda: heard)
+    first = heard[0]
+    assert (first.workload, first.epoch, first.active, first.settled) == ("w", 3, "1", True)
+    assert (first.rules[0].action, first.rules[0].on_failover, first.rules[0].abort_grace) == ("/goto", "Resend", 1.5)
+    assert [(p.pod, p.ip, p.token, p.executing) for p in first.peers] == [
+        ("w-1", "10.0.0.1", "token of w-1", False),
+        ("w-2", "10.0.0.2", "token of w-2", True),
+    ]
+    await eventually(lambda: world.told and world.conditions)
+    assert (world.told[0].active, world.told[0].resent) == (2, 1)
+    assert world.conditions[CONDITION][:2] == ("True", "Serving")
+    world.health = "Recovering"
+    await eventually(lambda: not heard[-1].settled)
+    world.state = GateState(epoch=4, active="w-2", active_uid="2")
+    await eventually(lambda: heard[-1].active == "2" and heard[-1].epoch == 4)
+    tasks[0]["message"] = "robots_msgs/action/Dock is not installed"
+    talk.tell()
+    await eventually(lambda: world.conditions[CONDITION][:2] == ("False", "TypeNotInstalled"))
+    assert [event[1] for event in world.events] == ["TypeNotInstalled"]
+    server.close()
+    running.cancel()
+
+
+async def test_a_workload_without_tasks_says_nothing_of_them(socket: Path) -> None:
+    world = World([ACTIVE])
+    world.conditions[CONDITION] = ("True", "Serving", "")
+    running = link(socket, view(), world)
+    await eventually(lambda: CONDITION not in world.conditions)
+    running.cancel()
+
+
+async def test_a_reference_with_tasks_says_that_there_is_no_proxy(socket: Path) -> None:
+    world = World([ACTIVE])
+    seen = view(TASK, problem="no agent there", template=None, workloadRef={"kind": "Deployment", "name": "arm"})
+    running = link(socket, seen, world)
+    await eventually(lambda: world.conditions.get(CONDITION) == ("False", "NoAgent", "no agent there"))
+    running.cancel()
+
+
+def test_whom_goals_can_be_given() -> None:
+    assert reachable(ACTIVE, GATE)
+    assert reachable(replace(ACTIVE, terminating=True), GATE), "its word counts until the switch"
+    for other in ({"terminating": True}, {"held": True}, {"running": False}, {"has_agent": False}, {"ip": ""}):
+        assert not reachable(replace(STANDBY, **other), GATE)
+
+
+def test_who_runs_in_full() -> None:
+    assert executing(STANDBY, GATE, {"hot"})
+    assert executing(replace(STANDBY, pool=""), GATE, {"hot"}), "the controller's own, while a standby is in control"
+    assert not executing(STANDBY, GATE, set())
+    assert not executing(ACTIVE, GATE, {"hot"})
+    assert not executing(replace(STANDBY, claim="u/1"), GATE, {"hot"})
+
+
+def test_when_nothing_is_settled() -> None:
+    assert settled("Healthy", ACTIVE)
+    assert settled("Starting", ACTIVE)
+    assert not settled("Failed", ACTIVE)
+    assert not settled("Recovering", ACTIVE)
+    assert not settled("Healthy", None)
+    assert not settled("Healthy", replace(ACTIVE, terminating=True))
+
+
+def test_what_the_condition_says() -> None:
+    task = {"action": "/goto", "message": "", "served": True}
+    assert judged([task], "")[:2] == ("True", "Serving")
+    assert judged([{**task, "served": False}], "")[:2] == ("Unknown", "Starting")
+    assert judged([task], "container app sets it itself")[:2] == ("False", "OwnProfiles")
+    assert judged([{**task, "message": "refused"}], "")[1:] == ("GoalsNotSent", "/goto: refused")
