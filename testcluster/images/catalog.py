@@ -85,6 +85,8 @@ def images() -> list[Image]:
                 dockerfile.parent,
                 None,
                 (".",),
+                # What is built on the side, and only its result taken.
+                tuple(re.findall(r"^FROM \S+ AS (\S+)", dockerfile.read_text(), re.MULTILINE)),
                 parent=_name(parent[1]) if parent else None,
             )
         )

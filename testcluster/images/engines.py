@@ -19,6 +19,11 @@ def wanted_base() -> str:
     return os.environ.get("UNDERSTUDY_BASE_IMAGE") or base_argument(REPOSITORY / "Dockerfile")
 
 
+def _stage(name: str) -> str:
+    """The name that keeps a stage in the builder's cache when the rest is cleared."""
+    return f"localhost/understudy-stage-{name}:dev"
+
+
 class Engine(ABC):
     """A program that builds images and keeps them under their names."""
 
@@ -100,22 +105,33 @@ class Buildah(Engine):
         return made
 
     def build(self, image: Image, base_image: str, secrets: Mapping[str, Path], log: Path) -> None:
-        self._bud(image, image.target, image.name, base_image, secrets, log)
+        bases = {"BASE_IMAGE": base_image, **self._stand_in(image)}
+        self._bud(image, image.target, image.name, bases, secrets, log)
         for stage in image.stages:
-            # All of it is in the builder's cache now; a name keeps it there when the rest is cleared.
-            self._bud(
-                image,
-                stage,
-                f"localhost/understudy-stage-{stage}:dev",
-                base_image,
-                secrets,
-                log.with_suffix(".stages.log"),
-            )
+            # All of it is in the builder's cache now.
+            self._bud(image, stage, _stage(stage), bases, secrets, log.with_suffix(".stages.log"))
         # What earlier versions left would pile up with every change.
         run(*self._command("rmi", "--prune"), check=False)
 
+    def _stand_in(self, image: Image) -> dict[str, str]:
+        """The parent without its own code as a build argument, where there is one and the Dockerfile takes it.
+
+        What is built on that needn't be built anew with every change of the code.
+        """
+        if not image.parent or "ARG DEPENDENCIES_IMAGE" not in (image.context / "Dockerfile").read_text():
+            return {}
+        short = image.parent.removeprefix("localhost/understudy-").rpartition(":")[0]
+        name = _stage(f"{short}-dependencies")
+        return {"DEPENDENCIES_IMAGE": name} if self.identity(name) else {}
+
     def _bud(
-        self, image: Image, target: str | None, name: str, base_image: str, secrets: Mapping[str, Path], log: Path
+        self,
+        image: Image,
+        target: str | None,
+        name: str,
+        arguments: Mapping[str, str],
+        secrets: Mapping[str, Path],
+        log: Path,
     ) -> None:
         run_logged(
             [
@@ -123,8 +139,7 @@ class Buildah(Engine):
                 *self._command("bud", "--isolation", "chroot", "--layers", "--pull-never"),
                 *(["--target", target] if target else []),
                 *(word for secret, path in secrets.items() for word in ("--secret", f"id={secret},src={path}")),
-                "--build-arg",
-                f"BASE_IMAGE={base_image}",
+                *(word for key, value in arguments.items() for word in ("--build-arg", f"{key}={value}")),
                 "--tag",
                 name,
                 image.context,

@@ -1,0 +1,38 @@
+"""What the example's image is made of agrees with what it is tested with."""
+
+from __future__ import annotations
+
+import mujoco
+
+from testcluster.images import catalog
+from testcluster.paths import REPOSITORY
+
+EXAMPLE = REPOSITORY / "examples" / "navigation"
+
+
+def lines(name: str) -> list[str]:
+    return [line for line in (REPOSITORY / name).read_text().splitlines() if line and not line.startswith("#")]
+
+
+def test_the_image_has_the_versions_that_tests_have() -> None:
+    wanted = lines("examples/navigation/requirements.txt")
+    assert wanted
+    assert set(wanted) <= set(lines("constraints.txt"))
+    assert f"mujoco-core=={mujoco.__version__}" in wanted
+
+
+def test_the_image_is_built_on_the_monitor_s_and_keeps_what_takes_long() -> None:
+    image = next(image for image in catalog.images() if image.short == "navigation")
+    assert image.parent == "localhost/understudy-monitor:dev"
+    assert image.stages == ("interfaces",)
+
+
+def test_what_is_copied_is_sent_to_the_builder() -> None:
+    sent = {line[1:] for line in (EXAMPLE / ".dockerignore").read_text().splitlines() if line.startswith("!")}
+    copied = {
+        line.split()[1]
+        for line in (EXAMPLE / "Dockerfile").read_text().splitlines()
+        if line.startswith("COPY") and "--from" not in line
+    }
+    assert copied == sent
+    assert all((EXAMPLE / name).exists() for name in sent)
