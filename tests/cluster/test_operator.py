@@ -600,10 +600,26 @@ BAD = {
         ("FallbackPool", "spare", "Ready", "NoMatchingWorkload"),
         "task=critical",
     ),
-    "a readiness that is not supported yet": (
-        [custom("FallbackPool", "warm", {"readiness": "Initialized", "perWorkload": 1, "workloadSelector": {}})],
-        ("FallbackPool", "warm", "Accepted", "ReadinessNotSupported"),
-        "Executing",
+    "an initialization with a mistake": (
+        [
+            custom(
+                "FallbackPool",
+                "warm",
+                {
+                    "readiness": "Initialized",
+                    "perWorkload": 1,
+                    "workloadSelector": {},
+                    "initialization": {"yaml": {"set_lifecycle": {"node": "amcl", "state": "inactive"}}},
+                },
+            )
+        ],
+        ("FallbackPool", "warm", "Accepted", "TreeInvalid"),
+        "spec.initialization.yaml.set_lifecycle.node: found 'amcl'; did you mean '/amcl'?",
+    ),
+    "a bringUp with a mistake": (
+        [workload(bringUp={"yaml": {"call_servise": {}}}), policy("Restart")],
+        ("RobotWorkload", "w", "Accepted", "TreeInvalid"),
+        "spec.bringUp.yaml.call_servise: unknown key 'call_servise', did you mean 'call_service'?",
     ),
     "a held template without a command": (
         [workload(template=unheld()), policy("spare"), spare(templateFrom={"workload": "w"})],

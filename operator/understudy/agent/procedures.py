@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from understudy.agent.sessions import Operation, Peer, Refused
-from understudy.api.agents import ProtocolError
+from understudy.api.agents import GAVE_WAY, ProtocolError
 from understudy.api.kept import KeptState, RestoreReport
 
 if TYPE_CHECKING:
@@ -149,7 +149,7 @@ class Procedures:
                 this.cancel()
                 await asyncio.wait([this])
         if this.cancelled():
-            raise Refused(f"{name} gave way to another procedure")
+            raise Refused(f"{name} {GAVE_WAY}")
         try:
             this.result()
         except ProcedureFailed as error:

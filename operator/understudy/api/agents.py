@@ -33,6 +33,9 @@ STATUS_PERIOD = 1.0
 SILENCE = 3.0
 """Seconds without a message after which the other side is taken for gone."""
 
+GAVE_WAY = "gave way to another procedure"
+"""Said of a procedure whose place a newer one took."""
+
 Phase = Literal["Held", "Starting", "Running"]
 
 

@@ -9,6 +9,7 @@ from pydantic import Field
 
 from understudy.api.base import Model
 from understudy.api.pools import Readiness
+from understudy.api.procedures import Check, Procedure
 
 
 class PoolChoice(Model):
@@ -19,6 +20,8 @@ class PoolChoice(Model):
     template_hash: str = Field(
         default="", description="Hash of the pool's present template; pods of another are not claimed."
     )
+    initialization: Procedure | None = Field(default=None, description="What brings its standbys to its readiness.")
+    readiness_check: Check | None = Field(default=None, description="What must hold of its standbys.")
     keep_up: str | None = Field(
         default=None, description="Time between two hand-overs of the kept state to its standbys; absent for none."
     )

@@ -104,7 +104,7 @@ def _after_policy(policy: Object, store: Store, namespace: str) -> Iterator[Key]
         yield from _pool_users(owner["name"], store, namespace)
     elif owner is not None and owner["kind"] == "RobotWorkload":
         for name, pool in store.in_namespace(POOLS, namespace).items():
-            if policies.readiness(pool) == "Executing":
+            if policies.readiness(pool) in ("Initialized", "Executing"):
                 yield Key(POOLS.plural, namespace, name)
 
 

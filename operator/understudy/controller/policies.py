@@ -12,11 +12,13 @@ from understudy.api.base import seconds
 from understudy.api.conditions import Condition, condition
 from understudy.api.policies import FailurePolicySpec
 from understudy.api.pools import FallbackPoolSpec
+from understudy.api.procedures import Check, Procedure
 from understudy.cluster.client import Object
 from understudy.controller import objects
 from understudy.controller.desired import Problem
 from understudy.trees.loading import load
 from understudy.trees.problems import TreeError
+from understudy.trees.procedures import load_check, load_procedure
 
 _MOST_PROBLEMS = 10
 
@@ -43,6 +45,29 @@ def problem(policy: Object) -> Problem | None:
     grace = seconds(parsed.monitoring.startup_grace)
     if found := _tree_problem(json.dumps(parsed.monitoring.yaml), grace):
         return Problem("TreeInvalid", found)
+    recoveries = ((f"spec.strategies[{i}].recovery.yaml", s.recovery) for i, s in enumerate(parsed.strategies))
+    if found := procedures_problem(*recoveries):
+        return Problem("TreeInvalid", found)
+    return None
+
+
+def procedures_problem(*found: tuple[str, Procedure | Check | None]) -> str | None:
+    """What is wrong with procedures and checks, each with the path of its tree; None where nothing is."""
+    problems = [
+        problem
+        for path, tree in found
+        if tree is not None
+        and (problem := _procedure_problem(json.dumps(tree.yaml), path, isinstance(tree, Check))) is not None
+    ]
+    return "; ".join(problems) or None
+
+
+@functools.lru_cache(maxsize=512)
+def _procedure_problem(tree: str, path: str, is_check: bool) -> str | None:
+    try:
+        (load_check if is_check else load_procedure)(json.loads(tree), path=path)
+    except TreeError as error:
+        return _told(error)
     return None
 
 
@@ -51,10 +76,14 @@ def _tree_problem(tree: str, grace: float) -> str | None:
     try:
         load(json.loads(tree), path="spec.monitoring.yaml", grace=grace)
     except TreeError as error:
-        told = [str(found) for found in error.problems]
-        more = f"; and {len(told) - _MOST_PROBLEMS} more" if len(told) > _MOST_PROBLEMS else ""
-        return "; ".join(told[:_MOST_PROBLEMS]) + more
+        return _told(error)
     return None
+
+
+def _told(error: TreeError) -> str:
+    told = [str(found) for found in error.problems]
+    more = f"; and {len(told) - _MOST_PROBLEMS} more" if len(told) > _MOST_PROBLEMS else ""
+    return "; ".join(told[:_MOST_PROBLEMS]) + more
 
 
 def named_pools(policy: Object) -> list[str]:

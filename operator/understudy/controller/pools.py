@@ -71,16 +71,11 @@ def understand(observed: Observed, images: Images) -> Understanding:
         spec = policies.pool_spec(pool)
     except ValidationError as error:
         return Understanding(problem=Problem("SpecInvalid", policies.invalid(error)))
-    if spec.readiness == "Initialized":
-        return Understanding(
-            spec,
-            Problem(
-                "ReadinessNotSupported",
-                "spec.readiness Initialized is not supported by this version: use Executing (a standby that runs in "
-                "full) or Uninitialized (a shared one that is started at the failure)",
-            ),
-        )
-    if spec.readiness == "Executing":
+    if found := policies.procedures_problem(
+        ("spec.initialization.yaml", spec.initialization), ("spec.readinessCheck.yaml", spec.readiness_check)
+    ):
+        return Understanding(spec, Problem("TreeInvalid", found))
+    if spec.readiness != "Uninitialized":
         return Understanding(spec)
     template, path, image = spec.template, "spec.template", images
     if spec.template_from is not None:
@@ -272,7 +267,7 @@ def _ready(observed: Observed, counts: Counts, problem: Problem | None) -> Condi
             f"RobotWorkloads in namespace {pool['metadata']['namespace']}: correct it, or put its labels on the "
             f"RobotWorkload (on its own metadata, not on its template)",
         )
-    have = counts.ready + (counts.claimed if policies.readiness(pool) == "Executing" else 0)
+    have = counts.ready + (counts.claimed if policies.readiness(pool) != "Uninitialized" else 0)
     if have >= counts.desired:
         return condition("Ready", True, "Ready", f"{counts.ready} could take over now.", generation=generation)
     if problem is not None:

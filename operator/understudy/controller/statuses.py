@@ -178,8 +178,8 @@ def _means(observed: Observed, understanding: Understanding, strategy: Strategy)
             f"RobotWorkload. Put them on its metadata, or correct the selector",
         )
     match policies.readiness(pool):
-        case "Executing":
-            found = _executing(observed, label, pool)
+        case "Executing" | "Initialized":
+            found = _standing(observed, label, pool)
             return found if found.available else unfound(label) or found
         case "Uninitialized":
             return unfound(label) or _uninitialized(observed, label, pool)
@@ -222,19 +222,22 @@ def waiting(observed: Observed, pool: Object) -> list[Object]:
     """
     active = objects.active(observed.gate)[1]
     if active and observed.reference is None:
-        return [pod for pod in _instances(observed) if objects.uid(pod) != active]
+        # Where there are standbys of several readinesses, each counts for its own pool.
+        others = {name for name in workloads.standby_pools(observed) if name != objects.name(pool)}
+        found = [pod for pod in _instances(observed) if objects.uid(pod) != active]
+        return [pod for pod in found if objects.labels(pod).get(names.POOL) not in others]
     made = [pod for pod in _instances(observed) if objects.labels(pod).get(names.POOL) == objects.name(pool)]
     return [pod for pod in made if objects.uid(pod) != active]
 
 
-def _executing(observed: Observed, label: str, pool: Object) -> Means:
+def _standing(observed: Observed, label: str, pool: Object) -> Means:
     name = objects.name(pool)
     if not (pool["spec"].get("perWorkload") or 0):
         return Means(label, False, "PoolEmpty", f"FallbackPool {name} has spec.perWorkload 0")
     found = waiting(observed, pool)
     ready = [pod for pod in found if objects.ready(pod)]
     if ready:
-        return Means(label, True, message=f"pod {objects.name(ready[0])} (Executing)")
+        return Means(label, True, message=f"pod {objects.name(ready[0])} ({policies.readiness(pool)})")
     if bad := _first_trouble(found):
         return Means(label, False, bad.reason, bad.message)
     return Means(label, False, "StandbyNotReady", f"no standby of FallbackPool {name} is ready")
@@ -261,10 +264,10 @@ def standby(observed: Observed, understanding: Understanding) -> str:
         if name not in served:
             continue
         pool = served[name]
-        if policies.readiness(pool) == "Executing":
+        if policies.readiness(pool) in workloads.WAITING:
             want = pool["spec"].get("perWorkload") or 0
             have = sum(objects.ready(pod) for pod in waiting(observed, pool))
-            return f"Executing ({min(have, want)}/{want})"
+            return f"{policies.readiness(pool)} ({min(have, want)}/{want})"
         if policies.readiness(pool) == "Uninitialized":
             want = pool["spec"].get("replicas") or 0
             held = observed.unclaimed.get(name, ())

@@ -122,9 +122,13 @@ def serving(observed: Observed) -> dict[str, Object]:
     }
 
 
+WAITING = ("Initialized", "Executing")
+"""The readinesses at which a standby of a workload's own waits."""
+
+
 def standby_pools(observed: Observed) -> dict[str, Object]:
     """The pools that keep standbys of the workload's own template."""
-    return {name: pool for name, pool in serving(observed).items() if policies.readiness(pool) == "Executing"}
+    return {name: pool for name, pool in serving(observed).items() if policies.readiness(pool) in WAITING}
 
 
 def policy_problem(observed: Observed, spec: RobotWorkloadSpec) -> Problem | None:
@@ -152,6 +156,8 @@ def understand(observed: Observed, images: Images) -> Understanding:
     except ValidationError as error:
         return Understanding(problem=Problem("SpecInvalid", policies.invalid(error)))
     policy = policy_problem(observed, spec)
+    if words := policies.procedures_problem(("spec.bringUp.yaml", spec.bring_up)):
+        return Understanding(spec=spec, problem=Problem("TreeInvalid", words), policy_problem=policy)
 
     def refuse(problem: Problem) -> Understanding:
         return Understanding(spec=spec, problem=problem, policy_problem=policy)
@@ -348,7 +354,15 @@ def _choices(observed: Observed, understanding: Understanding) -> list[PoolChoic
         readiness = pool.readiness
         keep_up = pool.keep_up.period if pool.keep_up and readiness == "Initialized" else None
         allowed = pools.claimable_hash(observed.held_policies.get(name)) if readiness == "Uninitialized" else ""
-        found.append(PoolChoice(name=name, readiness=readiness, template_hash=allowed, keep_up=keep_up))
+        choice = PoolChoice(
+            name=name,
+            readiness=readiness,
+            template_hash=allowed,
+            initialization=pool.initialization,
+            readiness_check=pool.readiness_check,
+            keep_up=keep_up,
+        )
+        found.append(choice)
     return found
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from understudy.api.kept import KeptState, RestoreReport
+from understudy.mitigation.bringing import BringUp
 from understudy.mitigation.progress import Progress
 
 
@@ -46,6 +47,8 @@ class Instance:
     claim: str = ""
     template_hash: str = ""
     created: str = ""
+    restarts: int = 0
+    """How often its containers were started again: what was done to their processes is lost."""
 
     @property
     def from_source(self) -> bool:
@@ -137,11 +140,19 @@ class Agents(Protocol):
     async def ready(self, instance: Instance) -> float:
         """Wait until the health tree holds on its own outputs; when it first did, in unix seconds."""
 
+    async def bring_up(
+        self, instance: Instance, procedure: BringUp, *, within: float, state: KeptState
+    ) -> RestoreReport:
+        """Run a procedure on it, in so many seconds; ``state`` is for its leaves, and what became of that is answered.
+
+        Raises NotVerified, which says at which leaf it failed and why.
+        """
+
     async def restore(self, instance: Instance, state: KeptState, within: float) -> RestoreReport:
         """Give it the state of the last healthy instance, in so many seconds. What can't be given is in the report."""
 
     def is_ready(self, instance: Instance) -> tuple[bool, str]:
-        """Whether the health tree holds on its own outputs now, and else why not."""
+        """Whether it is what it should be now, and else why not: its health tree holds, or its readiness check does."""
 
 
 class Outputs(Protocol):

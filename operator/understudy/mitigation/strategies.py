@@ -8,15 +8,19 @@ from __future__ import annotations
 
 import asyncio
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
 from understudy.api.kept import KeptState
+from understudy.mitigation.bringing import BringUp
 from understudy.mitigation.interfaces import Agents, ClaimLost, Gate, Instance, Instances, NotAvailable, Outputs
 from understudy.mitigation.progress import PodIdentity, Progress
 
 ENFORCED_WITHIN = 1.0
 """Seconds to wait for packets to prove that the gate is open, before going by what arrives at the gated readers."""
+
+MOMENT = 0.1
+"""Seconds that a step gets at least, so that it can say what it failed by."""
 
 PROBE_SECONDS = 2.0
 """How long probes are asked for around a commit."""
@@ -59,8 +63,17 @@ class ExecutingFallback(Strategy):
 
     name = "Fallback/Executing"
 
-    def __init__(self, pool: str) -> None:
-        self.pool = pool
+    def __init__(
+        self, pool: str, *, recovery: BringUp | None = None, others: Collection[str] = (), with_source: bool = True
+    ) -> None:
+        """``others`` are the pools whose standbys wait at another readiness; those that the workload's own controller makes
+        count ``with_source``.
+        """
+        self.pool, self._recovery = pool, recovery
+        self._others, self._with_source = frozenset(others), with_source
+
+    def _is_standby(self, instance: Instance) -> bool:
+        return instance.pool not in self._others and (self._with_source or not instance.from_source)
 
     def _candidates(self, means: Means, progress: Progress | None) -> list[Instance]:
         active = means.gate.state.active_uid
@@ -72,6 +85,7 @@ class ExecutingFallback(Strategy):
             and not i.held
             and i.uid != active
             and not (progress and progress.has_failed(i.uid))
+            and self._is_standby(i)
             and means.agents.is_ready(i)[0]
         ]
 
@@ -79,7 +93,9 @@ class ExecutingFallback(Strategy):
         if self._candidates(means, progress):
             return None
         active = means.gate.state.active_uid
-        others = [i for i in means.instances.of_workload() if i.uid != active and not i.terminating]
+        others = [
+            i for i in means.instances.of_workload() if i.uid != active and not i.terminating and self._is_standby(i)
+        ]
         if not others:
             return f"pool {self.pool} has no standby for this workload"
         return "; ".join(f"{i.name}: {means.agents.is_ready(i)[1] or 'not running'}" for i in others)
@@ -90,6 +106,8 @@ class ExecutingFallback(Strategy):
             candidates = self._candidates(means, progress)
             if not candidates:
                 raise NotAvailable(self.available(means, progress) or "no standby is ready")
+            if self._recovery is not None:
+                return await self._behind_the_gate(candidates, progress, means, within)
             # The one that readers with exclusive ownership may be heeding already; else one of the pool's own first: the
             # workload's controller may be about to replace its pod.
             admitted = means.gate.state.admitted_uid
@@ -98,14 +116,49 @@ class ExecutingFallback(Strategy):
         await _wait_enforced(target, progress, means)
         return target
 
+    async def _behind_the_gate(
+        self, candidates: list[Instance], progress: Progress, means: Means, within: float
+    ) -> Instance:
+        """Close the gate, bring a standby up, open the gate for it."""
+        end = _now() + within
+        begun = progress.target.uid if progress.target is not None else ""  # by a monitor that is gone
+        target = min(candidates, key=lambda i: (i.uid != begun, i.pool != self.pool, i.created, i.name))
+        await _close(progress, means)
+        progress.target = PodIdentity(name=target.name, uid=target.uid)
+        progress.charge("cluster", means.clock())
+        means.save(progress)
+        await _bring_up(target, progress, means, self._recovery, end=end)
+        return target
+
+
+class InitializedFallback(ExecutingFallback):
+    """A standby that is up and configured: given the last state and brought to driving behind a closed gate, then routed."""
+
+    name = "Fallback/Initialized"
+
+    async def prepare(self, progress: Progress, means: Means, *, within: float) -> Instance:
+        target = _committed_target(progress, means)
+        if target is not None:
+            await _wait_enforced(target, progress, means)
+            return target
+        candidates = [*self._begun(progress, means), *self._candidates(means, progress)]
+        if not candidates:
+            raise NotAvailable(self.available(means, progress) or "no standby is ready")
+        return await self._behind_the_gate(candidates, progress, means, within)
+
+    def _begun(self, progress: Progress, means: Means) -> list[Instance]:
+        """The standby that an interrupted run of this recovery was bringing up, which isn't one any more."""
+        uid = progress.target.uid if progress.target is not None else ""
+        return [i for i in means.instances.of_workload() if i.uid == uid and i.usable and not progress.has_failed(uid)]
+
 
 class UninitializedFallback(Strategy):
     """A pod whose processes wait for a robot: claimed, started with this robot's settings behind a closed gate, routed."""
 
     name = "Fallback/Uninitialized"
 
-    def __init__(self, pool: str) -> None:
-        self.pool = pool
+    def __init__(self, pool: str, *, recovery: BringUp | None = None) -> None:
+        self.pool, self._recovery = pool, recovery
 
     def available(self, means: Means, progress: Progress | None = None) -> str | None:
         if any(not (progress and progress.has_failed(i.uid)) for i in means.instances.unclaimed(self.pool)):
@@ -117,6 +170,7 @@ class UninitializedFallback(Strategy):
         if target is not None:
             await _wait_enforced(target, progress, means)
             return target
+        end = _now() + within
         claim = f"{means.workload_uid}/{progress.id}"
         target = await self._claimed_or_claim(claim, progress, means)
         progress.moments["claimed"] = means.clock()
@@ -124,7 +178,8 @@ class UninitializedFallback(Strategy):
         progress.charge("cluster", means.clock())
         means.save(progress)
         await means.agents.start(target)
-        await _bring_up(target, progress, means, within=within)
+        await _started(target, progress, means)
+        await _bring_up(target, progress, means, self._recovery, end=end)
         return target
 
     async def _claimed_or_claim(self, claim: str, progress: Progress, means: Means) -> Instance:
@@ -153,6 +208,9 @@ class Restart(Strategy):
 
     name = "Restart"
 
+    def __init__(self, *, recovery: BringUp | None = None) -> None:
+        self._recovery = recovery
+
     def available(self, means: Means, progress: Progress | None = None) -> str | None:
         return None
 
@@ -161,13 +219,15 @@ class Restart(Strategy):
         if target is not None:
             await _wait_enforced(target, progress, means)
             return target
+        end = _now() + within
         await _close(progress, means)
         await means.instances.replace([i for i in means.instances.of_workload() if progress.has_failed(i.uid)])
         target = await means.instances.wait(lambda i: i.from_source and i.usable and not progress.has_failed(i.uid))
         progress.target = PodIdentity(name=target.name, uid=target.uid)
         progress.charge("cluster", means.clock())
         means.save(progress)
-        await _bring_up(target, progress, means, within=within)
+        await _started(target, progress, means)
+        await _bring_up(target, progress, means, self._recovery, end=end)
         return target
 
 
@@ -204,17 +264,35 @@ async def _open(target: Instance, progress: Progress, means: Means) -> None:
     progress.moments["committed"] = means.clock()
 
 
-async def _bring_up(target: Instance, progress: Progress, means: Means, *, within: float) -> None:
-    """Wait until a started instance can drive, and open the gate for it."""
+async def _started(target: Instance, progress: Progress, means: Means) -> None:
+    """Wait until a new instance's processes are up: the end of the paper's t_startup."""
     if target.has_agent:
         up = await means.agents.up(target)
         progress.moments["started"] = up
         progress.charge("startup", up)
-    await restore(target, progress, means)
+
+
+async def _bring_up(
+    target: Instance, progress: Progress, means: Means, recovery: BringUp | None, *, end: float
+) -> None:
+    """Bring an instance whose processes are up to where it can drive, and open the gate for it.
+
+    State, procedure and the wait for its outputs are the paper's t_re-initialization. ``end`` of the strategy's time is by
+    the event loop's clock.
+    """
+    if recovery is None or not recovery.restores_state or not target.has_agent:
+        await restore(target, progress, means)
+    if recovery is not None and target.has_agent:
+        within = min(recovery.within, max(MOMENT, 0.95 * (end - _now())))
+        state = kept(progress, means) if recovery.restores_state else KeptState()
+        report = await means.agents.bring_up(target, recovery, within=within, state=state)
+        if recovery.restores_state:
+            progress.note_state(report)
+            means.save(progress)
     if target.has_agent:
         try:
             # An application may need an answer of the robot before its outputs flow: half the time for the other order.
-            async with asyncio.timeout(within / 2):
+            async with asyncio.timeout(max(MOMENT, (end - _now()) / 2)):
                 ready = await means.agents.ready(target)
             progress.moments["ready"] = ready
         except TimeoutError:
@@ -222,6 +300,10 @@ async def _bring_up(target: Instance, progress: Progress, means: Means, *, withi
         progress.charge("reinitialization", ready)
     await _open(target, progress, means)
     await _wait_enforced(target, progress, means)
+
+
+def _now() -> float:
+    return asyncio.get_running_loop().time()
 
 
 async def restore(target: Instance, progress: Progress, means: Means) -> None:

@@ -5,10 +5,19 @@ from __future__ import annotations
 from understudy.api.base import seconds
 from understudy.api.policies import FailurePolicySpec
 from understudy.api.settings import WorkloadSettings
+from understudy.api.workloads import RobotWorkloadSpec
+from understudy.mitigation.bringing import BringUp
 from understudy.mitigation.failover import Choice
 from understudy.mitigation.interfaces import Instance, NotAvailable
 from understudy.mitigation.progress import Progress
-from understudy.mitigation.strategies import ExecutingFallback, Means, Restart, Strategy, UninitializedFallback
+from understudy.mitigation.strategies import (
+    ExecutingFallback,
+    InitializedFallback,
+    Means,
+    Restart,
+    Strategy,
+    UninitializedFallback,
+)
 
 
 class MissingPool(Strategy):
@@ -28,20 +37,29 @@ class MissingPool(Strategy):
         raise NotAvailable(self.available(means) or "")
 
 
-def choices(policy: FailurePolicySpec, settings: WorkloadSettings) -> list[Choice]:
+def choices(policy: FailurePolicySpec, settings: WorkloadSettings, workload: RobotWorkloadSpec | None) -> list[Choice]:
     """The policy's strategies in order, each with the time it has."""
+    bring_up = BringUp.of("bringUp", workload.bring_up if workload else None)
+    waiting = [choice.name for choice in settings.pools if choice.readiness != "Uninitialized"]
     readiness = {pool.name: pool.readiness for pool in settings.pools}
     found: list[Choice] = []
     for spec in policy.strategies:
         pool = spec.pool_ref.name if spec.pool_ref else ""
         strategy: Strategy
+        own = BringUp.of("recovery", spec.recovery)
+        # The standbys of one pool aren't another's. What the workload's controller makes waits as the first one's.
+        others = [name for name in waiting if name != pool]
         if spec.type == "Restart":
-            strategy = Restart()
+            strategy = Restart(recovery=own or bring_up)
         elif pool not in readiness:
             strategy = MissingPool(pool)
         elif readiness[pool] == "Uninitialized":
-            strategy = UninitializedFallback(pool)
+            strategy = UninitializedFallback(pool, recovery=own or bring_up)
+        elif readiness[pool] == "Initialized":
+            first = waiting[0] == pool
+            strategy = InitializedFallback(pool, recovery=own or bring_up, others=others, with_source=first)
         else:
-            strategy = ExecutingFallback(pool)
+            # It drives already: only what the policy asks for by name is done to it.
+            strategy = ExecutingFallback(pool, recovery=own, others=others, with_source=waiting[0] == pool)
         found.append(Choice(strategy, seconds(spec.verify_within)))
     return found

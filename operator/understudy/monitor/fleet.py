@@ -38,6 +38,11 @@ def instance_of(pod: Object) -> Instance:
         claim=(metadata.get("annotations") or {}).get(names.CLAIM, ""),
         template_hash=labels.get(names.TEMPLATE_HASH, ""),
         created=metadata.get("creationTimestamp", ""),
+        restarts=sum(
+            c.get("restartCount", 0)
+            for c in status.get("containerStatuses") or []
+            if c.get("name") != names.AGENT_CONTAINER
+        ),
     )
 
 

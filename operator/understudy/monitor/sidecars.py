@@ -16,7 +16,8 @@ from understudy.api.base import seconds
 from understudy.api.kept import LARGEST, KeptState, RestoreReport
 from understudy.cluster.agents import AgentGone, AgentLink, AgentRefused
 from understudy.cluster.client import SECRETS, ApiError, Client
-from understudy.mitigation.interfaces import Instance
+from understudy.mitigation.bringing import BringUp
+from understudy.mitigation.interfaces import Instance, NotVerified
 from understudy.monitor.faults import CrashPoints
 from understudy.monitor.view import View
 
@@ -43,12 +44,23 @@ class Sidecars:
         self._connecting: dict[str, asyncio.Task[AgentLink | None]] = {}
         self._tokens: dict[str, bytes] = {}
         self._configured: dict[str, object] = {}
+        self._instances: dict[str, Instance] = {}
+        self._driving: dict[str, str] = {}
         self._tasks: set[asyncio.Task[Any]] = set()
         self.on_status: Callable[[], None] = lambda: None
+        self.role: Callable[[Instance, str], tuple[Mapping[str, Any] | None, bool]] = lambda instance, brought: (
+            None,
+            False,
+        )
+        """What an instance that was brought so far must be to be ready (agent/standing.py; None where its health tree alone
+        counts), and whether procedures bring its nodes up.
+        """
 
     def follow(self, instances: Sequence[Instance]) -> None:
         """Have a connection to each instance that has an agent, and to no other."""
         wanted = {i.uid: i for i in instances if i.has_agent and i.ip and not i.held and not i.terminating}
+        self._instances = wanted
+        self._driving = {uid: to for uid, to in self._driving.items() if uid in wanted}
         for uid in [uid for uid in self._links if uid not in wanted]:
             self._configured.pop(uid, None)
             self._spawn(self._links.pop(uid).close())
@@ -86,6 +98,7 @@ class Sidecars:
         token = await self.token(instance)
         if token is None:
             return None
+        self._instances.setdefault(instance.uid, instance)
         if instance.uid not in self._links:
             self._links[instance.uid] = AgentLink(
                 instance.ip,
@@ -122,23 +135,57 @@ class Sidecars:
 
     def _configure(self, uid: str) -> None:
         """Give an agent the present policy's tree, once for each connection and each policy."""
-        link, policy, spec = self._links[uid], self._view.policy, self._view.spec
-        if not link.connected or policy is None or spec is None:
+        link = self._links[uid]
+        if not link.connected or (wanted := self._configuration(uid)) is None or self._configured.get(uid) == wanted:
             return
-        if self._configured.get(uid) == (policy.monitoring, spec.outputs):
-            return
-        self._configured[uid] = (policy.monitoring, spec.outputs)
-        outputs = [output.to_wire() for output in spec.outputs]
-        grace = seconds(policy.monitoring.startup_grace)
+        self._configured[uid] = wanted
 
         async def configure() -> None:
             try:
-                await link.configure(policy.monitoring.yaml, outputs, grace, probe=(self._address, names.PROBE_PORT))
+                await self._tell(link, wanted)
             except (AgentGone, AgentRefused) as error:
                 _logger.warning("agent of %s not configured: %s", link.pod, error)
                 self._configured.pop(uid, None)
 
         self._spawn(configure())
+
+    def _configuration(self, uid: str) -> tuple[Any, ...] | None:
+        """What an agent is told to judge its instance by; None while that isn't known."""
+        policy, spec, instance = self._view.policy, self._view.spec, self._instances.get(uid)
+        if policy is None or spec is None:
+            return None
+        standby, managed = None, False
+        if instance is not None:
+            link = self._links.get(uid)
+            status = link.status if link else None
+            standby, managed = self.role(instance, status.initialized if status else "")
+        if uid in self._driving:
+            standby = None
+        return policy.monitoring, spec.outputs, standby, managed
+
+    async def _tell(self, link: AgentLink, wanted: tuple[Any, ...]) -> None:
+        monitoring, outputs, standby, managed = wanted
+        await link.configure(
+            monitoring.yaml,
+            [output.to_wire() for output in outputs],
+            seconds(monitoring.startup_grace),
+            probe=(self._address, names.PROBE_PORT),
+            standby=standby,
+            managed=managed,
+        )
+
+    async def _drives(self, instance: Instance, link: AgentLink) -> None:
+        """Have an instance judged by its health tree alone: it is about to drive. Raises AgentGone, AgentRefused."""
+        self._instances.setdefault(instance.uid, instance)
+        self._driving[instance.uid] = instance.name
+        wanted = self._configuration(instance.uid)
+        if wanted is not None and self._configured.get(instance.uid) != wanted:
+            self._configured[instance.uid] = wanted
+            try:
+                await self._tell(link, wanted)
+            except (AgentGone, AgentRefused):
+                self._configured.pop(instance.uid, None)
+                raise
 
     async def _connected(self, instance: Instance) -> AgentLink:
         while True:
@@ -209,10 +256,52 @@ class Sidecars:
 
     async def ready(self, instance: Instance) -> float:
         """Wait until the health tree holds on its own outputs; when it first did, in unix seconds."""
-        link = await self._connected(instance)
+        while True:
+            link = await self._connected(instance)
+            try:
+                await self._drives(instance, link)
+                break
+            except (AgentGone, AgentRefused) as error:
+                _logger.warning("agent of %s not configured: %s", instance.name, error)
+                await asyncio.sleep(RETRY)
         status = await link.wait_for(lambda status: status.configured and status.ready and status.ready_at is not None)
         assert status.ready_at is not None
         return status.ready_at
+
+    async def bring_up(
+        self, instance: Instance, procedure: BringUp, *, within: float, state: KeptState
+    ) -> RestoreReport:
+        """Run a procedure on an instance that is about to drive, in so many seconds. Raises NotVerified."""
+        self._crash_points.step("before bring up")
+        self._driving[instance.uid] = instance.name
+        brought = f"up:{procedure.digest}:{instance.restarts}"
+        report = await self.run(instance, procedure, within=within, state=state, brought=brought)
+        self._crash_points.step("after bring up")
+        return report
+
+    async def run(
+        self, instance: Instance, procedure: BringUp, *, within: float, state: KeptState, brought: str
+    ) -> RestoreReport:
+        """Run a procedure on an instance, in so many seconds; its success is remembered by ``brought``.
+
+        Raises NotVerified, which says why not.
+        """
+        loop = asyncio.get_running_loop()
+        end, problem = loop.time() + within, "its agent isn't connected"
+        wire = await asyncio.to_thread(state.to_wire) if state else None
+        while (rest := end - loop.time()) > 0:
+            try:
+                async with asyncio.timeout(rest):
+                    link = await self._connected(instance)
+                rest = max(0.1, end - loop.time())
+                answer = await link.procedure(procedure.tree, rest, name=procedure.name, state=wire, brought=brought)
+                return RestoreReport.from_wire(answer)
+            except (AgentRefused, ProtocolError) as error:
+                raise NotVerified(str(error)) from error
+            except (AgentGone, TimeoutError) as error:
+                problem = str(error) or problem
+                await asyncio.sleep(RETRY)
+        raise NotVerified(f"{procedure.name} of {instance.name}: not done within {within:.3g} s: {problem}")
 
     async def restore(self, instance: Instance, state: KeptState, within: float) -> RestoreReport:
         """Give it the state of the last healthy instance, in so many seconds. What can't be given is in the report."""

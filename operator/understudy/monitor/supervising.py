@@ -9,8 +9,9 @@ import asyncio
 import contextlib
 import logging
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import aiohttp
 
@@ -27,6 +28,7 @@ from understudy.mitigation.journal import Journal
 from understudy.mitigation.progress import PodIdentity, Progress
 from understudy.mitigation.strategies import Means
 from understudy.monitor import enforcement, metrics
+from understudy.monitor.bringing import Bringing, expected, managed
 from understudy.monitor.choosing import choices
 from understudy.monitor.faults import CrashPoints
 from understudy.monitor.fleet import Fleet
@@ -121,6 +123,8 @@ class Supervisor:
         self._cooldown_told = False
         self._trusted_from = 0.0
         self._labelling: asyncio.Task[None] | None = None
+        self._bringing = Bringing(parts.fleet, parts.sidecars, parts.reporter)
+        parts.sidecars.role = self._role
         self._reflexes = Reflexes(
             parts.view, parts.fleet, parts.gate, parts.sidecars, parts.sight, parts.probes, parts.reporter
         )
@@ -317,12 +321,17 @@ class Supervisor:
         if policy is None or settings is None:
             return
         means = self._means()
-        reasons = [(c.strategy, c.strategy.available(means)) for c in choices(policy, settings)]
+        reasons = [(c.strategy, c.strategy.available(means)) for c in choices(policy, settings, self._view.spec)]
         usable = next((s.name.split("/")[-1] for s, reason in reasons if reason is None), "None")
         item = self._view.object
         self._reporter.generation = item["metadata"].get("generation") if item else None
         self._reporter.set(strategy=usable)
         self._say_watched()
+        if (spec := self._view.spec) is not None:
+            active = self._gate.state.active_uid
+            self._bringing.housekeeping(
+                instances, policy, spec, settings, active, lambda: self._keeping.select(time.time())
+            )
         self._keeping.housekeeping(self._fleet.find(self._gate.state.active_uid), self._kept_up(instances, settings))
         active_uid = self._gate.state.active_uid
         last = {i.uid: found for i in instances if (found := self._parts.probes.last(i.uid)) is not None}
@@ -341,6 +350,14 @@ class Supervisor:
             and judged[0] == "False"
         ):
             self._reporter.event("Warning", f"Gate{judged[1]}", judged[2])
+
+    def _role(self, instance: Instance, brought: str) -> tuple[Mapping[str, Any] | None, bool]:
+        """What an instance must be to be ready while it waits, and whether procedures bring its nodes up."""
+        policy, spec, settings = self._view.policy, self._view.spec, self._view.settings
+        if policy is None or spec is None or settings is None:
+            return None, False
+        found = expected(instance, spec, settings, active_uid=self._gate.state.active_uid, brought=brought)
+        return found.standby, managed(spec, settings, policy)
 
     def _kept_up(self, instances: Sequence[Instance], settings: WorkloadSettings) -> list[tuple[Instance, float]]:
         """The standbys that are given state while they wait, each with its period in seconds."""
@@ -415,7 +432,7 @@ class Supervisor:
         self._reporter.set(health="Recovering")
         self._reporter.condition("Recovering", "True", "FailureDetected", progress.reason)
         try:
-            done = await self._recovered(progress, choices(policy, settings))
+            done = await self._recovered(progress, choices(policy, settings, self._view.spec))
         except Superseded as reason:
             _logger.warning("recovery %s given up: %s", progress.id, reason)
             self._reporter.condition("Recovering", "False", "Superseded", str(reason))

@@ -8,7 +8,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 from understudy.api.kept import KeptState, Restored, RestoreReport
-from understudy.mitigation.interfaces import ClaimLost, GateState, Instance, Superseded
+from understudy.mitigation.bringing import BringUp
+from understudy.mitigation.interfaces import ClaimLost, GateState, Instance, NotVerified, Superseded
 from understudy.mitigation.progress import Progress
 from understudy.mitigation.strategies import Means
 
@@ -33,6 +34,10 @@ class Store:
     started: set[str] = field(default_factory=set)
     deleted: list[str] = field(default_factory=list)
     gave_way: list[str] = field(default_factory=list)
+    brought_up: list[tuple[str, str]] = field(default_factory=list)
+    """Which pods were brought up by which procedure."""
+    unwilling: set[str] = field(default_factory=set)
+    """Pods (by name) whose procedures fail."""
     others_claim: set[str] = field(default_factory=set)
     counter: itertools.count[int] = field(default_factory=lambda: itertools.count(1))
     source_makes_broken: bool = False
@@ -198,6 +203,18 @@ class _Agents(_Part):
         self.world.effect()
         items = (*state.restored_samples, *state.parameters, *state.lifecycle)
         return RestoreReport(tuple(Restored(item.name, item.taken_at) for item in items), state.left_out)
+
+    async def bring_up(
+        self, instance: Instance, procedure: BringUp, *, within: float, state: KeptState
+    ) -> RestoreReport:
+        self.world.effect()
+        assert self.store.gate.closed, "an instance was brought up while the gate was open"
+        self.store.brought_up.append((instance.name, procedure.name))
+        await asyncio.sleep(PERIOD)
+        if instance.name in self.store.unwilling:
+            raise NotVerified(f"agent {instance.name}: procedure: {procedure.name}.set_lifecycle: node /amcl is gone")
+        self.world.effect()
+        return state.not_given("not tried") if state else RestoreReport()
 
     def is_ready(self, instance: Instance) -> tuple[bool, str]:
         return instance.ready, "" if instance.ready else "no /cmd_vel for 500 ms"

@@ -1,0 +1,293 @@
+"""Which instance is brought where, when a standby counts as ready, and when it is replaced."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from understudy.api.agents import AgentStatus
+from understudy.api.kept import KeptState, RestoreReport
+from understudy.api.policies import FailurePolicySpec
+from understudy.api.procedures import Check, Procedure
+from understudy.api.settings import PoolChoice, WorkloadSettings
+from understudy.api.workloads import RobotWorkloadSpec
+from understudy.mitigation.interfaces import Instance, NotVerified
+from understudy.mitigation.strategies import ExecutingFallback, InitializedFallback, Restart
+from understudy.monitor import bringing
+from understudy.monitor.bringing import Bringing, expected, managed
+from understudy.monitor.choosing import choices
+
+UP = {"yaml": {"set_lifecycle": {"node": "/nav", "state": "active"}}}
+INIT = Procedure(yaml={"set_lifecycle": {"node": "/nav", "state": "inactive"}}, within="7s")
+CHECK = Check(yaml={"lifecycle_is": {"node": "/nav", "state": "inactive"}}, period="2s")
+ACTIVE = Instance("w-1", "uid-1", running=True)
+SOURCE = Instance("w-2", "uid-2", running=True, ready=True)
+STANDBY = Instance("w-3", "uid-3", pool="warm", running=True, ready=True)
+
+
+def workload(**more: Any) -> RobotWorkloadSpec:
+    return RobotWorkloadSpec.model_validate(
+        {
+            "template": {"spec": {}},
+            "outputs": [{"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist"}],
+            "failurePolicyRef": {"name": "p"},
+            **more,
+        }
+    )
+
+
+def settings(*pools: PoolChoice) -> WorkloadSettings:
+    return WorkloadSettings(
+        workload="w", namespace="n", uid="u", source_kind="ReplicaSet", source_name="w", pools=list(pools)
+    )
+
+
+def policy(*strategies: dict[str, Any]) -> FailurePolicySpec:
+    return FailurePolicySpec.model_validate(
+        {
+            "monitoring": {"yaml": {"topic": {"name": "/cmd_vel", "gap": "500ms"}}},
+            "strategies": list(strategies) or [{"type": "Restart"}],
+        }
+    )
+
+
+WARM = PoolChoice(name="warm", readiness="Initialized", initialization=INIT, readiness_check=CHECK)
+HOT = PoolChoice(name="hot", readiness="Executing")
+
+
+def test_without_procedures_the_health_tree_alone_counts() -> None:
+    for instance in (ACTIVE, SOURCE, replace(STANDBY, pool="hot")):
+        assert expected(instance, workload(), settings(HOT), active_uid="uid-1") == bringing.Expected()
+
+
+def test_a_standby_of_an_initialized_pool_is_initialized_and_checked() -> None:
+    found = expected(STANDBY, workload(bringUp=UP), settings(WARM), active_uid="uid-1")
+    assert found.procedure is not None
+    assert (found.procedure.name, found.procedure.within) == ("initialization", 7.0)
+    assert found.brought.startswith("init:")
+    assert found.standby == {"brought": found.brought, "tree": False, "check": CHECK.yaml, "period": 2.0}
+
+
+def test_a_container_that_was_started_again_is_to_be_initialized_again() -> None:
+    first, again = (
+        expected(replace(STANDBY, restarts=restarts), workload(), settings(WARM), active_uid="uid-1").brought
+        for restarts in (0, 1)
+    )
+    assert first != again
+
+
+def test_what_the_controller_makes_beside_the_one_in_control_waits_as_the_first_pools() -> None:
+    pools = settings(PoolChoice(name="spare", readiness="Uninitialized"), WARM, HOT)
+    assert expected(SOURCE, workload(bringUp=UP), pools, active_uid="uid-1").procedure.name == "initialization"
+
+
+def test_the_first_instance_is_brought_up_before_it_is_ready() -> None:
+    for pools in (settings(), settings(WARM)):
+        found = expected(SOURCE, workload(bringUp=UP), pools, active_uid="")
+        assert found.procedure is not None
+        assert found.procedure.name == "bringUp"
+        assert found.brought.startswith("up:")
+        assert found.standby == {"brought": found.brought}
+
+
+def test_an_executing_standby_is_initialized_by_the_bring_up_and_judged_by_its_health_tree() -> None:
+    standby = replace(STANDBY, pool="hot")
+    found = expected(standby, workload(bringUp=UP), settings(HOT), active_uid="uid-1")
+    assert found.procedure is not None
+    assert found.procedure.name == "bringUp"
+    assert found.standby == {"brought": found.brought, "tree": True}
+
+
+def test_the_one_in_control_is_brought_up_where_that_was_not_done() -> None:
+    spec = workload(bringUp=UP)
+    assert expected(ACTIVE, spec, settings(WARM), active_uid="uid-1").procedure is not None
+    assert expected(ACTIVE, spec, settings(WARM), active_uid="uid-1", brought="up:x:0").procedure is None
+    took_over = replace(STANDBY, uid="uid-1")
+    assert expected(took_over, spec, settings(WARM), active_uid="uid-1", brought="init:x:0").procedure is not None
+    executing = replace(took_over, pool="hot")
+    assert expected(executing, spec, settings(HOT), active_uid="uid-1", brought="init:x:0").procedure is None
+    assert expected(ACTIVE, spec, settings(WARM), active_uid="uid-1").standby is None
+
+
+def test_a_claimed_pod_is_left_to_the_strategy_that_claimed_it() -> None:
+    claimed = Instance("s-1", "uid-4", pool="spare", claim="u/1", running=True)
+    pools = settings(PoolChoice(name="spare", readiness="Uninitialized"))
+    assert expected(claimed, workload(bringUp=UP), pools, active_uid="") == bringing.Expected()
+
+
+def test_procedures_make_a_workload_managed() -> None:
+    assert not managed(workload(), settings(HOT), policy())
+    assert managed(workload(bringUp=UP), settings(), policy())
+    assert managed(workload(), settings(WARM), policy())
+    assert managed(workload(), settings(), policy({"type": "Restart", "recovery": UP}))
+
+
+def test_strategies_bring_up_what_is_not_driving_yet() -> None:
+    fallback = {"type": "Fallback", "poolRef": {"name": "warm"}}
+    hot = {"type": "Fallback", "poolRef": {"name": "hot"}}
+    restart = {"type": "Restart", "recovery": {"yaml": {"resend_goals": {}}}}
+    found = choices(policy(fallback, hot, restart), settings(WARM, HOT), workload(bringUp=UP))
+    warm, executing, again = (choice.strategy for choice in found)
+    assert isinstance(warm, InitializedFallback)
+    assert warm._recovery.name == "bringUp"
+    assert type(executing) is ExecutingFallback
+    assert executing._recovery is None, "it drives already"
+    assert not executing._with_source, "what the controller makes waits in the first pool"
+    assert isinstance(again, Restart)
+    assert again._recovery.name == "recovery", "instead of the workload's bringUp"
+
+
+class Sidecars:
+    """Agents that do as they are told."""
+
+    def __init__(self) -> None:
+        self.ran: list[tuple[str, str]] = []
+        self.brought: dict[str, str] = {}
+        self.fails = ""
+        self.ready = {"uid-3": True}
+
+    def status(self, instance: Instance) -> AgentStatus:
+        return AgentStatus("Running", configured=True, initialized=self.brought.get(instance.uid, ""))
+
+    def is_ready(self, instance: Instance) -> tuple[bool, str]:
+        ready = self.ready.get(instance.uid, False)
+        return ready, "" if ready else "node /nav is gone"
+
+    async def run(self, instance: Instance, procedure: Any, *, brought: str, **more: Any) -> RestoreReport:
+        self.ran.append((instance.name, procedure.name))
+        if self.fails:
+            raise NotVerified(self.fails)
+        self.brought[instance.uid] = brought
+        return RestoreReport()
+
+
+class Reporter:
+    def __init__(self) -> None:
+        self.health = "Healthy"
+        self.events: list[tuple[str, str]] = []
+        self.conditions: dict[str, tuple[str, ...]] = {}
+
+    def event(self, kind: str, reason: str, message: str) -> None:
+        self.events.append((reason, message))
+
+    def condition(self, type_: str, *said: str) -> bool:
+        changed = self.conditions.get(type_) != said
+        self.conditions[type_] = said
+        return changed
+
+
+class Fleet:
+    def __init__(self) -> None:
+        self.retired: list[str] = []
+
+    async def retire(self, instance: Instance) -> None:
+        self.retired.append(instance.name)
+
+
+@pytest.fixture
+def world(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
+    found = SimpleNamespace(fleet=Fleet(), sidecars=Sidecars(), reporter=Reporter(), clock=1000.0)
+    found.bringing = Bringing(found.fleet, found.sidecars, found.reporter)  # type: ignore[arg-type]
+    monkeypatch.setattr(bringing, "time", SimpleNamespace(monotonic=lambda: found.clock))
+    found.sidecars.brought["uid-1"] = "up:x:0"
+
+    async def look(*instances: Instance, **more: Any) -> None:
+        found.bringing.housekeeping(
+            instances or (ACTIVE, STANDBY),
+            policy(),
+            more.get("spec", workload(bringUp=UP)),
+            settings(WARM),
+            more.get("active", "uid-1"),
+            KeptState,
+        )
+        for _ in range(5):
+            await asyncio.sleep(0)
+
+    found.look = look
+    return found
+
+
+async def test_each_instance_is_brought_there_once(world: SimpleNamespace) -> None:
+    await world.look()
+    assert world.reporter.conditions["BroughtUp"][:2] == ("Unknown", "UnderWay")
+    await world.look()
+    assert world.sidecars.ran == [("w-3", "initialization")]
+    assert world.reporter.conditions["BroughtUp"][:2] == ("True", "BroughtUp")
+
+
+async def test_a_failure_is_told_once_and_tried_again_later(world: SimpleNamespace) -> None:
+    world.sidecars.fails = "initialization.set_lifecycle: node /nav did not configure"
+    await world.look()
+    await world.look()
+    assert world.reporter.conditions["BroughtUp"] == (
+        "False",
+        "ProcedureFailed",
+        "w-3: initialization.set_lifecycle: node /nav did not configure",
+    )
+    assert len(world.sidecars.ran) == 1
+    world.clock += bringing.RETRY_FIRST
+    await world.look()
+    assert len(world.sidecars.ran) == 2
+    assert [reason for reason, _ in world.reporter.events] == ["NotBroughtUp"]
+
+
+async def test_a_standby_that_lost_its_readiness_for_long_is_replaced_and_reported(world: SimpleNamespace) -> None:
+    await world.look()
+    world.sidecars.ready["uid-3"] = False
+    await world.look()
+    world.clock += bringing.LOST_FOR - 0.1
+    await world.look()
+    assert world.fleet.retired == []
+    world.clock += 0.2
+    await world.look()
+    await world.look()
+    assert world.fleet.retired == ["w-3"]
+    assert world.reporter.events[-1][0] == "StandbyReplaced"
+    assert "node /nav is gone" in world.reporter.events[-1][1]
+
+
+async def test_a_standby_that_comes_back_stays(world: SimpleNamespace) -> None:
+    await world.look()
+    world.sidecars.ready["uid-3"] = False
+    await world.look()
+    world.sidecars.ready["uid-3"] = True
+    world.clock += bringing.LOST_FOR
+    await world.look()
+    world.sidecars.ready["uid-3"] = False
+    await world.look()
+    assert world.fleet.retired == []
+
+
+async def test_standbys_stay_while_the_one_in_control_is_not_healthy_either(world: SimpleNamespace) -> None:
+    """The reason may be the robot, whose sensors are silent for all of them."""
+    await world.look()
+    world.sidecars.ready["uid-3"] = False
+    world.reporter.health = "Failed"
+    for _ in range(3):
+        await world.look()
+        world.clock += bringing.LOST_FOR
+    assert world.fleet.retired == []
+
+
+async def test_a_standby_that_was_never_ready_is_not_replaced_for_that(world: SimpleNamespace) -> None:
+    world.sidecars.ready["uid-3"] = False
+    for _ in range(3):
+        await world.look()
+        world.clock += bringing.LOST_FOR
+    assert world.fleet.retired == []
+
+
+async def test_pods_without_an_agent_are_named(world: SimpleNamespace) -> None:
+    await world.look(replace(ACTIVE, has_agent=False))
+    status, reason, message = world.reporter.conditions["BroughtUp"]
+    assert (status, reason) == ("False", "NoAgent")
+    assert message.startswith("w-1 has no agent")
+
+
+async def test_nothing_is_said_where_nothing_is_to_be_done(world: SimpleNamespace) -> None:
+    world.bringing.housekeeping((ACTIVE,), policy(), workload(), settings(HOT), "uid-1", KeptState)
+    assert world.reporter.conditions == {}
