@@ -113,6 +113,13 @@ class _OwnOutputs:
             return self._watching.topic(name)
         return self._watching.records(name).get(self._host)
 
+    def task(self, name: str) -> float | None:
+        """Only this instance's own goals make it work."""
+        from understudy.ros.sources import HOST
+
+        times = [since for gid, since in self._watching.active(name).items() if gid[HOST] == self._host]
+        return min(times, default=None)
+
     def counts(self) -> dict[str, OutputCount]:
         """The outputs that are watched."""
         found: dict[str, OutputCount] = {}
