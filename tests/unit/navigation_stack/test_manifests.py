@@ -1,0 +1,171 @@
+"""The navigation example's manifests agree with each other, with the API's models, the trees and the example's world."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from navigation_stack.names import NODES
+from navigation_world import generate
+
+from understudy.api import names
+from understudy.api.policies import FailurePolicySpec
+from understudy.api.pools import FallbackPoolSpec
+from understudy.api.workloads import RobotWorkloadSpec
+from understudy.trees.loading import load as load_health
+from understudy.trees.procedures import load_check, load_procedure
+
+EXAMPLE = Path(__file__).parents[3] / "examples" / "navigation"
+FILES = sorted([*(EXAMPLE / "manifests").rglob("*.yaml"), *(EXAMPLE / "nav2").rglob("*.yaml")])
+MODELS = {"RobotWorkload": RobotWorkloadSpec, "FailurePolicy": FailurePolicySpec, "FallbackPool": FallbackPoolSpec}
+STRATEGIES = ["executing", "localization-running", "pod-started", "restart", "stack-started"]
+
+
+def load(file: Path) -> list[dict[str, Any]]:
+    return list(yaml.safe_load_all(file.read_text()))
+
+
+ALL = [(file, manifest) for file in FILES for manifest in load(file)]
+
+
+def of_kind(kind: str, folder: str = "") -> list[dict[str, Any]]:
+    return [m for file, m in ALL if m["kind"] == kind and (not folder or folder in file.parts)]
+
+
+def procedures(manifest: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+    spec = manifest["spec"]
+    for name in ("bringUp", "initialization"):
+        if name in spec:
+            yield f"spec.{name}.yaml", spec[name]["yaml"]
+    for number, strategy in enumerate(spec.get("strategies", [])):
+        if "recovery" in strategy:
+            yield f"spec.strategies[{number}].recovery.yaml", strategy["recovery"]["yaml"]
+
+
+def leaves(tree: Any, kind: str) -> Iterator[Any]:
+    if isinstance(tree, dict):
+        for key, value in tree.items():
+            if key == kind:
+                yield value
+            yield from leaves(value, kind)
+    elif isinstance(tree, list):
+        for value in tree:
+            yield from leaves(value, kind)
+
+
+def covers(read: Any, written: Any) -> bool:
+    if isinstance(written, dict):
+        return isinstance(read, dict) and all(k in read and covers(read[k], v) for k, v in written.items())
+    if isinstance(written, list):
+        return isinstance(read, list) and len(read) == len(written) and all(map(covers, read, written))
+    return bool(read == written)
+
+
+def test_every_file_is_known_here() -> None:
+    assert [str(f.relative_to(EXAMPLE)) for f in FILES] == [
+        "manifests/client.yaml",
+        "manifests/robot.yaml",
+        *(f"manifests/strategies/{name}.yaml" for name in STRATEGIES),
+        "manifests/workload.yaml",
+        "nav2/executing.yaml",
+        "nav2/restart.yaml",
+        "nav2/workload.yaml",
+    ]
+
+
+@pytest.mark.parametrize("manifest", [m for kind in MODELS for m in of_kind(kind)], ids=lambda m: m["metadata"]["name"])
+def test_specs_are_what_the_models_say(manifest: dict[str, Any]) -> None:
+    spec = MODELS[manifest["kind"]].model_validate(manifest["spec"]).to_wire()
+    # The models ignore unknown fields; whatever was written must come back.
+    assert covers(spec, manifest["spec"])
+    assert "namespace" not in manifest["metadata"]
+
+
+@pytest.mark.parametrize("manifest", [m for kind in MODELS for m in of_kind(kind)], ids=lambda m: m["metadata"]["name"])
+def test_trees_can_be_followed(manifest: dict[str, Any]) -> None:
+    for path, tree in procedures(manifest):
+        load_procedure(tree, path=path)
+    if "monitoring" in manifest["spec"]:
+        load_health(manifest["spec"]["monitoring"]["yaml"], path="spec.monitoring.yaml")
+    if "readinessCheck" in manifest["spec"]:
+        load_check(manifest["spec"]["readinessCheck"]["yaml"], path="spec.readinessCheck.yaml")
+
+
+@pytest.mark.parametrize("folder", ["manifests", "nav2"])
+def test_references_lead_somewhere(folder: str) -> None:
+    policies = {m["metadata"]["name"]: m["spec"] for m in of_kind("FailurePolicy", folder)}
+    pools = {m["metadata"]["name"]: m["spec"] for m in of_kind("FallbackPool", folder)}
+    (workload,) = of_kind("RobotWorkload", folder)
+    assert workload["spec"]["failurePolicyRef"]["name"] in policies
+    assert {s["poolRef"]["name"] for p in policies.values() for s in p["strategies"] if "poolRef" in s} == set(pools)
+    for pool in pools.values():
+        assert pool["workloadSelector"]["matchLabels"].items() <= workload["metadata"]["labels"].items()
+        if "templateFrom" in pool:
+            assert pool["templateFrom"]["workload"] == workload["metadata"]["name"]
+
+
+def test_every_policy_means_the_same_by_healthy_and_keeps_the_same() -> None:
+    first, *others = of_kind("FailurePolicy", "manifests")
+    for other in others:
+        assert other["spec"]["monitoring"] == first["spec"]["monitoring"]
+        assert other["spec"]["state"] == first["spec"]["state"]
+
+
+def test_the_robot_is_said_to_be_where_it_is() -> None:
+    (workload,) = of_kind("RobotWorkload", "manifests")
+    start = generate(7).start
+    (said,) = leaves(workload["spec"]["bringUp"], "publish")
+    pose = said["message"]["pose"]["pose"]
+    assert (pose["position"]["x"], pose["position"]["y"]) == pytest.approx((start.x, start.y))
+    assert 2 * math.atan2(pose["orientation"]["z"], pose["orientation"]["w"]) == pytest.approx(start.heading, abs=1e-4)
+    seeds = {e["value"] for _, m in ALL for c in leaves(m, "env") for e in c if e["name"] == "NAVIGATION_SEED"}
+    assert seeds == {"7"}
+
+
+def test_only_the_first_instance_is_told_where_the_robot_was_at_first() -> None:
+    for _, manifest in ALL:
+        for path, tree in procedures(manifest):
+            assert bool(list(leaves(tree, "publish"))) == (path == "spec.bringUp.yaml")
+            if path != "spec.bringUp.yaml" and "stack-started" not in manifest["metadata"]["name"]:
+                assert list(leaves(tree, "restore_state"))
+
+
+def test_managed_nodes_are_nodes_of_the_stack() -> None:
+    for kind in MODELS:
+        for manifest in of_kind(kind, "manifests"):
+            for leaf in ("set_lifecycle", "lifecycle_is"):
+                assert {f["node"] for f in leaves(manifest["spec"], leaf)} <= {f"/{node}" for node in NODES}
+
+
+@pytest.mark.parametrize("file", ["robot.yaml", "client.yaml"])
+def test_configuration_comes_from_what_the_operator_writes(file: str) -> None:
+    (workload,) = {m["metadata"]["name"] for m in of_kind("RobotWorkload", "manifests")}
+    written = {names.robot_env(workload), names.robot_profiles(workload)}
+    text = "\n".join(line.split("#")[0] for line in (EXAMPLE / "manifests" / file).read_text().splitlines())
+    used = {word.strip("{},") for word in text.split() if word.startswith(f"{workload}-")}
+    assert used
+    assert used <= written
+
+
+def test_commands_name_modules_that_are_in_the_image() -> None:
+    for kind in ("Deployment", "RobotWorkload", "Job"):
+        for manifest in of_kind(kind, "manifests"):
+            (container,) = manifest["spec"]["template"]["spec"]["containers"]
+            assert container["command"][:2] == ["python3", "-m"]
+            assert (EXAMPLE / "src" / container["command"][2] / "__main__.py").is_file()
+            assert container["imagePullPolicy"] == "IfNotPresent"
+
+
+def test_real_nav2_differs_in_its_image_and_its_nodes() -> None:
+    (ours,), (nav2,) = of_kind("RobotWorkload", "manifests"), of_kind("RobotWorkload", "nav2")
+    assert nav2["metadata"] == ours["metadata"]
+    for field in ("outputs", "tasks", "monitor"):
+        assert nav2["spec"][field] == ours["spec"][field]
+    told = [{f["node"] for f in leaves(w["spec"]["bringUp"], "set_lifecycle")} for w in (ours, nav2)]
+    assert told[0] < told[1]
+    kept = [p["spec"]["state"]["keep"] for p in of_kind("FailurePolicy")]
+    assert all([{**topic, "maxAge": ""} for topic in k] == [{**topic, "maxAge": ""} for topic in kept[0]] for k in kept)
