@@ -2,11 +2,13 @@
 
     scripts/bench monitor [--seconds 20] [--rounds 3] [--failures 50]
 
-One process publishes 5 topics at 50 Hz. Two others watch them at the same time, with the same health tree: no topic
+One process publishes 5 topics at 50 Hz. Others watch them at the same time, with the same health tree: no topic
 silent for 500 ms, none below 10 Hz over 2 s.
 
 - ours: the monitor's own view of the robot (understudy.monitor.sight) in the monitor's process with all that it
   imports, woken at its ticks and deadlines; two of the topics are gated, so they have ports of their own.
+- keeping: the same, which also keeps the state of two of the topics, persists it and tells of it
+  (understudy.monitor.keeping, without an API server).
 - callbacks: an rclpy node with a callback per message and a timer of 50 ms that looks at the times, as one writes it.
 
 Cost is CPU time over all threads by the kernel's account, and resident memory. Lateness is how long after the
@@ -28,13 +30,14 @@ import sys
 import tempfile
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from results import Report
 
 TOPICS = [f"/bench/t{i}" for i in range(5)]
 GATED = TOPICS[:2]
+KEPT = TOPICS[3:]
 TYPE = "std_msgs/msg/String"
 HERTZ = 50.0
 SIZE = 200
@@ -42,7 +45,7 @@ GAP = 0.5
 LEAST_RATE, WINDOW = 10.0, 2.0  # low enough that a frozen publisher is noticed by the gap first
 DOMAIN = "97"
 
-PROCESSES: dict[str, dict[str, str]] = {"publishers": {}, "ours": {}, "callbacks": {}}
+PROCESSES: dict[str, dict[str, str]] = {"publishers": {}, "ours": {}, "keeping": {}, "callbacks": {}}
 """The processes of a run, with what each has in its environment beside what all share."""
 
 
@@ -62,6 +65,7 @@ def main() -> None:
         _cost(report, options.rounds, options.seconds)
         _lateness(report, options.failures)
     report.note("load", f"{len(TOPICS)} topics x {HERTZ:g} Hz, {SIZE} bytes, {len(GATED)} of them gated, UDPv4 only")
+    report.note("state", f"{len(KEPT)} of the topics kept, at most every 200 ms, persisted every second")
     report.note("tree", f"gap {GAP * 1000:g} ms and rate > {LEAST_RATE:g} Hz over {WINDOW:g} s on each topic")
     print(report.table())
     print(report.write())
@@ -179,11 +183,12 @@ def _cost(report: Report, rounds: int, length: float) -> None:
     units = {"CPU": "milli-CPU", "memory": "MB", "received": "messages/s"}
     for name, must in bounds.items():
         report.figure(name, found[name, "ours"], unit=units[name], must=must)
+        report.figure(f"{name}, state kept", found[name, "keeping"], unit=units[name], must=must)
         report.baseline(name, found[name, "callbacks"], unit=units[name], of="rclpy callbacks, same run")
 
 
 def _lateness(report: Report, failures: int) -> None:
-    late: dict[str, list[float]] = {"ours": [], "callbacks": []}
+    late: dict[str, list[float]] = {"ours": [], "keeping": [], "callbacks": []}
     chance = random.Random(1)
     with _watched() as (publishers, watchers):
         for number in range(failures):
@@ -196,6 +201,7 @@ def _lateness(report: Report, failures: int) -> None:
             if (number + 1) % 10 == 0:
                 print(f"failure {number + 1}/{failures}", flush=True)
     report.figure("noticed past the timeout", late["ours"], unit="ms", must={"p95": 15.0})
+    report.figure("noticed past the timeout, state kept", late["keeping"], unit="ms", must={"p95": 15.0})
     report.baseline("noticed past the timeout", late["callbacks"], unit="ms", of="rclpy callbacks, same run")
 
 
@@ -223,13 +229,19 @@ def _publish() -> None:
         time.sleep(max(0.0, wait))
 
 
-def _ours() -> None:
+def _keeping() -> None:
+    _ours(KEPT)
+
+
+def _ours(kept: Sequence[str] = ()) -> None:
     import understudy.monitor.running  # noqa: F401  (what the monitor's process has in memory)
     from understudy.api.policies import FailurePolicySpec
     from understudy.api.workloads import RobotWorkloadSpec
     from understudy.mitigation.interfaces import Instance
+    from understudy.mitigation.shelf import Shelf
+    from understudy.monitor.keeping import StateKeeping
     from understudy.monitor.sight import Sight
-    from understudy.monitor.supervising import TICK, WAKE_LATE
+    from understudy.monitor.supervising import SLOW, TICK, WAKE_LATE
 
     rate, window = f"> {LEAST_RATE:g} Hz", f"{WINDOW:g}s"
     leaves = [
@@ -237,12 +249,18 @@ def _ours() -> None:
         for topic in TOPICS
     ]
     policy = FailurePolicySpec.model_validate(
-        {"monitoring": {"yaml": {"parallel": leaves}}, "strategies": [{"type": "Restart"}]}
+        {
+            "monitoring": {"yaml": {"parallel": leaves}},
+            "strategies": [{"type": "Restart"}],
+            "state": {"keep": [{"topic": topic} for topic in kept]},
+        }
     )
     outputs = [{"topic": topic, "type": TYPE} for topic in GATED]
     spec = RobotWorkloadSpec.model_validate({"template": {}, "outputs": outputs, "failurePolicyRef": {"name": "bench"}})
     instances = [Instance("active", "1", ip="192.0.2.10"), Instance("standby", "2", ip="192.0.2.11")]
     sight = Sight()
+    folder = tempfile.TemporaryDirectory()
+    keeping = StateKeeping(sight.graph, Shelf(Path(folder.name)), _Nobody(), _Nobody())
     print("ready", flush=True)
 
     def count() -> None:
@@ -251,12 +269,17 @@ def _ours() -> None:
 
     async def watch() -> None:
         asyncio.get_running_loop().add_signal_handler(signal.SIGUSR1, count)
-        since, failed = time.time(), False
+        since, failed, slow = time.time(), False, 0.0
         while True:
             now = time.time()
             sight.follow(policy, spec)
             sight.drain(instances, "active")
+            keeping.take(policy.state, sight.addresses, "active")
             verdict = sight.verdict(now=now, since=since)
+            keeping.judge(verdict.state, now)
+            if now >= slow:
+                slow = now + SLOW
+                keeping.housekeeping(instances[0], [])
             detected = time.time()
             if verdict.state == "Failed" and not failed:
                 print(json.dumps({"detected": detected, "last": verdict.onset}), flush=True)
@@ -266,6 +289,16 @@ def _ours() -> None:
             await asyncio.sleep(max(0.0, wake - time.time()))
 
     asyncio.run(watch())
+
+
+class _Nobody:
+    """Whom there is nothing to tell or to ask."""
+
+    def condition(self, *said: str) -> bool:
+        return False
+
+    def keep(self, kept: object) -> None:
+        pass
 
 
 def _callbacks() -> None:
@@ -306,7 +339,7 @@ def _callbacks() -> None:
     executor.spin()
 
 
-ROLES = {"publishers": _publish, "ours": _ours, "callbacks": _callbacks}
+ROLES = {"publishers": _publish, "ours": _ours, "keeping": _keeping, "callbacks": _callbacks}
 
 
 if __name__ == "__main__":

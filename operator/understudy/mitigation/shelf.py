@@ -37,6 +37,8 @@ class Shelf:
     def __init__(self, directory: Path) -> None:
         self._directory = directory
         self._blobs: set[str] = set()
+        self._boot = _boot()
+        self._made = False
 
     @property
     def _index(self) -> Path:
@@ -44,34 +46,41 @@ class Shelf:
 
     def save(self, kept: Mapping[Key, Sequence[Version]]) -> None:
         """Replace what is on the shelf. Raises OSError."""
-        self._directory.mkdir(parents=True, exist_ok=True)
+        if not self._made:
+            self._directory.mkdir(parents=True, exist_ok=True)
+        self._made = False  # until all went well
         parts: list[bytes] = []
         entries: list[list[object]] = []
         needed: set[str] = set()
         for key, versions in kept.items():
-            before: tuple[bytes, list[object]] | None = None
+            listed: list[tuple[float, float, int, int | str]] = []
+            types = [version.type for version in versions]
+            before: bytes | None = None
+            where: int | str = 0
             for version in versions:
-                if before is None or version.data is not before[0]:
-                    before = (version.data, self._place(version.data, parts, needed))
-                entries.append([key.kind, key.name, version.type, version.taken_at, version.good_from, *before[1]])
-        clock = {"boot": _boot(), "offset": time.time() - time.clock_gettime(time.CLOCK_BOOTTIME)}
+                if version.data is not before:
+                    before, where = version.data, self._place(version.data, parts, needed)
+                listed.append((version.taken_at, version.good_from, len(version.data), where))
+            same = types[0] if len(set(types)) == 1 else types
+            entries.append([key.kind, key.name, same, listed])
+        clock = {"boot": self._boot, "offset": time.time() - time.clock_gettime(time.CLOCK_BOOTTIME)}
         text = json.dumps({"clock": clock, "entries": entries}, separators=(",", ":")).encode()
         body = struct.pack(">I", len(text)) + text + b"".join(parts)
         _replace(self._index, _MAGIC + hashlib.sha256(body).digest() + body)
         for name in self._blobs - needed:
             (self._directory / name).unlink(missing_ok=True)
-        self._blobs = needed
+        self._blobs, self._made = needed, True
 
-    def _place(self, data: bytes, parts: list[bytes], needed: set[str]) -> list[object]:
-        """Where a message lies: its length, and the name of its file where it has one."""
+    def _place(self, data: bytes, parts: list[bytes], needed: set[str]) -> int | str:
+        """Where a message lies: its number among the small ones, or the name of its file."""
         if len(data) < LARGE:
             parts.append(data)
-            return [len(data), len(parts) - 1]
+            return len(parts) - 1
         name = f"{hashlib.sha256(data).hexdigest()}.message"
         if name not in self._blobs | needed:
             _replace(self._directory / name, data)
         needed.add(name)
-        return [len(data), name]
+        return name
 
     def load(self) -> dict[Key, list[Version]]:
         """What is on the shelf, with its times moved where the clock was set since. What is damaged is left out."""
@@ -99,16 +108,18 @@ class Shelf:
         step = _clock_step(document["clock"])
         place, parts = _HEADER.size + length, dict[object, bytes | None]()
         found: dict[Key, list[Version]] = {}
-        for kind, name, type_, taken_at, good_from, size, where in document["entries"]:
-            if where not in parts:
-                if isinstance(where, str):
-                    parts[where] = self._blob(where)
-                else:
-                    parts[where] = raw[place : place + size]
-                    place += size
-            data = parts[where]
-            if data is not None:
-                found.setdefault(Key(kind, name), []).append(Version(taken_at + step, good_from + step, data, type_))
+        for kind, name, types, versions in document["entries"]:
+            for index, (taken_at, good_from, size, where) in enumerate(versions):
+                if where not in parts:
+                    if isinstance(where, str):
+                        parts[where] = self._blob(where)
+                    else:
+                        parts[where] = raw[place : place + size]
+                        place += size
+                data, type_ = parts[where], types if isinstance(types, str) else types[index]
+                if data is not None:
+                    version = Version(taken_at + step, good_from + step, data, type_)
+                    found.setdefault(Key(kind, name), []).append(version)
         return found
 
     def _blob(self, name: str) -> bytes | None:
@@ -134,9 +145,13 @@ class Shelf:
 
 
 def _replace(path: Path, data: bytes) -> None:
-    temporary = path.with_name(path.name + ".new")
-    temporary.write_bytes(data)
-    os.replace(temporary, path)
+    target = str(path)
+    temporary = f"{target}.new"
+    with open(temporary, "wb", buffering=0) as file:
+        view = memoryview(data)
+        while view:
+            view = view[file.write(view) :]
+    os.replace(temporary, target)
 
 
 def _boot() -> str:

@@ -67,7 +67,7 @@ class StateKeeping:
         self._state: State | None = None
         self._adopted = shelf.load()
         self._offset = time.time() - time.monotonic()
-        self._next_look = 0.0
+        self._period = self._next_look = 0.0
         self._active = ""
         self._persisted = self._keeper.revision
         self._persisting: asyncio.Task[None] | None = None
@@ -83,7 +83,7 @@ class StateKeeping:
 
     def take(self, state: State, instances: Mapping[str, str], active: str) -> None:
         """Take in what has come of what the policy keeps. ``instances`` has their IPs; ``active`` is in control."""
-        if state != self._state:
+        if state is not self._state:  # comparing them costs more than all else here
             self._follow(state)
         if not self._keeper.keys:
             return
@@ -94,7 +94,7 @@ class StateKeeping:
         now = time.monotonic()
         if now < self._next_look:
             return
-        self._next_look = now + max(LEAST_LOOK, seconds(state.period) / 2)
+        self._next_look = now + max(LEAST_LOOK, self._period)
         for message in self._capturing.drain():
             self._keeper.offer(
                 Key("Topic", message.topic),
@@ -110,7 +110,10 @@ class StateKeeping:
         self._keeper.judge(health, now)
 
     def _follow(self, state: State) -> None:
-        self._state = state
+        if state == self._state:
+            self._state = state
+            return
+        self._state, self._period = state, seconds(state.period)
         self._keeper.follow(state)
         self._capturing.follow({topic.topic: topic.type for topic in state.keep})
         if self._adopted:
@@ -215,7 +218,7 @@ class StateKeeping:
             )
             for p in answer.get("problems", [])
         }
-        if state is not self._state or active.name != self._active or since is None or asked < since:
+        if state != self._state or active.name != self._active or since is None or asked < since:
             return
         for key, data in _answers(answer):
             self._keeper.offer(key, data, taken_at=asked, received_at=time.time())

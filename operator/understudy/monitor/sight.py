@@ -41,6 +41,8 @@ class Sight:
         self._outputs: list[Output] = []
         self._problems: list[str] = []
         self._addresses: dict[str, tuple[str, float]] = {}
+        self.addresses: dict[str, str] = {}
+        """The instances that there are, and were a moment ago: IP by pod name."""
 
     def follow(self, policy: FailurePolicySpec, spec: RobotWorkloadSpec | None) -> None:
         """Watch what this policy's tree and this workload need; one that doesn't load leaves the last in force."""
@@ -105,15 +107,11 @@ class Sight:
                 self._addresses[instance.name] = (instance.ip, now)
         for name in [n for n, (_, seen) in self._addresses.items() if now - seen > REMEMBERED]:
             del self._addresses[name]
+        self.addresses = {name: ip for name, (ip, _) in self._addresses.items()}
         self._watching.attribute(self.addresses, active)
         self._watching.drain()
         if self._tree is not None:
             self._tree.leave_out(self._watching.unwatchable)
-
-    @property
-    def addresses(self) -> dict[str, str]:
-        """The instances that there are, and were a moment ago: IP by pod name."""
-        return {name: ip for name, (ip, _) in self._addresses.items()}
 
     def verdict(self, *, now: float, since: float) -> Verdict:
         """The health tree's verdict on the instance in control. Times are unix seconds."""

@@ -21,14 +21,15 @@ from understudy.ros.types import TypeNotInstalled
 
 _logger = logging.getLogger(__name__)
 
-DEPTH = 16
-"""Messages that a topic's queue holds between two drains. Only the last of each sender is of interest."""
+DEPTH = 4
+"""Messages that a topic's queue holds between two drains. Only the last is of interest, but another instance may say the
+same topic; what is more is left to the middleware to drop, since taking it costs."""
 
 LOOK_UP = 1.0
-"""Seconds between looks at the graph for a topic that nobody publishes yet."""
+"""Seconds between looks at the graph for a topic that nobody publishes yet, and at the number of its publishers."""
 
 LOOK_AGAIN = 10.0
-"""Seconds between looks at whether publishers are still what they were; a change of their number is seen at once."""
+"""Seconds between looks at whether publishers are still what they were, where their number hasn't changed."""
 
 LARGEST_WAITING = 1024 * 1024
 """Bytes of a standby's message that is remembered for when it takes over; what is larger is a map, and the same."""
@@ -59,6 +60,7 @@ class _Topic:
     subscribed_at: float = 0.0
     latched: bool = False
     matched: int = 0
+    next_count: float = 0.0
     next_look: float = 0.0
     problem: str = ""
     waiting: str = ""
@@ -168,12 +170,12 @@ class Capturing:
         for topic in self._topics.values():
             if topic.subscription is not None:
                 found += self._drain(topic)
-                matched = topic.subscription.get_publisher_count()
-            else:
-                matched = 0
-            if now >= topic.next_look or matched != topic.matched:
-                topic.matched = matched
-                self._look(topic)
+            if now >= topic.next_count:
+                topic.next_count = now + LOOK_UP
+                matched = topic.subscription.get_publisher_count() if topic.subscription is not None else 0
+                if matched != topic.matched or now >= topic.next_look:
+                    topic.matched = matched
+                    self._look(topic)
         return found
 
     def _drain(self, topic: _Topic) -> list[Captured]:
@@ -181,7 +183,7 @@ class Capturing:
         with topic.subscription.handle:
             pointer = topic.subscription.handle.pointer
             # A writer that is faster than we are must not keep us here.
-            for _ in range(4 * DEPTH):
+            for _ in range(2 * DEPTH):
                 sample = self._taker.take(pointer, with_data=False)
                 if sample is None:
                     break
