@@ -366,7 +366,8 @@ class RobotWorkloadStatus(Model):
         default=None,
         description="Accepted: spec and policy can be followed. Reconciled: everything was built. Protected: the first strategy could "
         "take over now. Monitored: every topic of the health tree is watched. Healthy: the tree holds. GateEnforced: packets show that "
-        "only the pod in control gets through. Recovering: a failure is being dealt with. Reflex: a standby is let through, so that the "
+        "only the pod in control gets through. Recovering: a failure is being dealt with. BroughtUp: bringUp and initializations have "
+        "succeeded on every instance. Reflex: a standby is let through, so that the "
         "robot's readers can fall over to it. StateKept: all that the policy keeps is kept. StateRestored: the last instance that took "
         "over was given all of it.",
         json_schema_extra={"x-kubernetes-list-type": "map", "x-kubernetes-list-map-keys": ["type"]},
