@@ -1,4 +1,4 @@
-"""What docs/trees.md shows is so."""
+"""What docs/trees.md and docs/procedures.md show is so."""
 
 import re
 from pathlib import Path
@@ -7,6 +7,7 @@ import pytest
 import yaml
 
 from understudy.trees.loading import TreeError, load
+from understudy.trees.procedures import COMPOSITES, CONDITIONS, DECORATORS, STEPS, load_check, load_procedure
 
 PAGE = (Path(__file__).parents[3] / "docs" / "trees.md").read_text()
 
@@ -24,3 +25,27 @@ def test_the_mistakes_are_named_as_it_says():
     with pytest.raises(TreeError) as caught:
         load(tree)
     assert [str(problem) for problem in caught.value.problems] == shown.splitlines()
+
+
+PROCEDURES = (Path(__file__).parents[3] / "docs" / "procedures.md").read_text()
+
+
+def test_the_procedure_that_is_shown_loads():
+    (example,) = re.findall(r"```yaml\n(.*?)```", PROCEDURES, re.DOTALL)
+    shown = yaml.safe_load(example)["bringUp"]
+    assert load_procedure(shown["yaml"], path="bringUp").restores_state
+
+
+def test_every_node_of_a_procedure_is_on_the_page():
+    told = set(re.findall(r"`([a-z_]+)`", PROCEDURES))
+    assert {*COMPOSITES, *DECORATORS, *STEPS, *CONDITIONS} <= told
+
+
+def test_the_mistakes_in_procedures_are_named_as_it_says():
+    shown = re.findall(r"^spec\..*$", PROCEDURES, re.MULTILINE)
+    tree = {"sequence": [{"resend_goals": {}}, {"set_lifecycle": {"node": "amcl", "state": "active"}}]}
+    with pytest.raises(TreeError) as caught:
+        load_procedure(tree, path="spec.bringUp.yaml")
+    with pytest.raises(TreeError) as looked:
+        load_check({"set_lifecycle": {}}, path="spec.readinessCheck.yaml")
+    assert [str(problem) for problem in [*caught.value.problems, *looked.value.problems]] == shown
