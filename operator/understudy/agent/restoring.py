@@ -61,15 +61,16 @@ class Restorer:
 
         What can't be given is in the report, with the reason; nothing is raised for it.
         """
-        state = state.only(only)
         end = time.monotonic() + within - LAST_MOMENT
         restored: list[Restored] = []
-        missing: list[NotRestored] = list(state.left_out)
-        missing += [
-            NotRestored(name, "it is not among what the policy keeps and restores", failed=True)
-            for name in only
-            if not state.only([name]) and not state.only([name]).left_out
-        ]
+        missing: list[NotRestored] = list(state.only(only).left_out)
+        # Where nothing came at all, the instance is the first one, and there is no state to insist on.
+        some = state != KeptState()
+        for name in only:
+            if not state.only([name]) and not state.only([name]).left_out:
+                reason = "it is not among what the policy keeps and restores" if some else "nothing is kept yet"
+                missing.append(NotRestored(name, reason, failed=some))
+        state = state.only(only)
 
         async def attempt(item: Item, give: Callable[[float], Awaitable[None]]) -> None:
             from understudy.ros.calling import CallFailed

@@ -288,7 +288,7 @@ class Sidecars:
         """
         loop = asyncio.get_running_loop()
         end, problem = loop.time() + within, "its agent isn't connected"
-        wire = await asyncio.to_thread(state.to_wire) if state else None
+        wire = await asyncio.to_thread(state.to_wire) if state or state.left_out else None
         while (rest := end - loop.time()) > 0:
             try:
                 async with asyncio.timeout(rest):

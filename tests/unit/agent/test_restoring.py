@@ -209,6 +209,12 @@ async def test_only_what_is_named_is_given(localizer: Callable[..., None], resto
     assert found["parameters"] == {"/localizer": {"speed": 0.25}}
 
 
+async def test_the_first_instance_lacks_nothing(restorer: Restorer) -> None:
+    report = await restorer.restore(KeptState(), within=WITHIN, only=["/amcl_pose"])
+    assert report.problem == ""
+    assert report.not_restored == (NotRestored("/amcl_pose", "nothing is kept yet", failed=False),)
+
+
 async def test_an_inspection_says_what_could_not_be_told(localizer: Callable[..., None], restorer: Restorer) -> None:
     localizer()
     found = await restorer.inspect({"/localizer": ["speed"], "/gone": ["speed"]}, ["/localizer"], within=8.0)
