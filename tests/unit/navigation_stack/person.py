@@ -27,7 +27,7 @@ class Site:
     def __init__(self, folder: Path, cleanup: ExitStack) -> None:
         self.folder = folder
         self._cleanup = cleanup
-        self._environment = {
+        self.environment = {
             name: value
             for name, value in os.environ.items()
             if not name.startswith(("ROS_", "FASTRTPS_", "FASTDDS_", "NAVIGATION_"))
@@ -44,7 +44,7 @@ class Site:
         output = self._cleanup.enter_context((self.folder / f"{module}.out").open("ab"))
         process = subprocess.Popen(
             [sys.executable, "-m", module],
-            env=self._environment | more,
+            env=self.environment | more,
             stdout=output,
             stderr=subprocess.STDOUT,
         )
@@ -53,8 +53,8 @@ class Site:
 
     def person(self) -> Person:
         for name in ("ROS_AUTOMATIC_DISCOVERY_RANGE", "RMW_IMPLEMENTATION"):
-            os.environ[name] = self._environment[name]
-        made = Person(int(self._environment["ROS_DOMAIN_ID"]))
+            os.environ[name] = self.environment[name]
+        made = Person(int(self.environment["ROS_DOMAIN_ID"]))
         self._cleanup.callback(made.close)
         return made
 
