@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import json
 from bisect import bisect_left
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
@@ -146,6 +146,13 @@ class RobotLog:
         first = bisect_left(self.commands, start, key=lambda c: c.received)
         last = bisect_left(self.commands, end, key=lambda c: c.received)
         return RobotLog(self.commands[first:last], [m for m in self.motions if start <= m.time < end])
+
+    def renamed(self, names: Mapping[str, str]) -> RobotLog:
+        """The same with other names for sources; those without one keep theirs.
+
+        A robot whose commands don't say who sent them knows hosts only (``understudy.ros.sources``), not pods.
+        """
+        return RobotLog([replace(c, source=names.get(c.source, c.source)) for c in self.commands], self.motions)
 
     def silences(self, longer_than: float = 0.0) -> list[Silence]:
         """Intervals without any command, longer than so many seconds."""

@@ -137,3 +137,9 @@ def test_a_part_of_the_log() -> None:
     read = log(*drive("a", 0.0, 10.0)).between(2.0, 3.0)
     assert read.commands[0].received == pytest.approx(2.0)
     assert read.commands[-1].received == pytest.approx(2.95)
+
+
+def test_sources_that_have_other_names() -> None:
+    read = log((1.0, "010fdc53"), (2.0, "010f1111"), (3.0, "010fdc53")).renamed({"010fdc53": "pod-a"})
+    assert [c.source for c in read.commands] == ["pod-a", "010f1111", "pod-a"]
+    assert [c.received for c in read.commands] == [1.0, 2.0, 3.0]

@@ -21,16 +21,12 @@ from navigation_robot.simulation import BEAMS, FARTHEST, NEAREST
 SCAN_PERIOD = 0.1
 
 # What a filter should believe of a pose and of a velocity: x, y and heading; the rest the robot doesn't have.
-_POSE_VARIANCES = (1e-3, 1e-3, 1e6, 1e6, 1e6, 3e-2)
-_TWIST_VARIANCES = (1e-4, 1e-6, 1e6, 1e6, 1e6, 1e-3)
+_POSE_COVARIANCE = np.diag((1e-3, 1e-3, 1e6, 1e6, 1e6, 3e-2)).ravel()
+_TWIST_COVARIANCE = np.diag((1e-4, 1e-6, 1e6, 1e6, 1e6, 1e-3)).ravel()
 
 
 def _turned(heading: float) -> Quaternion:
     return Quaternion(z=math.sin(heading / 2), w=math.cos(heading / 2))
-
-
-def _diagonal(variances: tuple[float, ...]) -> NDArray[np.float64]:
-    return np.diag(variances).ravel()
 
 
 def odometry(of: Odometry, stamp: Time) -> OdometryMessage:
@@ -42,10 +38,10 @@ def odometry(of: Odometry, stamp: Time) -> OdometryMessage:
     message.pose.pose.position.x = of.pose.x
     message.pose.pose.position.y = of.pose.y
     message.pose.pose.orientation = _turned(of.pose.heading)
-    message.pose.covariance = _diagonal(_POSE_VARIANCES)
+    message.pose.covariance = _POSE_COVARIANCE
     message.twist.twist.linear.x = of.speed
     message.twist.twist.angular.z = of.turn
-    message.twist.covariance = _diagonal(_TWIST_VARIANCES)
+    message.twist.covariance = _TWIST_COVARIANCE
     return message
 
 

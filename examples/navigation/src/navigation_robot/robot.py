@@ -27,9 +27,12 @@ from navigation_robot.odometry import Odometry
 from navigation_robot.simulation import Simulation
 
 TICK = 0.02
-"""Seconds between two looks at the clock: four steps of the physics; also odometry's period."""
+"""Seconds between two looks at the clock: four steps of the physics."""
 
-SLOW = 5
+MEASURE = 2
+"""Ticks in the period of odometry and its transform: 25 Hz."""
+
+LOOK = 5
 """Ticks in the period of laser, ground truth and log: 10 Hz."""
 
 LATE = 0.25
@@ -111,13 +114,14 @@ class Robot:
             )
         self._simulation.drive(*self._base.advance(now, TICK))
         self._simulation.step(round(TICK / self._simulation.timestep))
-        self._measured.update(*self._simulation.wheels, TICK)
         self._ticks += 1
         self._watch(now)
         stamp = self._now()
-        self._odometry.publish(messages.odometry(self._measured, stamp))
-        self._transforms.publish(messages.transform(self._measured.pose, stamp))
-        if self._ticks % SLOW == 0:
+        if self._ticks % MEASURE == 0:
+            self._measured.update(*self._simulation.wheels, MEASURE * TICK)
+            self._odometry.publish(messages.odometry(self._measured, stamp))
+            self._transforms.publish(messages.transform(self._measured.pose, stamp))
+        if self._ticks % LOOK == 0:
             self._scan.publish(messages.scan(self._simulation.scan(), stamp))
             self._truth.publish(messages.truth(self._simulation.pose, stamp))
             self._log()

@@ -86,7 +86,7 @@ class Simulation:
     def touching(self) -> bool:
         """Whether the robot's hull touches something."""
         # Nothing else meets the hull.
-        return any(self._hull in contact.geom for contact in self._data.contact[: self._data.ncon])
+        return bool((self._data.contact.geom == self._hull).any())
 
     def scan(self) -> NDArray[np.float32]:
         """One turn of the laser, in m from -pi on, counter-clockwise; ``inf`` where nothing is in its range."""
