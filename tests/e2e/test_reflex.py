@@ -82,7 +82,8 @@ def assert_fell_over(robot: Robot, recovery: Recovered, *, returned: bool = Fals
     after = [c for c in log.of(recovery.old) if c.received > fenced + ENFORCEMENT]
     assert not after, f"commands of {recovery.old} after it was fenced: {after[:3]}"
     if not returned:
-        assert not log.returns(), "control moves once, and never back"
+        back = [c for c in log.returns() if c.source == recovery.old]
+        assert not back, f"control moved, and never back to {recovery.old}: {back[:3]}"
     if handover.gap is None or handover.gap > TIMEOUT:
         raise Late(f"the robot had no command for {handover.gap} s, the reflex should have been there")
 

@@ -1,0 +1,197 @@
+"""The reflex on the real cluster, measured at the robot: how long it had no command, and whether the loser ever came back.
+
+    scripts/bench reflex [--failures 50] [--deadline 100] [--how killed frozen cut]
+
+The failures take turns: the application killed, frozen (and thawed after the commit), its node's cable pulled (and put back
+after the commit); every second one with the API server stopped from before the failure until the robot was driven for a
+while. For the local provider only, since no other one can do all that.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import os
+import signal
+import sys
+import time
+import uuid
+from pathlib import Path
+
+from understudy_demo.recovery import Recovered
+
+from bench.results import Report
+from tests.e2e.conftest import install
+from tests.e2e.faults import ApiServer, cluster, signal_processes
+from tests.e2e.kubectl import Failed, Kubectl, Object
+from tests.e2e.scenario import APPLICATION, Late, Robot, eventually, manifest
+
+PERIOD = 0.05
+"""Seconds between the quickstart's commands."""
+
+SLACK = 0.025
+"""Seconds that the robot's gap may be longer than deadline and period together, at p95."""
+
+ROBOTS_NODE = "node1"
+"""Where the robot, its discovery server and the monitor run: not on a node whose cable is pulled."""
+
+STRATEGY = "Fallback/Executing (reflex)"
+
+SETTLE = 4.0
+"""Seconds without an API server after the failure: longer than the kubelet takes to restart a container."""
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--failures", type=int, default=50)
+    parser.add_argument("--deadline", type=int, default=100, help="spec.gate.reflex.deadline in milliseconds")
+    parser.add_argument("--how", nargs="+", choices=["killed", "frozen", "cut"], default=["killed", "frozen", "cut"])
+    options = parser.parse_args()
+    kubeconfig = Path(os.environ["KUBECONFIG"])
+    install(kubeconfig)
+    kubectl = Kubectl(kubeconfig, f"bench-{uuid.uuid4().hex[:6]}")
+    others = [n["metadata"]["name"] for n in kubectl.list("nodes") if n["metadata"]["name"] != ROBOTS_NODE]
+    kubectl("create", "namespace", kubectl.namespace)
+    kubectl("cordon", *others)
+    bench = Bench(kubectl, options.deadline / 1000)
+    try:
+        bench.begin()
+        turns = itertools.cycle(itertools.product(options.how, (False, True)))
+        for number, (how, without_api) in zip(range(1, options.failures + 1), turns, strict=False):
+            bench.fail(how, without_api)
+            print(f"{number}/{options.failures}: {bench.told[-1]}", flush=True)
+    finally:
+        if bench.api.stopped:
+            bench.api.start()
+        for node in others:
+            cluster("node", "connect", node)
+        kubectl("uncordon", *others)
+        kubectl("delete", "namespace", kubectl.namespace, "--wait=false")
+    report = bench.report()
+    print(report.table())
+    print(report.write())
+    return 0 if report.held else 1
+
+
+class Bench:
+    """One robot whose application fails again and again."""
+
+    def __init__(self, kubectl: Kubectl, deadline: float) -> None:
+        self._kubectl, self._deadline = kubectl, deadline
+        self._robot = Robot(kubectl)
+        self.api = ApiServer(kubectl)
+        self.told: list[str] = []
+        self._values: dict[str, list[float]] = {}
+        self._count = 0
+        self._early = 0
+
+    def begin(self) -> None:
+        """Have the robot driven, with a standby that is let through."""
+        self._kubectl.apply(manifest("strategies/executing.yaml"))
+        self._kubectl.apply(self._robot.objects(policy="quickstart-executing", edit=self._edit))
+        self._armed()
+
+    def _edit(self, workload: Object) -> None:
+        spec = workload["spec"]
+        spec["gate"] = {"reflex": {"deadline": f"{self._deadline * 1000:.0f}ms"}}
+        away = {"key": "kubernetes.io/hostname", "operator": "NotIn", "values": [ROBOTS_NODE]}
+        terms = {"nodeSelectorTerms": [{"matchExpressions": [away]}]}
+        pod = spec["template"]["spec"]
+        pod["affinity"] = {"nodeAffinity": {"requiredDuringSchedulingIgnoredDuringExecution": terms}}
+        # The nodes of the instances are cordoned, so that nothing else is there.
+        pod["tolerations"] = [{"key": "node.kubernetes.io/unschedulable", "operator": "Exists"}]
+
+    def _armed(self) -> Object:
+        """Wait until a standby is let through, on another node; the pod in control."""
+
+        def armed() -> Object | None:
+            if self._robot.condition("Reflex").get("status") != "True":
+                return None
+            active = self._robot.status()["active"]
+            pods = {p["metadata"]["name"]: p for p in self._robot.pods() if not p["metadata"].get("deletionTimestamp")}
+            nodes = {p["spec"]["nodeName"] for p in pods.values()}
+            return pods.get(active) if len(nodes) > 1 else None
+
+        self._robot.wait_driven(180)
+        found: Object = eventually(armed, within=180, what="a standby is let through", note=self._robot.describe)
+        time.sleep(1.0)
+        return found
+
+    def fail(self, how: str, without_api: bool) -> None:
+        """One failure, and what the robot saw of it."""
+        pod = self._armed()
+        name, uid, node = pod["metadata"]["name"], pod["metadata"]["uid"], pod["spec"]["nodeName"]
+        before = self._robot.status().get("recoveryCount") or 0
+        if without_api:
+            self.api.stop()
+        failed = time.time()
+        match how:
+            case "killed":
+                signal_processes(uid, APPLICATION, signal.SIGKILL)
+            case "frozen":
+                signal_processes(uid, APPLICATION, signal.SIGSTOP)
+            case _:
+                cluster("node", "cut", node)
+        if without_api:
+            time.sleep(SETTLE)
+            cluster("api", "start")
+        recovery = self._robot.wait_recovered(before + 1, within=120)
+        if how == "frozen":
+            signal_processes(uid, APPLICATION, signal.SIGCONT)
+        if how == "cut":
+            time.sleep(2.0)
+            cluster("node", "connect", node)
+        if without_api or how == "cut":
+            self.api.start()
+        time.sleep(3.0)
+        if recovery.old != name or recovery.strategy != STRATEGY:
+            # It was late before it was made to fail, or its standby was: that counts neither for nor against.
+            self._early += 1
+            self.told.append(f"{name} was to be {how}; it came to {recovery.strategy} of {recovery.old}: left out")
+            return
+        self._judge(recovery, how, without_api, failed)
+
+    def _judge(self, recovery: Recovered, how: str, without_api: bool, failed: float) -> None:
+        log = self._robot.log(tail=4000)
+        handover = log.handover(recovery.old, recovery.new, switch=recovery.moments["lastHealthy"])
+        if handover.gap is None:
+            raise Late("the robot never heard the standby")
+        fenced = recovery.moments["fenced"]
+        after = [c for c in log.of(recovery.old) if c.received > fenced]
+        between = [c for c in log.of(recovery.old) if handover.first_new and handover.first_new < c.received <= fenced]
+        kind = f"{how}{', no API server' if without_api else ''}"
+        for group in ("all", kind):
+            self._values.setdefault(f"{group}: robot's gap", []).append(handover.gap * 1000)
+        self._values.setdefault("commands of the old pod after the commit", []).append(float(len(after)))
+        self._values.setdefault("commands of the old pod between", []).append(float(len(between)))
+        self._values.setdefault("t_cluster", []).append(recovery.parts["cluster"] * 1000)
+        if not without_api:
+            self._values.setdefault("first command of the standby to fenced", []).append(
+                (fenced - recovery.moments["detected"]) * 1000
+            )
+        self._count += 1
+        self.told.append(
+            f"{kind}: gap {handover.gap * 1000:.0f} ms, {len(between)} before and {len(after)} after the commit"
+        )
+
+    def report(self) -> Report:
+        """The figures."""
+        report = Report("reflex")
+        most = (self._deadline + PERIOD + SLACK) * 1000
+        for name, values in sorted(self._values.items()):
+            commands = name.startswith("commands")
+            must = {"p95": most} if name == "all: robot's gap" else {}
+            if name in ("commands of the old pod after the commit", "t_cluster"):
+                must = {"max": 0.0}
+            report.figure(name, values, unit="commands" if commands else "ms", must=must)
+        report.note("deadline", f"{self._deadline * 1000:.0f} ms, commands every {PERIOD * 1000:.0f} ms")
+        report.note("left out", f"{self._early} failures whose pod was late, and replaced, before it was made to fail")
+        report.note("network policies", cluster("status").splitlines()[0])
+        return report
+
+
+if __name__ == "__main__":
+    try:
+        sys.exit(main())
+    except Failed as error:
+        sys.exit(str(error))
