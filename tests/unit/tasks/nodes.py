@@ -3,7 +3,8 @@
 ``serve ACTION``: many goals at once. ``preempt ACTION``: a new goal aborts the one before. Goal ``order``: so many
 steps; from 1000 on it is rejected, from 500 on aborted at the second step.
 ``client ACTION ORDER...``: sends all goals and ends with the last result; lines on its input cancel: ``cancel INDEX``.
-What happens is said on the standard output, one JSON object a line.
+What happens is said on the standard output, one JSON object a line. STEP is the seconds of a step; with TALK a server
+publishes on that topic too, 20 times a second, as a workload's output.
 """
 
 from __future__ import annotations
@@ -20,13 +21,15 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from std_msgs.msg import String
 from test_msgs.action import Fibonacci
 
 STEP = float(os.environ.get("STEP", "0.05"))
 
 
 def say(**words: object) -> None:
-    print(json.dumps(words), flush=True)
+    sys.stdout.write(f"{json.dumps(words)}\n")  # at once: goals have threads of their own
+    sys.stdout.flush()
 
 
 def name(handle) -> str:
@@ -75,6 +78,9 @@ def serve(action: str, *, preempting: bool = False) -> None:
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = Node("application")
     Server(node, action, preempting=preempting)
+    if topic := os.environ.get("TALK"):
+        publisher = node.create_publisher(String, topic, 10)
+        node.create_timer(0.05, lambda: publisher.publish(String(data="x")), callback_group=ReentrantCallbackGroup())
     executor = MultiThreadedExecutor(num_threads=6)
     executor.add_node(node)
     say(event="ready")

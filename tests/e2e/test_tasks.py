@@ -1,0 +1,206 @@
+"""Clients keep their goals while the instances that work on them fail, and while the task proxy itself is restarted.
+
+Server and client are written with rclpy as users write them, and run in pods of their own.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from tests.e2e.kubectl import Kubectl, Object
+from tests.e2e.scenario import eventually
+
+NODES = Path(__file__).parents[1] / "unit" / "tasks" / "nodes.py"
+IMAGE = "localhost/understudy-monitor:dev"
+ACTION, TYPE = "/goto", "test_msgs/action/Fibonacci"
+SUCCEEDED, CANCELED = 4, 5
+NAME = "worker"
+
+
+def container(role: str, *arguments: str, **environment: str) -> Object:
+    return {
+        "name": "app",
+        "image": IMAGE,
+        "imagePullPolicy": "IfNotPresent",
+        "command": ["python3", "/nodes/nodes.py", role, ACTION, *arguments],
+        "env": [{"name": key, "value": value} for key, value in {"HOME": "/tmp", **environment}.items()],
+        "volumeMounts": [{"name": "nodes", "mountPath": "/nodes"}],
+    }
+
+
+NODES_VOLUME: Object = {"name": "nodes", "configMap": {"name": "nodes"}}
+
+
+class Cell:
+    """A workload with a task, its policy, and clients."""
+
+    def __init__(self, kubectl: Kubectl, strategy: str, *other_tasks: Object) -> None:
+        self.kubectl = kubectl
+        self._tasks = [{"action": ACTION, "type": TYPE}, *other_tasks]
+        config = {"apiVersion": "v1", "kind": "ConfigMap", "metadata": {"name": "nodes"}}
+        kubectl.apply(
+            [config | {"data": {"nodes.py": NODES.read_text()}}, *self._protection(strategy), self._workload()]
+        )
+
+    @property
+    def told(self) -> str:
+        """The reason that the condition of the tasks has when all is as well as it can be."""
+        return "Serving" if len(self._tasks) == 1 else "TypeNotInstalled"
+
+    def _workload(self) -> Object:
+        template = {
+            "spec": {
+                "terminationGracePeriodSeconds": 1,
+                "containers": [container("serve", STEP="0.1", TALK="/cmd_vel")],
+                "volumes": [NODES_VOLUME],
+            }
+        }
+        return {
+            "apiVersion": "understudy.dev/v1alpha1",
+            "kind": "RobotWorkload",
+            "metadata": {"name": NAME, "labels": {"app": NAME}},
+            "spec": {
+                "template": template,
+                "ros": {"domainId": 7},
+                "outputs": [{"topic": "/cmd_vel", "type": "std_msgs/msg/String"}],
+                "tasks": self._tasks,
+                "failurePolicyRef": {"name": NAME},
+            },
+        }
+
+    @staticmethod
+    def _protection(strategy: str) -> list[Object]:
+        def custom(kind: str, spec: Object) -> Object:
+            version = "understudy.dev/v1alpha1"
+            return {"apiVersion": version, "kind": kind, "metadata": {"name": NAME}, "spec": spec}
+
+        selector = {"matchLabels": {"app": NAME}}
+        pool: Object = {"readiness": strategy, "workloadSelector": selector}
+        if strategy == "Executing":
+            pool["perWorkload"] = 1
+        else:
+            pool |= {"replicas": 2, "templateFrom": {"workload": NAME}}
+        strategies = [{"type": "Fallback", "poolRef": {"name": NAME}, "verifyWithin": "60s"}, {"type": "Restart"}]
+        tree = {"topic": {"name": "/cmd_vel", "gap": "1s"}}
+        policy = {"monitoring": {"yaml": tree}, "strategies": strategies, "limits": {"cooldown": "1s"}}
+        return [custom("FailurePolicy", policy), custom("FallbackPool", pool)]
+
+    def status(self) -> Object:
+        found: Object = self.kubectl.get("robotworkload", NAME).get("status") or {}
+        return found
+
+    def condition(self, type_: str) -> Object:
+        return next((c for c in self.status().get("conditions") or [] if c["type"] == type_), {})
+
+    def task(self) -> Object:
+        """How the first one is doing."""
+        return (self.status().get("tasks") or [{}])[0]
+
+    def wait_protected(self) -> str:
+        def protected() -> str | None:
+            fine = self.condition("Protected").get("status") == "True"
+            serving = self.condition("TasksProxied").get("reason") == self.told
+            return self.status().get("active") if fine and serving else None
+
+        active: str = eventually(protected, within=150, what="protected, and its tasks served", note=self.describe)
+        return active
+
+    def client(self, name: str, *orders: str) -> Client:
+        spec = {
+            "restartPolicy": "Never",
+            "terminationGracePeriodSeconds": 0,
+            "containers": [
+                container("client", *orders) | {"envFrom": [{"configMapRef": {"name": f"{NAME}-robot-env"}}]}
+            ],
+            "volumes": [NODES_VOLUME, {"name": "profiles", "configMap": {"name": f"{NAME}-robot-profiles"}}],
+        }
+        mounts: list[Object] = spec["containers"][0]["volumeMounts"]  # type: ignore[index]
+        mounts.append({"name": "profiles", "mountPath": "/etc/understudy"})
+        self.kubectl.apply([{"apiVersion": "v1", "kind": "Pod", "metadata": {"name": name}, "spec": spec}])
+        return Client(self, name)
+
+    def events(self, pod: str) -> list[dict[str, Any]]:
+        """What the application in a pod has said."""
+        return lines(self.kubectl("logs", pod, "-c", "app"))
+
+    def describe(self) -> str:
+        texts = [self.kubectl("get", "pods", "-o", "wide"), json.dumps(self.status(), indent=1)]
+        logs = ("logs", f"deployment/{NAME}-monitor", "--tail=30", "-c")
+        texts += [self.kubectl(*logs, who) for who in ("tasks", "monitor")]
+        return "\n".join(texts)
+
+
+def lines(text: str) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in text.splitlines() if line.startswith("{")]
+
+
+class Client:
+    """A pod that has sent goals."""
+
+    def __init__(self, cell: Cell, name: str) -> None:
+        self.cell, self.name = cell, name
+
+    def said(self, event: str, **fields: Any) -> list[dict[str, Any]]:
+        found = lines(self.cell.kubectl("logs", self.name))
+        return [e for e in found if e["event"] == event and fields.items() <= e.items()]
+
+    def wait(self, event: str, within: float, **fields: Any) -> dict[str, Any]:
+        found: dict[str, Any] = eventually(
+            lambda: (self.said(event, **fields) or [None])[0],
+            within=within,
+            what=f"{self.name} says {event} {fields}",
+            note=self.cell.describe,
+        )
+        return found
+
+
+def test_a_goal_outlives_two_instances_and_the_proxys_restart_with_held_pods(kubectl: Kubectl) -> None:
+    outlives(Cell(kubectl, "Uninitialized"))
+
+
+def test_the_same_with_a_standby_beside_a_task_whose_type_is_not_installed(kubectl: Kubectl) -> None:
+    cell = Cell(kubectl, "Executing", {"action": "/dock", "type": "robots_msgs/action/Dock"})
+    outlives(cell)
+    assert "/dock: robots_msgs/action/Dock is not installed" in cell.condition("TasksProxied")["message"]
+
+
+def outlives(cell: Cell) -> None:
+    kubectl, first = cell.kubectl, cell.wait_protected()
+    client = cell.client("client", "400", "401")
+    client.wait("feedback", 90, index=1)
+    goals = {line["goal"] for line in client.said("answered", accepted=True)}
+    assert len(goals) == 2
+    assert {e["goal"] for e in cell.events(first) if e["event"] == "executing"} == goals, "under the client's own ids"
+
+    kubectl("delete", "pod", first, "--grace-period=0", "--force", "--wait=false")
+    second = eventually(
+        lambda: (active := cell.status().get("active")) not in ("", first, None) and active,
+        within=90,
+        what="another instance in control",
+        note=cell.describe,
+    )
+    eventually(
+        lambda: {e["goal"] for e in cell.events(second) if e["event"] == "executing"} == goals,
+        within=60,
+        what="both goals are executed there",
+        note=cell.describe,
+    )
+    assert client.said("ended") == []
+
+    monitor = kubectl.list("pods", f"understudy.dev/monitored={NAME},understudy.dev/component=monitor")[0]
+    stop = "import os, signal; os.kill(1, signal.SIGTERM)"
+    kubectl("exec", monitor["metadata"]["name"], "-c", "tasks", "--", "python3", "-c", stop)
+    cell.wait_protected()
+
+    kubectl("delete", "pod", second, "--wait=false")
+    for index in (0, 1):
+        assert client.wait("ended", 150, index=index)["status"] == SUCCEEDED
+    assert len(client.said("answered")) == 2
+    third = cell.status()["active"]
+    assert third not in (first, second)
+    executed = [e["goal"] for e in cell.events(third) if e["event"] == "executing"]
+    assert sorted(executed) == sorted(goals), "each of them once"
+    eventually(lambda: cell.task().get("active") == 0, within=30, what="no goal is active", note=cell.describe)
+    assert cell.task()["resent"] >= 4
