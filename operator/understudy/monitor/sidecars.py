@@ -32,6 +32,9 @@ RETRY = 0.05
 ANSWER_LATE = 1.0
 """Seconds after an operation's own end at which its answer is given up: it has a way to go."""
 
+SLOWEST = 2 * 1024 * 1024
+"""Bytes of kept messages that an agent takes in in a second, at least: it counts its time from when it has them."""
+
 
 class Sidecars:
     """Implements :class:`understudy.mitigation.interfaces.Agents` over :class:`AgentLink`."""
@@ -305,26 +308,31 @@ class Sidecars:
 
     async def restore(self, instance: Instance, state: KeptState, within: float) -> RestoreReport:
         """Give it the state of the last healthy instance, in so many seconds. What can't be given is in the report."""
-        loop = asyncio.get_running_loop()
-        end = loop.time() + within
+        end = asyncio.get_running_loop().time() + within
         report = RestoreReport()
-        problem = "its agent isn't connected"
-        for batch in state.batches(LARGEST):
-            given: RestoreReport | None = None
-            while given is None and (rest := end - loop.time()) > 0:
-                try:
-                    async with asyncio.timeout(rest):
-                        link = await self._connected(instance)
-                    body = {"state": await asyncio.to_thread(batch.to_wire), "within": max(0.1, end - loop.time())}
-                    answer = await link.request("restore", body, within=max(0.1, end - loop.time()) + ANSWER_LATE)
-                    given = RestoreReport.from_wire(answer.get("report", {}))
-                except (AgentRefused, ProtocolError) as error:
-                    problem, given = str(error), batch.not_given(str(error))
-                except (AgentGone, TimeoutError) as error:
-                    problem = str(error) or problem
-                    await asyncio.sleep(RETRY)
-            report = report.merged(given or batch.not_given(f"{problem} within {within:.3g} s"))
+        for part in await asyncio.gather(*(self._give(instance, part, end) for part in state.batches(LARGEST))):
+            report = report.merged(part)
         return report
+
+    async def _give(self, instance: Instance, state: KeptState, end: float) -> RestoreReport:
+        """Give it what fits into one request, until then by the loop's clock."""
+        loop = asyncio.get_running_loop()
+        begun, problem = loop.time(), "its agent isn't connected"
+        wire = await asyncio.to_thread(state.to_wire)
+        while (rest := end - loop.time()) > 0:
+            try:
+                async with asyncio.timeout(rest):
+                    link = await self._connected(instance)
+                rest = max(0.1, end - loop.time())
+                late = ANSWER_LATE + state.size / SLOWEST
+                answer = await link.request("restore", {"state": wire, "within": rest}, within=rest + late)
+                return RestoreReport.from_wire(answer.get("report", {}))
+            except (AgentRefused, ProtocolError) as error:
+                return state.not_given(str(error))
+            except (AgentGone, TimeoutError) as error:
+                problem = str(error) or problem
+                await asyncio.sleep(RETRY)
+        return state.not_given(f"{problem} within {end - begun:.3g} s")
 
     async def inspect(self, instance: Instance, body: Mapping[str, Any], within: float) -> dict[str, Any]:
         """What an instance's nodes answer about their parameters and states. Raises AgentGone, AgentRefused."""
