@@ -44,7 +44,7 @@ LOOK_UP = 1.0
 MOST_WRITERS = 64
 """Writers of one host that are told apart; a host that restarts its nodes for months has had many."""
 
-ACCEPTED, EXECUTING, CANCELING = 1, 2, 3  # action_msgs/msg/GoalStatus
+EXECUTING, CANCELING = 2, 3  # action_msgs/msg/GoalStatus
 
 CLOCK_STEP = 0.005
 """Seconds by which the clock must have moved against the monotonic one to count as having been set."""
@@ -365,11 +365,14 @@ class Watching:
 
 
 def _note_goals(active: dict[bytes, float], gid: bytes, received: float, data: bytes) -> None:
-    """Note from an action's status (action_msgs/msg/GoalStatusArray) whether one of its goals is active."""
+    """Note from an action's status (action_msgs/msg/GoalStatusArray) whether one of its goals is active.
+
+    One that is only accepted isn't: nobody works on it (yet), as on a goal of the task proxy between two instances.
+    """
     from rclpy.serialization import deserialize_message
 
     status = deserialize_message(data, message_class("action_msgs/msg/GoalStatusArray"))
-    if any(goal.status in (ACCEPTED, EXECUTING, CANCELING) for goal in status.status_list):
+    if any(goal.status in (EXECUTING, CANCELING) for goal in status.status_list):
         active.setdefault(gid, received)
     else:
         active.pop(gid, None)

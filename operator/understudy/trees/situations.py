@@ -19,7 +19,7 @@ SETTLE = 2.0
 
 @dataclass(frozen=True)
 class TaskActive:
-    """Holds while an action has a goal that was accepted and hasn't ended."""
+    """Holds while an action has a goal that is being executed or cancelled."""
 
     action: str
     settle: float = SETTLE
