@@ -72,17 +72,22 @@ class Robot:
     # -- setting up -------------------------------------------------------------------------------------------------
 
     def objects(
-        self, *, policy: str, labels: dict[str, str] | None = None, edit: Callable[[Object], None] | None = None
+        self,
+        *,
+        policy: str,
+        labels: dict[str, str] | None = None,
+        edit: Callable[[Object], None] | None = None,
+        workload: str = "robotworkload.yaml",
     ) -> list[Object]:
         """The robot's and its workload's manifests under this robot's name."""
-        found = copy.deepcopy(manifest("robot.yaml") + manifest("robotworkload.yaml"))
+        found = copy.deepcopy(manifest("robot.yaml") + manifest(workload))
         text = yaml.safe_dump_all(found).replace("robot-1", self.name)
         found = list(yaml.safe_load_all(text))
-        workload = next(item for item in found if item["kind"] == "RobotWorkload")
-        workload["metadata"]["labels"] = labels or {"app": "quickstart"}
-        workload["spec"]["failurePolicyRef"] = {"name": policy}
+        item = next(item for item in found if item["kind"] == "RobotWorkload")
+        item["metadata"]["labels"] = labels or {"app": "quickstart"}
+        item["spec"]["failurePolicyRef"] = {"name": policy}
         if edit:
-            edit(workload)
+            edit(item)
         return found
 
     def wait_driven(self, within: float = 120.0) -> str:

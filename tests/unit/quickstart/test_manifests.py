@@ -33,9 +33,11 @@ def of_kind(kind: str) -> list[dict[str, Any]]:
 
 def test_every_file_is_known_here() -> None:
     assert [str(f.relative_to(MANIFESTS)) for f in FILES] == [
+        "managed/robotworkload.yaml",
         "robot.yaml",
         "robotworkload.yaml",
         "strategies/executing.yaml",
+        "strategies/initialized.yaml",
         "strategies/restart.yaml",
         "strategies/uninitialized.yaml",
         "workload-ref/deployment.yaml",

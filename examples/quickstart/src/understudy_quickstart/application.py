@@ -17,6 +17,7 @@ import rclpy
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import OccupancyGrid, Odometry
 from rclpy.executors import ExternalShutdownException
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import LaserScan
@@ -28,27 +29,43 @@ from understudy_quickstart.pursuit import WAYPOINTS, Circuit, Pursuit, space_ahe
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
-class Drive(Node):
-    """Follows the circuit at 20 commands a second."""
+class Driving:
+    """Follows the circuit at 20 commands a second, from a node."""
 
-    def __init__(self, name: str) -> None:
-        super().__init__("drive")
-        self._name = name
+    def __init__(self, node: Node, name: str) -> None:
+        self._node, self._name = node, name
         self._pursuit = Pursuit(Circuit(WAYPOINTS))
         self._pose: Pose | None = None
         self._ahead: float | None = None
         self._mapped = False
         self._next: int | None = None
         # Depth 1 as Nav2's controller has it: of a stream of commands only the latest one is worth sending again.
-        self._commands = self.create_publisher(TwistStamped, "/cmd_vel", 1)
-        self.create_subscription(Odometry, "/odom", self._moved, 1)
-        self.create_subscription(LaserScan, "/scan", self._scanned, qos_profile_sensor_data)
-        self.create_subscription(OccupancyGrid, "/map", self._charted, LATCHED)
-        self.create_timer(1 / 20, self._drive)
+        self._commands = Node.create_publisher(node, TwistStamped, "/cmd_vel", 1)
+        self._inputs = [
+            node.create_subscription(Odometry, "/odom", self._moved, 1),
+            node.create_subscription(LaserScan, "/scan", self._scanned, qos_profile_sensor_data),
+            node.create_subscription(OccupancyGrid, "/map", self._charted, LATCHED),
+        ]
+        self._timer = node.create_timer(1 / 20, self._drive, autostart=False)
         self._say(f"{name} is up after {_age():.2f} s")
 
+    def start(self) -> None:
+        """Drive from now on."""
+        self._timer.reset()
+
+    def stop(self) -> None:
+        """Drive no more; everything is received as before."""
+        self._timer.cancel()
+
+    def end(self) -> None:
+        """Let go of everything."""
+        self._node.destroy_timer(self._timer)
+        self._node.destroy_publisher(self._commands)
+        for subscription in self._inputs:
+            self._node.destroy_subscription(subscription)
+
     def _say(self, text: str) -> None:
-        self.get_logger().info(text)
+        self._node.get_logger().info(text)
 
     def _moved(self, message: Odometry) -> None:
         turn = message.pose.pose.orientation
@@ -68,7 +85,7 @@ class Drive(Node):
         for number, (x, y) in enumerate(WAYPOINTS):
             column, row = int(x / message.info.resolution), int(y / message.info.resolution)
             if not (0 <= row < grid.shape[0] and 0 <= column < grid.shape[1]) or grid[row, column] != 0:
-                self.get_logger().error(f"waypoint {number} at {x}, {y} is not free in the map: not driving")
+                self._node.get_logger().error(f"waypoint {number} at {x}, {y} is not free in the map: not driving")
                 return
         self._mapped = True
 
@@ -81,11 +98,53 @@ class Drive(Node):
             self._next = number
         linear, angular = self._pursuit.command(self._pose, self._ahead)
         message = TwistStamped()
-        message.header.stamp = self.get_clock().now().to_msg()
+        message.header.stamp = self._node.get_clock().now().to_msg()
         message.header.frame_id = self._name
         message.twist.linear.x = linear
         message.twist.angular.z = angular
         self._commands.publish(message)
+
+
+class Drive(Node):
+    """Drives by itself, as soon as it can."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__("drive")
+        self._driving = Driving(self, name)
+        self._driving.start()
+
+
+class ManagedDrive(LifecycleNode):
+    """The same as a managed node: configured it receives everything, active it drives."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__("drive")
+        self._name = name
+        self._driving: Driving | None = None
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Receive odometry, scans and the map."""
+        self._driving = Driving(self, self._name)
+        return super().on_configure(state)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Drive."""
+        assert self._driving is not None, "it was configured"
+        self._driving.start()
+        return super().on_activate(state)
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Stand still."""
+        assert self._driving is not None, "it was configured"
+        self._driving.stop()
+        return super().on_deactivate(state)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Let go of everything."""
+        assert self._driving is not None, "it was configured"
+        self._driving.end()
+        self._driving = None
+        return super().on_cleanup(state)
 
 
 def _age() -> float:
@@ -93,9 +152,10 @@ def _age() -> float:
 
 
 def main() -> None:
-    """Run the application until it is told to stop."""
+    """Run the application until it is told to stop; with DRIVE_MANAGED it waits to be configured and activated."""
     rclpy.init()
-    drive = Drive(os.environ.get("HOSTNAME") or socket.gethostname())
+    kind = ManagedDrive if os.environ.get("DRIVE_MANAGED") else Drive
+    drive = kind(os.environ.get("HOSTNAME") or socket.gethostname())
     try:
         rclpy.spin(drive)
     except (KeyboardInterrupt, ExternalShutdownException):

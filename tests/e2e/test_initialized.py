@@ -1,0 +1,124 @@
+"""A managed application: brought up by Understudy, and followed by a standby that waits configured."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+
+from tests.e2e.kubectl import Kubectl, Object
+from tests.e2e.scenario import Robot, eventually, manifest
+from tests.e2e.test_strategies import assert_handed_over
+
+POOL = "quickstart-initialized"
+
+
+@pytest.fixture
+def managed(kubectl: Kubectl) -> Robot:
+    """A robot whose application is a managed node, with a standby that waits configured."""
+    robot = Robot(kubectl)
+    kubectl.apply(manifest("strategies/initialized.yaml"))
+    kubectl.apply(robot.objects(policy=POOL, workload="managed/robotworkload.yaml"))
+    robot.wait_protected()
+    return robot
+
+
+def standbys(robot: Robot) -> list[Object]:
+    active = robot.status().get("active")
+    return [
+        pod
+        for pod in robot.pods()
+        if pod["metadata"]["name"] != active and not pod["metadata"].get("deletionTimestamp")
+    ]
+
+
+def is_ready(pod: Object) -> bool:
+    conditions = pod["status"].get("conditions") or []
+    return any((c["type"], c["status"]) == ("Ready", "True") for c in conditions)
+
+
+def wait_counted(robot: Robot, ready: int) -> None:
+    """Wait until the pool counts so many of its standbys as ready."""
+    eventually(
+        lambda: (robot.kubectl.get("fallbackpool", POOL).get("status") or {}).get("ready") == ready,
+        within=90,
+        what=f"{ready} standbys of {POOL} are ready",
+        note=robot.describe,
+    )
+
+
+@pytest.mark.parametrize("how", ["killed", "frozen", "deleted"])
+def test_a_configured_standby_is_activated_and_takes_over(managed: Robot, how: str) -> None:
+    old = managed.wait_protected()
+    wait_counted(managed, 1)
+    assert managed.status()["standby"] == "Initialized (1/1)"
+    managed.fail(old, how)
+    recovery = managed.wait_recovered(1)
+    assert recovery.strategy == "Fallback/Initialized", recovery
+    assert recovery.parts["startup"] == 0, "its processes were up"
+    assert recovery.parts["reinitialization"] > 0
+    assert_handed_over(managed, recovery)
+    assert managed.wait_protected() == recovery.new, "and it is protected again"
+    assert managed.status()["standby"] == "Initialized (1/1)", "by the pod that its own controller made instead"
+    assert managed.condition("BroughtUp")["status"] == "True"
+
+
+def test_a_standby_counts_only_while_its_check_holds_and_is_replaced_when_it_does_not(managed: Robot) -> None:
+    active = managed.wait_protected()
+    wait_counted(managed, 1)
+    (standby,) = (pod["metadata"]["name"] for pod in standbys(managed) if is_ready(pod))
+    managed.signal(standby, "STOP")
+    eventually(
+        lambda: not managed.has_pod(standby) or not any(is_ready(pod) for pod in standbys(managed)),
+        within=60,
+        what=f"{standby} is not ready any more",
+        note=managed.describe,
+    )
+    eventually(
+        lambda: not any(pod["metadata"]["name"] == standby for pod in standbys(managed)),
+        within=90,
+        what=f"{standby} is replaced",
+        note=managed.describe,
+    )
+    events = managed.kubectl.list("events")
+    assert any(e["reason"] == "StandbyReplaced" and standby in e["message"] for e in events)
+    wait_counted(managed, 1)
+    assert managed.status()["active"] == active, "the robot went on"
+
+
+def test_a_restarted_managed_application_is_brought_up_again(managed: Robot) -> None:
+    managed.wait_protected()
+    managed.kubectl("delete", "fallbackpool", POOL, "--wait=true")
+    eventually(
+        lambda: managed.status().get("strategy") == "Restart" and not standbys(managed),
+        within=60,
+        what="no standby is left",
+        note=managed.describe,
+    )
+    old = managed.wait_driven()
+    managed.fail(old, "deleted")
+    recovery = managed.wait_recovered(1)
+    assert recovery.strategy == "Restart", recovery
+    assert recovery.parts["startup"] > 0
+    assert_handed_over(managed, recovery)
+
+
+def test_a_bring_up_that_never_ends_is_told_with_its_leaf(kubectl: Kubectl) -> None:
+    robot = Robot(kubectl)
+
+    def never(workload: Object) -> None:
+        leaf = {"wait_for": {"node": "/nobody"}}
+        workload["spec"]["bringUp"] = {"within": "3s", "yaml": {"sequence": [leaf]}}
+
+    kubectl.apply(manifest("strategies/initialized.yaml"))
+    kubectl.apply(robot.objects(policy=POOL, workload="managed/robotworkload.yaml", edit=never))
+    condition = eventually(
+        lambda: (found := robot.condition("BroughtUp")).get("status") == "False" and found,
+        within=90,
+        what="the procedure that never ends is told",
+        note=robot.describe,
+    )
+    assert condition["reason"] == "ProcedureFailed"
+    assert "bringUp.sequence[0].wait_for: node /nobody is not there" in condition["message"]
+    time.sleep(1)
+    assert any(event["reason"] == "NotBroughtUp" for event in kubectl.list("events"))
