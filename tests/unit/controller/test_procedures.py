@@ -1,0 +1,73 @@
+"""What the operator makes of procedures: mistakes are told where they stand, and monitors learn what pools want."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from tests.unit.controller.world import World, applied, created, gate, hot, policy, source_pod, standby_pod, workload
+from understudy.cluster.client import Object
+from understudy.controller import policies
+
+INACTIVE = {"yaml": {"set_lifecycle": {"node": "/amcl", "state": "inactive"}}, "within": "20s"}
+CHECK = {"yaml": {"lifecycle_is": {"node": "/amcl", "state": "inactive"}}, "period": "2s"}
+
+
+def warm(**more: object) -> Object:
+    return hot("warm", readiness="Initialized", initialization=INACTIVE, **more)
+
+
+def test_an_initialized_pool_keeps_standbys_as_an_executing_one_does() -> None:
+    world = World(workload(), policy("warm", "Restart"), warm(per_workload=2))
+    names = [pod["metadata"]["labels"]["understudy.dev/pool"] for pod in created(world.plan(), "pods")]
+    assert names == ["warm", "warm"]
+
+
+def test_monitors_learn_what_a_pools_standbys_are_brought_to() -> None:
+    world = World(workload(), policy("warm"), warm(readinessCheck=CHECK))
+    (pool,) = json.loads(applied(world.plan(), "configmaps")["w-settings"]["data"]["settings.json"])["pools"]
+    assert pool["readiness"] == "Initialized"
+    assert pool["initialization"] == INACTIVE
+    assert pool["readinessCheck"] == CHECK
+
+
+def test_a_mistake_in_bring_up_is_told_and_what_is_there_stays() -> None:
+    world = World(workload(bringUp={"yaml": {"set_lifecycle": {"node": "/amcl", "state": "on"}}}), policy("Restart"))
+    accepted = world.condition("Accepted")
+    assert (accepted["status"], accepted["reason"]) == ("False", "TreeInvalid")
+    assert "spec.bringUp.yaml.set_lifecycle.state: found 'on'; give one of unconfigured" in accepted["message"]
+    assert world.plan().writes == []
+
+
+def test_a_mistake_in_a_recovery_is_told_in_the_policy() -> None:
+    found = policy("Restart", "Restart")
+    found["spec"]["strategies"][1]["recovery"] = {"yaml": {"restore_state": {"onyl": ["/amcl_pose"]}}}
+    problem = policies.problem(found)
+    assert problem is not None
+    assert problem.reason == "TreeInvalid"
+    assert problem.message == (
+        "spec.strategies[1].recovery.yaml.restore_state.onyl: unknown key 'onyl', did you mean 'only'?"
+    )
+
+
+@pytest.mark.parametrize(("ready", "told"), [(True, "Initialized (1/1)"), (False, "Initialized (0/1)")])
+def test_the_standby_column_counts_standbys_that_are_ready(ready: bool, told: str) -> None:
+    world = World(workload(), policy("warm"), warm())
+    world.build()
+    driving = source_pod("w-a")
+    world.pods = [driving, standby_pod("w-s", of=workload(), pool="warm", ready=ready)]
+    world.own(gate(world.workload, active=driving, epoch=1))
+    assert world.status()["standby"] == told
+    assert world.condition("Protected")["status"] == str(ready)
+
+
+def test_standbys_of_two_readinesses_count_each_for_its_own_pool() -> None:
+    world = World(workload(), policy("hot", "warm"), hot(), warm())
+    world.build()
+    driving = source_pod("w-a")
+    world.pods = [driving, standby_pod("w-s", of=workload(), pool="warm")]
+    world.own(gate(world.workload, active=driving, epoch=1))
+    protected = world.condition("Protected")
+    assert protected["status"] == "False"
+    assert "If it failed now, Fallback from pool warm would be used" in protected["message"]
