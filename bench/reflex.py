@@ -37,6 +37,9 @@ ROBOTS_NODE = "node1"
 
 STRATEGY = "Fallback/Executing (reflex)"
 
+AWAY = 5.0
+"""Seconds for which a node that was cut off stays away after the commit."""
+
 SETTLE = 4.0
 """Seconds without an API server after the failure: longer than the kubelet takes to restart a container."""
 
@@ -124,7 +127,6 @@ class Bench:
         before = self._robot.status().get("recoveryCount") or 0
         if without_api:
             self.api.stop()
-        failed = time.time()
         match how:
             case "killed":
                 signal_processes(uid, APPLICATION, signal.SIGKILL)
@@ -138,8 +140,10 @@ class Bench:
         recovery = self._robot.wait_recovered(before + 1, within=120)
         if how == "frozen":
             signal_processes(uid, APPLICATION, signal.SIGCONT)
+        connected = time.time()
         if how == "cut":
-            time.sleep(2.0)
+            time.sleep(AWAY)
+            connected = time.time()
             cluster("node", "connect", node)
         if without_api or how == "cut":
             self.api.start()
@@ -149,15 +153,20 @@ class Bench:
             self._early += 1
             self.told.append(f"{name} was to be {how}; it came to {recovery.strategy} of {recovery.old}: left out")
             return
-        self._judge(recovery, how, without_api, failed)
+        self._judge(recovery, how, without_api, connected if how == "cut" else None)
 
-    def _judge(self, recovery: Recovered, how: str, without_api: bool, failed: float) -> None:
+    def _judge(self, recovery: Recovered, how: str, without_api: bool, connected: float | None) -> None:
         log = self._robot.log(tail=4000)
         handover = log.handover(recovery.old, recovery.new, switch=recovery.moments["lastHealthy"])
         if handover.gap is None:
             raise Late("the robot never heard the standby")
         fenced = recovery.moments["fenced"]
         after = [c for c in log.of(recovery.old) if c.received > fenced]
+        if connected is not None:
+            # The policies of a node that was away are as old as its last contact: a limit, told by itself.
+            stale = [c for c in after if c.received >= connected]
+            after = [c for c in after if c.received < connected]
+            self._values.setdefault("commands of the old pod when its node was back", []).append(float(len(stale)))
         between = [c for c in log.of(recovery.old) if handover.first_new and handover.first_new < c.received <= fenced]
         kind = f"{how}{', no API server' if without_api else ''}"
         for group in ("all", kind):
