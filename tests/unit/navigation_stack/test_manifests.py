@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -169,3 +170,9 @@ def test_real_nav2_differs_in_its_image_and_its_nodes() -> None:
     assert told[0] < told[1]
     kept = [p["spec"]["state"]["keep"] for p in of_kind("FailurePolicy")]
     assert all([{**topic, "maxAge": ""} for topic in k] == [{**topic, "maxAge": ""} for topic in kept[0]] for k in kept)
+
+
+def test_no_key_is_a_truth_value_by_accident() -> None:
+    """kubectl reads YAML 1.1, in which y and n are true and false; Python's loader takes them for names."""
+    for file in FILES:
+        assert not re.search(r"[{,\n]\s*[yn]:", file.read_text()), file
