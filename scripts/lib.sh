@@ -75,7 +75,7 @@ interface_wheels() {
     exec 8>"$1.lock"
     flock 8
     [ -e "$1/.complete" ] && return
-    debian_programs cmake=cmake g++=g++
+    debian_programs cmake=cmake g++=g++ make=make
     "$base" -c 'import os, sys, sysconfig; sys.exit(not os.path.exists(sysconfig.get_path("include") + "/Python.h"))' ||
         debian_packages python3-dev
     say "building the interfaces of the examples in $1 (two minutes, once)"

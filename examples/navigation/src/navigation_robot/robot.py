@@ -11,6 +11,7 @@ import time
 
 import numpy as np
 import rclpy
+from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry as OdometryMessage
 from navigation_world import World
@@ -90,7 +91,7 @@ class Robot:
         """Leave the graph."""
         self._node.destroy_node()
 
-    def _now(self) -> messages.Time:
+    def _now(self) -> Time:
         return self._node.get_clock().now().to_msg()
 
     def _tick(self, now: float) -> None:

@@ -27,7 +27,8 @@ class Grid:
         """x and y of the middle of each cell."""
         x = self.left + (np.arange(self.columns) + 0.5) * self.resolution
         y = self.bottom + (np.arange(self.rows) + 0.5) * self.resolution
-        return tuple(np.meshgrid(x, y))  # type: ignore[return-value]
+        columns, rows = np.meshgrid(x, y)
+        return columns, rows
 
     def cell(self, x: float, y: float) -> tuple[int, int]:
         """Row and column of the cell that a point is in; it may be outside of the raster."""
@@ -63,7 +64,7 @@ def component(free: NDArray[np.bool_], seed: tuple[int, int]) -> NDArray[np.bool
 
 def _spread(found: NDArray[np.bool_], free: NDArray[np.bool_], axis: int) -> NDArray[np.bool_]:
     """Carries what is found along an axis until something is in the way."""
-    number = np.arange(found.shape[axis]).reshape((-1, 1) if axis == 0 else (1, -1))
-    last_found = np.maximum.accumulate(np.where(found & free, number, -1), axis=axis)
-    last_blocked = np.maximum.accumulate(np.where(free, -1, number), axis=axis)
+    number = np.arange(found.shape[axis], dtype=np.int16).reshape((-1, 1) if axis == 0 else (1, -1))
+    last_found = np.maximum.accumulate(np.where(found & free, number, np.int16(-1)), axis=axis)
+    last_blocked = np.maximum.accumulate(np.where(free, np.int16(-1), number), axis=axis)
     return free & (last_found > last_blocked)
