@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -12,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.unit.ros.network import network
 from tests.unit.ros.processes import PACKAGE, Processes
 
 pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("dds")]
@@ -251,3 +253,50 @@ async def test_an_idle_caller_closes_its_node_and_makes_another(
     assert caller.node is caller.node
     await asyncio.sleep(0.2)
     assert caller._opened is not None, "who holds the node keeps it"
+
+
+LISTEN = """
+import rclpy
+from std_msgs.msg import String
+rclpy.init()
+node = rclpy.create_node("listener")
+node.create_subscription(String, "/initialpose", lambda _: None, 10)
+rclpy.spin(node)
+"""
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="network namespaces need root")
+def test_a_subscriber_that_cannot_be_reached_holds_nothing_up() -> None:
+    """Instances of one workload know of each other's subscribers, and no packet passes between them."""
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(PACKAGE),
+        "ROS_DOMAIN_ID": "62",
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
+        "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
+        "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
+    }
+    running = Processes()
+    with network() as lan:
+        try:
+            for ip, command in (
+                ("10.62.0.2", [sys.executable, "-c", LISTEN]),
+                ("10.62.0.3", [sys.executable, str(Path(__file__).parent / "publishing.py")]),
+            ):
+                process = subprocess.Popen(
+                    [*lan.host(ip), *command],
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.PIPE,
+                    text=True,
+                    env=environment,
+                )
+                running._running.append(process)
+            other, own = running._running
+            assert running.line(own, 60) == "both 2"
+            other.send_signal(signal.SIGSTOP)
+            assert own.stdin is not None
+            own.stdin.write("go\n")
+            own.stdin.flush()
+            assert running.line(own, 60) == "published True"
+        finally:
+            running.end()

@@ -1,0 +1,220 @@
+"""The navigation example on the cluster: a robot that is driven through a list of goals while its stack is taken away.
+
+What came of it is read from three logs: the robot's (commands with their senders, where it really was), the client's (its
+goals and their results) and the workload's status.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+from understudy_demo.robotview import RobotLog
+
+from tests.e2e.kubectl import Kubectl, Object
+from tests.e2e.scenario import Robot, eventually
+from understudy.ros.sources import VENDOR, host_id
+
+MANIFESTS = Path(__file__).parents[2] / "examples" / "navigation" / "manifests"
+CONTAINER = "navigation"
+
+CONFIGURATIONS = {
+    "restart": "Restart",
+    "pod-started": "Fallback/Uninitialized",
+    "stack-started": "Fallback/Initialized",
+    "localization-running": "Fallback/Initialized",
+    "executing": "Fallback/Executing",
+}
+"""The paper's five configurations (its section IV-B), by the name of the manifest, and what each recovers by."""
+
+GOAL_TOLERANCE = 0.25
+"""Metres from the goal that the stack's controller calls reached; what it believes, so localization's error adds to it."""
+
+LOCATE = """
+import math, sys, time
+import rclpy
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from rclpy.qos import DurabilityPolicy, QoSProfile
+rclpy.init()
+node = rclpy.create_node("locate")
+truth, worst, pairs = [], 0.0, 0
+def believed(m):
+    global worst, pairs
+    stamp = m.header.stamp.sec + m.header.stamp.nanosec / 1e9
+    near = min(truth, key=lambda t: abs(t[0] - stamp), default=None)
+    if near is not None and abs(near[0] - stamp) < 0.15:
+        p = m.pose.pose.position
+        worst, pairs = max(worst, math.hypot(p.x - near[1], p.y - near[2])), pairs + 1
+node.create_subscription(PoseStamped, "/ground_truth/pose", lambda m: truth.append(
+    (m.header.stamp.sec + m.header.stamp.nanosec / 1e9, m.pose.position.x, m.pose.position.y)), 10)
+node.create_subscription(PoseWithCovarianceStamped, "/amcl_pose", believed,
+    QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+end = time.monotonic() + float(sys.argv[1])
+while time.monotonic() < end and pairs < 20:
+    rclpy.spin_once(node, timeout_sec=0.1)
+print(pairs, worst)
+"""
+"""Run in a pod of the stack: how far its own localization is from where the robot really is."""
+
+
+@dataclass
+class Goal:
+    """One goal as its client saw it."""
+
+    number: int
+    x: float
+    y: float
+    heading: float
+    identity: str = ""
+    asked: int = 0
+    """How often the client sent it."""
+    status: str = ""
+    """Empty while there is no result."""
+    ended: float = 0.0
+    silence: float = 0.0
+    """Longest time without feedback in seconds."""
+
+
+@dataclass
+class Tour:
+    """What the client wrote down."""
+
+    wanted: int = 0
+    goals: list[Goal] = field(default_factory=list)
+    done: bool = False
+
+    @property
+    def running(self) -> Goal | None:
+        """The goal that it waits for."""
+        return self.goals[-1] if self.goals and not self.goals[-1].status and self.goals[-1].identity else None
+
+    @classmethod
+    def read(cls, text: str) -> Tour:
+        """From the client's log."""
+        tour = cls()
+        for line in text.splitlines():
+            if not line.startswith("{"):
+                continue
+            record: dict[str, Any] = json.loads(line)
+            match record["event"]:
+                case "client":
+                    tour.wanted = record["goals"]
+                case "goal":
+                    tour.goals.append(Goal(record["number"], record["x"], record["y"], record["heading"]))
+                case "answer":
+                    tour.goals[-1].asked += 1
+                    tour.goals[-1].identity = record["goal"] if record["accepted"] else ""
+                case "result":
+                    goal = tour.goals[-1]
+                    goal.status, goal.ended = record["status"], record["time"]
+                    goal.silence = record.get("silence", 0.0)
+                case "summary":
+                    tour.done = True
+        return tour
+
+
+class Navigator(Robot):
+    """A mobile robot with its navigation stack and a client."""
+
+    def __init__(self, kubectl: Kubectl, name: str = "robot-1") -> None:
+        super().__init__(kubectl, name)
+        self.workload = f"{name}-navigation"
+        self._hosts: dict[str, str] = {}
+
+    # -- setting up -------------------------------------------------------------------------------------------------
+
+    def set_up(self, configuration: str, *, edit: Callable[[list[Object]], None] | None = None) -> None:
+        """Apply policy, pool, workload and robot; ``edit`` may change the objects first."""
+        found = [
+            item
+            for name in (f"strategies/{configuration}.yaml", "workload.yaml", "robot.yaml")
+            for item in yaml.safe_load_all((MANIFESTS / name).read_text())
+            if item
+        ]
+        for item in found:
+            if item["kind"] == "RobotWorkload":
+                item["spec"]["failurePolicyRef"] = {"name": f"navigation-{configuration}"}
+        if edit:
+            edit(found)
+        self.kubectl.apply(found)
+
+    def wait_ready(self, within: float = 240.0) -> str:
+        """Wait until the stack is healthy and its first strategy's means are there; the pod in control."""
+
+        def ready() -> str | None:
+            status = self.status()
+            self._note_hosts()
+            held = self.condition("Protected").get("status") == "True"
+            active: str = status.get("active", "")
+            return active if held and status.get("health") == "Healthy" else None
+
+        pod: str = eventually(ready, within=within, what=f"{self.workload} is healthy and protected", every=1.0,
+                              note=self.describe)  # fmt: skip
+        return pod
+
+    def send_client(self, goals: int, tour: int | None = None) -> None:
+        """Have a client send so many goals, one after the other."""
+        (job,) = yaml.safe_load_all((MANIFESTS / "client.yaml").read_text())
+        container = job["spec"]["template"]["spec"]["containers"][0]
+        container["command"] = ["python3", "-m", "navigation_client", "--goals", str(goals)]
+        container["command"] += ["--tour", str(tour)] if tour is not None else []
+        self.kubectl.apply([job])
+
+    # -- looking ----------------------------------------------------------------------------------------------------
+
+    def tour(self) -> Tour:
+        """The client's goals so far."""
+        return Tour.read(self.kubectl("logs", f"job/{self.name}-client", "--tail=-1"))
+
+    def wait_driving(self, within: float = 60.0, *, beyond: int = 0) -> Goal:
+        """Wait until the robot moves to a goal after the ``beyond``-th; that goal."""
+
+        def driving() -> Goal | None:
+            goal = self.tour().running
+            moving = any(abs(m.speed) > 0.1 for m in self.log(tail=20).motions[-3:])
+            return goal if goal and goal.number > beyond and moving else None
+
+        goal: Goal = eventually(driving, within=within, what="the robot drives to a goal", note=self.describe)
+        return goal
+
+    def wait_done(self, within: float) -> Tour:
+        """Wait for the client's summary."""
+        tour: Tour = eventually(
+            lambda: (t := self.tour()).done and t, within=within, what="the client is done", every=1.0,
+            note=lambda: f"{self.tour()}\n{self.describe()}",
+        )  # fmt: skip
+        return tour
+
+    def log(self, tail: int = 0) -> RobotLog:
+        """What the robot wrote down, its commands by pod."""
+        self._note_hosts()
+        return super().log(tail).renamed(self._hosts)
+
+    def _note_hosts(self) -> None:
+        """Which pod has which host id, also of pods that are gone by the time the log is read."""
+        for pod in self.pods():
+            if ip := pod["status"].get("podIP"):
+                self._hosts[(VENDOR + host_id(ip)).hex()] = pod["metadata"]["name"]
+
+    def localization_error(self, pod: str) -> float:
+        """The greatest distance in metres of some two seconds between where a pod's stack believes the robot and where it is."""
+        said = self.kubectl("exec", pod, "-c", CONTAINER, "--", "python3", "-c", LOCATE, "15", timeout=60).split()
+        assert int(said[0]) > 5, f"{pod} hardly says where the robot is: {said[0]} poses in 15 s"
+        return float(said[1])
+
+    def distance_to(self, goal: Goal) -> float:
+        """Where the robot really was when a goal ended, from the goal, in metres."""
+        near = min(self.log().motions, key=lambda m: abs(m.time - goal.ended))
+        return math.hypot(near.x - goal.x, near.y - goal.y)
+
+    # -- failing ----------------------------------------------------------------------------------------------------
+
+    def send_signal(self, pod: str, number: str, *nodes: str) -> None:
+        """Send a signal to nodes of a pod's stack, or to all of it."""
+        command = ("python3", "-m", "navigation_stack.send_signal", number, *nodes)
+        self.kubectl("exec", pod, "-c", CONTAINER, "--", *command)
