@@ -12,6 +12,7 @@ import base64
 import contextlib
 import itertools
 import logging
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -52,10 +53,14 @@ class _Record:
     action: str
     type: str
     data: bytes
+    note: str
+    """Kept for whoever asks for all goals."""
     state: str = "waiting"
     """waiting (for the server), running, rejected, ended, lost."""
     status: int = _UNKNOWN
     result: bytes = b""
+    ended: float = 0.0
+    """By the monotonic clock."""
     task: asyncio.Task[None] | None = None
 
     def to_wire(self) -> dict[str, Any]:
@@ -89,11 +94,13 @@ class Goals:
     async def goal(self, body: Mapping[str, Any], peer: Peer) -> None:
         """Send a goal to the instance, when its server is there. Nothing changes by the same again. Raises Refused."""
         id, action, type_name, data = _checked(body)
+        note = str(body.get("note", ""))
         known = self._records.get(id)
         if known is not None and known.state != "rejected":
+            known.note = note
             return
         await asyncio.to_thread(_type, type_name)
-        record = self._records[id] = _Record(id, action, type_name, data)
+        record = self._records[id] = _Record(id, action, type_name, data, note)
         record.task = asyncio.create_task(self._follow(record), name=f"goal {id}")
         self._forget()
 
@@ -118,7 +125,18 @@ class Goals:
 
     async def list(self, body: Mapping[str, Any], peer: Peer) -> dict[str, Any]:
         """All goals that were asked for, and how they are."""
-        return {"goals": [record.to_wire() for record in self._records.values()]}
+        now = time.monotonic()
+        return {
+            "goals": [
+                {
+                    **record.to_wire(),
+                    "note": record.note,
+                    "data": base64.b64encode(record.data).decode() if record.state in _OPEN else "",
+                    "ago": now - record.ended if record.ended else 0.0,
+                }
+                for record in self._records.values()
+            ]
+        }
 
     async def resent(self, body: Mapping[str, Any], peer: Peer) -> None:
         """What :meth:`resend` asked for was done."""
@@ -155,6 +173,7 @@ class Goals:
 
     def _change(self, record: _Record, state: str, *, status: int = _UNKNOWN, result: bytes = b"") -> None:
         record.state, record.status, record.result = state, status, result
+        record.ended = time.monotonic() if state not in _OPEN else 0.0
         _logger.info("goal %s of %s: %s%s", record.id, record.action, state, f", status {status}" if status else "")
         self._publish({"goal": record.to_wire()})
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import uuid
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -119,6 +120,21 @@ class Goal:
             made = Attempt(uuid.uuid5(uuid.UUID(self.id), f"{uid} {self.tries}").hex)
         self.attempts[uid] = made
         return made
+
+    def note(self) -> str:
+        """What an instance is given to keep with the goal: by it a proxy without a journal takes the goal up."""
+        kept = ("id", "action", "number", "received", "request", "accepted", "results")
+        return json.dumps({name: getattr(self, name) for name in kept})
+
+    @classmethod
+    def from_note(cls, note: str, data: str) -> Goal:
+        """Raises KeyError, TypeError and ValueError where it is none."""
+        found = json.loads(note)
+        request = tuple(found["request"]) if found["request"] else None
+        results = [tuple(entry) for entry in found["results"]]
+        goal = cls(**{**found, "data": data, "request": request, "results": results})
+        goal.phase = Phase.ACTIVE if goal.accepted else Phase.PENDING
+        return goal
 
     def to_wire(self) -> dict[str, Any]:
         """As one JSON object."""

@@ -40,6 +40,9 @@ KEPT = 900.0
 MOST_KEPT = 128
 """Ended goals that are kept."""
 
+MOST_BYTES = 4 << 20
+"""Bytes (in base64) of the results of ended goals that are kept: the journal is written as a whole."""
+
 JUST_NOW = 10.0
 """Seconds before a restart for which answers are given again: the last ones may not have gone out."""
 
@@ -91,6 +94,8 @@ class Order:
     type: str
     data: str
     cancel: bool = False
+    note: str = ""
+    """What it keeps with the goal (see :meth:`Ledger.adopt`)."""
 
 
 @dataclass
@@ -182,6 +187,27 @@ class Ledger:
         elif at is At.LOST:
             self._orphaned(goal, now)
 
+    def adopt(self, uid: str, id: str, note: str, data: str, ended: tuple[int, str] | None, now: float) -> None:
+        """Take up a goal that the instance in control has and that isn't known here, since the journal was lost.
+
+        ``ended`` has the status and the result of one that has ended meanwhile. Raises KeyError, TypeError and ValueError
+        for a note that is none.
+        """
+        if uid != self._active or not note:
+            return
+        goal = Goal.from_note(note, data)
+        if goal.id in self.goals or goal.action not in self._rules:
+            return
+        self.goals[goal.id] = goal
+        self._number = max(self._number, goal.number)
+        goal.charge, goal.attempts[uid] = uid, Attempt(id)
+        if goal.request and goal.accepted and now - goal.accepted * 1e-9 < JUST_NOW:
+            self._answers.append(GoalAnswer(goal.action, goal.request, True, goal.accepted))
+        if ended is not None:
+            goal.attempts[uid].at, goal.attempts[uid].status = At.ENDED, ended[0]
+            self._accept(goal, now)
+            self._finish(goal, End(*ended), now)
+
     def answered_cancel(self, uid: str, id: str, accepted: bool, now: float) -> None:
         """An instance accepts or rejects to cancel a goal."""
         found = self._at(uid, id)
@@ -264,7 +290,7 @@ class Ledger:
             rule = self._rules.get(goal.action)
             wanted = goal.open and (uid == goal.charge or uid in self._mirrors)
             cancel = goal.phase is Phase.CANCELING or bool(goal.cancels) or not wanted
-            found.append(Order(attempt.id, goal.action, rule.type if rule else "", goal.data, cancel))
+            found.append(Order(attempt.id, goal.action, rule.type if rule else "", goal.data, cancel, goal.note()))
         return found
 
     def of_action(self, action: str) -> list[Goal]:
@@ -411,6 +437,7 @@ class Ledger:
     def _finish(self, goal: Goal, end: End, now: float) -> None:
         self._cancel_decided(goal, end.status == CANCELED)
         goal.phase, goal.end, goal.ended_at, goal.unasked = Phase.ENDED, end, now, None
+        goal.data = ""  # it is never sent again
         self._answer_results(goal, end)
 
     def _answer_results(self, goal: Goal, end: End) -> None:
@@ -468,8 +495,10 @@ class Ledger:
 
     def _forget(self, now: float) -> None:
         """Forget ended goals in time: first the oldest."""
-        ended = sorted((g for g in self.goals.values() if not g.open), key=lambda g: g.ended_at)
-        surplus = max(0, len(ended) - MOST_KEPT)
+        ended = sorted((g for g in self.goals.values() if not g.open), key=lambda g: g.ended_at, reverse=True)
+        size = 0
         for index, goal in enumerate(ended):
-            if index < surplus or now - goal.ended_at >= KEPT:
+            size += len(goal.end.result) if goal.end else 0
+            over = index >= MOST_KEPT or (index > 0 and size > MOST_BYTES)
+            if over or now - goal.ended_at >= KEPT:
                 del self.goals[goal.id]

@@ -31,6 +31,9 @@ class Listener(Protocol):
     def orders(self, uid: str) -> Sequence[Order]:
         """What the instance is to have."""
 
+    def found(self, uid: str, goal: Mapping[str, Any]) -> None:
+        """A goal that the instance has, maybe of an earlier proxy."""
+
     def said(self, uid: str, id: str, at: At, status: int, result: str) -> None:
         """How one of its goals is."""
 
@@ -54,7 +57,10 @@ class Link:
         self.peer, self._listener = peer, listener
         self._wake = asyncio.Event()
         self._asked = False
-        self._sent: set[str] = set()
+        self._sent: dict[str, str] = {}
+        """By id, the note with which the agent has the goal."""
+        self._mine: set[str] = set()
+        """Goals that were ordered and haven't ended: what is ordered no longer is cancelled."""
         self._cancelled: set[str] = set()
         self._invitations: list[int] = []
         self._link = AgentLink(
@@ -104,7 +110,8 @@ class Link:
         if at is None:
             return
         if at is not At.RUNNING:
-            self._sent.discard(found["id"])
+            self._sent.pop(found["id"], None)
+            self._mine.discard(found["id"])
         self._listener.said(self.peer.uid, found["id"], at, int(found["status"]), found["result"])
 
     async def _run(self) -> None:
@@ -128,9 +135,15 @@ class Link:
             self._asked = True
             for found in answer.get("goals", []):
                 if found["state"] in ("waiting", "running"):
-                    self._sent.add(found["id"])
+                    self._sent[found["id"]] = found.get("note", "")
+                self._listener.found(self.peer.uid, found)
                 self._said(found)
-        for order in self._listener.orders(self.peer.uid):
+        orders = self._listener.orders(self.peer.uid)
+        for id in self._mine - {order.id for order in orders}:
+            await self._link.request("cancel", {"goal": id}, within=WITHIN)
+            self._mine.discard(id)
+        for order in orders:
+            self._mine.add(order.id)
             if order.cancel:
                 await self._cancel(order)
             else:
@@ -141,19 +154,25 @@ class Link:
             await self._link.request("resent", {"number": number}, within=WITHIN)
 
     async def _send(self, order: Order) -> None:
-        if order.id in self._sent:
+        if self._sent.get(order.id) == order.note:
             return
-        body = {"goal": order.id, "action": order.action, "type": order.type, "data": order.data}
+        body = {
+            "goal": order.id,
+            "action": order.action,
+            "type": order.type,
+            "data": order.data,
+            "note": order.note,
+        }
         # Noted before the answer: what becomes of it may be told first.
-        self._sent.add(order.id)
+        self._sent[order.id] = order.note
         try:
             await self._link.request("goal", body, within=WITHIN)
         except AgentRefused as error:
-            self._sent.discard(order.id)
+            self._sent.pop(order.id, None)
             self._listener.troubled(self.peer.uid, order.action, f"pod {self.peer.pod}: {error}")
             raise
         except AgentGone:
-            self._sent.discard(order.id)
+            self._sent.pop(order.id, None)
             raise
         self._listener.troubled(self.peer.uid, order.action, "")
 

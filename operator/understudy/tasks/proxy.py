@@ -26,6 +26,9 @@ from understudy.tasks.situation import Peer, Rule, Situation
 
 _logger = logging.getLogger(__name__)
 
+RECENT = 60.0
+"""Seconds after its end for which a goal of an earlier proxy is taken up, since its client may wait for the result."""
+
 SLACK = 0.002
 """Seconds after a moment in the ledger at which it is looked at, so that the clock has surely passed it."""
 
@@ -68,6 +71,8 @@ class Proxy:
         self._ledger.place(situation, time.time())
         if (present := self._ledger.situation) is None or present != situation:
             return
+        # What follows for tasks that are no more is answered by their servers, while they are there.
+        self._conclude()
         self._rules = situation.rules
         self._serve()
         self._link(situation)
@@ -105,6 +110,20 @@ class Proxy:
     def orders(self, uid: str) -> Sequence[Order]:
         """What an instance is to have."""
         return self._ledger.orders(uid)
+
+    def found(self, uid: str, goal: Mapping[str, Any]) -> None:
+        """A goal that the instance has: taken up where it isn't known and its end, if it has one, is recent."""
+        ended = None
+        if goal["state"] == "ended":
+            if goal.get("ago", 0.0) > RECENT:
+                return
+            ended = (int(goal["status"]), str(goal["result"]))
+        elif goal["state"] not in ("waiting", "running"):
+            return
+        try:
+            self._ledger.adopt(uid, goal["id"], goal.get("note", ""), goal.get("data", ""), ended, time.time())
+        except (KeyError, TypeError, ValueError) as error:
+            _logger.error("goal %s of an earlier proxy can't be taken up: %r", goal["id"], error)
 
     def said(self, uid: str, id: str, at: At, status: int, result: str) -> None:
         """How one of its goals is."""
@@ -213,10 +232,6 @@ class Proxy:
                 continue
             del self._served[action]
             if gone.server is not None:
-                # The last answers go out first.
-                for answer in self._ledger.advance(time.time()):
-                    if answer.action == action:
-                        self._answer(gone, answer)
                 self._spawn(gone.server.close())
         for action, rule in rules.items():
             if action not in self._served:

@@ -9,7 +9,17 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 
 from tests.unit.tasks.world import ABORTED, CANCELED, SUCCEEDED, World
 from understudy.tasks.goals import ACCEPTED, CANCELING, EXECUTING, At, Phase
-from understudy.tasks.ledger import CANCEL_ENDED, CANCEL_OK, CANCEL_REJECTED, CANCEL_UNKNOWN, REFUSED, UNDECIDED
+from understudy.tasks.ledger import (
+    CANCEL_ENDED,
+    CANCEL_OK,
+    CANCEL_REJECTED,
+    CANCEL_UNKNOWN,
+    MOST_BYTES,
+    MOST_KEPT,
+    REFUSED,
+    UNDECIDED,
+    Ledger,
+)
 
 
 @pytest.fixture
@@ -420,6 +430,50 @@ class TestRestart:
         assert world.instances["b"].starts == [goal]
 
 
+class TestWithoutTheJournal:
+    """As when the monitor's pod is on another node now: what the instance in control kept is taken up."""
+
+    def test_goals_are_taken_up_from_the_instance_in_control(self, world: World) -> None:
+        goal = world.ask()
+        world.want(goal)
+        note = world.ledger.orders("a")[0].note
+        world.ledger = Ledger()
+        world.tell()
+        world.ledger.adopt("b", goal, note, "goal", None, world.now)
+        assert world.ledger.goals == {}
+        world.ledger.adopt("a", goal, note, "goal", None, world.now)
+        world.ledger.report("a", goal, At.RUNNING, world.now)
+        world.go()
+        assert status(world, goal) == EXECUTING
+        world.switch("b")
+        assert world.instances["b"].starts == [goal]
+        world.end("b", goal)
+        assert world.results == {goal: (SUCCEEDED, "b")}
+
+    def test_what_has_ended_meanwhile_is_told_and_never_sent_again(self, world: World) -> None:
+        goal = world.ask()
+        world.want(goal)
+        note = world.ledger.orders("a")[0].note
+        world.ledger = Ledger()
+        world.tell()
+        world.ledger.adopt("a", goal, note, "goal", (ABORTED, "a"), world.now)
+        world.switch("b")
+        assert world.results == {goal: (ABORTED, "a")}
+        assert world.instances["b"].starts == []
+
+
+def test_results_are_kept_within_bounds(world: World) -> None:
+    for _ in range(MOST_KEPT + 10):
+        world.end("a", world.ask())
+    assert len(world.ledger.goals) == MOST_KEPT
+    for _ in range(3):
+        goal = world.ask()
+        world.ledger.report("a", goal, At.ENDED, world.now, status=SUCCEEDED, result="x" * (MOST_BYTES // 2))
+        world.now += 1
+        world.go()
+    assert sum(len(g.end.result) for g in world.ledger.goals.values() if g.end) <= MOST_BYTES
+
+
 class Machine(RuleBasedStateMachine):
     """Anything in any order; at the end every goal that was accepted has ended, once."""
 
@@ -518,5 +572,5 @@ class Machine(RuleBasedStateMachine):
 
 TestAnything = Machine.TestCase
 TestAnything.settings = settings(
-    max_examples=300, stateful_step_count=30, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True
+    max_examples=100, stateful_step_count=30, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True
 )

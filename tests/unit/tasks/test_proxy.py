@@ -119,9 +119,11 @@ class Monitor:
     def task(self) -> dict[str, Any]:
         return self.reports[-1]["tasks"][0] if self.reports and self.reports[-1]["tasks"] else {}
 
-    def kill(self) -> None:
+    def kill(self, *, journal: bool = True) -> None:
         self.proxy.kill()
         self.proxy.wait()
+        if not journal:
+            (self._folder / "tasks" / "goals.json").unlink()
 
     def log(self) -> str:
         return (self._folder / "proxy.log").read_text()
@@ -187,13 +189,14 @@ async def test_a_client_sees_one_goal_although_the_instance_dies_and_another_tak
     await eventually(lambda: monitor.task().get("resent") == 1 and monitor.task()["active"] == 0)
 
 
-async def test_the_proxy_is_killed_and_no_client_notices(monitor, pods, start):
+@pytest.mark.parametrize("journal", [True, False], ids=["restarted", "without its journal"])
+async def test_the_proxy_is_killed_and_no_client_notices(monitor, pods, start, journal):
     pod = pods("robot-1", STEP="0.1")
     monitor.switch(pod, pod.peer())
     client = start("client", ACTION, "60", "61")
     await eventually(lambda: client.said("feedback", index=1, step=3))
     asked = len(monitor.reports)
-    monitor.kill()
+    monitor.kill(journal=journal)
     await monitor.start()
     await eventually(lambda: client.said("ended", index=0) and client.said("ended", index=1), 60)
     assert [line["status"] for line in client.said("ended")] == [SUCCEEDED, SUCCEEDED]
