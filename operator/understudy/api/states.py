@@ -70,6 +70,21 @@ class Storage(Model):
 class State(Model):
     """What is kept of a healthy instance, how often and how much."""
 
+    model_config = Model.model_config | {
+        "json_schema_extra": rules(
+            (
+                "!has(self.keep) || self.keep.all(a, self.keep.exists_one(b, b.topic == a.topic))",
+                "keep has the same topic twice",
+                ".keep",
+            ),
+            (
+                "!has(self.parameters) || self.parameters.all(a, self.parameters.exists_one(b, b.node == a.node))",
+                "parameters has the same node twice: name all of its parameters in one entry",
+                ".parameters",
+            ),
+        )
+    }
+
     keep: list[KeptTopic] = Field(default_factory=list, max_length=16, description="Topics whose last message is kept.")
     parameters: list[KeptParameters] = Field(
         default_factory=list, max_length=16, description="Parameters that are kept."
