@@ -82,7 +82,7 @@ class Amcl(managed.Managed):
         self._grid: Grid | None = None
         self._filter: ParticleFilter | None = None
         self._used: Pose | None = None
-        self._settling = 0
+        self._settling, self._begun = 0, False
         self._laser, self._odometry = Laser(self), OdometryInput(self)
         self._poses = self.create_lifecycle_publisher(PoseWithCovarianceStamped, "/amcl_pose", managed.LATCHED)
         self._frames = self.create_lifecycle_publisher(TFMessage, "/tf", QoSProfile(depth=100))
@@ -172,7 +172,7 @@ class Amcl(managed.Managed):
         if self._filter is None:
             self._filter = ParticleFilter(grid, particles=self._count, motion=Motion(), sensor=self._sensor)
         self._filter.spread(pose, covariance)
-        self._used, self._settling = here, SETTLING
+        self._used, self._settling, self._begun = here, SETTLING, True
         with self._guard:
             if self._start is start:
                 self._start = None
@@ -200,6 +200,9 @@ class Amcl(managed.Managed):
         message.pose.pose = message_of(pose)
         message.pose.covariance = six_by_six(covariance)
         self._poses.publish(message)
+        if self._begun:
+            self._begun = False
+            self.say(f"localizing from {pose.x:.2f}, {pose.y:.2f}, heading {pose.heading:.2f}")
         if self._broadcast:
             origin = pose.then(here.inverse())
             self._frames.publish(TFMessage(transforms=[transform(origin, self._map_frame, self._odom_frame, stamp)]))
