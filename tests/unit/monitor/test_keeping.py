@@ -7,6 +7,7 @@ import os
 import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -18,14 +19,16 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
 
 from understudy.api.kept import KeptState, NotRestored, Restored, RestoreReport
+from understudy.api.settings import PoolChoice, WorkloadSettings
 from understudy.api.states import KeptStatus, RestoredState, State
 from understudy.api.workloads import Recovery
 from understudy.cluster.agents import AgentGone
 from understudy.mitigation import keeping as pure
-from understudy.mitigation.interfaces import Instance
+from understudy.mitigation.interfaces import GateState, Instance
 from understudy.mitigation.shelf import Shelf
 from understudy.monitor import keeping as module
 from understudy.monitor.keeping import StateKeeping
+from understudy.monitor.supervising import Supervisor
 from understudy.ros.graph import Graph
 
 pytestmark = pytest.mark.ros
@@ -332,3 +335,32 @@ async def test_a_clock_that_is_set_changes_no_age(
     monitor.keeping.take(STATE, {}, "w-1")
     (after,) = monitor.keeping.select(time.time() + step).samples
     assert after.taken_at - before.taken_at == pytest.approx(step, abs=0.5)
+
+
+def test_only_ready_standbys_of_pools_that_say_so_are_kept_up() -> None:
+    settings = WorkloadSettings(
+        workload="w",
+        namespace="n",
+        uid="u",
+        source_kind="ReplicaSet",
+        source_name="w",
+        pools=[
+            PoolChoice(name="warm", readiness="Initialized", keep_up="2s"),
+            PoolChoice(name="hot", readiness="Executing"),
+        ],
+    )
+    of_source = Instance("w-3", "uid-3", running=True)
+    others = [
+        Instance("w-4", "uid-4", running=True, pool="hot"),
+        Instance("w-5", "uid-5", running=True, pool="warm", terminating=True),
+        Instance("w-6", "uid-6", running=True, pool="warm", has_agent=False),
+        Instance("w-7", "uid-7", running=True, pool="warm"),
+    ]
+    supervisor = SimpleNamespace(
+        _gate=SimpleNamespace(state=GateState(active_uid=ACTIVE.uid)),
+        _sidecars=SimpleNamespace(is_ready=lambda instance: (instance.name != "w-7", "starting")),
+    )
+    kept_up = Supervisor._kept_up(supervisor, [ACTIVE, STANDBY, of_source, *others], settings)  # type: ignore[arg-type]
+    assert kept_up == [(STANDBY, 2.0), (of_source, 2.0)]
+    settings.pools.pop(0)
+    assert Supervisor._kept_up(supervisor, [STANDBY], settings) == []  # type: ignore[arg-type]
