@@ -104,16 +104,19 @@ class Bench:
         # The nodes of the instances are cordoned, so that nothing else is there.
         pod["tolerations"] = [{"key": "node.kubernetes.io/unschedulable", "operator": "Exists"}]
 
-    def _armed(self) -> Object:
-        """Wait until a standby is let through, on another node; the pod in control."""
+    def _armed(self, *, apart: bool = False) -> Object:
+        """Wait until a standby is let through, if asked for on another node; the pod in control."""
 
         def armed() -> Object | None:
             if self._robot.condition("Reflex").get("status") != "True":
                 return None
             active = self._robot.status()["active"]
             pods = {p["metadata"]["name"]: p for p in self._robot.pods() if not p["metadata"].get("deletionTimestamp")}
-            nodes = {p["spec"]["nodeName"] for p in pods.values()}
-            return pods.get(active) if len(nodes) > 1 else None
+            if apart and len({p["spec"]["nodeName"] for p in pods.values()}) < 2:
+                # While the failed pod was ending, the scheduler had no reason to prefer the other node.
+                self._kubectl("delete", "pod", "--wait=true", *(name for name in pods if name != active))
+                return None
+            return pods.get(active)
 
         self._robot.wait_driven(180)
         found: Object = eventually(armed, within=180, what="a standby is let through", note=self._robot.describe)
@@ -122,7 +125,7 @@ class Bench:
 
     def fail(self, how: str, without_api: bool) -> None:
         """One failure, and what the robot saw of it."""
-        pod = self._armed()
+        pod = self._armed(apart=how == "cut")
         name, uid, node = pod["metadata"]["name"], pod["metadata"]["uid"], pod["spec"]["nodeName"]
         before = self._robot.status().get("recoveryCount") or 0
         if without_api:
