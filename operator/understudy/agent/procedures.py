@@ -184,12 +184,13 @@ class Checking:
         """``period`` in seconds."""
         self.tree, self._period, self._actions = tree, period, actions
         self.reason = "not looked at yet"
-        """Why it doesn't hold; empty while it does."""
+        """Why it doesn't hold; empty while it does. On a busy node a single look may fail: only the second in a row counts."""
 
     async def run(self, on_change: Callable[[], None]) -> None:
         """Look until cancelled."""
         from understudy.trees.procedures import ProcedureFailed
 
+        failures = 0
         while True:
             begun = asyncio.get_running_loop().time()
             try:
@@ -200,7 +201,8 @@ class Checking:
             except Exception as error:
                 _logger.exception("the readiness check")
                 reason = f"it can't be looked at: {error!r}"
-            if reason != self.reason:
+            failures = failures + 1 if reason else 0
+            if reason != self.reason and (not reason or self.reason or failures > 1):
                 self.reason = reason
                 on_change()
             await asyncio.sleep(max(0.05, begun + self._period - asyncio.get_running_loop().time()))

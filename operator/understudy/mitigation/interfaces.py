@@ -160,7 +160,7 @@ class Outputs(Protocol):
 
     @property
     def expected(self) -> Sequence[str]:
-        """Gated topics that the health tree watches: each must be seen from an instance that counts as in control."""
+        """Gated topics that the health tree watches and that count now: each must be seen from an instance in control."""
 
     async def first_from(self, instance: Instance, *, since: float) -> float:
         """Wait for a sample of each expected topic from the instance, received after a time; when the first came."""

@@ -126,6 +126,7 @@ class Bringing:
     sidecars: Sidecars
     reporter: Reporter
     _cared: dict[str, _Care] = field(default_factory=dict)
+    _told: bool = False
     _replacing: set[asyncio.Task[None]] = field(default_factory=set)
 
     def housekeeping(
@@ -237,7 +238,11 @@ class Bringing:
         waiting: Sequence[str],
     ) -> None:
         if not managed(spec, settings, policy):
+            if self._told:
+                self._told = False
+                self.reporter.condition("BroughtUp", "True", "NothingToDo", "Nothing is done to instances (any more).")
             return
+        self._told = True
         without = [i.name for i in instances if i.usable and not i.held and not i.has_agent]
         problems = [text for care in self._cared.values() if (text := care.problem)]
         if without:

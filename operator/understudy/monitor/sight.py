@@ -99,6 +99,15 @@ class Sight:
         outputs = {output.topic for output in self._outputs if output.topic}
         return [topic.name for topic in self._tree.judged if topic.name in outputs] if self._tree else []
 
+    @property
+    def expected(self) -> list[str]:
+        """Of those, the ones that an instance in control must be sending now: a robot without a goal may stand still."""
+        if self._tree is None:
+            return []
+        now = time.time()
+        counting = self._tree.counting(self._watching, now=now, since=now)
+        return [topic for topic in self.gated if topic in counting]
+
     def drain(self, instances: Sequence[Instance], active: str) -> None:
         """Take in what has arrived, attributed to the instances there are (and were a moment ago)."""
         now = time.time()
@@ -124,8 +133,13 @@ class Sight:
         return self._tree.deadline(self._watching, now=now, since=since) if self._tree else None
 
     def last_from(self, pod: str) -> float | None:
-        """When a gated topic was last received from a pod."""
+        """When a gated topic was last received from a pod; None for never."""
         times = [last for topic in self.gated if (last := self._watching.last_from(topic, pod)) is not None]
+        return max(times, default=None)
+
+    def last_well(self, pod: str) -> float | None:
+        """When the outputs that count now were last received from a pod; None for never, or where none of them counts."""
+        times = [last for topic in self.expected if (last := self._watching.last_from(topic, pod)) is not None]
         return max(times, default=None)
 
     def arrivals(self, topic: str, pod: str) -> Sequence[float]:
@@ -149,8 +163,8 @@ class GatedReaders:
 
     @property
     def expected(self) -> Sequence[str]:
-        """Gated topics that the health tree watches."""
-        return self._sight.gated
+        """Gated topics that the health tree watches, and that count now."""
+        return self._sight.expected
 
     async def first_from(self, instance: Instance, *, since: float) -> float:
         """Wait for a sample of each expected topic from the instance, received after a time; when the first came."""
@@ -174,7 +188,7 @@ class GatedReaders:
         self._drain()
         found = [
             last
-            for topic in self.expected
+            for topic in self._sight.gated
             if (last := self._watching.last_from_others(topic, instance.name)) is not None
         ]
         return max(found, default=(0.0, ""))

@@ -256,7 +256,7 @@ class Supervisor:
         return verdict
 
     def _onset(self, pod: str, now: float) -> float:
-        last = self._sight.last_from(pod)
+        last = self._sight.last_well(pod)
         return last if last is not None and last <= now else now
 
     def _counted(self, failure: Failure, now: float) -> Failure | None:

@@ -97,6 +97,11 @@ class HealthTree:
         """The topics that are not left out."""
         return [topic for topic in self.topics if topic.name not in (self._left_out or ())]
 
+    def counting(self, observations: Observations, *, now: float, since: float) -> set[str]:
+        """The topics that count now: all that are judged but those that are only for a task that isn't active."""
+        self._look(observations, now, since, real=False)
+        return {leaf.topic for leaf in self._leaves if leaf.counts()}
+
     @property
     def grace(self) -> float:
         """Seconds that an instance has to become healthy for the first time."""

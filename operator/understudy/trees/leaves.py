@@ -77,6 +77,10 @@ class TopicLeaf(Behaviour):
             return "Failed"
         return "Starting" if "Starting" in states else "Healthy"
 
+    def counts(self) -> bool:
+        """Whether it is judged at the glance's moment: unless it is for a task that isn't active."""
+        return not self.tasks or situation(self.tasks, self._glance) is not None
+
     def remember(self) -> None:
         """Note that the instance has been healthy here: a rate has no more grace then."""
         self._held = self._glance.since

@@ -178,10 +178,13 @@ async def test_a_held_pod_has_nothing_to_run_a_procedure_on(pod: Pod, links):
         await link.procedure(ACTIVATE, 3.0, name="bringUp")
 
 
-async def test_resending_goals_is_asked_of_whoever_is_connected(robot: Pod, links):
-    events = []
-    links.append(link := robot.link(on_event=lambda _, event: events.append(event)))
+async def test_resending_goals_is_asked_of_whoever_is_connected_and_waited_for(robot: Pod, links):
+    asked: list[int] = []
+    links.append(link := robot.link(on_event=lambda _, event: asked.append(event["resendGoals"])))
     await link.wait_connected(WITHIN)
     await link.configure(TREE, OUTPUTS, 20.0)
-    await link.procedure({"resend_goals": {}}, 5.0, name="recovery")
-    await eventually(lambda: events == [{"resendGoals": True}], WITHIN)
+    running = asyncio.create_task(link.procedure({"resend_goals": {}}, WITHIN, name="recovery"))
+    await eventually(lambda: asked, WITHIN)
+    assert not running.done()
+    await link.request("resent", {"number": asked[0]})
+    await running

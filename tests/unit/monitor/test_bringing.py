@@ -291,3 +291,9 @@ async def test_pods_without_an_agent_are_named(world: SimpleNamespace) -> None:
 async def test_nothing_is_said_where_nothing_is_to_be_done(world: SimpleNamespace) -> None:
     world.bringing.housekeeping((ACTIVE,), policy(), workload(), settings(HOT), "uid-1", KeptState)
     assert world.reporter.conditions == {}
+
+
+async def test_what_was_told_is_taken_back_when_the_procedures_are_gone(world: SimpleNamespace) -> None:
+    await world.look()
+    world.bringing.housekeeping((ACTIVE,), policy(), workload(), settings(HOT), "uid-1", KeptState)
+    assert world.reporter.conditions["BroughtUp"][:2] == ("True", "NothingToDo")

@@ -470,3 +470,14 @@ def test_the_deadline_of_a_task_is_the_first_moment_that_is_worse(arrivals, task
     else:
         assert BADNESS[world.at(deadline).state] > present
         assert worse is None or worse - 0.0101 <= deadline <= worse + 1e-6
+
+
+def test_what_is_for_a_task_counts_only_while_that_is_active():
+    world = TaskWorld({"parallel": [gap("/scan"), during(gap("/cmd_vel"))]})
+
+    def counting() -> set[str]:
+        return world.tree.counting(world._observed(), now=START + 100, since=START)
+
+    assert counting() == {"/scan"}
+    world.task = 99.0
+    assert counting() == {"/scan", "/cmd_vel"}
