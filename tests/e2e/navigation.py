@@ -18,6 +18,7 @@ from understudy_demo.robotview import RobotLog
 
 from tests.e2e.kubectl import Kubectl, Object
 from tests.e2e.scenario import Robot, eventually
+from understudy.api import names
 from understudy.ros.sources import VENDOR, host_id
 
 MANIFESTS = Path(__file__).parents[2] / "examples" / "navigation" / "manifests"
@@ -203,7 +204,9 @@ class Navigator(Robot):
 
     def localization_error(self, pod: str) -> float:
         """The greatest distance in metres of some two seconds between where a pod's stack believes the robot and where it is."""
-        said = self.kubectl("exec", pod, "-c", CONTAINER, "--", "python3", "-c", LOCATE, "15", timeout=60).split()
+        # In the agent's container, since the stack's own has no memory to spare.
+        command = ("python3", "-c", LOCATE, "15")
+        said = self.kubectl("exec", pod, "-c", names.AGENT_CONTAINER, "--", *command, timeout=60).split()
         assert int(said[0]) > 5, f"{pod} hardly says where the robot is: {said[0]} poses in 15 s"
         return float(said[1])
 

@@ -1,0 +1,97 @@
+"""The paper's first experiment: the stack is taken away twice while the robot drives through its goals."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.e2e.kubectl import Kubectl, Object
+from tests.e2e.navigation import CONFIGURATIONS, GOAL_TOLERANCE, Navigator, Tour
+
+LOCALIZATION = 0.3
+"""Metres that localization may be off after a hand-over."""
+
+DONE = 420.0
+"""Seconds for a tour of three goals with what is lost on the way, on a machine that is busy."""
+
+
+@pytest.fixture
+def navigator(kubectl: Kubectl) -> Navigator:
+    return Navigator(kubectl)
+
+
+def assert_reached(navigator: Navigator, tour: Tour) -> None:
+    """Every goal was sent once, accepted once, succeeded, and the robot was really there."""
+    assert [goal.number for goal in tour.goals] == list(range(1, tour.wanted + 1))
+    assert [goal.status for goal in tour.goals] == ["succeeded"] * tour.wanted
+    assert [goal.asked for goal in tour.goals] == [1] * tour.wanted, "the client had to ask again"
+    assert len({goal.identity for goal in tour.goals}) == tour.wanted
+    for goal in tour.goals:
+        assert navigator.distance_to(goal) < GOAL_TOLERANCE + LOCALIZATION, goal
+
+
+def assert_clean(navigator: Navigator, number: int) -> None:
+    """At the robot nothing of the new instance came before the switch, and nothing of the old one after it."""
+    recovery = navigator.recoveries()[number - 1]
+    handover = navigator.log().handover(recovery.old, recovery.new, switch=recovery.moments["decided"])
+    assert not handover.early, handover
+    assert not handover.late, handover
+
+
+@pytest.mark.parametrize("configuration", CONFIGURATIONS)
+def test_all_goals_are_reached_though_the_stack_is_lost_twice(navigator: Navigator, configuration: str) -> None:
+    navigator.set_up(configuration)
+    navigator.wait_ready()
+    navigator.send_client(3)
+    last = 0
+    for number, how in enumerate(("deleted-by-force", "frozen"), 1):
+        active = navigator.wait_ready()
+        last = navigator.wait_driving(120, beyond=last).number
+        if how == "frozen":
+            navigator.send_signal(active, "STOP")
+        else:
+            navigator.delete(active, force=True)
+        recovery = navigator.wait_recovered(number, within=150)
+        assert recovery.strategy == CONFIGURATIONS[configuration], recovery
+        assert recovery.old == active
+        assert navigator.localization_error(recovery.new) < LOCALIZATION
+    tour = navigator.wait_done(DONE)
+    assert_reached(navigator, tour)
+    for number in (1, 2):
+        assert_clean(navigator, number)
+    assert not any(task["active"] for task in navigator.status()["tasks"])
+
+
+@pytest.mark.parametrize(
+    ("number", "node"),
+    [("STOP", "controller_server"), ("KILL", "amcl")],
+    ids=["controller silent", "localization dead"],
+)
+def test_one_node_that_fails_is_noticed_and_the_goal_is_reached(navigator: Navigator, number: str, node: str) -> None:
+    navigator.set_up("executing")
+    active = navigator.wait_ready()
+    navigator.send_client(1)
+    navigator.wait_driving(120)
+    navigator.send_signal(active, number, node)
+    recovery = navigator.wait_recovered(1, within=120)
+    assert (recovery.strategy, recovery.old) == ("Fallback/Executing", active)
+    assert_reached(navigator, navigator.wait_done(DONE))
+    assert_clean(navigator, 1)
+
+
+def test_a_stack_that_has_nothing_to_do_may_be_silent_and_is_missed_when_it_is_lost(navigator: Navigator) -> None:
+    """Standing still without a goal there is no /cmd_vel, which is no failure; without a heartbeat it is one."""
+
+    def only_restart_would_take_long(objects: list[Object]) -> None:
+        policy = next(o for o in objects if o["kind"] == "FailurePolicy")
+        policy["spec"]["strategies"] = policy["spec"]["strategies"][:1]
+
+    navigator.set_up("executing", edit=only_restart_would_take_long)
+    active = navigator.wait_ready()
+    assert not navigator.log(tail=200).of(active), "nobody asked it to drive"
+    assert navigator.recoveries() == []
+    navigator.send_signal(active, "STOP")
+    recovery = navigator.wait_recovered(1, within=120)
+    assert recovery.old == active
+    assert "/navigation/heartbeat" in recovery.reason or "/amcl_pose" in recovery.reason
+    navigator.send_client(1)
+    assert_reached(navigator, navigator.wait_done(DONE))
