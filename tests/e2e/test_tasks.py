@@ -6,6 +6,7 @@ Server and client are written with rclpy as users write them, and run in pods of
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -107,6 +108,12 @@ class Cell:
         active: str = eventually(protected, within=150, what="protected, and its tasks served", note=self.describe)
         return active
 
+    def proxy_pod(self) -> str:
+        """The pod of the monitor and the task proxy."""
+        selector = f"understudy.dev/monitored={NAME},understudy.dev/component=monitor"
+        found: str = self.kubectl.list("pods", selector)[0]["metadata"]["name"]
+        return found
+
     def client(self, name: str, *orders: str) -> Client:
         spec = {
             "restartPolicy": "Never",
@@ -156,17 +163,26 @@ class Client:
         return found
 
 
-def test_a_goal_outlives_two_instances_and_the_proxys_restart_with_held_pods(kubectl: Kubectl) -> None:
-    outlives(Cell(kubectl, "Uninitialized"))
+def test_goals_outlive_two_instances_and_the_proxys_restart_with_held_pods(kubectl: Kubectl) -> None:
+    def restart_the_proxy(pod: str) -> None:
+        stop = "import os, signal; os.kill(1, signal.SIGTERM)"
+        kubectl("exec", pod, "-c", "tasks", "--", "python3", "-c", stop)
+
+    outlives(Cell(kubectl, "Uninitialized"), restart_the_proxy)
 
 
-def test_the_same_with_a_standby_beside_a_task_whose_type_is_not_installed(kubectl: Kubectl) -> None:
+def test_goals_outlive_two_instances_and_the_proxys_pod_with_a_standby(kubectl: Kubectl) -> None:
     cell = Cell(kubectl, "Executing", {"action": "/dock", "type": "robots_msgs/action/Dock"})
-    outlives(cell)
+
+    def move_the_proxy(pod: str) -> None:
+        kubectl("delete", "pod", pod, "--wait=true")
+
+    outlives(cell, move_the_proxy)
     assert "/dock: robots_msgs/action/Dock is not installed" in cell.condition("TasksProxied")["message"]
 
 
-def outlives(cell: Cell) -> None:
+def outlives(cell: Cell, disturb: Callable[[str], None]) -> None:
+    """Two goals, two instances that die one after the other, and in between what ``disturb`` does to the proxy's pod."""
     kubectl, first = cell.kubectl, cell.wait_protected()
     client = cell.client("client", "400", "401")
     client.wait("feedback", 90, index=1)
@@ -189,9 +205,7 @@ def outlives(cell: Cell) -> None:
     )
     assert client.said("ended") == []
 
-    monitor = kubectl.list("pods", f"understudy.dev/monitored={NAME},understudy.dev/component=monitor")[0]
-    stop = "import os, signal; os.kill(1, signal.SIGTERM)"
-    kubectl("exec", monitor["metadata"]["name"], "-c", "tasks", "--", "python3", "-c", stop)
+    disturb(cell.proxy_pod())
     cell.wait_protected()
 
     kubectl("delete", "pod", second, "--wait=false")

@@ -142,16 +142,22 @@ class Link:
         for id in self._mine - {order.id for order in orders}:
             await self._link.request("cancel", {"goal": id}, within=WITHIN)
             self._mine.discard(id)
+        refused: AgentRefused | None = None
         for order in orders:
             self._mine.add(order.id)
-            if order.cancel:
-                await self._cancel(order)
-            else:
-                self._cancelled.discard(order.id)
-                await self._send(order)
+            try:
+                if order.cancel:
+                    await self._cancel(order)
+                else:
+                    self._cancelled.discard(order.id)
+                    await self._send(order)
+            except AgentRefused as error:
+                refused = error  # other goals, such as those of another action, don't suffer for it
         invitations, self._invitations = self._invitations, []
-        for number in invitations:
+        for number in dict.fromkeys(invitations):
             await self._link.request("resent", {"number": number}, within=WITHIN)
+        if refused is not None:
+            raise refused
 
     async def _send(self, order: Order) -> None:
         if self._sent.get(order.id) == order.note:
