@@ -205,5 +205,5 @@ class Bench:
 if __name__ == "__main__":
     try:
         sys.exit(main())
-    except Failed as error:
-        sys.exit(str(error))
+    except (Failed, Late) as error:
+        sys.exit(str(error).partition(". ")[0])
