@@ -6,6 +6,7 @@ Without names it goes to all nodes and to the process that started them. Images 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import itertools
 import os
 import signal
@@ -50,7 +51,8 @@ def main() -> int:
     found = {module: list(processes(module)) for module in modules}
     for module, ids in found.items():
         for one in ids:
-            os.kill(one, number)
+            with contextlib.suppress(ProcessLookupError):  # with who started them, they end by themselves
+                os.kill(one, number)
             print(f"{number.name} to {module} ({one})")
     missing = [module for module, ids in found.items() if not ids]
     if missing:
