@@ -20,6 +20,9 @@ from understudy.api.states import KeptTopic, State
 
 Kind = Literal["Topic", "Parameters", "Lifecycle"]
 
+Standing = Literal["", "instance", "robot"]
+"""Whether a message is held for late joiners, so that it holds until the next one comes, and by whom."""
+
 Trouble = Literal["NeverCame", "TooOld", "TooBig", "NotWatched", "NotAsked"]
 """Why something that should be kept isn't, in the order in which they are told."""
 
@@ -80,7 +83,7 @@ class _Item:
 
     max_age: float = math.inf
     versions: list[Version] = field(default_factory=list)
-    pending: tuple[Version, bool] | None = None
+    pending: tuple[Version, Standing] | None = None
     """What came since the last verdict, and whether its publisher holds it for late joiners."""
     squeezed: tuple[float, str] | None = None
     """When a message last didn't fit, and what is said of it."""
@@ -159,12 +162,9 @@ class Keeper:
     # -- taking in --------------------------------------------------------------------------------------------------
 
     def offer(
-        self, key: Key, data: bytes, *, taken_at: float, received_at: float, type: str = "", standing: bool = False
+        self, key: Key, data: bytes, *, taken_at: float, received_at: float, type: str = "", standing: Standing = ""
     ) -> None:
-        """Something of the instance in control has come; the next verdict says whether it is kept.
-
-        ``standing``: its publisher gives it to late joiners, so it is what holds until the next one comes.
-        """
+        """Something of the instance in control, or of the robot, has come; the next verdict says whether it is kept."""
         item = self._items.get(key)
         if item is not None:
             item.pending = (Version(taken_at, received_at, data, type), standing)
@@ -175,9 +175,7 @@ class Keeper:
             self.forget_offers()
         elif health == "Starting":
             self._healthy_since = None
-            for item in self._items.values():
-                if item.pending is not None and not item.pending[1]:
-                    item.pending = None
+            self._forget("")
         else:
             if self._healthy_since is None:
                 self._healthy_since = now
@@ -191,10 +189,17 @@ class Keeper:
                         self._add(key, item, replace(version, good_from=now), now)
 
     def forget_offers(self) -> None:
-        """The instance failed, or another is in control: nothing that came and isn't kept yet counts."""
+        """The instance failed, or another is in control: nothing of it that came and isn't kept yet counts.
+
+        What the robot itself holds for late joiners holds for the next instance as well.
+        """
         self._healthy_since = None
+        self._forget("", "instance")
+
+    def _forget(self, *standings: Standing) -> None:
         for item in self._items.values():
-            item.pending = None
+            if item.pending is not None and item.pending[1] in standings:
+                item.pending = None
 
     def _add(self, key: Key, item: _Item, version: Version, now: float) -> None:
         most = min(self._state.max_bytes, LARGEST)

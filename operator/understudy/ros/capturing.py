@@ -12,7 +12,7 @@ import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from understudy.ros.graph import Graph
 from understudy.ros.sources import HOST, Sources
@@ -45,8 +45,8 @@ class Captured(NamedTuple):
     taken_at: float
     """When it was received, or written where that was before it was asked for."""
     received_at: float
-    standing: bool
-    """Whether its publisher gives it to late joiners: it holds until the next one."""
+    standing: Literal["", "instance", "robot"]
+    """By whom it is held for late joiners, if it is: it holds until the next one."""
 
 
 @dataclass
@@ -199,7 +199,7 @@ class Capturing:
                     self._taker.data(),
                     min(received, sent) if late else received,
                     received,
-                    topic.latched,
+                    "" if not topic.latched else "instance" if self._sources.candidates(host) else "robot",
                 )
                 if topic.latched and self._sources.candidates(host) and len(message.data) <= LARGEST_WAITING:
                     topic.standing[host] = message

@@ -10,7 +10,7 @@ import pytest
 
 from understudy.api.kept import LARGEST
 from understudy.api.states import State
-from understudy.mitigation.keeping import LAG, PATIENCE, SPREAD, SQUEEZED, Keeper, Key, Version
+from understudy.mitigation.keeping import LAG, PATIENCE, SPREAD, SQUEEZED, Keeper, Key, Standing, Version
 
 POSE = Key("Topic", "/amcl_pose")
 MAP = Key("Topic", "/map")
@@ -25,7 +25,7 @@ def state(**fields: object) -> State:
     )
 
 
-def offer(keeper: Keeper, at: float, data: bytes = b"", key: Key = POSE, *, standing: bool = False) -> None:
+def offer(keeper: Keeper, at: float, data: bytes = b"", key: Key = POSE, *, standing: Standing = "") -> None:
     keeper.offer(key, data or repr(at).encode(), taken_at=at, received_at=at, type=TYPE, standing=standing)
 
 
@@ -103,7 +103,7 @@ def test_what_came_before_the_first_healthy_look_is_not_kept() -> None:
 
 def test_what_stands_when_the_instance_is_first_healthy_counts_from_then_on() -> None:
     keeper = Keeper(state())
-    offer(keeper, START, b"latched", standing=True)
+    offer(keeper, START, b"latched", standing="instance")
     keeper.judge("Starting", START + 0.1)
     keeper.judge("Starting", START + 2)
     keeper.judge("Healthy", START + 3)
@@ -114,10 +114,22 @@ def test_what_stands_when_the_instance_is_first_healthy_counts_from_then_on() ->
 
 def test_what_stands_and_came_while_the_tree_failed_is_not_kept() -> None:
     keeper = Keeper(state())
-    offer(keeper, START, standing=True)
+    offer(keeper, START, standing="instance")
     keeper.judge("Failed", START + 0.1)
     keeper.judge("Healthy", START + 0.2)
     assert not keeper.versions()
+
+
+def test_what_the_robot_holds_counts_for_the_next_instance_too() -> None:
+    """A map that the robot said once, before anyone was in control, and while the one that was failed."""
+    keeper = Keeper(state())
+    offer(keeper, START, b"latched", standing="robot")
+    keeper.forget_offers()
+    keeper.judge("Starting", START + 1)
+    keeper.judge("Failed", START + 2)
+    keeper.judge("Healthy", START + 3)
+    (sample,) = keeper.select(START + 4).samples
+    assert (sample.data, sample.taken_at) == (b"latched", START)
 
 
 def test_only_the_last_message_of_a_burst_stays() -> None:
@@ -313,10 +325,10 @@ def test_the_same_message_again_takes_no_room() -> None:
 def test_what_is_given_to_a_late_joiner_again_is_nothing_new() -> None:
     keeper = Keeper(state())
     keeper.judge("Healthy", START)
-    offer(keeper, START + 1, b"pose", standing=True)
+    offer(keeper, START + 1, b"pose", standing="instance")
     keeper.judge("Healthy", START + 1)
     before = keeper.versions()
-    keeper.offer(POSE, b"pose", taken_at=START + 0.999, received_at=START + 50, type=TYPE, standing=True)
+    keeper.offer(POSE, b"pose", taken_at=START + 0.999, received_at=START + 50, type=TYPE, standing="instance")
     keeper.judge("Healthy", START + 50)
     assert keeper.versions() == before
 

@@ -57,7 +57,7 @@ def test_what_was_said_once_before_anyone_listened_is_taken_with_its_own_time(
     time.sleep(1.0)
     capturing.follow({"/amcl_pose": POSE})
     message = took("/amcl_pose")
-    assert (x(message), message.type, message.standing) == (1.5, POSE, True)
+    assert (x(message), message.type, message.standing) == (1.5, POSE, "robot")
     assert before <= message.taken_at <= said, "its age is that of the message, not of the subscription"
     assert message.received_at >= said + 1.0
 
@@ -71,7 +71,7 @@ def test_a_publisher_that_comes_later_is_taken_whether_it_holds_its_messages_or_
     processes.node("pose", "/odom", "3.5", "20")
     assert x(took("/amcl_pose")) == 2.5
     message = took("/odom")
-    assert (x(message), message.standing) == (3.5, False)
+    assert (x(message), message.standing) == (3.5, "")
     assert message.taken_at == message.received_at
     assert capturing.waiting == capturing.problems == {}
 
@@ -151,13 +151,13 @@ def test_only_the_instance_in_control_and_the_robot_are_taken(lan: Network, proc
     capturer = processes.node("capture", json.dumps(wish), inside=lan.host("10.77.200.1"))
     first, second = json.loads(processes.line(capturer, 60))
     assert {tuple(seen) for seen in first} == {
-        ("/amcl_pose", 1.0, True),
-        ("/odom", 10.0, False),
-        ("/docked", 3.0, False),
+        ("/amcl_pose", 1.0, "instance"),
+        ("/odom", 10.0, ""),
+        ("/docked", 3.0, ""),
     }
     # The standby's pose was said once, long before it took over, and holds.
     assert {tuple(seen) for seen in second} == {
-        ("/amcl_pose", 2.0, True),
-        ("/odom", 20.0, False),
-        ("/docked", 3.0, False),
+        ("/amcl_pose", 2.0, "instance"),
+        ("/odom", 20.0, ""),
+        ("/docked", 3.0, ""),
     }
