@@ -22,7 +22,7 @@ from understudy_demo.recovery import Recovered
 
 from bench.results import Report
 from tests.e2e.conftest import install
-from tests.e2e.faults import ApiServer, cluster, signal_processes
+from tests.e2e.faults import ApiServer, cluster, signal_processes, staying
 from tests.e2e.kubectl import Failed, Kubectl, Object
 from tests.e2e.scenario import APPLICATION, Late, Robot, eventually, manifest
 
@@ -91,7 +91,7 @@ class Bench:
     def begin(self) -> None:
         """Have the robot driven, with a standby that is let through."""
         self._kubectl.apply(manifest("strategies/executing.yaml"))
-        self._kubectl.apply(self._robot.objects(policy="quickstart-executing", edit=self._edit))
+        self._kubectl.apply(staying(self._robot.objects(policy="quickstart-executing", edit=self._edit)))
         self._armed()
 
     def _edit(self, workload: Object) -> None:

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import pytest
 from understudy_demo.recovery import Recovered
 
-from tests.e2e.faults import ApiServer, signal_processes
+from tests.e2e.faults import ApiServer, signal_processes, staying
 from tests.e2e.kubectl import Failed, Kubectl, Object
 from tests.e2e.scenario import APPLICATION, Late, Robot, eventually, manifest
 from tests.e2e.test_strategies import ENFORCEMENT
@@ -34,7 +34,7 @@ def reflexive(kubectl: Kubectl) -> Robot:
     """A robot whose reader falls over to an executing standby by itself."""
     robot = Robot(kubectl)
     kubectl.apply(manifest("strategies/executing.yaml"))
-    kubectl.apply(robot.objects(policy="quickstart-executing", edit=with_reflex))
+    kubectl.apply(staying(robot.objects(policy="quickstart-executing", edit=with_reflex)))
     robot.wait_protected()
     return robot
 
