@@ -74,7 +74,7 @@ async def agent(dds, pod: Pod, links):
     pod.start_agent()
     told = Told()
     links.append(link := pod.link(claim="", on_event=told))
-    await link.wait_connected(30)
+    await link.wait_connected(60)
     await link.configure(TREE, OUTPUTS, 60.0)
     return link, told
 
@@ -86,25 +86,25 @@ async def test_goals_are_followed_and_executed_once_though_the_agent_is_killed(a
     await link.request("goal", body(short, 4))
     server = start("serve", ACTION, STEP="0.2")
     outside = start("client", ACTION, "3", UNDERSTUDY_POD="another-pod")
-    await eventually(lambda: told.said(short, "ended"), 30)
+    await eventually(lambda: told.said(short, "ended"), 60)
     assert told.said(short, "ended")["status"] == SUCCEEDED
     assert len([f for f in told.feedback if f["id"] == short]) == 4
     for goal, order in ((long, 480), (wrong, 1000), (aborted, 510)):
         await link.request("goal", body(goal, order))
-    await eventually(lambda: told.said(long, "running") and told.said(wrong, "rejected"), 30)
-    await eventually(lambda: told.said(aborted, "ended"), 30)
+    await eventually(lambda: told.said(long, "running") and told.said(wrong, "rejected"), 60)
+    await eventually(lambda: told.said(aborted, "ended"), 60)
     assert told.said(aborted, "ended")["status"] == ABORTED
     pod.kill(pod.agent)
     await eventually(lambda: not link.connected)
     pod.start_agent()
-    await link.wait_connected(30)
+    await link.wait_connected(60)
     assert (await link.request("goals", {}))["goals"] == []
     told.goals.clear()
     await link.request("goal", body(long, 480))
-    await eventually(lambda: told.said(long, "running"), 30)
+    await eventually(lambda: told.said(long, "running"), 60)
     assert len(server.said("executing", goal=long)) == 1
     assert (await link.request("cancel", {"goal": long})).items() >= {"known": True, "accepted": True}.items()
-    await eventually(lambda: told.said(long, "ended"), 30)
+    await eventually(lambda: told.said(long, "ended"), 60)
     assert told.said(long, "ended")["status"] == CANCELED
     assert not (await link.request("cancel", {"goal": uuid.uuid4().hex}))["known"]
     # The server is in its pod's partition: a client of another one doesn't reach it.
@@ -116,7 +116,7 @@ async def test_a_server_that_was_started_anew_has_lost_its_goals(agent, start): 
     goal = uuid.uuid4().hex
     server = start("serve", ACTION, STEP="0.2")
     await link.request("goal", body(goal, 499))
-    await eventually(lambda: told.said(goal, "running"), 30)
+    await eventually(lambda: told.said(goal, "running"), 60)
     server.kill()
     start("serve", ACTION)
     await eventually(lambda: told.said(goal, "lost"), 60)

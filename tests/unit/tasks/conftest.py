@@ -54,7 +54,7 @@ class Process:
         self.popen.wait()
 
 
-async def eventually(holds: Callable[[], Any], within: float = 30.0) -> Any:
+async def eventually(holds: Callable[[], Any], within: float = 60.0) -> Any:
     """Wait until it holds; what it returned."""
     end = time.monotonic() + within
     while not (value := holds()):

@@ -91,7 +91,7 @@ def client(action: str, *orders: str) -> None:
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = Node("customer")
     found = ActionClient(node, Fibonacci, action)
-    if not found.wait_for_server(timeout_sec=30):
+    if not found.wait_for_server(timeout_sec=120):
         sys.exit("no server")
     say(event="ready")
     handles: dict[int, object] = {}
