@@ -40,6 +40,17 @@ LOOK = 0.02
 ASK_AGAIN = 0.5
 """Seconds between two questions for a lifecycle state while a transition is under way, since its answer may get lost."""
 
+REPEAT = 1.0
+"""Seconds without an answer after which what can be asked twice is asked again: a server that hasn't found a new client yet
+drops its answer (rmw_fastrtps waits 100 ms for it).
+"""
+
+MOST_REPEATS = 20
+"""Questions of one kind that may wait for their answers."""
+
+ANSWER_LOST = 3.0
+"""Seconds at rest in the old state after which a transition without an answer counts as refused."""
+
 MOST_CLIENTS = 64
 """Service clients kept for further calls; a new one costs a round of discovery."""
 
@@ -83,6 +94,8 @@ class _Bound:
     def __init__(self, missing: str) -> None:
         self.missing = missing
         """What is waited for, said when its time is over."""
+        self.sent = False
+        """Whether a request is on its way."""
 
 
 class Caller:
@@ -170,6 +183,7 @@ class Caller:
                 f"{node}/set_parameters",
                 "rcl_interfaces/srv/SetParameters",
                 {"parameters": parameters},
+                repeat=True,
             )
             refused = [
                 f"{name} = {value!r}: {result.reason or 'no reason given'}"
@@ -470,14 +484,29 @@ async def _until(holds: Callable[[], bool]) -> None:
         await asyncio.sleep(LOOK)
 
 
-async def _asked(opened: _Opened, bound: _Bound, service: str, type_name: str, request: Mapping[str, Any]) -> Any:
-    """The answer of a service, as a message."""
+async def _asked(
+    opened: _Opened, bound: _Bound, service: str, type_name: str, request: Mapping[str, Any], *, repeat: bool = False
+) -> Any:
+    """The answer of a service, as a message; ``repeat`` for a request that may be carried out twice."""
     client = opened.client(service, type_name)
     message = to_message(client.srv_type.Request, request)
     bound.missing = f"service {service} ({type_name}) is not there"
     await _until(lambda: opened.serves(service) and client.service_is_ready())
-    bound.missing = f"service {service} has not answered"
-    return await _answer(client, message)
+    bound.missing, bound.sent = f"service {service} has not answered", True
+    if not repeat:
+        return await _answer(client, message)
+    asked: set[asyncio.Task[Any]] = set()
+    try:
+        while True:
+            if len(asked) < MOST_REPEATS:
+                asked.add(asyncio.create_task(_answer(client, message)))
+            done, _ = await asyncio.wait(asked, timeout=REPEAT, return_when=asyncio.FIRST_COMPLETED)
+            if done:
+                return done.pop().result()
+    finally:
+        for task in asked:
+            task.cancel()
+        await asyncio.gather(*asked, return_exceptions=True)
 
 
 async def _answer(client: Any, request: Any) -> Any:
@@ -510,7 +539,7 @@ async def _answer(client: Any, request: Any) -> Any:
 
 
 async def _state(opened: _Opened, bound: _Bound, node: str) -> str:
-    answer = await _asked(opened, bound, f"{node}/get_state", "lifecycle_msgs/srv/GetState", {})
+    answer = await _asked(opened, bound, f"{node}/get_state", "lifecycle_msgs/srv/GetState", {}, repeat=True)
     return str(answer.current_state.label)
 
 
@@ -522,8 +551,10 @@ async def _transition(
     Raises CallFailed where the node didn't go there.
     """
     request = {"transition": {"id": number, "label": transition}}
-    ask = _asked(opened, _Bound(""), f"{node}/change_state", "lifecycle_msgs/srv/ChangeState", request)
+    asking = _Bound("")
+    ask = _asked(opened, asking, f"{node}/change_state", "lifecycle_msgs/srv/ChangeState", request)
     asked = asyncio.create_task(ask)
+    rested: float | None = None
     try:
         while True:
             await asyncio.wait([asked], timeout=ASK_AGAIN)
@@ -534,9 +565,15 @@ async def _transition(
             bound.missing = f"node {node} was asked to {transition} and is still {found}"
             if answered and found in STATES:
                 break
+            if found != present or not asking.sent:
+                rested = None
+            elif rested is None:
+                rested = time.monotonic()
+            elif time.monotonic() - rested > ANSWER_LOST:
+                break
     finally:
         asked.cancel()
-        await asyncio.wait([asked])
+        await asyncio.gather(asked, return_exceptions=True)
     raise CallFailed(f"node {node} did not {transition}: it is {found} (see its log)")
 
 
@@ -547,7 +584,7 @@ async def _parameters(opened: _Opened, bound: _Bound, node: str, names: Sequence
     from rclpy.parameter import parameter_value_to_python
 
     service, type_name = f"{node}/get_parameters", "rcl_interfaces/srv/GetParameters"
-    answer = await _asked(opened, bound, service, type_name, {"names": list(names)})
+    answer = await _asked(opened, bound, service, type_name, {"names": list(names)}, repeat=True)
     values = [parameter_value_to_python(value) for value in answer.values]
     if len(values) == len(names) and None not in values:
         return {name: _plain(value) for name, value in zip(names, values, strict=True)}

@@ -24,7 +24,7 @@ from understudy.trees.loading import load
 from understudy.trees.matching import mismatch
 from understudy.trees.problems import TreeError, did_you_mean
 from understudy.trees.reading import DEEPEST, MOST, Reader, duration_of, found_text
-from understudy.trees.steps import Actions, Limit, Retry, Run, Step, Within, Work, reasons, unfinished
+from understudy.trees.steps import OVERTIME, Actions, Limit, Retry, Run, Step, Within, Work, reasons, unfinished
 
 COMPOSITES = ("sequence", "parallel", "selector")
 DECORATORS = ("timeout", "retry", "inverter")
@@ -90,10 +90,10 @@ class ProcedureTree:
                 root.tick_once()
                 if root.status != Status.RUNNING:
                     break
-                if run.clock() >= limit.until:
+                if run.clock() >= limit.until + OVERTIME:
                     raise ProcedureFailed(f"not done within {within:g} s: {'; '.join(unfinished(root))}")
                 with contextlib.suppress(TimeoutError):
-                    async with asyncio.timeout(min(TICK, max(0.0, limit.until - run.clock()))):
+                    async with asyncio.timeout(TICK):
                         await run.wake.wait()
             if root.status == Status.FAILURE:
                 raise ProcedureFailed("; ".join(reasons(root)))

@@ -20,6 +20,12 @@ MARGIN = 0.1
 """Seconds before the end of its time at which an action gives up by itself, with better words than who cuts it short."""
 
 
+OVERTIME = 0.5
+"""Seconds after the end of its time at which an action is cut short that should have given up by itself: on a busy node it
+may come to that late.
+"""
+
+
 class Actions(Protocol):
     """What can be done to one instance. Each raises, in plain words, what it failed by; times are bounds in seconds."""
 
@@ -142,7 +148,7 @@ class Within(Decorator):
 
     def update(self) -> Status:
         """The node's own, or a failure when its time is over."""
-        if self.decorated.status == Status.RUNNING and self._run.clock() >= self._limit.until:
+        if self.decorated.status == Status.RUNNING and self._run.clock() >= self._limit.until + OVERTIME:
             self.error = f"not done within {self._within:g} s: {'; '.join(unfinished(self.decorated))}"
             return Status.FAILURE
         return self.decorated.status
