@@ -45,17 +45,20 @@ ENOUGH_FOR = 2.0
 
 
 def switched(
-    active: Sequence[float], standby: Sequence[float], *, deadline: float, now: float, since: float
+    active: Sequence[float], standby: Sequence[float], *, deadline: float, now: float
 ) -> tuple[float, float] | None:
     """When the instance in control was last heard and the standby first after it, where the standby drives now; else None.
 
-    ``active`` and ``standby`` are when samples of them were received, by a reader that chooses as the robot's does; ``since``
-    is from when on the one in control should be heard. All in unix seconds, ``deadline`` in seconds.
+    ``active`` and ``standby`` are when samples of them were received, by a reader that chooses as the robot's does, in unix
+    seconds; ``deadline`` is in seconds. Nothing is concluded where the one in control was never heard: discovery may find the
+    standby seconds before it.
 
     A standby that is a little ahead when both begin after a pause is heard for a moment: so after a longer silence the one
     in control gets another deadline.
     """
-    last = active[-1] if active else since
+    if not active:
+        return None
+    last = active[-1]
     place = bisect_right(standby, last)
     if place == len(standby) or now - last < deadline:
         return None

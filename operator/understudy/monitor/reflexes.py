@@ -89,8 +89,8 @@ class Reflexes:
 
     # -- watching ---------------------------------------------------------------------------------------------------
 
-    def taken_over(self, now: float, since: float) -> TakenOver | None:
-        """Whether the standby that is let through drives the robot now; ``since`` is when the present one took control."""
+    def taken_over(self, now: float) -> TakenOver | None:
+        """Whether the standby that is let through drives the robot now."""
         state = self._gate.state
         if not state.admitted or state.closed or not (deadline := self.deadline):
             return None
@@ -102,7 +102,6 @@ class Reflexes:
                 self._sight.arrivals(topic, state.admitted),
                 deadline=deadline,
                 now=now,
-                since=since,
             )
             if found is not None:
                 return TakenOver(PodIdentity(name=state.admitted, uid=state.admitted_uid), *found)

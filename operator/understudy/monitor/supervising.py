@@ -202,7 +202,7 @@ class Supervisor:
             await self._bootstrap(policy, now)
             return None, None
         active = self._fleet.find(state.active_uid)
-        if (taken := self._reflexes.taken_over(now, self._since)) is not None:
+        if (taken := self._reflexes.taken_over(now)) is not None:
             if now < self._trusted_from:
                 return None, self._trusted_from
             reason = f"{state.active} is silent and {taken.standby.name} has taken over"

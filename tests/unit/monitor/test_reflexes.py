@@ -217,16 +217,16 @@ async def test_a_standby_whose_packets_do_not_arrive_is_told(world: World) -> No
 async def test_the_standby_that_is_let_through_is_seen_to_drive(world: World) -> None:
     await world.keep()
     last = world.arrivals["w-1"][-1]
-    assert world.reflexes.taken_over(last + 0.2, NOW) is None, "silence alone is nothing"
+    assert world.reflexes.taken_over(last + 0.2) is None, "silence alone is nothing"
     world.arrivals["w-2"] = [last + 0.12]
-    taken = world.reflexes.taken_over(last + 0.13, NOW)
+    taken = world.reflexes.taken_over(last + 0.13)
     assert taken is not None
     assert (taken.standby.name, taken.last, taken.first) == ("w-2", last, last + 0.12)
 
 
 async def test_nobody_takes_over_who_is_not_let_through(world: World) -> None:
     world.arrivals["w-2"] = [world.arrivals["w-1"][-1] + 0.12]
-    assert world.reflexes.taken_over(world.arrivals["w-2"][-1] + 1, NOW) is None
+    assert world.reflexes.taken_over(world.arrivals["w-2"][-1] + 1) is None
 
 
 async def test_it_looks_at_the_deadline_and_then_often_for_a_while(world: World) -> None:
