@@ -62,7 +62,7 @@ def main() -> int:
         "paper", "TurtleBot 4 and Nav2: t_detection 500 ms; t_cluster 2.9 s (restart) and 0.1 s (patch), 32 times"
     )
     report.note("failure", f"application {options.how}, timeout {TIMEOUT:g} s, command period {PERIOD * 1000:g} ms")
-    report.note("network policies", _enforcer())
+    report.note("network policies", enforcer())
     print(report.table())
     print(report.write())
     return 0 if report.held else 1
@@ -124,7 +124,7 @@ def _median(values: list[float]) -> float:
     return ordered[middle] if len(ordered) % 2 else (ordered[middle - 1] + ordered[middle]) / 2
 
 
-def _enforcer() -> str:
+def enforcer() -> str:
     """Which engine enforced the policies."""
     root = Path(__file__).parents[1]
     told = subprocess.run([str(root / "scripts" / "cluster"), "status"], capture_output=True, text=True, check=False)
