@@ -217,4 +217,4 @@ def outlives(cell: Cell, disturb: Callable[[str], None]) -> None:
     executed = [e["goal"] for e in cell.events(third) if e["event"] == "executing"]
     assert sorted(executed) == sorted(goals), "each of them once"
     eventually(lambda: cell.task().get("active") == 0, within=30, what="no goal is active", note=cell.describe)
-    assert cell.task()["resent"] >= 4
+    assert cell.task()["resent"] >= 2, "those since the proxy is in its present pod"
