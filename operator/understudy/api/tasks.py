@@ -40,6 +40,6 @@ class TaskStatus(Model):
     action: str = Field(description="The action.")
     active: int = Field(default=0, description="Goals that are active now.")
     resent: int = Field(
-        default=0, description="Goals that were sent to another instance because of a failover, in all."
+        default=0, description="Goals that another instance took over, since the task proxy is in its present pod."
     )
     message: str = Field(default="", description="What is wrong with it, if anything.")
