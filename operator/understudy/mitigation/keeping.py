@@ -303,10 +303,6 @@ class Keeper:
         """Say why something can't come: what is told of it where nothing is kept of it."""
         self._notes = dict(notes)
 
-    def is_patient_no_more(self, now: float) -> bool:
-        """Whether the instance has been healthy for so long that what never came is missing."""
-        return self._healthy_since is not None and now - self._healthy_since > PATIENCE
-
     def entries(self, now: float) -> list[Entry]:
         """How it stands with everything that should be kept, if the instance failed now."""
         found: list[Entry] = []
@@ -316,10 +312,10 @@ class Keeper:
             message = ""
             if item.squeezed is not None:
                 trouble, message = "TooBig", f"{key.label}: {item.squeezed[1]}"
-            elif key in self._notes:
+            elif key in self._notes and self._notes[key][0] != "NeverCame":
                 trouble, message = self._notes[key]
             elif version is None and not item.versions:
-                if self.is_patient_no_more(now):
+                if self._healthy_since is not None and now - self._healthy_since > PATIENCE:
                     trouble, message = "NeverCame", f"{key.label}: {self._why_none(key, item)}"
             elif version is not None and now - version.taken_at > item.max_age:
                 trouble = "TooOld"

@@ -225,13 +225,10 @@ class StateKeeping:
 
     def _note(self) -> None:
         notes: dict[Key, tuple[Trouble, str]] = {}
+        for name, reason in self._capturing.waiting.items():
+            notes[Key("Topic", name)] = ("NeverCame", f"{name}: {reason}")
         for name, problem in self._capturing.problems.items():
             notes[Key("Topic", name)] = ("NotWatched", f"{name}: {problem}")
-        if self._keeper.is_patient_no_more(time.time()):
-            kept = self._keeper.versions()
-            for name, reason in self._capturing.waiting.items():
-                if Key("Topic", name) not in kept:
-                    notes[Key("Topic", name)] = ("NeverCame", f"{name}: {reason}")
         for key, reason in self._unanswered.items():
             notes[key] = ("NotAsked", f"{key.label}: {reason}")
         self._keeper.note(notes)

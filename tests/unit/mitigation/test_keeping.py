@@ -212,6 +212,19 @@ def test_what_is_noted_about_a_topic_is_told_instead() -> None:
     assert reason(keeper, START) == "foo/msg/Bar is not installed"
 
 
+def test_why_a_topic_never_came_is_told_when_patience_ends_and_given_as_the_reason_at_once() -> None:
+    keeper = Keeper(state())
+    keeper.note({POSE: ("NeverCame", "/amcl_pose: nobody publishes it")})
+    keeper.judge("Healthy", START)
+    assert keeper.entries(START + 1)[0].trouble is None
+    assert reason(keeper, START + 1) == "nobody publishes it"
+    (entry,) = keeper.entries(START + PATIENCE + 1)
+    assert (entry.trouble, entry.message) == ("NeverCame", "/amcl_pose: nobody publishes it")
+    offer(keeper, START + 20)
+    keeper.judge("Healthy", START + 20)
+    assert keeper.entries(START + 21)[0].trouble is None
+
+
 # -- how many and how much ---------------------------------------------------------------------------------------------
 
 

@@ -157,11 +157,15 @@ async def test_the_last_healthy_pose_is_kept_and_told(monitor: Monitor, say: Cal
     await monitor.until(lambda: monitor.x() == 2.0)
 
 
-async def test_what_is_said_while_the_workload_fails_is_never_given(
-    monitor: Monitor, say: Callable[[float], None]
-) -> None:
-    say(1.0)
-    await monitor.until(lambda: monitor.x() == 1.0)
+async def test_what_is_said_while_the_workload_fails_is_never_given(monitor: Monitor, graph: Graph) -> None:
+    publisher = graph.node.create_publisher(PoseWithCovarianceStamped, "/amcl_pose", 1)
+
+    def say(x: float) -> None:
+        message = PoseWithCovarianceStamped()
+        message.pose.pose.position.x = x
+        publisher.publish(message)
+
+    await monitor.until(lambda: monitor.x() == 1.0, each=lambda: say(1.0))
     onset = time.time()
     monitor.health = "Failed"
     say(9.0)
