@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 PERIOD = 0.05
 ORIGIN = Pose(0.0, 0.0, 0.0)
-BEARINGS = np.linspace(-math.pi, math.pi, 120, endpoint=False).astype(np.float32)
+BEARINGS = np.linspace(-math.pi, math.pi, 90, endpoint=False).astype(np.float32)
 SPREAD = [[0.01, 0.0, 0.0], [0.0, 0.01, 0.0], [0.0, 0.0, 0.01]]
 
 

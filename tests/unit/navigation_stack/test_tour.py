@@ -9,7 +9,7 @@ from navigation_stack.poses import Pose
 from tests.unit.navigation_stack.drives import Tour, tour
 
 
-@pytest.fixture(scope="module", params=[11])
+@pytest.fixture(scope="module", params=[8])
 def driven(request: pytest.FixtureRequest) -> Tour:
     return tour(request.param, 2, start_error=Pose(0.1, -0.1, 0.1))
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -89,9 +90,9 @@ class Amcl(managed.Managed):
         told = self.create_subscription(PoseWithCovarianceStamped, "/initialpose", self._told_where, 5)
         charted = self.create_subscription(OccupancyGrid, "/map", self._charted, managed.LATCHED)
         for publisher in (self._poses, self._frames):
-            self.at_cleanup(lambda publisher=publisher: self.destroy_lifecycle_publisher(publisher))
+            self.at_cleanup(partial(self.destroy_lifecycle_publisher, publisher))
         for subscription in (told, charted):
-            self.at_cleanup(lambda subscription=subscription: self.destroy_subscription(subscription))
+            self.at_cleanup(partial(self.destroy_subscription, subscription))
         if self.parameter("set_initial_pose", False) and not self._told:
             place = [self.parameter(f"initial_pose.{name}", 0.0) for name in ("x", "y", "yaw")]
             self._begin(Pose(*place), np.diag([0.05, 0.05, 0.03]).tolist(), None)
@@ -181,12 +182,13 @@ class Amcl(managed.Managed):
         assert self._used is not None
         step = self._used.to(here)
         distance, angle = self._least
-        if self._settling <= 0 and abs(step.heading) < angle and step.distance(Pose(0.0, 0.0, 0.0)) < distance:
+        if not self._settling and abs(step.heading) < angle and step.distance(Pose(0.0, 0.0, 0.0)) < distance:
             return
-        self._settling -= 1
+        self._settling = max(0, self._settling - 1)
         particles.move(step)
-        ranges, bearings = scan_of(self._laser.scan)
-        particles.sense(ranges, bearings, self._laser.mount)
+        mount = self._laser.mount
+        assert mount is not None, "a scan is only told of when it is known"
+        particles.sense(*scan_of(self._laser.scan), mount)
         self._used = here
 
     def _publish(self, here: Pose) -> None:
@@ -194,7 +196,7 @@ class Amcl(managed.Managed):
         assert self._used is not None
         estimate, covariance = self._filter.estimate()
         pose = estimate.then(self._used.to(here))
-        stamp: Time = self._laser.scan.header.stamp
+        stamp: Time = self._laser.stamp
         message = PoseWithCovarianceStamped()
         message.header.frame_id, message.header.stamp = self._map_frame, stamp
         message.pose.pose = message_of(pose)

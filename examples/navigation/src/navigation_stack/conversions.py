@@ -104,4 +104,4 @@ def six_by_six(covariance: NDArray[np.float64]) -> list[float]:
     """The covariance of a whole pose out of that of x, y and heading."""
     whole = np.zeros((6, 6))
     whole[np.ix_([0, 1, 5], [0, 1, 5])] = covariance
-    return whole.ravel().tolist()  # type: ignore[no-any-return]
+    return whole.ravel().tolist()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from builtin_interfaces.msg import Time
 from numpy.typing import NDArray
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import LaserScan
@@ -50,9 +51,14 @@ class Laser:
         )
 
     @property
+    def stamp(self) -> Time:
+        """Stamp of the newest scan; zero before the first."""
+        return self.scan.header.stamp if self.scan else Time()
+
+    @property
     def time(self) -> float:
         """Stamp of the newest scan, in s; 0 before the first."""
-        return seconds(self.scan.header.stamp) if self.scan else 0.0
+        return seconds(self.stamp)
 
     @property
     def points(self) -> NDArray[np.float32]:

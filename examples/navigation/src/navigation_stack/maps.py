@@ -38,7 +38,8 @@ def read(file: Path) -> Grid:
 
 
 def _darkness(grey: NDArray[np.uint8], about: dict[str, Any]) -> NDArray[np.float64]:
-    return grey / 255.0 if about.get("negate") else (255.0 - grey) / 255.0
+    light: NDArray[np.float64] = grey / np.float64(255)
+    return light if about.get("negate") else 1 - light
 
 
 def _picture(file: Path) -> NDArray[np.uint8]:

@@ -18,7 +18,11 @@ from navigation_stack.whereabouts import Whereabouts
 
 _Result = ComputePathToPose.Result
 
-_CODES = {StartBlocked: _Result.START_OCCUPIED, GoalBlocked: _Result.GOAL_OCCUPIED, NoPath: _Result.NO_VALID_PATH}
+_CODES: dict[type[Exception], int] = {
+    StartBlocked: _Result.START_OCCUPIED,
+    GoalBlocked: _Result.GOAL_OCCUPIED,
+    NoPath: _Result.NO_VALID_PATH,
+}
 
 
 class PlannerServer(managed.Managed):
@@ -62,7 +66,7 @@ class PlannerServer(managed.Managed):
         try:
             poses = self._planned(goal.request)
         except (NoPath, ValueError) as error:
-            result.error_code = _CODES.get(type(error), _Result.TF_ERROR)  # type: ignore[call-overload]
+            result.error_code = _CODES.get(type(error), _Result.TF_ERROR)
             result.error_msg = str(error)
             self.get_logger().warning(f"no path: {error}")
             return "aborted", result
