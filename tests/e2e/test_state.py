@@ -1,0 +1,112 @@
+"""Kept state: taken of a healthy instance and of the robot, given to the one that takes over; what can't be is told."""
+
+from __future__ import annotations
+
+from datetime import datetime, timedelta
+
+import pytest
+
+from tests.e2e.kubectl import Kubectl, Object
+from tests.e2e.scenario import Robot, eventually, manifest
+
+STATE = {
+    "keep": [
+        {"topic": "/map", "type": "nav_msgs/msg/OccupancyGrid", "restoreTo": "/map", "maxAge": "24h"},
+        {"topic": "/odom", "type": "nav_msgs/msg/Odometry", "restoreTo": "/nobody_listens"},
+        {"topic": "/nobody_talks", "type": "std_msgs/msg/String", "restoreTo": "/map"},
+        {"topic": "/note", "type": "std_msgs/msg/String", "maxAge": "24h"},
+    ],
+    "parameters": [{"node": "/drive", "names": ["use_sim_time"]}],
+    "lifecycle": ["/drive"],
+    "within": "5s",
+}
+
+SAY = """
+import time, rclpy
+from std_msgs.msg import String
+rclpy.init()
+publisher = rclpy.create_node("noting").create_publisher(String, "/note", 10)
+end = time.monotonic() + 60
+while not publisher.get_subscription_count() and time.monotonic() < end:
+    time.sleep(0.1)
+for _ in range(20):
+    publisher.publish(String(data="the door is open"))
+    time.sleep(0.1)
+"""
+"""Run in the robot's pod: says something for two seconds, and never again."""
+
+
+@pytest.fixture
+def keeping(kubectl: Kubectl) -> Robot:
+    """A robot whose managed application is only restarted, with a policy that keeps state, and wrong things among it."""
+    robot = Robot(kubectl)
+    policy = manifest("strategies/restart.yaml")
+    policy[0]["spec"]["state"] = STATE
+    kubectl.apply(policy)
+    kubectl.apply(robot.objects(policy="quickstart-restart", workload="managed/robotworkload.yaml"))
+    robot.wait_protected()
+    return robot
+
+
+def kept(robot: Robot) -> dict[str, Object]:
+    """What is kept and was taken, by kind and name."""
+    found: list[Object] = robot.status().get("state") or []
+    return {f"{entry['kind']} {entry['name']}": entry for entry in found if entry.get("takenAt")}
+
+
+def wait_kept(robot: Robot, *names: str) -> None:
+    """Wait until all this was taken."""
+    eventually(lambda: set(names) <= set(kept(robot)), within=90, what=f"{names} are kept", note=robot.describe)
+
+
+def test_state_is_kept_and_given_and_what_can_not_be_is_told(keeping: Robot) -> None:
+    wait_kept(keeping, "Topic /map", "Topic /odom", "Parameters /drive", "Lifecycle /drive")
+    assert kept(keeping)["Topic /map"]["bytes"] > 1000
+
+    def missing() -> bool:
+        condition = keeping.condition("StateKept")
+        return condition.get("status") == "False" and "/nobody_talks: nobody publishes it" in condition["message"]
+
+    eventually(missing, within=60, what="the topic that never comes is told", note=keeping.describe)
+    wide = keeping.kubectl("get", "robotworkload", keeping.workload, "-o", "wide")
+    assert "/map" in wide
+
+    keeping.fail(keeping.wait_driven(), "deleted")
+    keeping.wait_recovered(1)
+    became = {entry["name"]: entry for entry in keeping.status()["recoveries"][0]["state"]}
+    given = {name for name, entry in became.items() if entry["restored"]}
+    assert given == {"/map", "/drive (parameters)", "/drive (lifecycle)"}, became
+    assert became["/map"]["ageSeconds"] > 0
+    assert "nobody subscribes to /nobody_listens" in became["/odom"]["message"], became
+    assert "nobody publishes it" in became["/nobody_talks"]["message"], became
+    condition = keeping.condition("StateRestored")
+    assert (condition["status"], condition["reason"]) == ("False", "NotRestored"), condition
+    assert "nobody subscribes to /nobody_listens" in condition["message"]
+    assert any(event["reason"] == "StateNotRestored" for event in keeping.kubectl.list("events"))
+
+
+def test_kept_state_outlasts_the_monitors_container(keeping: Robot) -> None:
+    keeping.kubectl.shell(keeping.robot_pod(), "robot", 'python3 -c "$1"', SAY)
+    wait_kept(keeping, "Topic /note", "Topic /map")
+    before, restarts = kept(keeping)["Topic /note"], keeping.monitor_restarts()
+    monitor = next(pod["metadata"]["name"] for pod in keeping.monitor_pods())
+    keeping.kubectl.shell(monitor, "monitor", "sleep 3; kill -TERM 1")  # it is written every second
+
+    eventually(
+        lambda: keeping.monitor_restarts() > restarts,
+        within=60,
+        what="the monitor's container is restarted",
+        note=keeping.describe,
+    )
+    # Ages are told anew only by the next monitor.
+    eventually(
+        lambda: any(line.count("watching") for line in keeping.kubectl("logs", monitor, "-c", "monitor").splitlines()),
+        within=60,
+        what="the next monitor watches",
+        note=keeping.describe,
+    )
+    keeping.wait_protected()
+    wait_kept(keeping, "Topic /note", "Topic /map", "Lifecycle /drive")
+    # Nobody has said it again. It was said for two seconds, and the first of them may be what was told before.
+    was, taken = (datetime.fromisoformat(entry["takenAt"]) for entry in (before, kept(keeping)["Topic /note"]))
+    assert was <= taken <= was + timedelta(seconds=10)
