@@ -21,7 +21,7 @@ OUTPUTS = [{"topic": "/cmd_vel", "type": "std_msgs/msg/String"}]
 TREE = {"topic": {"name": "/cmd_vel", "gap": "300ms"}}
 ACTIVATE = {"set_lifecycle": {"node": "/localizer", "state": "active"}}
 CHECK = {"lifecycle_is": {"node": "/localizer", "state": "active"}}
-WITHIN = 25.0
+WITHIN = 60.0
 
 
 @pytest.fixture

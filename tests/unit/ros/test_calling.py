@@ -18,7 +18,7 @@ from tests.unit.ros.processes import PACKAGE, Processes
 
 pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("dds")]
 
-WITHIN = 25.0
+WITHIN = 60.0
 """Seconds for what succeeds at once on a machine that is not busy."""
 
 

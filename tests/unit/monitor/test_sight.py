@@ -1,0 +1,76 @@
+"""What the monitor expects of the instance in control, by the health tree and by whether there is a task."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+
+from understudy.api.policies import FailurePolicySpec
+from understudy.api.workloads import RobotWorkloadSpec
+
+pytestmark = pytest.mark.ros
+
+STATUS = "/go/_action/status"
+
+
+@pytest.fixture
+def sight(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp")
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(10 + os.getpid() % 90))
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    from understudy.monitor.sight import Sight
+
+    made = Sight()
+    made.follow(
+        FailurePolicySpec.model_validate(
+            {
+                "monitoring": {
+                    "yaml": {
+                        "parallel": [
+                            {"topic": {"name": "/beat", "gap": "1s", "type": "std_msgs/msg/String"}},
+                            {
+                                "while": {"task_active": {"action": "/go"}},
+                                "do": {"topic": {"name": "/cmd_vel", "gap": "500ms"}},
+                            },
+                        ]
+                    }
+                },
+                "strategies": [{"type": "Restart"}],
+            }
+        ),
+        RobotWorkloadSpec.model_validate(
+            {
+                "template": {"spec": {}},
+                "outputs": [
+                    {"topic": "/beat", "type": "std_msgs/msg/String"},
+                    {"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist"},
+                ],
+                "failurePolicyRef": {"name": "p"},
+            }
+        ),
+    )
+    yield made
+    made.graph.close()
+
+
+def test_an_output_of_a_task_is_expected_only_while_that_is_active(sight) -> None:
+    assert sight.gated == ["/beat", "/cmd_vel"]
+    assert sight.expected == ["/beat"]
+    sight._watching._topics[STATUS].active[bytes(16)] = 1.0
+    assert sight.expected == ["/beat", "/cmd_vel"]
+
+
+def test_the_last_output_of_an_earlier_task_is_not_when_all_was_well_last(sight) -> None:
+    from understudy.ros.sources import VENDOR, host_id
+    from understudy.ros.watching import SourceRecord
+
+    sight._watching.attribute({"w-1": "192.0.2.1"}, "w-1")
+    host = VENDOR + host_id("192.0.2.1")
+    for topic, time in (("/cmd_vel", 50.0), ("/beat", 100.0)):
+        record = sight._watching._topics[topic].sources[host] = SourceRecord(10.0)
+        record.add(time)
+    assert sight.last_well("w-1") == 100.0
+    del sight._watching._topics["/beat"].sources[host]
+    assert sight.last_well("w-1") is None
+    assert sight.last_from("w-1") == 50.0
