@@ -313,6 +313,9 @@ def _checked(body: Mapping[str, Any]) -> tuple[str, str, str, bytes]:
 
 def _type(name: str) -> ActionType:
     """The types of an action. Raises Refused."""
+    from understudy.ros.lean import import_rclpy
+
+    import_rclpy()
     from understudy.ros.actions import ActionType
     from understudy.ros.types import TypeNotInstalled
 

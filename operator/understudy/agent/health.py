@@ -327,6 +327,9 @@ def _join(node_name: str) -> tuple[Graph, Watching, bytes]:
 
     That part is read off the node's own publisher: it holds whatever addresses the pod has. Blocks for about a second.
     """
+    from understudy.ros.lean import import_rclpy
+
+    import_rclpy()
     from understudy.ros.graph import Graph
     from understudy.ros.sources import HOST
     from understudy.ros.watching import Watching

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Sequence
+from collections.abc import Coroutine, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -20,6 +20,12 @@ _logger = logging.getLogger(__name__)
 
 IN_FLIGHT = 0.010
 """Seconds for which samples of the failed pod may still be under way after it was fenced."""
+
+LOST = 2.0
+"""Seconds without its pod after which an instance that is being brought up counts as lost; a new claim is seen sooner."""
+
+LOST_LOOK = 0.1
+"""Seconds between two looks whether it is."""
 
 QUIET = 0.200
 """Seconds without a sample of any other instance before a leak counts as closed."""
@@ -70,8 +76,7 @@ async def _attempt(
 ) -> tuple[Literal["Verified", "NotVerified", "NotAvailable"], str]:
     try:
         async with asyncio.timeout(choice.verify_within):
-            target = await choice.strategy.prepare(progress, means, within=choice.verify_within)
-            await _verify(target, progress, means)
+            await _unless_lost(_carry_out(progress, choice, means), progress, means)
     except NotAvailable as reason:
         return "NotAvailable", str(reason)
     except NotVerified as reason:
@@ -80,6 +85,47 @@ async def _attempt(
         return "NotVerified", f"not verified within {choice.verify_within:g} s: {_missing(progress)}"
     progress.epoch = means.gate.state.epoch
     return "Verified", ""
+
+
+async def _carry_out(progress: Progress, choice: Choice, means: Means) -> None:
+    target = await choice.strategy.prepare(progress, means, within=choice.verify_within)
+    await _verify(target, progress, means)
+
+
+async def _unless_lost(work: Coroutine[None, None, None], progress: Progress, means: Means) -> None:
+    """Do the work, and give it up where the instance that it's about is lost: the next strategy then has its time.
+
+    Raises NotVerified.
+    """
+    working, watching = asyncio.create_task(work), asyncio.create_task(_loss(progress, means))
+    try:
+        await asyncio.wait((working, watching), return_when=asyncio.FIRST_COMPLETED)
+        if not working.done():
+            raise NotVerified(watching.result())
+        working.result()
+    finally:
+        for task in (working, watching):
+            task.cancel()
+        await asyncio.gather(working, watching, return_exceptions=True)
+
+
+async def _loss(progress: Progress, means: Means) -> str:
+    """Wait until the instance that is brought up is lost; how."""
+    missing: float | None = None
+    while True:
+        await asyncio.sleep(LOST_LOOK)
+        if progress.target is None:
+            continue
+        uid, name = progress.target.uid, progress.target.name
+        found = next((i for i in means.instances.of_workload() if i.uid == uid), None)
+        if found is not None and found.terminating:
+            return f"pod {name} is being deleted"
+        if found is not None and found.running:
+            missing = None
+            continue
+        missing = missing if missing is not None else means.clock()
+        if means.clock() - missing >= LOST:
+            return f"pod {name} {'is gone' if found is None else 'has stopped running'}"
 
 
 def _missing(progress: Progress) -> str:

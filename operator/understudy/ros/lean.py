@@ -9,7 +9,10 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import sys
+import threading
 from types import ModuleType
+
+_IMPORTING = threading.Lock()
 
 _GENERATOR = "rosidl_generator_py"
 _NEEDED = f"{_GENERATOR}.import_type_support_impl"
@@ -35,3 +38,13 @@ def leave_out_generator() -> bool:
         del sys.modules[_GENERATOR]
         return False
     return True
+
+
+def import_rclpy() -> None:
+    """Import rclpy, from whichever thread comes first.
+
+    Its modules import each other in a circle, which two threads can't walk at the same time: one finds half of a module.
+    """
+    with _IMPORTING:
+        importlib.import_module("rclpy")
+        importlib.import_module("rclpy.node")

@@ -85,6 +85,8 @@ class Spinning:
         future: Future[T] = Future()
 
         def run() -> None:
+            if not future.set_running_or_notify_cancel():
+                return  # nobody waits any more
             try:
                 future.set_result(work())
             except BaseException as error:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 
@@ -106,6 +108,26 @@ async def test_a_standby_that_does_not_verify_is_followed_by_the_next_strategy_a
     assert done.attempts[0].result == "NotVerified"
     assert "no output of the understudy reached the gated readers" in done.attempts[0].message
     assert {"w-1", "w-2"} <= set(store.deleted)
+
+
+@pytest.mark.parametrize("loss", ["terminating", "gone"])
+async def test_an_understudy_that_is_lost_is_given_up_at_once(loss: str) -> None:
+    store = protected(pool="spare", held=True)
+    store.broken.add("w-2")
+    world = World(store)
+
+    def lose() -> None:
+        pod = store.pods.pop("w-2")
+        if loss == "terminating":
+            store.pods["w-2"] = replace(pod, terminating=True)
+
+    asyncio.get_running_loop().call_later(0.2, lose)
+    slow = [Choice(UninitializedFallback("spare"), 60.0), Choice(Restart(), VERIFY_WITHIN)]
+    begun = world.clock()
+    done = await recover(failure(world), slow, world.means())
+    assert (done.result, done.strategy) == ("Recovered", "Restart")
+    assert "w-2 is" in done.attempts[0].message
+    assert world.clock() - begun < 20.0, "the time of the first strategy was waited for"
 
 
 async def test_when_nothing_verifies_the_recovery_has_failed_and_says_why() -> None:
