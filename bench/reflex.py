@@ -63,6 +63,8 @@ def main() -> int:
         for number, (how, without_api) in zip(range(1, options.failures + 1), turns, strict=False):
             bench.fail(how, without_api)
             print(f"{number}/{options.failures}: {bench.told[-1]}", flush=True)
+    except KeyboardInterrupt:
+        print("ended early: these are the figures so far", flush=True)
     finally:
         if bench.api.stopped:
             bench.api.start()
