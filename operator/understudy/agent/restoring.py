@@ -105,6 +105,8 @@ class Restorer:
         """Publish a message until the instance has it. Raises CallFailed."""
         end = time.monotonic() + within
         caller = self._caller()
+        await caller.joined(within)
+        within = max(0.0, end - time.monotonic())
         if not sample.confirm:
             await caller.publish(sample.to, sample.type, stamped(sample), within)
             return
@@ -182,7 +184,7 @@ class Restorer:
 
 
 def stamped(sample: KeptSample) -> bytes:
-    """The message as it is published: with the present time in its header where the policy says so.
+    """The message as it is published: with the present time in its header where the policy says so. It loads rclpy.
 
     Raises CallFailed where its bytes are not of its type, TypeNotInstalled.
     """

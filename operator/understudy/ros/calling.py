@@ -111,6 +111,13 @@ class Caller:
         self._idle: asyncio.TimerHandle | None = None
         self._pinned = False
 
+    async def joined(self, within: float) -> None:
+        """Wait until this process is in the ROS graph. Until then another thread may be about to load rclpy, which two at
+        the same time can't. Raises CallFailed.
+        """
+        async with self._bound("the ROS graph", within):
+            pass
+
     # -- services ---------------------------------------------------------------------------------------------------
 
     async def call(self, service: str, type_name: str, request: Mapping[str, Any], within: float) -> dict[str, Any]:

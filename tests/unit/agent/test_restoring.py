@@ -132,7 +132,8 @@ async def test_what_was_said_before_confirms_nothing(
     begun = time.monotonic()
     report = await restorer.restore(KeptState((other,)), within=2.0)
     assert time.monotonic() - begun < 10
-    assert [entry.reason for entry in report.failed] == [f"nobody subscribes to /nowhere as {POSE} within 1.95 s"]
+    (entry,) = report.failed
+    assert entry.reason.startswith(f"nobody subscribes to /nowhere as {POSE} within ")
 
 
 async def test_without_a_confirmation_it_fails_in_bounded_time_and_says_so(
@@ -153,7 +154,7 @@ async def test_a_target_without_a_subscriber_fails_in_bounded_time_and_names_it(
     report = await restorer.restore(KeptState((pose(),)), within=1.0)
     assert time.monotonic() - begun < 10
     assert report.restored == ()
-    assert report.problem == f"/amcl_pose: nobody subscribes to /initialpose as {POSE} within 0.95 s"
+    assert report.problem.startswith(f"/amcl_pose: nobody subscribes to /initialpose as {POSE} within ")
 
 
 async def test_parameters_are_set_and_nodes_brought_up_before_a_pose_finds_its_subscriber(
