@@ -1,16 +1,17 @@
 """With the profile file in place, the readers of real nodes listen on their own gate ports, and on no other's."""
 
 import os
+import subprocess
+import sys
 
 import pytest
 
 pytest.importorskip("rclpy")
 
+from tests.unit.ros.processes import PACKAGE
 from understudy.api import names
 from understudy.api.workloads import Output
 from understudy.ros.profiles import gate_ports, profiles_xml
-from understudy.ros.watching import Watching
-from understudy.trees.health import WatchedTopic
 
 pytestmark = pytest.mark.ros
 
@@ -61,17 +62,36 @@ def test_readers_of_other_names_stay_where_they_were(processes, profiles):
     assert gated(robot.pid) == set()
 
 
-def test_commands_arrive_by_the_gate_port(processes, profiles, monkeypatch, eventually):
-    from understudy.ros.graph import Graph
+MONITOR = """
+import sys
+import time
+from understudy.ros.graph import Graph
+from understudy.ros.watching import Watching
+from understudy.trees.health import WatchedTopic
+watching = Watching(Graph("monitor"))
+watching.follow([WatchedTopic("/robot/chat", "std_msgs/msg/String", 0.0, None)])
+print("follows", flush=True)
+while not (watching.drain() and watching.topic("/robot/chat").count > 5):
+    time.sleep(0.01)
+print("received", flush=True)
+sys.stdin.readline()
+"""
 
-    monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", profiles)
-    graph = Graph("monitor")
+
+def test_commands_arrive_by_the_gate_port(processes, profiles):
+    """In a process of its own, since the middleware reads the file once for all participants of a process."""
+    monitor = subprocess.Popen(
+        [sys.executable, "-c", MONITOR],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(PACKAGE), "FASTRTPS_DEFAULT_PROFILES_FILE": profiles},
+    )
     try:
-        watching = Watching(graph)
-        watching.follow([WatchedTopic("/robot/chat", "std_msgs/msg/String", 0.0, None)])
-        assert gated(os.getpid()) == {gate_ports(OUTPUTS)["/robot/chat"]}
-        monkeypatch.delenv("FASTRTPS_DEFAULT_PROFILES_FILE")
+        assert processes.line(monitor, 30) == "follows"
+        assert gated(monitor.pid) == {gate_ports(OUTPUTS)["/robot/chat"]}
         processes.node("publish", "/robot/chat", "50")
-        eventually(lambda: watching.drain() and watching.topic("/robot/chat").count > 5)
+        assert processes.line(monitor, 30) == "received"
     finally:
-        graph.close()
+        monitor.kill()
+        monitor.communicate()

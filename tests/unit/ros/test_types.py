@@ -21,9 +21,9 @@ def test_installed_types_are_found_ready_for_use(name):
 
 def test_missing_package_says_what_to_do():
     with pytest.raises(TypeNotInstalled) as caught:
-        message_class("nav2_msgs/msg/Costmap")
+        message_class("robots_msgs/msg/Costmap")
     assert str(caught.value) == (
-        "nav2_msgs/msg/Costmap is not installed in the monitor's image (there is no package nav2_msgs): build a "
+        "robots_msgs/msg/Costmap is not installed in the monitor's image (there is no package robots_msgs): build a "
         "monitor image with it, and set spec.monitor.image to that"
     )
 
