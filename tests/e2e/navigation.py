@@ -43,22 +43,21 @@ from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from rclpy.qos import DurabilityPolicy, QoSProfile
 rclpy.init()
 node = rclpy.create_node("locate")
-truth, worst, pairs = [], 0.0, 0
+truth, errors = [], []
 def believed(m):
-    global worst, pairs
     stamp = m.header.stamp.sec + m.header.stamp.nanosec / 1e9
     near = min(truth, key=lambda t: abs(t[0] - stamp), default=None)
     if near is not None and abs(near[0] - stamp) < 0.15:
         p = m.pose.pose.position
-        worst, pairs = max(worst, math.hypot(p.x - near[1], p.y - near[2])), pairs + 1
+        errors.append(math.hypot(p.x - near[1], p.y - near[2]))
 node.create_subscription(PoseStamped, "/ground_truth/pose", lambda m: truth.append(
     (m.header.stamp.sec + m.header.stamp.nanosec / 1e9, m.pose.position.x, m.pose.position.y)), 10)
 node.create_subscription(PoseWithCovarianceStamped, "/amcl_pose", believed,
     QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))
 end = time.monotonic() + float(sys.argv[1])
-while time.monotonic() < end and pairs < 20:
+while time.monotonic() < end and len(errors) < 40:
     rclpy.spin_once(node, timeout_sec=0.1)
-print(pairs, worst)
+print(len(errors), max(errors[len(errors) // 2:], default=0.0))
 """
 """Run in a pod of the stack: how far its own localization is from where the robot really is."""
 
@@ -203,11 +202,13 @@ class Navigator(Robot):
                 self._hosts[(VENDOR + host_id(ip)).hex()] = pod["metadata"]["name"]
 
     def localization_error(self, pod: str) -> float:
-        """The greatest distance in metres of some two seconds between where a pod's stack believes the robot and where it is."""
+        """How far a pod's stack is off with where it believes the robot, in metres: the most in the last two of four seconds."""
+        graph: dict[str, str] = self.kubectl.get("configmap", f"{self.workload}-robot-env")["data"]
+        environment = [f"{name}={value}" for name, value in graph.items() if not name.startswith("FASTRTPS")]
         # In the agent's container, since the stack's own has no memory to spare.
-        command = ("python3", "-c", LOCATE, "15")
+        command = ("env", *environment, "python3", "-c", LOCATE, "20")
         said = self.kubectl("exec", pod, "-c", names.AGENT_CONTAINER, "--", *command, timeout=60).split()
-        assert int(said[0]) > 5, f"{pod} hardly says where the robot is: {said[0]} poses in 15 s"
+        assert int(said[0]) > 5, f"{pod} hardly says where the robot is: {said[0]} poses in 20 s"
         return float(said[1])
 
     def distance_to(self, goal: Goal) -> float:
