@@ -144,8 +144,8 @@ def _missing(progress: Progress) -> str:
 async def _verify(target: Instance, progress: Progress, means: Means) -> None:
     """Outputs are seen to come from the new instance and from no other (DESIGN: the failover protocol, step 4)."""
     since = progress.moments.get("committing", progress.cursor)
-    if means.outputs.expected:
-        first = await means.outputs.first_from(target, since=since)
+    first = await means.outputs.first_from(target, since=since)
+    if first is not None:
         progress.moments.setdefault("first_output", first)  # by the reflex it came before the commit
     fenced = progress.moments.get("fenced", since)
     last, pod = means.outputs.last_from_others(target)

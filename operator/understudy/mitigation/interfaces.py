@@ -162,8 +162,11 @@ class Outputs(Protocol):
     def expected(self) -> Sequence[str]:
         """Gated topics that the health tree watches and that count now: each must be seen from an instance in control."""
 
-    async def first_from(self, instance: Instance, *, since: float) -> float:
-        """Wait for a sample of each expected topic from the instance, received after a time; when the first came."""
+    async def first_from(self, instance: Instance, *, since: float) -> float | None:
+        """Wait for a sample of each expected topic from the instance, received after a time; when the first came.
+
+        None where nothing is expected, or no longer is.
+        """
 
     def last_from_others(self, instance: Instance) -> tuple[float, str]:
         """When a sample of any other instance last got through, in unix seconds (0 if never), and from which pod."""

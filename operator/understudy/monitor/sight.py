@@ -166,10 +166,15 @@ class GatedReaders:
         """Gated topics that the health tree watches, and that count now."""
         return self._sight.expected
 
-    async def first_from(self, instance: Instance, *, since: float) -> float:
-        """Wait for a sample of each expected topic from the instance, received after a time; when the first came."""
+    async def first_from(self, instance: Instance, *, since: float) -> float | None:
+        """Wait for a sample of each expected topic from the instance, received after a time; when the first came.
+
+        None where nothing is expected, or no longer is: a task may end, and with it what only it needs.
+        """
         while True:
             self._drain()
+            if not self.expected:
+                return None
             # Two pods that can't be told apart: what comes through the gate is from the one it names.
             ambiguous = any(instance.name in names for names in self._watching.sources.ambiguous)
             found = [self._first(topic, instance.name, since, ambiguous) for topic in self.expected]

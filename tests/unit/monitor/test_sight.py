@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 
 import pytest
 
 from understudy.api.policies import FailurePolicySpec
 from understudy.api.workloads import RobotWorkloadSpec
+from understudy.mitigation.interfaces import GateState, Instance
 
 pytestmark = pytest.mark.ros
 
@@ -74,3 +76,36 @@ def test_the_last_output_of_an_earlier_task_is_not_when_all_was_well_last(sight)
     del sight._watching._topics["/beat"].sources[host]
     assert sight.last_well("w-1") is None
     assert sight.last_from("w-1") == 50.0
+
+
+async def test_nothing_more_is_waited_for_when_the_task_ends_before_the_first_output() -> None:
+    from understudy.monitor.sight import GatedReaders
+    from understudy.ros.sources import Sources
+
+    class Sight:
+        expected = ("/cmd_vel",)
+
+        def drain(self, instances: object, active: object) -> None:
+            """There is nothing to drain."""
+
+    class Watching:
+        sources = Sources({})
+
+        def first_from(self, topic: str, pod: str, *, since: float) -> None:
+            """Nothing has come."""
+
+    class Fleet:
+        def of_workload(self) -> list[Instance]:
+            return []
+
+    class Gate:
+        state = GateState(active="standby", active_uid="u")
+
+    seen = Sight()
+    readers = GatedReaders(seen, Watching(), Fleet(), Gate())  # type: ignore[arg-type]
+    waiting = asyncio.create_task(readers.first_from(Instance("standby", "u"), since=0.0))
+    await asyncio.sleep(0.1)
+    assert not waiting.done()
+    seen.expected = ()
+    async with asyncio.timeout(20):
+        assert await waiting is None
