@@ -47,7 +47,9 @@ def wait_counted(robot: Robot, ready: int) -> None:
     )
 
 
-@pytest.mark.parametrize("how", ["killed", "frozen", "deleted"])
+@pytest.mark.parametrize(
+    "how", [pytest.param("killed", marks=pytest.mark.long), "frozen", pytest.param("deleted", marks=pytest.mark.long)]
+)
 def test_a_configured_standby_is_activated_and_takes_over(managed: Robot, how: str) -> None:
     old = managed.wait_protected()
     wait_counted(managed, 1)

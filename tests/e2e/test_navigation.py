@@ -10,6 +10,9 @@ from tests.e2e.navigation import CONFIGURATIONS, GOAL_TOLERANCE, Navigator, Tour
 LOCALIZATION = 0.3
 """Metres that localization may be off after a hand-over."""
 
+OFTEN = ("executing", "stack-started")
+"""Configurations that CI drives through; the others are `long`."""
+
 DONE = 420.0
 """Seconds for a tour of three goals with what is lost on the way, on a machine that is busy."""
 
@@ -37,7 +40,10 @@ def assert_clean(navigator: Navigator, number: int) -> None:
     assert not handover.late, handover
 
 
-@pytest.mark.parametrize("configuration", CONFIGURATIONS)
+@pytest.mark.parametrize(
+    "configuration",
+    [pytest.param(name, marks=() if name in OFTEN else pytest.mark.long) for name in CONFIGURATIONS],
+)
 def test_all_goals_are_reached_though_the_stack_is_lost_twice(navigator: Navigator, configuration: str) -> None:
     navigator.set_up(configuration)
     navigator.wait_ready()
@@ -63,8 +69,10 @@ def test_all_goals_are_reached_though_the_stack_is_lost_twice(navigator: Navigat
 
 @pytest.mark.parametrize(
     ("number", "node"),
-    [("STOP", "controller_server"), ("KILL", "amcl")],
-    ids=["controller silent", "localization dead"],
+    [
+        pytest.param("STOP", "controller_server", id="controller silent"),
+        pytest.param("KILL", "amcl", id="localization dead", marks=pytest.mark.long),
+    ],
 )
 def test_one_node_that_fails_is_noticed_and_the_goal_is_reached(navigator: Navigator, number: str, node: str) -> None:
     navigator.set_up("executing")

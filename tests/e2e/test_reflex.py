@@ -88,7 +88,7 @@ def assert_fell_over(robot: Robot, recovery: Recovered, *, returned: bool = Fals
         raise Late(f"the robot had no command for {handover.gap} s, the reflex should have been there")
 
 
-@pytest.mark.parametrize("how", ["killed", "frozen"])
+@pytest.mark.parametrize("how", ["killed", pytest.param("frozen", marks=pytest.mark.long)])
 def test_the_robots_reader_falls_over_by_itself_and_the_loser_is_fenced(reflexive: Robot, how: str) -> None:
     old = wait_armed(reflexive)
     reflexive.fail(old, how)
@@ -105,7 +105,7 @@ def test_the_robots_reader_falls_over_by_itself_and_the_loser_is_fenced(reflexiv
 
 
 @pytest.mark.local_only
-@pytest.mark.parametrize("how", ["killed", "frozen"])
+@pytest.mark.parametrize("how", [pytest.param("killed", marks=pytest.mark.long), "frozen"])
 def test_it_works_without_the_api_server_and_is_committed_when_that_is_back(
     reflexive: Robot, api_server: ApiServer, how: str
 ) -> None:
