@@ -5,11 +5,12 @@ from __future__ import annotations
 import signal
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from understudy_demo.recovery import Recovered
 
-from tests.e2e.faults import ApiServer, signal_processes, staying
+from tests.e2e.faults import ApiServer, cluster, signal_processes, staying
 from tests.e2e.kubectl import Failed, Kubectl, Object
 from tests.e2e.scenario import APPLICATION, Late, Robot, eventually, manifest
 from tests.e2e.test_strategies import ENFORCEMENT
@@ -42,6 +43,8 @@ def reflexive(kubectl: Kubectl) -> Robot:
 @pytest.fixture
 def api_server(kubectl: Kubectl) -> Iterator[ApiServer]:
     """The API server, which runs again when the test has ended."""
+    if Path(cluster("kubeconfig").strip()) != kubectl.kubeconfig:
+        pytest.skip("the cluster under test isn't the one that scripts/cluster stops the API server of")
     server = ApiServer(kubectl)
     yield server
     if server.stopped:
