@@ -17,7 +17,7 @@ from understudy.trees.leaves import TopicLeaf, duration
 from understudy.trees.observations import Glance
 from understudy.trees.problems import Problem, TreeError, did_you_mean
 from understudy.trees.rates import Band, Window
-from understudy.trees.reading import DEEPEST, MOST, Reader, duration_of, found_text
+from understudy.trees.reading import Reader, duration_of, found_text
 from understudy.trees.situations import SETTLE, STATUS_TYPE, TaskActive, While
 
 __all__ = ["Problem", "TreeError", "load"]
@@ -52,34 +52,18 @@ class _Loader(Reader):
         self._type_paths: dict[str, str] = {}
         self._leaf_paths: dict[str, str] = {}
         self._tasks: list[TaskActive] = []
-        self._nodes = 0
 
     def node(self, value: object, path: str, above: list[str], depth: int) -> Build | None:
         """What builds one node; ``above`` are the names of the nodes it is in."""
-        self._nodes += 1
-        if self._nodes > MOST:
-            if self._nodes == MOST + 1:
-                self.problem(path, f"the tree has more than {MOST} nodes")
+        if not self.is_node(value, path, depth, KINDS):
             return None
-        if depth > DEEPEST:
-            self.problem(path, f"the tree is more than {DEEPEST} levels deep")
-            return None
-        if not isinstance(value, Mapping):
-            self.problem(path, f"found {found_text(value)}; a node is a mapping with one of {', '.join(KINDS)}")
-            return None
-        kinds = [kind for kind in KINDS if kind in value]
         for key in value:
-            if key not in KINDS and key != "name" and not ("while" in kinds and key in WHILE_KEYS):
+            if key not in KINDS and key != "name" and not ("while" in value and key in WHILE_KEYS):
                 self._unknown_node_key(str(key), path)
         name = self.name(value, path)
-        if len(kinds) > 1:
-            self.problem(path, f"found {' and '.join(kinds)} in one node; give each a node of its own")
+        kind = self.kind(value, path, KINDS)
+        if kind is None:
             return None
-        if not kinds:
-            if not any(key != "name" for key in value):
-                self.problem(path, f"the node says nothing; give one of {', '.join(KINDS)}")
-            return None
-        kind = kinds[0]
         below = [*above, name] if name else above
         if kind == "topic":
             return self._topic(value["topic"], f"{path}.topic", above, name)

@@ -23,7 +23,7 @@ from understudy.trees.health import HealthTree, WatchedTopic
 from understudy.trees.loading import load
 from understudy.trees.matching import mismatch
 from understudy.trees.problems import TreeError, did_you_mean
-from understudy.trees.reading import DEEPEST, MOST, Reader, duration_of, found_text
+from understudy.trees.reading import Reader, duration_of, found_text
 from understudy.trees.steps import OVERTIME, Actions, Limit, Retry, Run, Step, Within, Work, reasons, unfinished
 
 COMPOSITES = ("sequence", "parallel", "selector")
@@ -133,31 +133,15 @@ class _Loader(Reader):
         self._waits = waits
         self._decorators = DECORATORS if waits else ("inverter",)
         self._allowed = (*COMPOSITES, *self._decorators, *(STEPS if waits else ()), *CONDITIONS)
-        self._nodes = 0
 
     def node(self, value: object, path: str, depth: int) -> Make | None:
-        self._nodes += 1
-        if self._nodes > MOST:
-            if self._nodes == MOST + 1:
-                self.problem(path, f"the tree has more than {MOST} nodes")
+        if not self.is_node(value, path, depth, self._allowed):
             return None
-        if depth > DEEPEST:
-            self.problem(path, f"the tree is more than {DEEPEST} levels deep")
-            return None
-        if not isinstance(value, Mapping):
-            self.problem(path, f"found {found_text(value)}; a node is a mapping with one of {', '.join(self._allowed)}")
-            return None
-        kinds = [kind for kind in self._allowed if kind in value]
         self._unknown(value, path)
         self.name(value, path)
-        if len(kinds) > 1:
-            self.problem(path, f"found {' and '.join(kinds)} in one node; give each a node of its own")
+        kind = self.kind(value, path, self._allowed)
+        if kind is None:
             return None
-        if not kinds:
-            if not any(key != "name" for key in value):
-                self.problem(path, f"the node says nothing; give one of {', '.join(self._allowed)}")
-            return None
-        kind = kinds[0]
         self.kinds.add(kind)
         place = f"{path}.{kind}"
         if kind in COMPOSITES:

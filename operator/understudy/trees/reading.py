@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping
-from typing import Any
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, TypeGuard
 
 from understudy.api.base import seconds
 from understudy.trees.problems import Problem, did_you_mean
@@ -26,10 +26,38 @@ class Reader:
 
     def __init__(self) -> None:
         self.problems: list[Problem] = []
+        self._nodes = 0
 
     def problem(self, path: str, message: str) -> None:
         """Note a mistake."""
         self.problems.append(Problem(path, message))
+
+    def is_node(self, value: object, path: str, depth: int, kinds: Sequence[str]) -> TypeGuard[Mapping[str, Any]]:
+        """Whether something can be read as one more node, which is of one of these kinds; a problem is noted where it can't."""
+        self._nodes += 1
+        if self._nodes > MOST:
+            if self._nodes == MOST + 1:
+                self.problem(path, f"the tree has more than {MOST} nodes")
+            return False
+        if depth > DEEPEST:
+            self.problem(path, f"the tree is more than {DEEPEST} levels deep")
+            return False
+        if not isinstance(value, Mapping):
+            self.problem(path, f"found {found_text(value)}; a node is a mapping with one of {', '.join(kinds)}")
+            return False
+        return True
+
+    def kind(self, value: Mapping[str, Any], path: str, kinds: Sequence[str]) -> str | None:
+        """Which one of these kinds a node is; a problem is noted where it is none or several."""
+        found = [kind for kind in kinds if kind in value]
+        if len(found) > 1:
+            self.problem(path, f"found {' and '.join(found)} in one node; give each a node of its own")
+            return None
+        if not found:
+            if not any(key != "name" for key in value):
+                self.problem(path, f"the node says nothing; give one of {', '.join(kinds)}")
+            return None
+        return found[0]
 
     def name(self, value: Mapping[str, Any], path: str) -> str | None:
         """The name that a node was given."""

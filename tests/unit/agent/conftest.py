@@ -129,3 +129,24 @@ async def links():
     yield made
     for link in made:
         await link.close()
+
+
+@pytest.fixture
+def ros() -> dict[str, str]:
+    """A ROS graph on this machine, of this run alone."""
+    return {
+        "ROS_DOMAIN_ID": str(10 + os.getpid() % 90),
+        "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
+    }
+
+
+@pytest.fixture
+def robot(pod: Pod, ros: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> Pod:
+    """A pod that isn't held, whose agent is in that graph, as the test's own nodes are."""
+    for name, value in ros.items():
+        monkeypatch.setenv(name, value)
+    pod.environment = {"UNDERSTUDY_HELD_CONTAINERS": "", "UNDERSTUDY_WORKLOAD": "robot"}
+    pod.start_agent()
+    return pod

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import time
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Awaitable, Callable
 from typing import Any
 
 import pytest
@@ -25,22 +25,6 @@ pytestmark = pytest.mark.ros
 
 CONFIGURE = {"set_lifecycle": {"node": "/localizer", "state": "inactive"}}
 INSTANCE = Instance("robot-1", "uid-1", ip="127.0.0.1", running=True)
-
-
-@pytest.fixture
-def robot(pod: Pod, monkeypatch: pytest.MonkeyPatch) -> Iterator[Pod]:
-    """A pod that isn't held."""
-    ros = {
-        "ROS_DOMAIN_ID": str(10 + os.getpid() % 90),
-        "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
-    }
-    for name, value in ros.items():
-        monkeypatch.setenv(name, value)
-    pod.environment = {"UNDERSTUDY_HELD_CONTAINERS": "", "UNDERSTUDY_WORKLOAD": "robot"}
-    pod.start_agent()
-    return pod
 
 
 def sidecars(link: AgentLink | None, tmp_path: Any) -> Sidecars:

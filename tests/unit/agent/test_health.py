@@ -26,16 +26,6 @@ OUTPUTS = [{"topic": "/cmd_vel", "type": "std_msgs/msg/String"}]
 TREE = {"topic": {"name": "/cmd_vel", "gap": "300ms"}}
 
 
-@pytest.fixture
-def ros() -> dict[str, str]:
-    return {
-        "ROS_DOMAIN_ID": str(10 + os.getpid() % 90),
-        "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
-    }
-
-
 def runs(status: AgentStatus) -> bool:
     return status.phase == "Running" and status.ready
 

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-import os
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -22,22 +20,6 @@ TREE = {"topic": {"name": "/cmd_vel", "gap": "300ms"}}
 ACTIVATE = {"set_lifecycle": {"node": "/localizer", "state": "active"}}
 CHECK = {"lifecycle_is": {"node": "/localizer", "state": "active"}}
 WITHIN = 60.0
-
-
-@pytest.fixture
-def robot(pod: Pod, monkeypatch: pytest.MonkeyPatch) -> Iterator[Pod]:
-    """A pod that isn't held, with a managed node in it."""
-    ros = {
-        "ROS_DOMAIN_ID": str(10 + os.getpid() % 90),
-        "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
-    }
-    for name, value in ros.items():
-        monkeypatch.setenv(name, value)
-    pod.environment = {"UNDERSTUDY_HELD_CONTAINERS": "", "UNDERSTUDY_WORKLOAD": "robot"}
-    pod.start_agent()
-    return pod
 
 
 def run(pod: Pod, *arguments: str) -> subprocess.Popen[bytes]:
