@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from statistics import fmean
 
 from understudy_demo.plot import COLOURS
 from understudy_demo.recovery import PARTS
@@ -23,7 +24,7 @@ def recovery_times(
         references: horizontal lines to compare with, by what they are, in seconds.
     """
     means = {
-        configuration: {NAMES[part]: _mean(found[part]) for part in PARTS} for configuration, found in parts.items()
+        configuration: {NAMES[part]: fmean(found[part]) for part in PARTS} for configuration, found in parts.items()
     }
     dots = {
         configuration: [sum(times) for times in zip(*(found[part] for part in PARTS), strict=True)]
@@ -91,7 +92,3 @@ def _draw(
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)
     plt.close(figure)
-
-
-def _mean(values: Sequence[float]) -> float:
-    return sum(values) / len(values)

@@ -16,6 +16,7 @@ import time
 import uuid
 from dataclasses import dataclass, field
 from pathlib import Path
+from statistics import fmean
 
 from understudy_demo.recovery import PARTS, Recovered
 
@@ -198,17 +199,14 @@ def _report(report: Report, name: str, drive: Drive) -> None:
 def _compare(report: Report, drives: dict[str, Drive]) -> None:
     """What the paper found, beside what was found here."""
 
-    def mean(values: list[float]) -> float:
-        return sum(values) / len(values)
-
-    cluster = {name: mean(drive.parts()["cluster"]) for name, drive in drives.items()}
+    cluster = {name: fmean(drive.parts()["cluster"]) for name, drive in drives.items()}
     report.figure(
         "t_cluster restart / full navigation, of means",
         [cluster["restart"] / cluster["executing"]],
         unit="times",
         limit="paper: 32",
     )
-    gaps = {name: mean(drive.gaps) for name, drive in drives.items()}
+    gaps = {name: fmean(drive.gaps) for name, drive in drives.items()}
     report.figure(
         "down-time at the robot, restart / full navigation, of means",
         [gaps["restart"] / gaps["executing"]],

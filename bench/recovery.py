@@ -16,6 +16,7 @@ import sys
 import time
 import uuid
 from pathlib import Path
+from statistics import median
 
 from understudy_demo.recovery import PARTS
 
@@ -56,7 +57,7 @@ def main() -> int:
     for strategy in options.strategies:
         clusters[strategy] = _strategy(report, kubeconfig, strategy, options.failures, options.how)
     if {"executing", "restart"} <= set(clusters):
-        ratio = _median(clusters["restart"]) / _median(clusters["executing"])
+        ratio = median(clusters["restart"]) / median(clusters["executing"])
         report.figure("t_cluster Restart / Executing, of medians", [ratio], unit="times", limit="paper: 32")
     report.note(
         "paper", "TurtleBot 4 and Nav2: t_detection 500 ms; t_cluster 2.9 s (restart) and 0.1 s (patch), 32 times"
@@ -116,12 +117,6 @@ def _strategy(report: Report, kubeconfig: Path, strategy: str, failures: int, ho
             f"{strategy}: {name}", shown, unit=unit, must=must.get(name), limit=PAPER.get((strategy, name), "")
         )
     return values["t_cluster"]
-
-
-def _median(values: list[float]) -> float:
-    ordered = sorted(values)
-    middle = len(ordered) // 2
-    return ordered[middle] if len(ordered) % 2 else (ordered[middle - 1] + ordered[middle]) / 2
 
 
 def enforcer() -> str:
