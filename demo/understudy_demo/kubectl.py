@@ -12,9 +12,11 @@ from typing import Any
 class CommandFailed(Exception):
     """A command ended with an error; the message has the command and what it said."""
 
-    def __init__(self, command: Sequence[str], said: str) -> None:
+    def __init__(self, command: Sequence[str], said: str, status: int | None = None) -> None:
         super().__init__(f"{shlex.join(command)}: {said.strip()[-2000:] or 'failed without a word'}")
         self.said = said
+        self.status = status
+        """What it exited with; None where it didn't get that far."""
 
 
 def run(
@@ -45,7 +47,7 @@ def run(
     except subprocess.TimeoutExpired as error:
         raise CommandFailed(command, f"not done within {timeout:g} s") from error
     if done.returncode != 0:
-        raise CommandFailed(command, (done.stderr or done.stdout or "") if not show else "see above")
+        raise CommandFailed(command, (done.stderr or done.stdout or "") if not show else "see above", done.returncode)
     return done.stdout or ""
 
 

@@ -42,6 +42,7 @@ exit 1
 
 _BEFORE = 4.0  # seconds of driving before each failure, so that the picture has a before
 _AFTER = 3.0  # and after
+_KILLED = 128 + 9  # what a command exits with that was ended by SIGKILL
 
 
 class NotSo(Exception):
@@ -125,7 +126,11 @@ class Play:
             command = ["exec", pod, "-c", "drive", "--", "sh", "-c", _SIGNAL, "sh", signal]
             self._say(f"{strategy}: SIG{signal} to the application in {pod}")
         killed = time.time()
-        self._kubectl(*command)
+        try:
+            self._kubectl(*command)
+        except CommandFailed as error:
+            if error.status != _KILLED:  # with the application its container ends, and what runs in it
+                raise
         entry = self._recovery_after(number)
         time.sleep(_AFTER)
         recovered = Recovered.read(entry)

@@ -14,9 +14,17 @@ Object = dict[str, Any]
 TIMEOUT = 60.0
 """Seconds for one command."""
 
+KILLED = 128 + 9
+"""What a command exits with that was ended by SIGKILL."""
+
 
 class Failed(AssertionError):
     """A command ended with an error; the message is what it said."""
+
+    def __init__(self, message: str, status: int = 1) -> None:
+        super().__init__(message)
+        self.status = status
+        """What the command exited with."""
 
 
 class Kubectl:
@@ -36,7 +44,7 @@ class Kubectl:
         command = [self._program, f"--kubeconfig={self.kubeconfig}", "-n", self.namespace, *arguments]
         done = subprocess.run(command, input=given, capture_output=True, text=True, timeout=timeout, check=False)
         if done.returncode:
-            raise Failed(f"kubectl {' '.join(arguments)}: {done.stderr.strip() or done.stdout.strip()}")
+            raise Failed(f"kubectl {' '.join(arguments)}: {done.stderr.strip() or done.stdout.strip()}", done.returncode)
         return done.stdout
 
     def apply(self, objects: Iterable[Object]) -> None:
@@ -68,6 +76,14 @@ class Kubectl:
     def shell(self, pod: str, container: str, script: str, *arguments: str, timeout: float = TIMEOUT) -> str:
         """Run a shell script in a container."""
         return self("exec", pod, "-c", container, "--", "sh", "-c", script, "sh", *arguments, timeout=timeout)
+
+    def kill(self, pod: str, *command: str, container: str) -> None:
+        """Run in a container what kills its processes, which may end the container and with it the command itself."""
+        try:
+            self("exec", pod, "-c", container, "--", *command)
+        except Failed as error:
+            if error.status != KILLED:
+                raise
 
 
 def helm(kubeconfig: Path, *arguments: str, timeout: float = 300.0) -> str:

@@ -221,4 +221,4 @@ class Navigator(Robot):
     def send_signal(self, pod: str, number: str, *nodes: str) -> None:
         """Send a signal to nodes of a pod's stack, or to all of it."""
         command = ("python3", "-m", "navigation_stack.send_signal", number, *nodes)
-        self.kubectl("exec", pod, "-c", CONTAINER, "--", *command)
+        self.kubectl.kill(pod, *command, container=CONTAINER)

@@ -222,7 +222,7 @@ class Robot:
 
     def signal(self, pod: str, number: str) -> None:
         """Send a signal (STOP, CONT, KILL) to the application's process in a pod."""
-        self.kubectl.shell(pod, CONTAINER, SIGNAL, number, APPLICATION)
+        self.kubectl.kill(pod, "sh", "-c", SIGNAL, "sh", number, APPLICATION, container=CONTAINER)
 
     def delete(self, pod: str, *, force: bool = False) -> None:
         """Delete a pod, by force as the paper's experiment does."""

@@ -43,7 +43,7 @@ from understudy.trees.health import Verdict
 
 _logger = logging.getLogger(__name__)
 
-TICK = 0.05
+TICK = 0.1
 """Longest time between two looks, in seconds; what arrives in between waits in the middleware's queue."""
 
 WAKE_LATE = 0.0005
