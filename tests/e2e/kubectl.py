@@ -44,7 +44,9 @@ class Kubectl:
         command = [self._program, f"--kubeconfig={self.kubeconfig}", "-n", self.namespace, *arguments]
         done = subprocess.run(command, input=given, capture_output=True, text=True, timeout=timeout, check=False)
         if done.returncode:
-            raise Failed(f"kubectl {' '.join(arguments)}: {done.stderr.strip() or done.stdout.strip()}", done.returncode)
+            raise Failed(
+                f"kubectl {' '.join(arguments)}: {done.stderr.strip() or done.stdout.strip()}", done.returncode
+            )
         return done.stdout
 
     def apply(self, objects: Iterable[Object]) -> None:
