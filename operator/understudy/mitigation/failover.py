@@ -54,7 +54,7 @@ async def recover(progress: Progress, choices: Sequence[Choice], means: Means) -
         # A run that is taken up again was decided by the one before it.
         progress.charge("cluster", progress.moments.setdefault("decided", means.clock()))
         means.save(progress)
-        result, message = await _attempt(progress, choice, means)
+        result, message = await _attempt(progress, choice, means, last=index == len(choices) - 1)
         pod = progress.target.name if progress.target else ""
         progress.attempts.append(Attempt(strategy=choice.strategy.name, pod=pod, result=result, message=message))
         _logger.info("strategy %s with %s: %s %s", choice.strategy.name, pod or "no pod", result, message)
@@ -72,11 +72,11 @@ async def recover(progress: Progress, choices: Sequence[Choice], means: Means) -
 
 
 async def _attempt(
-    progress: Progress, choice: Choice, means: Means
+    progress: Progress, choice: Choice, means: Means, *, last: bool
 ) -> tuple[Literal["Verified", "NotVerified", "NotAvailable"], str]:
     try:
         async with asyncio.timeout(choice.verify_within):
-            await _unless_lost(_carry_out(progress, choice, means), progress, means)
+            await _unless_lost(_carry_out(progress, choice, means), progress, means, crashing_counts=not last)
     except NotAvailable as reason:
         return "NotAvailable", str(reason)
     except NotVerified as reason:
@@ -92,12 +92,16 @@ async def _carry_out(progress: Progress, choice: Choice, means: Means) -> None:
     await _verify(target, progress, means)
 
 
-async def _unless_lost(work: Coroutine[None, None, None], progress: Progress, means: Means) -> None:
+async def _unless_lost(
+    work: Coroutine[None, None, None], progress: Progress, means: Means, *, crashing_counts: bool
+) -> None:
     """Do the work, and give it up where the instance that it's about is lost: the next strategy then has its time.
 
-    Raises NotVerified.
+    ``crashing_counts`` is whether one that ends again and again is lost too: where nothing else is left to be tried, it may
+    still come up. Raises NotVerified.
     """
-    working, watching = asyncio.create_task(work), asyncio.create_task(_loss(progress, means))
+    working = asyncio.create_task(work)
+    watching = asyncio.create_task(_loss(progress, means, crashing_counts=crashing_counts))
     try:
         await asyncio.wait((working, watching), return_when=asyncio.FIRST_COMPLETED)
         if not working.done():
@@ -109,7 +113,7 @@ async def _unless_lost(work: Coroutine[None, None, None], progress: Progress, me
         await asyncio.gather(working, watching, return_exceptions=True)
 
 
-async def _loss(progress: Progress, means: Means) -> str:
+async def _loss(progress: Progress, means: Means, *, crashing_counts: bool) -> str:
     """Wait until the instance that is brought up is lost; how."""
     missing: float | None = None
     while True:
@@ -121,6 +125,8 @@ async def _loss(progress: Progress, means: Means) -> str:
         if found is not None and found.terminating:
             return f"pod {name} is being deleted"
         if found is not None and found.running:
+            if crashing_counts and found.crashing and not means.agents.is_ready(found)[0]:
+                return f"a container of pod {name} ends again and again"
             missing = None
             continue
         missing = missing if missing is not None else means.clock()

@@ -49,6 +49,10 @@ class Instance:
     created: str = ""
     restarts: int = 0
     """How often its containers were started again: what was done to their processes is lost."""
+    crashing: bool = False
+    """Whether a container of it has ended so often that the kubelet waits before it starts it again."""
+    evicted: bool = False
+    """Whether it is being deleted because its node is lost to Kubernetes. Nobody there can end its processes."""
 
     @property
     def from_source(self) -> bool:
@@ -59,6 +63,11 @@ class Instance:
     def usable(self) -> bool:
         """Whether it could drive the robot now or soon."""
         return self.running and not self.terminating
+
+    @property
+    def leaving(self) -> bool:
+        """Whether its processes are being ended."""
+        return self.terminating and not self.evicted
 
 
 @dataclass(frozen=True)

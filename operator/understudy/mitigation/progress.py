@@ -79,9 +79,14 @@ class Progress(Model):
 
     def fail_target(self) -> None:
         """Count the present target among the failed pods."""
-        if self.target is not None and not self.has_failed(self.target.uid):
-            self.failed.append(self.target)
+        if self.target is not None:
+            self.fail(self.target)
         self.target = None
+
+    def fail(self, pod: PodIdentity) -> None:
+        """Count a pod among the failed ones."""
+        if not self.has_failed(pod.uid):
+            self.failed.append(pod)
 
     def forget_attempt(self) -> None:
         """Drop the moments of an attempt that came to nothing; those of the failure stay."""

@@ -221,6 +221,10 @@ class Restart(Strategy):
             return target
         end = _now() + within
         await _close(progress, means)
+        for instance in means.instances.of_workload():
+            # One that ends again and again is started less and less often; a new one begins at once.
+            if instance.from_source and instance.crashing and not means.agents.is_ready(instance)[0]:
+                progress.fail(PodIdentity(name=instance.name, uid=instance.uid))
         await means.instances.replace([i for i in means.instances.of_workload() if progress.has_failed(i.uid)])
         target = await means.instances.wait(lambda i: i.from_source and i.usable and not progress.has_failed(i.uid))
         progress.target = PodIdentity(name=target.name, uid=target.uid)

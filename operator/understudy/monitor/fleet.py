@@ -16,6 +16,12 @@ from understudy.monitor.view import View
 
 _logger = logging.getLogger(__name__)
 
+CRASH_LOOP = "CrashLoopBackOff"
+"""What a kubelet says of a container that it won't start at once, since it ended again and again."""
+
+EVICTION = "DeletionByTaintManager"
+"""Why a pod is deleted whose node isn't ready or can't be reached (its condition DisruptionTarget)."""
+
 STATEFUL_SET_GRACE = 1
 """Seconds that a failed pod of a StatefulSet gets: its replacement has the same name and waits for it to be gone."""
 
@@ -25,6 +31,9 @@ def instance_of(pod: Object) -> Instance:
     metadata, status = pod["metadata"], pod.get("status", {})
     labels = metadata.get("labels") or {}
     conditions = {c["type"]: c["status"] for c in status.get("conditions") or []}
+    reasons = {c["type"]: c.get("reason") for c in status.get("conditions") or []}
+    containers = [c for c in status.get("containerStatuses") or [] if c.get("name") != names.AGENT_CONTAINER]
+    terminating = bool(metadata.get("deletionTimestamp"))
     return Instance(
         name=metadata["name"],
         uid=metadata["uid"],
@@ -33,16 +42,14 @@ def instance_of(pod: Object) -> Instance:
         running=status.get("phase") == "Running",
         ready=conditions.get("Ready") == "True",
         held=labels.get(names.HELD) == "true",
-        terminating=bool(metadata.get("deletionTimestamp")),
+        terminating=terminating,
         has_agent=any(c["name"] == names.AGENT_CONTAINER for c in pod["spec"]["containers"]),
         claim=(metadata.get("annotations") or {}).get(names.CLAIM, ""),
         template_hash=labels.get(names.TEMPLATE_HASH, ""),
         created=metadata.get("creationTimestamp", ""),
-        restarts=sum(
-            c.get("restartCount", 0)
-            for c in status.get("containerStatuses") or []
-            if c.get("name") != names.AGENT_CONTAINER
-        ),
+        restarts=sum(c.get("restartCount", 0) for c in containers),
+        crashing=any(((c.get("state") or {}).get("waiting") or {}).get("reason") == CRASH_LOOP for c in containers),
+        evicted=terminating and reasons.get("DisruptionTarget") == EVICTION,
     )
 
 

@@ -61,7 +61,7 @@ class Sidecars:
 
     def follow(self, instances: Sequence[Instance]) -> None:
         """Have a connection to each instance that has an agent, and to no other."""
-        wanted = {i.uid: i for i in instances if i.has_agent and i.ip and not i.held and not i.terminating}
+        wanted = {i.uid: i for i in instances if i.has_agent and i.ip and not i.held and not i.leaving}
         self._instances = wanted
         self._driving = {uid: to for uid, to in self._driving.items() if uid in wanted}
         for uid in [uid for uid in self._links if uid not in wanted]:

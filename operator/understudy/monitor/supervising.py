@@ -22,6 +22,7 @@ from understudy.api.workloads import GateStatus
 from understudy.cluster.client import ApiError
 from understudy.cluster.probes import ProbeReceiver
 from understudy.mitigation import reflex
+from understudy.mitigation.escalation import SHORT_LIVED, Escalation
 from understudy.mitigation.failover import Choice, recover
 from understudy.mitigation.interfaces import Instance, Superseded
 from understudy.mitigation.journal import Journal
@@ -117,6 +118,7 @@ class Supervisor:
         self._failing_since: float | None = None
         self._not_before = 0.0
         self._backoff = BACKOFF_FIRST
+        self._escalation = Escalation()
         self._next_slow = 0.0
         self._gate_changed = self._since
         self._let_through = ("", "")
@@ -145,10 +147,13 @@ class Supervisor:
             _logger.warning("failure of %s: %s", active.name if active else state.active, failure.reason)
             if failure.taken is not None:
                 await self._carry_out(reflex.begin(failure.taken, failed[0], self._reflexes.deadline))
-            else:
-                await self._carry_out(
-                    Progress.begin(failure.reason, last_healthy=failure.onset, detected=failure.detected, failed=failed)
-                )
+                continue
+            progress = Progress.begin(
+                failure.reason, last_healthy=failure.onset, detected=failure.detected, failed=failed
+            )
+            if (first := self._first(failure, state.active_uid)) is not None:
+                progress.index = first
+                await self._carry_out(progress)
 
     # -- watching ---------------------------------------------------------------------------------------------------
 
@@ -216,7 +221,7 @@ class Supervisor:
         self._keeping.judge(verdict.state, now)
         if verdict.state != "Failed":
             self._failing_since = None
-            if verdict.state == "Healthy":
+            if verdict.state == "Healthy" and now - self._since >= SHORT_LIVED:
                 self._backoff = BACKOFF_FIRST
             return None, self._sight.deadline(now=now, since=self._since)
         detected = time.time()
@@ -233,17 +238,18 @@ class Supervisor:
     def _lost(self, active: Instance | None, now: float) -> tuple[Failure | None, float | None] | None:
         """Whether the pod in control is lost, which needs no health tree: a failure, or when to look again.
 
+        One on a node that Kubernetes has lost goes on, whatever becomes of its object: its outputs say whether it lives.
         A pod that is being deleted still has its labels, so the gate can fence it at once. One whose object is gone
         (deleted by force) has none, and its process may run on for a moment: fencing it isn't possible, so the switch
         waits until it is silent.
         """
         name = self._gate.state.active
-        if active is not None and not active.terminating and active.running:
+        if active is not None and not active.leaving and active.running:
             return None
         onset = self._onset(name, now)
         if active is None and (silent := self._sight.last_from(name)) is not None and now - silent < DEAD_AFTER:
             return None, silent + DEAD_AFTER
-        gone = "is gone" if active is None else "is being deleted" if active.terminating else "has stopped running"
+        gone = "is gone" if active is None else "is being deleted" if active.leaving else "has stopped running"
         return Failure(f"pod {name} {gone}", onset, time.time()), None
 
     def _verdict(self, active: Instance, policy: FailurePolicySpec, now: float) -> Verdict:
@@ -446,6 +452,7 @@ class Supervisor:
             self._after(BACKOFF_FIRST)
             return
         self._parts.crash_points.step("before record")
+        self._escalation.note(done)
         recovery = self._reporter.record(done)
         state = self._gate.state
         self._reporter.set(active=state.active, gate=GateStatus(epoch=state.epoch, active=state.active))
@@ -465,6 +472,24 @@ class Supervisor:
             self._reporter.event("Warning", "RecoveryFailed", text)
             self._after(self._backoff)
             self._backoff = min(2 * self._backoff, BACKOFF_MOST)
+
+    def _first(self, failure: Failure, failed_uid: str) -> int | None:
+        """The strategy to begin with. None where every one's instance failed at once: they are tried again after a pause."""
+        policy, settings = self._view.policy, self._view.settings
+        if policy is None or settings is None:
+            return 0
+        first = self._escalation.first(failed_uid, failure.onset, len(policy.strategies))
+        if first is None:
+            text = (
+                f"{failure.reason}, as soon as it was in control. Every strategy was tried; the first one is tried again in "
+                f"{self._backoff:g} s"
+            )
+            _logger.warning("%s", text)
+            self._reporter.condition("Recovering", "False", "EndsAgainAndAgain", f"{text}.")
+            self._reporter.event("Warning", "EndsAgainAndAgain", text)
+            self._not_before, self._cooldown_told = time.time() + self._backoff, True
+            self._backoff = min(2 * self._backoff, BACKOFF_MOST)
+        return first
 
     async def _recovered(self, progress: Progress, choices: list[Choice]) -> Progress:
         means = self._means()

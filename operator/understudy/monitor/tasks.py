@@ -193,7 +193,7 @@ def executing(instance: Instance, state: GateState, full: set[str]) -> bool:
 
 def settled(health: str, active: Instance | None) -> bool:
     """Whether no failure is seen and no recovery under way."""
-    return health not in ("Failed", "Recovering") and active is not None and active.usable
+    return health not in ("Failed", "Recovering") and active is not None and active.running and not active.leaving
 
 
 def judged(tasks: Sequence[Mapping[str, Any]], problem: str) -> tuple[str, str, str]:

@@ -1,0 +1,58 @@
+"""Pods as instances: what a kubelet and a node's loss say of them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from understudy.api import names
+from understudy.monitor.fleet import instance_of
+
+EVICTION = {"type": "DisruptionTarget", "status": "True", "reason": "DeletionByTaintManager"}
+DELETED = {"deletionTimestamp": "2026-01-01T00:00:30Z"}
+
+
+def pod(metadata: dict[str, Any] | None = None, **status: Any) -> dict[str, Any]:
+    containers = [{"name": "drive"}, {"name": names.AGENT_CONTAINER}]
+    return {
+        "metadata": {"name": "w-1", "uid": "uid-1", **(metadata or {})},
+        "spec": {"containers": containers},
+        "status": {"phase": "Running", **status},
+    }
+
+
+def container(name: str, reason: str, restarts: int = 3) -> dict[str, Any]:
+    return {"name": name, "restartCount": restarts, "state": {"waiting": {"reason": reason}}}
+
+
+@pytest.mark.parametrize(
+    ("status", "crashing"),
+    [
+        (container("drive", "CrashLoopBackOff"), True),
+        (container("drive", "ContainerCreating"), False),
+        (container(names.AGENT_CONTAINER, "CrashLoopBackOff"), False),
+    ],
+)
+def test_an_application_that_ends_again_and_again_is_known_by_what_the_kubelet_says(
+    status: dict[str, Any], crashing: bool
+) -> None:
+    found = instance_of(pod(containerStatuses=[status]))
+    assert found.crashing is crashing
+    assert found.usable
+
+
+def test_a_pod_that_is_evicted_since_its_node_is_lost_is_not_leaving() -> None:
+    found = instance_of(pod(DELETED, conditions=[EVICTION]))
+    assert (found.terminating, found.evicted, found.leaving, found.usable) == (True, True, False, False)
+
+
+@pytest.mark.parametrize("conditions", [[], [{**EVICTION, "reason": "EvictionByEvictionAPI"}]])
+def test_a_pod_that_is_deleted_otherwise_is_leaving(conditions: list[dict[str, Any]]) -> None:
+    found = instance_of(pod(DELETED, conditions=conditions))
+    assert (found.terminating, found.evicted, found.leaving) == (True, False, True)
+
+
+def test_a_pod_that_stays_is_neither() -> None:
+    found = instance_of(pod(conditions=[EVICTION]))
+    assert (found.terminating, found.evicted, found.leaving) == (False, False, False)
