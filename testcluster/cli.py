@@ -17,6 +17,11 @@ _FAULTS: dict[str, tuple[str, Callable[[Provider, str], None]]] = {
     "freeze": ("stop all its processes", lambda provider, node: provider.node_freeze(node, True)),
     "thaw": ("let its processes go on", lambda provider, node: provider.node_freeze(node, False)),
     "cut": ("pull its network cable", lambda provider, node: provider.node_link(node, False)),
+    "stop-runtime": (
+        "end its kubelet and container runtime; its containers live on",
+        lambda provider, node: provider.node_runtime(node, False),
+    ),
+    "start-runtime": ("start them again", lambda provider, node: provider.node_runtime(node, True)),
     "connect": ("put its network cable back", lambda provider, node: provider.node_link(node, True)),
 }
 

@@ -28,11 +28,12 @@ mount --bind "$state/etc/hosts" /etc/hosts
 # Volumes that containers mount have to be seen by the kubelet and the other way round.
 mount --make-rshared /
 
-# Runs a program again whenever it ends, as a machine's service manager does.
+# Runs a program again whenever it ends, as a machine's service manager does; while there is a file of its name in `stopped`, not.
 keep() {
     local name=$1
     shift
     while :; do
+        while [ -e "$state/stopped/$name" ]; do sleep 0.2; done
         "$@" >>"$log/$name.log" 2>&1
         echo "$name ended with $?; it is started again" >>"$log/$name.log"
         sleep 1

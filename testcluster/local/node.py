@@ -1,6 +1,10 @@
 """A node: its own namespaces, container runtime, kubelet and kube-proxy; and the faults it can have."""
 
+import contextlib
+import os
 import shutil
+import signal
+from functools import partial
 from pathlib import Path
 
 from testcluster import atomic
@@ -8,9 +12,13 @@ from testcluster.local import cgroups, golden, network, processes
 from testcluster.local.layout import Layout, node_name
 from testcluster.local.programs import Programs
 from testcluster.paths import cache
+from testcluster.progress import wait_until
 from testcluster.shell import run
 
 _INIT = Path(__file__).resolve().parent / "node-init.sh"
+_RUNTIME = {"kubelet": ("kubelet",), "containerd": ("containerd", "--config")}
+"""The programs that Kubernetes has a node's containers by, and words of their command lines."""
+
 _NAMESPACES = ["--net", "--mount", "--uts", "--ipc", "--pid", "--fork", "--mount-proc", "--propagation", "private"]
 
 
@@ -187,6 +195,7 @@ def up(layout: Layout, node: int, programs: Programs) -> bool:
         running = None
     if running is None:
         down(layout, node)
+        start_runtime(layout, node)
         _configure(layout, node)
         _exchange_netpol(layout, node, programs)
         golden.clone(programs, _container_store(layout, node))
@@ -223,6 +232,40 @@ def down(layout: Layout, node: int) -> None:
     # Left-over groups of containers would cost the next kubelet three seconds each.
     cgroups.remove(group(layout, node))
     network.detach_node(layout, node)
+
+
+def stop_runtime(layout: Layout, node: int) -> None:
+    """Ends a node's kubelet and container runtime, as if they had been stopped there; its containers and its network live on.
+
+    Raises:
+        RuntimeError: the node is off.
+        TimeoutError: the kernel does not end them.
+    """
+    if init(layout, node) is None:
+        raise RuntimeError(f"cluster {layout.name}: {node_name(node)} is off")
+    stopped = _stopped(layout, node)
+    stopped.mkdir(exist_ok=True)
+
+    def gone(words: tuple[str, ...]) -> bool:
+        pid = processes.find(f"{group(layout, node)}/system", *words)
+        if pid is not None:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+        return pid is None
+
+    for name, words in _RUNTIME.items():
+        (stopped / name).touch()
+        wait_until(partial(gone, words), 20, f"{name} of {node_name(node)} has ended")
+
+
+def start_runtime(layout: Layout, node: int) -> None:
+    """Has a node's kubelet and container runtime started again. What was not stopped is no error."""
+    for name in _RUNTIME:
+        (_stopped(layout, node) / name).unlink(missing_ok=True)
+
+
+def _stopped(layout: Layout, node: int) -> Path:
+    return layout.node_state(node) / "stopped"
 
 
 def mounts(layout: Layout, node: int) -> list[str]:

@@ -81,6 +81,10 @@ class Provider(ABC):
         """Stops every process of a node where it stands, or lets them go on."""
         raise NotSupported(f"provider {self.name} cannot freeze a node")
 
+    def node_runtime(self, node: str, running: bool) -> None:
+        """Stops a node's kubelet and container runtime, or starts them again. Its containers go on meanwhile."""
+        raise NotSupported(f"provider {self.name} cannot stop a node's kubelet and container runtime")
+
     def api_stop(self) -> None:
         """Ends the API server at once; everything else goes on without it."""
         raise NotSupported(f"provider {self.name} cannot stop the API server")

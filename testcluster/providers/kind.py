@@ -189,5 +189,8 @@ class KindProvider(Provider):
     def node_freeze(self, node: str, frozen: bool) -> None:
         run("docker", "pause" if frozen else "unpause", self._known(node))
 
+    def node_runtime(self, node: str, running: bool) -> None:
+        run("docker", "exec", self._known(node), "systemctl", "start" if running else "stop", "containerd", "kubelet")
+
     def node_link(self, node: str, connected: bool) -> None:
         run("docker", "network", "connect" if connected else "disconnect", _NETWORK, self._known(node))

@@ -208,6 +208,7 @@ class LocalProvider(Provider):
         with self._locked():
             number = node_number(node, layout)
             cgroups.freeze(nodes.group(layout, number), False)
+            nodes.start_runtime(layout, number)
             if nodes.init(layout, number) and not network.node_connected(layout, number):
                 network.set_node_link(layout, number, True)
             nodes.up(layout, number, tools.ensure(self._progress))
@@ -215,6 +216,15 @@ class LocalProvider(Provider):
     def node_freeze(self, node: str, frozen: bool) -> None:
         layout = self._layout()
         cgroups.freeze(nodes.group(layout, node_number(node, layout)), frozen)
+
+    def node_runtime(self, node: str, running: bool) -> None:
+        layout = self._layout()
+        number = node_number(node, layout)
+        with self._locked():
+            if running:
+                nodes.start_runtime(layout, number)
+            else:
+                nodes.stop_runtime(layout, number)
 
     def api_stop(self) -> None:
         with self._locked():
