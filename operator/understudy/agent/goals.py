@@ -38,6 +38,9 @@ ANSWER = 5.0
 RESOLVED = 3.0
 """Seconds after which a server that gives no result of a goal is taken to know it: of one unknown it says so at once."""
 
+AGAIN = 5.0
+"""Seconds after which the result is asked for again."""
+
 MOST_KEPT = 64
 """Ended goals that are remembered, in case that their end was missed."""
 
@@ -220,10 +223,14 @@ class Goals:
             asking.cancel()
 
     async def _await_end(self, record: _Record, server: ActionClient) -> None:
-        """Wait for the result; asked for again when another process serves the action, which then doesn't know it."""
+        """Wait for the result; asked for again when another process serves the action, which then doesn't know it.
+
+        And now and then, since a server that is starved of CPU drops the answer to a client that it hasn't matched in time.
+        """
         asking = asyncio.ensure_future(server.result(record.id))
         try:
             serving = await self._serving(record.action)
+            again = time.monotonic() + AGAIN
             while not asking.done():
                 await asyncio.wait([asking], timeout=WATCH)
                 if self._moved():
@@ -234,8 +241,8 @@ class Goals:
                 if not now:
                     self._change(record, "lost")
                     return
-                if now - serving:
-                    serving = now
+                if now - serving or time.monotonic() >= again:
+                    serving, again = now, time.monotonic() + AGAIN
                     asking.cancel()
                     asking = asyncio.ensure_future(server.result(record.id))
             status, result = asking.result()

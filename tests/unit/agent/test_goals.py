@@ -122,6 +122,16 @@ async def test_a_server_that_was_started_anew_has_lost_its_goals(agent, start): 
     await eventually(lambda: told.said(goal, "lost"), 60)
 
 
+async def test_a_result_whose_answer_was_lost_is_asked_for_again(agent, start):  # noqa: F811
+    link, told = agent
+    goal = uuid.uuid4().hex
+    server = start("serve", ACTION, DROP="1")
+    await link.request("goal", body(goal, 3))
+    await eventually(lambda: told.said(goal, "ended"), 60)
+    assert told.said(goal, "ended")["status"] == SUCCEEDED
+    assert len(server.said("dropped")) == 1
+
+
 async def test_what_cannot_be_is_refused(agent):
     link, _ = agent
     with pytest.raises(AgentRefused, match="robots_msgs/action/Dock is not installed"):

@@ -4,7 +4,8 @@
 steps; from 1000 on it is rejected, from 500 on aborted at the second step.
 ``client ACTION ORDER...``: sends all goals and ends with the last result; lines on its input cancel: ``cancel INDEX``.
 What happens is said on the standard output, one JSON object a line. STEP is the seconds of a step; with TALK a server
-publishes on that topic too, 20 times a second, as a workload's output.
+publishes on that topic too, 20 times a second, as a workload's output. With DROP it loses its answers to so many
+requests for results, as one does that is starved of CPU.
 """
 
 from __future__ import annotations
@@ -36,10 +37,21 @@ def name(handle) -> str:
     return bytes(handle.goal_id.uuid).hex()
 
 
+class Dropping(ActionServer):
+    left = int(os.environ.get("DROP", "0"))
+
+    async def _execute_get_result_request(self, taken):
+        if self.left:
+            self.left -= 1
+            say(event="dropped")
+        else:
+            await super()._execute_get_result_request(taken)
+
+
 class Server:
     def __init__(self, node: Node, action: str, *, preempting: bool) -> None:
         self._preempting, self._latest = preempting, None
-        self._server = ActionServer(
+        self._server = Dropping(
             node,
             Fibonacci,
             action,
