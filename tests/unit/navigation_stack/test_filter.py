@@ -69,6 +69,26 @@ def test_where_the_laser_is_mounted_counts() -> None:
     assert particles.estimate()[0].distance(truth) < 0.05
 
 
+def test_a_pose_from_before_a_turn_is_found_anywhere() -> None:
+    """As far off as a robot gets in half a second, doubted as the localization doubts what it is told."""
+    world = generate(7)
+    grid, chance = charted(world), np.random.default_rng(3)
+    lost = []
+    for place in [world.start, *world.goals(15)]:
+        truth = as_pose(place)
+        particles, scan = ParticleFilter(grid, particles=500, seed=1), cast(world, truth)
+        off = Pose(0.25, 0.0, 0.0), Pose(0.0, 0.0, chance.choice([-0.4, 0.4]))
+        told = Pose(truth.x, truth.y, truth.heading + chance.uniform(-math.pi, math.pi)).then(off[0])
+        told = Pose(told.x, told.y, truth.heading).then(off[1])
+        particles.spread(told, np.diag(np.square([0.35, 0.35, 0.35])).tolist())
+        for _ in range(15):
+            particles.move(HERE)
+            particles.sense(scan, BEARINGS, HERE)
+        if particles.estimate()[0].distance(truth) > 0.15:
+            lost.append(truth)
+    assert not lost
+
+
 def test_a_wrong_place_far_away_stays_wrong() -> None:
     """There is no global search: this is why the pose has to be restored."""
     world = generate(7)

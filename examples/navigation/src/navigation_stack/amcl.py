@@ -55,8 +55,8 @@ class Amcl(managed.Managed):
 
     Parameters, named as Nav2's: max_particles, max_beams, sigma_hit, laser_likelihood_max_dist, update_min_d,
     update_min_a, set_initial_pose, initial_pose.{x,y,yaw}, tf_broadcast, global_frame_id, odom_frame_id, base_frame_id.
-    And initial_pose_spread: m that an initial pose is doubted by on top of what its covariance says, headings by half of
-    it in rad: a restored one is as old as the failure, and the robot drove on for a while. Where its stamp says when it
+    And initial_pose_spread: m that an initial pose is doubted by on top of what its covariance says, and headings as much
+    in rad: a restored one is as old as the failure, and the robot drove on and turned for a while. Where its stamp says when it
     was so, and odometry what was driven since, that is made up for instead.
     """
 
@@ -73,7 +73,7 @@ class Amcl(managed.Managed):
         self._odom_frame = self.parameter("odom_frame_id", "odom")
         self._least = self.parameter("update_min_d", 0.03), self.parameter("update_min_a", 0.05)
         self._broadcast = self.parameter("tf_broadcast", True)
-        self._spread = self.parameter("initial_pose_spread", 0.25)
+        self._spread = self.parameter("initial_pose_spread", 0.35)
         self._count = self.parameter("max_particles", 500)
         self._sensor = Sensor(
             beams=self.parameter("max_beams", 90),
@@ -166,10 +166,10 @@ class Amcl(managed.Managed):
         pose, covariance, stamp = start
         # What was driven since then, as far back as odometry is known.
         then = None if stamp is None else self._odometry.history.at(stamp, slack=0.0)
-        doubt = self._spread if then is None else MADE_UP_FOR
+        doubt, turned = (self._spread, self._spread) if then is None else (MADE_UP_FOR, MADE_UP_FOR / 2)
         if then is not None:
             pose = pose.then(then.to(here))
-        covariance = (np.asarray(covariance) + np.diag(np.square([doubt, doubt, doubt / 2]))).tolist()
+        covariance = (np.asarray(covariance) + np.diag(np.square([doubt, doubt, turned]))).tolist()
         if self._filter is None:
             self._filter = ParticleFilter(grid, particles=self._count, motion=Motion(), sensor=self._sensor)
         self._filter.spread(pose, covariance)
