@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.e2e.faults import Stage, cluster
 from tests.e2e.kubectl import Failed, Kubectl, helm
 from tests.e2e.scenario import Robot, eventually, manifest
 
@@ -84,6 +85,16 @@ def _robot(kubectl: Kubectl, strategy: str) -> Robot:
     kubectl.apply(robot.objects(policy=f"quickstart-{strategy}"))
     robot.wait_protected()
     return robot
+
+
+@pytest.fixture
+def stage(kubectl: Kubectl) -> Iterator[Stage]:
+    """Nodes that can be lost; whole again when the test has ended."""
+    if Path(cluster("kubeconfig").strip()) != kubectl.kubeconfig:
+        pytest.skip("the cluster under test isn't the one whose nodes scripts/cluster can take away")
+    found = Stage(kubectl)
+    yield found
+    found.clear()
 
 
 @pytest.fixture

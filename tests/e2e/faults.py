@@ -72,3 +72,87 @@ def signal_processes(pod_uid: str, words: str, number: signal.Signals) -> int:
         except (FileNotFoundError, ProcessLookupError):
             continue
     return found
+
+
+class Switch:
+    """Lets every new start of an application end at once, while it is on: its command looks for a file of a ConfigMap."""
+
+    _NAME = "switch"
+    _SCRIPT = '[ ! -e /switch/crash ] || { echo "told to crash"; exit 1; }; exec "$@"'
+
+    def __init__(self, kubectl: Kubectl) -> None:
+        self._kubectl = kubectl
+        kubectl.apply([{"apiVersion": "v1", "kind": "ConfigMap", "metadata": {"name": self._NAME}, "data": {}}])
+
+    def put_into(self, template: Object) -> None:
+        """Have the first container of a pod template look for it."""
+        spec, container = template["spec"], template["spec"]["containers"][0]
+        container["command"] = ["sh", "-c", self._SCRIPT, "sh", *container["command"]]
+        container.setdefault("volumeMounts", []).append({"name": self._NAME, "mountPath": "/switch"})
+        spec.setdefault("volumes", []).append({"name": self._NAME, "configMap": {"name": self._NAME}})
+
+    def on(self) -> None:
+        """What starts from now on in a new pod ends at once."""
+        self._kubectl.patch("configmap", self._NAME, {"data": {"crash": "1"}})
+
+    def off(self) -> None:
+        """What starts from now on in a new pod lives."""
+        self._kubectl.patch("configmap", self._NAME, {"data": {"crash": None}})
+
+
+class Stage:
+    """Nodes that only a robot's instances are on, so that losing one loses nothing else: all but the first.
+
+    The robot, the monitor, the discovery server and the clients are on the first.
+    """
+
+    _KEY = "understudy.dev/stage"
+
+    def __init__(self, kubectl: Kubectl) -> None:
+        self._kubectl = kubectl
+        self.house, *self.nodes = sorted(node["metadata"]["name"] for node in kubectl.list("nodes"))
+        self._lost: dict[str, str] = {}
+        """What undoes the fault, by node."""
+        for node in self.nodes:
+            kubectl("taint", "node", node, f"{self._KEY}=instances:NoSchedule", "--overwrite")
+
+    def place(self, objects: list[Object]) -> None:
+        """Have the instances among the objects run there."""
+        for item in objects:
+            if item["kind"] == "RobotWorkload":
+                spec = item["spec"]["template"]["spec"]
+                spec["tolerations"] = [{"key": self._KEY, "operator": "Exists", "effect": "NoSchedule"}]
+                here = {"key": "kubernetes.io/hostname", "operator": "In", "values": self.nodes}
+                terms = {"nodeSelectorTerms": [{"matchExpressions": [here]}]}
+                spec["affinity"] = {"nodeAffinity": {"requiredDuringSchedulingIgnoredDuringExecution": terms}}
+
+    def node_of(self, pod: str) -> str:
+        """Where a pod runs."""
+        found: str = self._kubectl.get("pod", pod)["spec"]["nodeName"]
+        assert found in self.nodes, f"{pod} is on {found}, not on one of {self.nodes}"
+        return found
+
+    def lose(self, node: str, how: str) -> None:
+        """``down``: its power is cut. ``stop-runtime``: its kubelet and its container runtime are ended."""
+        self._lost[node] = {"down": "up", "stop-runtime": "start-runtime"}[how]
+        cluster("node", how, node)
+
+    def is_ready(self, node: str) -> bool:
+        """Whether Kubernetes counts a node as ready."""
+        conditions = self._kubectl.get("node", node)["status"].get("conditions") or []
+        return any((c["type"], c["status"]) == ("Ready", "True") for c in conditions)
+
+    def restore(self) -> None:
+        """Undo the faults, and wait until the nodes are ready."""
+        for node, action in list(self._lost.items()):
+            cluster("node", action, node)
+            eventually(lambda node=node: self.is_ready(node), within=120, what=f"{node} is ready again")  # type: ignore[misc]
+            del self._lost[node]
+
+    def clear(self) -> None:
+        """Restore everything, and let everybody onto all nodes again."""
+        try:
+            self.restore()
+        finally:
+            for node in self.nodes:
+                self._kubectl("taint", "node", node, f"{self._KEY}-")

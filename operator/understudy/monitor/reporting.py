@@ -117,6 +117,11 @@ class Reporter:
         self._changed.set()
         return old is None or (old.status, old.reason) != (status, reason)
 
+    def reason(self, type_: str) -> str:
+        """The reason of a condition as it was said last; empty where it never was."""
+        found = self._conditions.get(type_)
+        return found.reason if found else ""
+
     def keep(self, kept: Sequence[KeptStatus]) -> None:
         """Say what is kept."""
         if self._kept != list(kept):

@@ -223,6 +223,8 @@ class Supervisor:
             self._failing_since = None
             if verdict.state == "Healthy" and now - self._since >= SHORT_LIVED:
                 self._backoff = BACKOFF_FIRST
+                if self._reporter.reason("Recovering") not in ("", "Recovered", "HealthyAgain"):
+                    self._reporter.condition("Recovering", "False", "HealthyAgain", f"{active.name} is healthy again.")
             return None, self._sight.deadline(now=now, since=self._since)
         detected = time.time()
         if detected < self._trusted_from:

@@ -1,0 +1,106 @@
+"""A node is lost to Kubernetes, seen from the robot: with what runs there, or only with its kubelet and container runtime."""
+
+from __future__ import annotations
+
+import signal
+import time
+
+import pytest
+
+from tests.e2e.faults import Stage, signal_processes, staying
+from tests.e2e.kubectl import Kubectl
+from tests.e2e.scenario import APPLICATION, Robot, eventually, manifest
+from tests.e2e.test_strategies import assert_handed_over
+
+pytestmark = pytest.mark.local_only
+
+UNDISTURBED = 1.0
+"""Seconds without a command below which the robot counts as driven all the time, on a machine that is busy."""
+
+
+@pytest.fixture
+def robot(kubectl: Kubectl, stage: Stage) -> Robot:
+    """A robot with an executing standby, the two of them on nodes of their own."""
+    robot = Robot(kubectl)
+    kubectl.apply(manifest("strategies/executing.yaml"))
+    objects = staying(robot.objects(policy="quickstart-executing"))
+    stage.place(objects)
+    kubectl.apply(objects)
+    active = robot.wait_protected()
+    others = [pod["metadata"]["name"] for pod in robot.pods() if pod["metadata"]["name"] != active]
+    assert stage.node_of(active) not in {stage.node_of(other) for other in others}, "understudies are kept apart"
+    return robot
+
+
+def assert_it_stays_so(robot: Robot, stage: Stage, old: str, new: str) -> None:
+    """When the node is back, its pod goes, and never drives again."""
+    stage.restore()
+    eventually(lambda: not robot.has_pod(old), within=120, what=f"{old} is gone", note=robot.describe)
+    assert robot.status()["active"] == new
+    assert len(robot.recoveries()) == 1
+    log = robot.log()
+    assert not log.returns(), "the lost pod never drives again"
+    assert log.commands[-1].source == new
+    assert log.commands[-1].received > time.time() - 3
+
+
+def test_the_node_of_the_pod_in_control_loses_its_power(robot: Robot, stage: Stage) -> None:
+    old = robot.wait_protected()
+    node = stage.node_of(old)
+    stage.lose(node, "down")
+    recovery = robot.wait_recovered(1)
+    assert (recovery.strategy, recovery.old) == ("Fallback/Executing", old), recovery
+    assert_handed_over(robot, recovery)
+    assert stage.node_of(recovery.new) != node
+    assert_it_stays_so(robot, stage, old, recovery.new)
+    assert robot.wait_protected(180) == recovery.new, "and it has an understudy again"
+
+
+@pytest.mark.long
+def test_the_understudys_node_loses_its_power_and_the_robot_goes_on_and_has_another(robot: Robot, stage: Stage) -> None:
+    active = robot.wait_protected()
+    (standby,) = (pod["metadata"]["name"] for pod in robot.pods() if pod["metadata"]["name"] != active)
+    stage.lose(stage.node_of(standby), "down")
+    lost = time.time()
+    eventually(
+        lambda: robot.condition("Protected").get("status") != "True",
+        within=60,
+        what="it is told that the understudy is lost",
+        note=robot.describe,
+    )
+    assert robot.wait_protected(180) == active, "there is another one, on the node that is left"
+    assert robot.recoveries() == []
+    silence = robot.log().between(lost - 1, time.time()).longest_silence()
+    assert silence is None or silence.seconds < UNDISTURBED, silence
+
+
+@pytest.mark.long
+def test_without_kubelet_and_runtime_the_robot_is_driven_on_and_taken_over_when_its_application_ends(
+    robot: Robot, stage: Stage
+) -> None:
+    old = robot.wait_protected()
+    node, uid = stage.node_of(old), robot.kubectl.get("pod", old)["metadata"]["uid"]
+    stage.lose(node, "stop-runtime")
+    lost = time.time()
+    eventually(lambda: not stage.is_ready(node), within=60, what=f"{node} is not ready", note=robot.describe)
+    eventually(
+        lambda: robot.kubectl.get("pod", old)["metadata"].get("deletionTimestamp"),
+        within=120,
+        what=f"Kubernetes gives up {old}",
+        note=robot.describe,
+    )
+    time.sleep(5)  # nothing comes of it
+    log = robot.log().between(lost - 1, time.time())
+    assert set(log.sources()) == {old}, "the application lives and drives on"
+    assert log.commands[-1].received > time.time() - 3
+    silence = log.longest_silence()
+    assert silence is None or silence.seconds < UNDISTURBED, silence
+    assert robot.recoveries() == []
+    assert robot.status()["active"] == old
+
+    assert signal_processes(uid, APPLICATION, signal.SIGKILL)
+    recovery = robot.wait_recovered(1)
+    assert (recovery.strategy, recovery.old) == ("Fallback/Executing", old), recovery
+    assert_handed_over(robot, recovery)
+    assert stage.node_of(recovery.new) != node
+    assert_it_stays_so(robot, stage, old, recovery.new)
