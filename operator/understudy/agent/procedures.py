@@ -42,9 +42,11 @@ class InstanceActions:
     report: RestoreReport = field(default_factory=RestoreReport)
     """What became of the state so far."""
 
-    async def call(self, service: str, type_name: str, request: Mapping[str, Any], within: float) -> dict[str, Any]:
+    async def call(
+        self, service: str, type_name: str, request: Mapping[str, Any], within: float, *, repeat: float | None = None
+    ) -> dict[str, Any]:
         """The answer of a service."""
-        return await self.caller.call(service, type_name, request, within)
+        return await self.caller.call(service, type_name, request, within, repeat=repeat)
 
     async def service_present(self, service: str) -> bool:
         """Whether the instance serves it."""

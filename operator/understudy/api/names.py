@@ -35,6 +35,9 @@ TEMPLATE_HASH = f"{GROUP}/template-hash"
 PROFILES_HASH = f"{GROUP}/profiles-hash"
 """Annotation of pods: hash of the DDS profiles that their processes read when they start."""
 
+PROCEDURE_HASH = f"{GROUP}/procedure-hash"
+"""Annotation of standbys: hash of the procedure that brings them to their pool's readiness."""
+
 EPOCH = f"{GROUP}/epoch"
 """Annotation of the gate: grows by one with every commit."""
 
@@ -76,6 +79,9 @@ AGENT_HEALTH_PORT = 8951
 
 METRICS_PORT = 9108
 """TCP port of the monitor's and the operator's Prometheus metrics and health pages."""
+
+TASKS_PORT = 9109
+"""TCP port of the task proxy's health page."""
 
 DISCOVERY_PORT = 11811
 """UDP port of the managed ROS discovery server."""

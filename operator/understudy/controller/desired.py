@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from understudy.cluster.client import Object, Resource
@@ -73,3 +74,11 @@ class Images:
 
     monitor: str
     pull_policy: str = "IfNotPresent"
+    pull_secrets: tuple[str, ...] = ()
+    """Names of Secrets, in the workload's namespace, by which the image is pulled."""
+
+
+def pull_secrets(names: Sequence[str], given: Sequence[Object] = ()) -> Object:
+    """The field of a pod's spec with these Secrets, and those that are given there; empty where there are none."""
+    added = [{"name": name} for name in names if {"name": name} not in given]
+    return {"imagePullSecrets": [*given, *added]} if given or added else {}

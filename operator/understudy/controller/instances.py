@@ -15,7 +15,7 @@ from understudy.api import holding, names
 from understudy.cluster.applying import digest
 from understudy.cluster.client import Object
 from understudy.controller import robots
-from understudy.controller.desired import Images
+from understudy.controller.desired import Images, pull_secrets
 
 AGENT_REQUESTS = {"cpu": "20m", "memory": "64Mi"}
 
@@ -55,6 +55,9 @@ class Recipe:
     """Label keys that must not be carried: a referred controller would adopt the pods."""
     profiles: str = ""
     """DDS profiles of its processes, which are in the workload's ConfigMap; empty where they need none."""
+    procedure: str = ""
+    """What brings a standby to its pool's readiness, as text. Another one makes other pods, so that the old ones wait as they
+    are until one that the new one has brought up is ready."""
 
     @property
     def prepared(self) -> bool:
@@ -129,7 +132,8 @@ def build(template: Mapping[str, Any], recipe: Recipe) -> Object:
         config_map = {"name": names.instance_profiles(recipe.workload)}
         spec["volumes"].append({"name": names.INSTANCE_PROFILES_VOLUME, "configMap": config_map})
     if recipe.prepared:
-        spec["initContainers"] = [_prepare(recipe), *(spec.get("initContainers") or [])]
+        spec["initContainers"] = [_prepare(recipe, fenced_names), *(spec.get("initContainers") or [])]
+    spec |= pull_secrets(recipe.images.pull_secrets, spec.get("imagePullSecrets") or [])
     _keep_apart(spec, recipe)
     _leave_lost_nodes(spec)
     found = template.get("metadata") or {}
@@ -154,6 +158,8 @@ def _labels(recipe: Recipe) -> dict[str, str]:
         labels[names.POOL] = recipe.pool
     if recipe.held:
         labels[names.HELD] = "true"
+    if recipe.procedure:
+        metadata.setdefault("annotations", {})[names.PROCEDURE_HASH] = digest(recipe.procedure)
     if not recipe.pool:
         labels[names.SOURCE] = "workload"
     return labels

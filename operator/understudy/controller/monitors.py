@@ -11,7 +11,7 @@ from understudy.api.workloads import MonitorSettings
 from understudy.cluster.applying import digest
 from understudy.cluster.client import Object
 from understudy.controller import robots
-from understudy.controller.desired import Images
+from understudy.controller.desired import Images, pull_secrets
 from understudy.controller.discovery import TOLERATIONS
 from understudy.controller.instances import HARDENED
 
@@ -122,6 +122,7 @@ def deployment(
                     "terminationGracePeriodSeconds": 5,
                     "tolerations": TOLERATIONS,
                     **owned,
+                    **pull_secrets(images.pull_secrets),
                     "containers": containers,
                     "volumes": [
                         {"name": "state", "emptyDir": {}},
@@ -154,6 +155,15 @@ def _tasks(
         "imagePullPolicy": images.pull_policy,
         "args": ["tasks"],
         "env": [{"name": key, "value": value} for key, value in sorted(fixed.items())],
+        "ports": [{"name": "tasks", "containerPort": names.TASKS_PORT, "protocol": "TCP"}],
+        # Its restart loses no goal and still costs seconds: on a busy node it is given a minute.
+        "livenessProbe": {
+            "httpGet": {"path": "/healthz", "port": names.TASKS_PORT},
+            "initialDelaySeconds": 10,
+            "periodSeconds": 10,
+            "timeoutSeconds": 5,
+            "failureThreshold": 6,
+        },
         "resources": {"requests": dict(_TASKS_REQUESTS)},
         "securityContext": HARDENED,
         "volumeMounts": [{"name": "state", "mountPath": STATE_DIR}, dict(_TASKS_MOUNT)],

@@ -51,6 +51,19 @@ def problem(policy: Object) -> Problem | None:
     return None
 
 
+def pool_problem(pool: Object) -> Problem | None:
+    """Why a pool can't be followed, as far as its own spec says; None if it can."""
+    try:
+        parsed = pool_spec(pool)
+    except ValidationError as error:
+        return Problem("SpecInvalid", invalid(error))
+    if found := procedures_problem(
+        ("spec.initialization.yaml", parsed.initialization), ("spec.readinessCheck.yaml", parsed.readiness_check)
+    ):
+        return Problem("TreeInvalid", found)
+    return None
+
+
 def procedures_problem(*found: tuple[str, Procedure | Check | None]) -> str | None:
     """What is wrong with procedures and checks, each with the path of its tree; None where nothing is."""
     problems = [

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
-
-from pydantic import ValidationError
 
 from understudy.api import names
 from understudy.api.conditions import Condition, condition
@@ -67,14 +65,12 @@ def unclaimed(pool: Object, pods: Sequence[Object]) -> list[Object]:
 def understand(observed: Observed, images: Images) -> Understanding:
     """What a pool's spec comes to, before the API server has judged its template."""
     pool = observed.pool
-    try:
-        spec = policies.pool_spec(pool)
-    except ValidationError as error:
-        return Understanding(problem=Problem("SpecInvalid", policies.invalid(error)))
-    if found := policies.procedures_problem(
-        ("spec.initialization.yaml", spec.initialization), ("spec.readinessCheck.yaml", spec.readiness_check)
-    ):
-        return Understanding(spec, Problem("TreeInvalid", found))
+    refused = policies.pool_problem(pool)
+    if refused is not None and refused.reason == "SpecInvalid":
+        return Understanding(problem=refused)
+    spec = policies.pool_spec(pool)
+    if refused is not None:
+        return Understanding(spec, refused)
     if spec.readiness != "Uninitialized":
         return Understanding(spec)
     template, path, image = spec.template, "spec.template", images
@@ -85,7 +81,7 @@ def understand(observed: Observed, images: Images) -> Understanding:
         if template is None:
             return Understanding(spec, _no_source(source, observed))
         own = ((observed.workloads[source].get("spec") or {}).get("monitor") or {}).get("image")
-        image = Images(own or images.monitor, images.pull_policy)
+        image = replace(images, monitor=own or images.monitor)
     if found := instances.problem(template or {}, held=True, path=path):
         return Understanding(spec, Problem("TemplateInvalid", found))
     requirements = selectors.requirements(observed.source_selector or {})

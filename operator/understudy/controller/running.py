@@ -127,6 +127,13 @@ def options(argv: Sequence[str]) -> tuple[argparse.Namespace, Options]:
     parser.add_argument("--monitor-image", default=environment("UNDERSTUDY_MONITOR_IMAGE"))
     parser.add_argument("--image-pull-policy", default=environment("UNDERSTUDY_IMAGE_PULL_POLICY", "IfNotPresent"))
     parser.add_argument(
+        "--image-pull-secret",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="a Secret of the workloads' namespaces by which the monitor's image is pulled; may be repeated",
+    )
+    parser.add_argument(
         "--watch-namespace", action="append", default=[], help="look after this namespace only; may be repeated"
     )
     parser.add_argument("--lease", default=LEASE)
@@ -138,9 +145,10 @@ def options(argv: Sequence[str]) -> tuple[argparse.Namespace, Options]:
     given = parser.parse_args(argv)
     if not given.monitor_image:
         parser.error("--monitor-image (or UNDERSTUDY_MONITOR_IMAGE) is required: the image of monitors and agents")
+    secrets = given.image_pull_secret or (environment("UNDERSTUDY_IMAGE_PULL_SECRETS") or "").split(",")
     watched = [n for n in given.watch_namespace or (environment("UNDERSTUDY_WATCH_NAMESPACES") or "").split(",") if n]
     return given, Options(
-        images=Images(given.monitor_image, given.image_pull_policy),
+        images=Images(given.monitor_image, given.image_pull_policy, tuple(filter(None, secrets))),
         lease_namespace=given.lease_namespace,
         lease=given.lease,
         identity=given.identity,

@@ -238,6 +238,9 @@ def _standing(observed: Observed, label: str, pool: Object) -> Means:
     ready = [pod for pod in found if objects.ready(pod)]
     if ready:
         return Means(label, True, message=f"pod {objects.name(ready[0])} ({policies.readiness(pool)})")
+    if (refused := workloads.refused(observed, name)) is not None:
+        words = f"FallbackPool {name} is not accepted, so no standby is made: {refused.message}"
+        return Means(label, False, "PoolNotAccepted", words)
     if bad := _first_trouble(found):
         return Means(label, False, bad.reason, bad.message)
     return Means(label, False, "StandbyNotReady", f"no standby of FallbackPool {name} is ready")

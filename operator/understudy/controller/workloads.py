@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from pydantic import ValidationError
@@ -122,6 +122,11 @@ def serving(observed: Observed) -> dict[str, Object]:
     }
 
 
+def refused(observed: Observed, pool: str) -> Problem | None:
+    """Why a pool isn't accepted. Nothing is made for it then, and what there is of it stays as it was."""
+    return policies.pool_problem(observed.pools[pool])
+
+
 WAITING = ("Initialized", "Executing")
 """The readinesses at which a standby of a workload's own waits."""
 
@@ -184,7 +189,7 @@ def understand(observed: Observed, images: Images) -> Understanding:
     if spec.ros.discovery.mode == "Managed" and address is None:
         return Understanding(spec=spec, policy_problem=policy, template=template)
     environment = robots.ros_environment(spec.ros, address)
-    own_images = Images(spec.monitor.image or images.monitor, images.pull_policy)
+    own_images = replace(images, monitor=spec.monitor.image or images.monitor)
     profiles = tasking.instance_profiles(spec)
 
     def build(pool: str) -> Object:
@@ -197,6 +202,7 @@ def understand(observed: Observed, images: Images) -> Understanding:
             pool=pool,
             stripped=stripped,
             profiles=profiles,
+            procedure=_procedure(observed, spec, pool) if pool else "",
         )
         return instances.build(template, recipe)
 
@@ -204,6 +210,15 @@ def understand(observed: Observed, images: Images) -> Understanding:
     if spec.template is not None:
         builts[""] = build("")
     return Understanding(spec, None, policy, template, environment, profiles, builts)
+
+
+def _procedure(observed: Observed, spec: RobotWorkloadSpec, pool: str) -> str:
+    """The tree that brings a pool's standbys up, as text; empty where there is none, or the pool isn't accepted."""
+    if refused(observed, pool) is not None:
+        return ""
+    parsed = policies.pool_spec(observed.pools[pool])
+    found = parsed.initialization or (spec.bring_up if parsed.readiness == "Executing" else None)
+    return json.dumps(found.yaml, sort_keys=True) if found is not None else ""
 
 
 def probe_template(observed: Observed, understanding: Understanding) -> Object | None:
@@ -268,7 +283,7 @@ def _discover(made: Plan, observed: Observed, spec: RobotWorkloadSpec, images: I
     name = objects.name(observed.workload)
     service = observed.owned.get(("services", names.discovery(name)))
     remembered = None if service else _remembered_address(observed)
-    own_images = Images(spec.monitor.image or images.monitor, images.pull_policy)
+    own_images = replace(images, monitor=spec.monitor.image or images.monitor)
     made.writes.append(_ours(observed, SERVICES, discovery.service(name, remembered)))
     made.writes.append(_ours(observed, DEPLOYMENTS, discovery.deployment(name, own_images)))
 
@@ -346,9 +361,14 @@ def _choices(observed: Observed, understanding: Understanding) -> list[PoolChoic
         return _present_choices(observed)
     policy = observed.policies[understanding.spec.failure_policy_ref.name]
     served = serving(observed)
+    present = {choice.name: choice for choice in _present_choices(observed)}
     found = []
     for name in dict.fromkeys(policies.named_pools(policy)):
         if name not in served:
+            continue
+        if refused(observed, name) is not None:
+            # Its standbys were made and brought up by what was accepted before, and are judged by that.
+            found += [present[name]] if name in present else []
             continue
         pool = policies.pool_spec(served[name])
         readiness = pool.readiness
@@ -425,7 +445,9 @@ def waits_for_standby(observed: Observed, understanding: Understanding) -> str |
         for pod in observed.pods
     ):
         return None
-    return f"ReplicaSet {objects.name(observed.workload)} gets the new template when a standby of it is ready"
+    told = f"ReplicaSet {objects.name(observed.workload)} gets the new template when a standby of it is ready"
+    unmade = [name for name in sorted(pools_first) if refused(observed, name) is not None]
+    return f"{told}, and FallbackPool {unmade[0]}, which is not accepted, makes none" if unmade else told
 
 
 def _scale(made: Plan, observed: Observed) -> None:
@@ -447,6 +469,8 @@ def _scale(made: Plan, observed: Observed) -> None:
 def _standbys(made: Plan, observed: Observed, pool: str, built: Object, fresh: Fresh) -> None:
     workload, gate = observed.workload, observed.gate
     owner = objects.owner("RobotWorkload", workload)
+    if refused(observed, pool) is not None:
+        return
     mine = [
         pod
         for pod in observed.pods

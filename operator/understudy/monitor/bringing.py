@@ -50,35 +50,56 @@ class Expected:
     """What its success is remembered by; empty where nothing is done."""
     standby: Mapping[str, Any] | None = None
     """For its agent (agent/standing.py); None where its health tree alone counts."""
+    origin: str = ""
+    """Where the procedure is written, for messages."""
+    outdated: bool = False
+    """Whether it was brought there by an earlier procedure."""
+
+
+BRING_UP = "spec.bringUp of this RobotWorkload"
 
 
 def expected(
-    instance: Instance, spec: RobotWorkloadSpec, settings: WorkloadSettings, *, active_uid: str, brought: str = ""
+    instance: Instance,
+    spec: RobotWorkloadSpec,
+    settings: WorkloadSettings,
+    *,
+    active_uid: str,
+    brought: str = "",
+    ready: bool = False,
 ) -> Expected:
-    """What an instance should be; ``brought`` is what it was brought to, as far as is known."""
+    """What an instance should be; ``brought`` is what it was brought to, as far as is known, and ``ready`` whether it is
+    what it was expected to be until now.
+
+    A standby that is ready as an earlier procedure left it stays so: the present one may fail, and is run on the pod that
+    the operator makes to take its place.
+    """
     bring_up = BringUp.of("bringUp", spec.bring_up)
     if instance.uid == active_uid:
         pool = _pool(instance, settings)
         drives = brought.startswith(DRIVING) or (brought and pool is not None and pool.readiness == "Executing")
         if bring_up is None or drives:
             return Expected()
-        return Expected(bring_up, _token(DRIVING, bring_up, instance))
+        return Expected(bring_up, _token(DRIVING, bring_up, instance), origin=BRING_UP)
     choice = _pool(instance, settings)
     if choice is None or (instance.from_source and not active_uid):
         if bring_up is None or instance.claim:
             return Expected()  # nothing is to be done, or a strategy of the policy does it
         token = _token(DRIVING, bring_up, instance)
-        return Expected(bring_up, token, {"brought": token})
+        return Expected(bring_up, token, {"brought": token}, BRING_UP)
     initialization = BringUp.of("initialization", choice.initialization)
     procedure = initialization or (bring_up if choice.readiness == "Executing" else None)
     token = _token("init:" if initialization else DRIVING, procedure, instance) if procedure else ""
+    if outdated := ready and brought != token and (not brought or _alike(brought, token)):
+        token = brought
     check = choice.readiness_check
     if procedure is None and check is None:
         return Expected()
     standby: dict[str, Any] = {"brought": token, "tree": choice.readiness == "Executing"}
     if check is not None:
         standby |= {"check": check.yaml, "period": seconds(check.period)}
-    return Expected(procedure, token, standby)
+    origin = f"spec.initialization of FallbackPool {choice.name}" if initialization else BRING_UP
+    return Expected(procedure, token, standby, origin, outdated)
 
 
 def managed(spec: RobotWorkloadSpec, settings: WorkloadSettings, policy: FailurePolicySpec) -> bool:
@@ -103,11 +124,18 @@ def _token(kind: str, procedure: BringUp, instance: Instance) -> str:
     return f"{kind}{procedure.digest}:{instance.restarts}"
 
 
+def _alike(brought: str, token: str) -> bool:
+    """Whether the same was done by perhaps another tree, to the same processes."""
+    one, other = brought.split(":"), token.split(":")
+    return len(one) == len(other) == 3 and (one[0], one[2]) == (other[0], other[2])
+
+
 @dataclass
 class _Care:
     """One instance that is cared for."""
 
     task: asyncio.Task[None] | None = None
+    procedure: BringUp | None = None
     brought: str = ""
     """What the task brings it to."""
     again: float = 0.0
@@ -144,13 +172,18 @@ class Bringing:
         for uid in [uid for uid in self._cared if uid not in known]:
             self._stop(self._cared.pop(uid))
         waiting: list[str] = []
+        outdated: list[str] = []
         for instance in instances:
             if not instance.has_agent or instance.held or not instance.usable:
                 continue
             care = self._cared.setdefault(instance.uid, _Care())
             status = self.sidecars.status(instance)
             if status is not None and status.configured:
-                found = expected(instance, spec, settings, active_uid=active_uid, brought=status.initialized)
+                ready = self.sidecars.is_ready(instance)[0]
+                found = expected(
+                    instance, spec, settings, active_uid=active_uid, brought=status.initialized, ready=ready
+                )
+                outdated += [instance.name] if found.outdated else []
                 self._bring(instance, found, care, status.initialized, kept, now)
                 if found.procedure is not None and status.initialized != found.brought:
                     waiting.append(f"{instance.name}: {care.problem or f'{found.procedure.name} is under way'}")
@@ -158,7 +191,7 @@ class Bringing:
                 care.was_ready, care.lost_at = False, None
             elif _pool(instance, settings) is not None and active_uid:
                 self._watch_readiness(instance, care, now)
-        self._say(instances, policy, spec, settings, waiting)
+        self._say(instances, policy, spec, settings, waiting, outdated)
 
     def _bring(
         self, instance: Instance, found: Expected, care: _Care, brought: str, kept: Callable[[], KeptState], now: float
@@ -169,27 +202,28 @@ class Bringing:
             if procedure is None:
                 self._stop(care)
             return
-        if care.task is not None and not care.task.done():
-            if care.brought == found.brought:
-                return
+        if (care.procedure, care.brought) != (procedure, found.brought):
+            # What became of the last one says nothing of this one, which may be its correction.
             self._stop(care)
-        elif now < care.again and care.brought == found.brought:
+            care.procedure, care.brought = procedure, found.brought
+            care.problem, care.wait = "", RETRY_FIRST
+        elif now < care.again or (care.task is not None and not care.task.done()):
             return
-        care.brought = found.brought
-        care.task = asyncio.create_task(self._run(instance, procedure, found.brought, care, kept))
+        care.task = asyncio.create_task(self._run(instance, procedure, found, care, kept))
 
     async def _run(
-        self, instance: Instance, procedure: BringUp, brought: str, care: _Care, kept: Callable[[], KeptState]
+        self, instance: Instance, procedure: BringUp, found: Expected, care: _Care, kept: Callable[[], KeptState]
     ) -> None:
         state = kept() if procedure.restores_state else KeptState()
         try:
-            await self.sidecars.run(instance, procedure, within=procedure.within, state=state, brought=brought)
+            await self.sidecars.run(instance, procedure, within=procedure.within, state=state, brought=found.brought)
         except NotVerified as error:
             care.again = time.monotonic() + care.wait
             care.wait = min(2 * care.wait, RETRY_MOST)
-            if GAVE_WAY not in str(error) and str(error) != care.problem:
-                care.problem = str(error)
-                self.reporter.event("Warning", "NotBroughtUp", f"{instance.name}: {error}")
+            problem = f"{error}. Correct {found.origin}, or what it waits for there; it is tried again"
+            if GAVE_WAY not in str(error) and problem != care.problem:
+                care.problem = problem
+                self.reporter.event("Warning", "NotBroughtUp", f"{instance.name}: {problem}.")
         else:
             care.problem = ""
             _logger.info("%s: %s done", instance.name, procedure.name)
@@ -236,6 +270,7 @@ class Bringing:
         spec: RobotWorkloadSpec,
         settings: WorkloadSettings,
         waiting: Sequence[str],
+        outdated: Sequence[str],
     ) -> None:
         if not managed(spec, settings, policy):
             if self._told:
@@ -253,11 +288,14 @@ class Bringing:
             if self.reporter.condition("BroughtUp", "False", "NoAgent", text):
                 self.reporter.event("Warning", "NoAgent", text)
         elif problems:
-            self.reporter.condition("BroughtUp", "False", "ProcedureFailed", "; ".join(waiting or problems))
+            self.reporter.condition("BroughtUp", "False", "ProcedureFailed", f"{'. '.join(waiting or problems)}.")
         elif waiting:
             self.reporter.condition("BroughtUp", "Unknown", "UnderWay", "; ".join(waiting))
         else:
-            self.reporter.condition("BroughtUp", "True", "BroughtUp", "Every instance was brought to where it belongs.")
+            text = "Every instance was brought to where it belongs."
+            if outdated:
+                text += f" {', '.join(outdated)} as an earlier procedure left it: delete the pod to have the present one run."
+            self.reporter.condition("BroughtUp", "True", "BroughtUp", text)
 
     @staticmethod
     def _stop(care: _Care) -> None:

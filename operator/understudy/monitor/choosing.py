@@ -43,10 +43,10 @@ def choices(policy: FailurePolicySpec, settings: WorkloadSettings, workload: Rob
     waiting = [choice.name for choice in settings.pools if choice.readiness != "Uninitialized"]
     readiness = {pool.name: pool.readiness for pool in settings.pools}
     found: list[Choice] = []
-    for spec in policy.strategies:
+    for index, spec in enumerate(policy.strategies):
         pool = spec.pool_ref.name if spec.pool_ref else ""
         strategy: Strategy
-        own = BringUp.of("recovery", spec.recovery)
+        own = BringUp.of(f"strategies[{index}].recovery", spec.recovery)
         # The standbys of one pool aren't another's. What the workload's controller makes waits as the first one's.
         others = [name for name in waiting if name != pool]
         if spec.type == "Restart":

@@ -228,7 +228,18 @@ def describe(recovery: Recovery) -> str:
     tried = "; ".join(f"{a.strategy}: {a.result}{f' ({a.message})' if a.message else ''}" for a in recovery.attempts)
     if recovery.result != "Recovered" or recovery.recovery_seconds is None:
         return f"{recovery.reason}. Nothing verified: {tried}"
-    return (
+    text = (
         f"{recovery.reason}. {recovery.to_pod} took over from {recovery.from_pod or 'no pod'} by {recovery.strategy} "
         f"in {recovery.recovery_seconds:.3f} s, epoch {recovery.epoch}"
     )
+    failed = in_vain(recovery)
+    return f"{text}. Before that: {'; '.join(failed)}" if failed else text
+
+
+def in_vain(recovery: Recovery) -> list[str]:
+    """The strategies that were carried out and didn't verify, each with its pod and why."""
+    return [
+        f"{a.strategy} with {a.pod or 'no pod'} was tried in vain: {a.message}"
+        for a in recovery.attempts
+        if a.result == "NotVerified"
+    ]

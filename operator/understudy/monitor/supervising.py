@@ -36,7 +36,7 @@ from understudy.monitor.fleet import Fleet
 from understudy.monitor.gating import PolicyGate
 from understudy.monitor.keeping import StateKeeping
 from understudy.monitor.reflexes import Reflexes
-from understudy.monitor.reporting import Reporter, describe
+from understudy.monitor.reporting import Reporter, describe, in_vain
 from understudy.monitor.sidecars import Sidecars
 from understudy.monitor.sight import Sight
 from understudy.monitor.view import View
@@ -116,9 +116,10 @@ class Supervisor:
         self._since = time.time()
         self._started = self._since
         self._failing_since: float | None = None
+        self._escalation = Escalation()
         self._not_before = 0.0
         self._backoff = BACKOFF_FIRST
-        self._escalation = Escalation()
+        self._given: tuple[object, ...] = ()
         self._next_slow = 0.0
         self._gate_changed = self._since
         self._let_through = ("", "")
@@ -171,6 +172,7 @@ class Supervisor:
                 self._reporter.set(health="Unknown")
                 next_look = now + SLOW
             else:
+                self._notice_correction(now)
                 self._sight.follow(policy, self._view.spec)
                 self._sight.drain(self._fleet.of_workload(), self._gate.state.active)
                 self._keeping.take(policy.state, self._sight.addresses, self._gate.state.active)
@@ -188,6 +190,15 @@ class Supervisor:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(max(0.0, next_look - time.time())):
                     await self.wake.wait()
+
+    def _notice_correction(self, now: float) -> None:
+        """Where no strategy verified, what was changed since may be the correction: trying it isn't put off."""
+        given = (self._view.policy, self._view.spec, self._view.settings)
+        if len(given) == len(self._given) and all(a is b for a, b in zip(given, self._given, strict=True)):
+            return
+        before, self._given = self._given, given
+        if self._backoff > BACKOFF_FIRST and before != given:
+            self._backoff, self._not_before = BACKOFF_FIRST, now
 
     def _retired(self) -> bool:
         """Whether the workload is being deleted: then nothing is recovered."""
@@ -364,7 +375,8 @@ class Supervisor:
         policy, spec, settings = self._view.policy, self._view.spec, self._view.settings
         if policy is None or spec is None or settings is None:
             return None, False
-        found = expected(instance, spec, settings, active_uid=self._gate.state.active_uid, brought=brought)
+        ready, _ = self._sidecars.is_ready(instance)
+        found = expected(instance, spec, settings, active_uid=self._gate.state.active_uid, brought=brought, ready=ready)
         return found.standby, managed(spec, settings, policy)
 
     def _kept_up(self, instances: Sequence[Instance], settings: WorkloadSettings) -> list[tuple[Instance, float]]:
@@ -440,7 +452,8 @@ class Supervisor:
         self._reporter.set(health="Recovering")
         self._reporter.condition("Recovering", "True", "FailureDetected", progress.reason)
         try:
-            done = await self._recovered(progress, choices(policy, settings, self._view.spec))
+            async with self._keeping.recovering():
+                done = await self._recovered(progress, choices(policy, settings, self._view.spec))
         except Superseded as reason:
             _logger.warning("recovery %s given up: %s", progress.id, reason)
             self._reporter.condition("Recovering", "False", "Superseded", str(reason))
@@ -464,6 +477,8 @@ class Supervisor:
         if done.result == "Recovered":
             self._reporter.condition("Recovering", "False", "Recovered", text)
             self._reporter.event("Normal", "Recovered", text)
+            for words in in_vain(recovery):
+                self._reporter.event("Warning", "StrategyNotVerified", f"{words}. The next strategy took over.")
             self._reporter.set(health="Healthy")
             self._after(seconds(policy.limits.cooldown))
             # Its samples count from the commit, so that an understudy that fails at once is noticed in the usual time.

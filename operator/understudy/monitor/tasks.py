@@ -200,7 +200,7 @@ def judged(tasks: Sequence[Mapping[str, Any]], problem: str) -> tuple[str, str, 
     """The condition: status, reason and message."""
     messages = [f"{task['action']}: {task['message']}" for task in tasks if task["message"]]
     if any("not installed" in message for message in messages):
-        return "False", "TypeNotInstalled", ". ".join(messages)
+        return "False", "TypeNotInstalled", f"spec.tasks: {'. '.join(messages)}"
     if problem:
         return "False", "OwnProfiles", problem
     if messages:

@@ -10,12 +10,26 @@ from pydantic import ValidationError
 
 from understudy.api import names
 from understudy.api.policies import FailurePolicySpec
+from understudy.api.procedures import Procedure
 from understudy.api.settings import WorkloadSettings
 from understudy.api.workloads import RobotWorkloadSpec
 from understudy.cluster.client import CONFIG_MAPS, NETWORK_POLICIES, PODS, POLICIES, WORKLOADS, Client, Object
 from understudy.cluster.watching import Reflector
+from understudy.trees.problems import TreeError
+from understudy.trees.procedures import load_procedure
 
 _logger = logging.getLogger(__name__)
+
+
+def unloadable(*procedures: tuple[str, Procedure | None]) -> str | None:
+    """What is wrong with the trees of procedures, each with what messages call it; None where they load."""
+    for name, procedure in procedures:
+        if procedure is not None:
+            try:
+                load_procedure(procedure.yaml, path=name)
+            except TreeError as error:
+                return str(error)
+    return None
 
 
 class View:
@@ -69,10 +83,21 @@ class View:
 
     @property
     def spec(self) -> RobotWorkloadSpec | None:
-        """The workload's spec."""
+        """The workload's spec in force: while it can't be followed, the last one that could. None where it is gone."""
         if self._spec[0] != self.workloads.revision:
-            item = self.object
-            spec = RobotWorkloadSpec.model_validate(item["spec"]) if item else None
+            item, spec = self.object, None
+            if item is not None:
+                spec = self._spec[1]
+                try:
+                    given = RobotWorkloadSpec.model_validate(item["spec"])
+                    if spec is None or (problem := unloadable(("bringUp", given.bring_up))) is None:
+                        spec = given
+                    else:
+                        _logger.error(
+                            "RobotWorkload %s can't be followed, keeping its last spec: %s", self.workload, problem
+                        )
+                except ValidationError as error:
+                    _logger.error("RobotWorkload %s can't be read, keeping its last spec: %s", self.workload, error)
             self._spec = (self.workloads.revision, spec)
         return self._spec[1]
 
@@ -87,7 +112,11 @@ class View:
 
     @property
     def policy(self) -> FailurePolicySpec | None:
-        """The policy in force: the one referred to, or, while that is missing or can't be read, the last good one."""
+        """The policy in force: the one referred to, or, while that is missing or can't be followed, the last good one.
+
+        Where there was none before, one with a recovery that doesn't load is better than none: it is that strategy that
+        fails then, and not the watching.
+        """
         spec = self.spec
         item = self.policies.items.get(spec.failure_policy_ref.name) if spec else None
         if item is not None and (version := item["metadata"]["uid"] + item["metadata"]["resourceVersion"]) != (
@@ -95,7 +124,16 @@ class View:
         ):
             self._policy_version = version
             try:
-                self._policy = FailurePolicySpec.model_validate(item["spec"])
+                given = FailurePolicySpec.model_validate(item["spec"])
+                recoveries = ((f"strategies[{i}].recovery", s.recovery) for i, s in enumerate(given.strategies))
+                if self._policy is None or (problem := unloadable(*recoveries)) is None:
+                    self._policy = given
+                else:
+                    _logger.error(
+                        "FailurePolicy %s can't be followed, keeping the last one: %s",
+                        item["metadata"]["name"],
+                        problem,
+                    )
             except ValidationError as error:
                 _logger.error(
                     "FailurePolicy %s can't be read, keeping the last one: %s", item["metadata"]["name"], error

@@ -19,6 +19,7 @@ from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from understudy.ros.lean import rclpy_imported
 from understudy.ros.messages import MessageError, to_mapping, to_message
 from understudy.ros.sources import HOST
 from understudy.ros.types import TypeNotInstalled, interface_class, message_class
@@ -120,10 +121,15 @@ class Caller:
 
     # -- services ---------------------------------------------------------------------------------------------------
 
-    async def call(self, service: str, type_name: str, request: Mapping[str, Any], within: float) -> dict[str, Any]:
-        """The answer of a service (``package/srv/Name``), waiting for the service too. Raises CallFailed."""
+    async def call(
+        self, service: str, type_name: str, request: Mapping[str, Any], within: float, *, repeat: float | None = None
+    ) -> dict[str, Any]:
+        """The answer of a service (``package/srv/Name``), waiting for the service too. Raises CallFailed.
+
+        With ``repeat`` it is asked again after so many seconds without an answer, as often as it takes.
+        """
         async with self._bound(f"service {service}", within) as (opened, bound):
-            return to_mapping(await _asked(opened, bound, service, type_name, request))
+            return to_mapping(await _asked(opened, bound, service, type_name, request, repeat=repeat))
 
     async def service_present(self, service: str) -> bool:
         """Whether somebody serves it here now. Raises CallFailed."""
@@ -174,8 +180,6 @@ class Caller:
 
         Raises CallFailed with the node's reason where it refuses one.
         """
-        from rclpy.parameter import Parameter
-
         async with self._bound(f"node {node}", within) as (opened, bound):
             whole = [name for name, value in values.items() if _is_whole(value)]
             present = await _parameters(opened, bound, node, whole) if whole else {}
@@ -190,11 +194,13 @@ class Caller:
                 f"{node}/set_parameters",
                 "rcl_interfaces/srv/SetParameters",
                 {"parameters": parameters},
-                repeat=True,
+                repeat=REPEAT,
             )
             refused = [
                 f"{name} = {value!r}: {result.reason or 'no reason given'}"
                 for (name, value), result in zip(wanted.items(), answer.results, strict=True)
+            from rclpy.parameter import Parameter
+
                 if not result.successful
             ]
             if refused:
@@ -356,6 +362,7 @@ class _Opened:
             name,
             context=self._context,
             use_global_arguments=False,
+                await rclpy_imported()
             enable_rosout=False,
             start_parameter_services=False,
             parameter_overrides=[Parameter("start_type_description_service", value=False)],
@@ -396,9 +403,11 @@ class _Opened:
     # -- what is there ----------------------------------------------------------------------------------------------
 
     def serves(self, service: str) -> bool:
-        """Whether a service has a server here."""
+        """Whether a service has a server here: what takes its requests, and what answers them."""
         readers = self.node.get_subscriptions_info_by_topic(f"rq{service}Request", no_mangle=True)
-        return any(self._here(reader) for reader in readers)
+        if not any(self._here(reader) for reader in readers):
+            return False
+        return any(map(self._here, self.node.get_publishers_info_by_topic(f"rr{service}Reply", no_mangle=True)))
 
     def has_node(self, name: str) -> bool:
         """Whether a node is here; on one known host it is told by its parameter events, which nearly every node has."""
@@ -492,22 +501,32 @@ async def _until(holds: Callable[[], bool]) -> None:
 
 
 async def _asked(
-    opened: _Opened, bound: _Bound, service: str, type_name: str, request: Mapping[str, Any], *, repeat: bool = False
+    opened: _Opened,
+    bound: _Bound,
+    service: str,
+    type_name: str,
+    request: Mapping[str, Any],
+    *,
+    repeat: float | None = None,
 ) -> Any:
-    """The answer of a service, as a message; ``repeat`` for a request that may be carried out twice."""
+    """The answer of a service, as a message; a request that may be carried out twice is repeated so often (seconds).
+
+    That both sides of the service match its client is waited for; that the server has matched the client can't be seen from
+    here, and a server that hasn't drops its answer.
+    """
     client = opened.client(service, type_name)
     message = to_message(client.srv_type.Request, request)
     bound.missing = f"service {service} ({type_name}) is not there"
     await _until(lambda: opened.serves(service) and client.service_is_ready())
     bound.missing, bound.sent = f"service {service} has not answered", True
-    if not repeat:
+    if repeat is None:
         return await _answer(client, message)
     asked: set[asyncio.Task[Any]] = set()
     try:
         while True:
             if len(asked) < MOST_REPEATS:
                 asked.add(asyncio.create_task(_answer(client, message)))
-            done, _ = await asyncio.wait(asked, timeout=REPEAT, return_when=asyncio.FIRST_COMPLETED)
+            done, _ = await asyncio.wait(asked, timeout=repeat, return_when=asyncio.FIRST_COMPLETED)
             if done:
                 return done.pop().result()
     finally:
@@ -546,7 +565,7 @@ async def _answer(client: Any, request: Any) -> Any:
 
 
 async def _state(opened: _Opened, bound: _Bound, node: str) -> str:
-    answer = await _asked(opened, bound, f"{node}/get_state", "lifecycle_msgs/srv/GetState", {}, repeat=True)
+    answer = await _asked(opened, bound, f"{node}/get_state", "lifecycle_msgs/srv/GetState", {}, repeat=REPEAT)
     return str(answer.current_state.label)
 
 
@@ -591,7 +610,7 @@ async def _parameters(opened: _Opened, bound: _Bound, node: str, names: Sequence
     from rclpy.parameter import parameter_value_to_python
 
     service, type_name = f"{node}/get_parameters", "rcl_interfaces/srv/GetParameters"
-    answer = await _asked(opened, bound, service, type_name, {"names": list(names)}, repeat=True)
+    answer = await _asked(opened, bound, service, type_name, {"names": list(names)}, repeat=REPEAT)
     values = [parameter_value_to_python(value) for value in answer.values]
     if len(values) == len(names) and None not in values:
         return {name: _plain(value) for name, value in zip(names, values, strict=True)}

@@ -6,6 +6,7 @@ function for that comes with a template engine and an IDL parser: 20 MB resident
 
 from __future__ import annotations
 
+import asyncio
 import importlib
 import importlib.util
 import sys
@@ -13,6 +14,7 @@ import threading
 from types import ModuleType
 
 _IMPORTING = threading.Lock()
+_imported = threading.Event()
 
 _GENERATOR = "rosidl_generator_py"
 _NEEDED = f"{_GENERATOR}.import_type_support_impl"
@@ -44,7 +46,16 @@ def import_rclpy() -> None:
     """Import rclpy, from whichever thread comes first.
 
     Its modules import each other in a circle, which two threads can't walk at the same time: one finds half of a module.
+    So whatever may run before this process has joined the ROS graph calls this, or in an event loop awaits
+    :func:`rclpy_imported`, before it imports anything of rclpy.
     """
     with _IMPORTING:
         importlib.import_module("rclpy")
         importlib.import_module("rclpy.node")
+    _imported.set()
+
+
+async def rclpy_imported() -> None:
+    """Have rclpy imported: by a thread, since it takes a second, or as long as another thread needs that is at it."""
+    if not _imported.is_set():
+        await asyncio.to_thread(import_rclpy)

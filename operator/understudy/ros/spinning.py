@@ -67,6 +67,7 @@ class Spinning:
         self._work: deque[Callable[[], None]] = deque()
         self._later: list[tuple[float, Callable[[], None]]] = []
         self._stopped = False
+        self._turned = time.monotonic()
         with context.handle:
             self._wake = _rclpy.GuardCondition(context.handle)
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
@@ -94,6 +95,11 @@ class Spinning:
 
         self.do(run)
         return await asyncio.wrap_future(future)
+
+    @property
+    def silent_for(self) -> float:
+        """Seconds since the thread last came round: at most one longer than its longest piece of work, unless it hangs."""
+        return time.monotonic() - self._turned
 
     async def close(self) -> None:
         """Leave the graph."""
@@ -147,6 +153,7 @@ class Spinning:
             )
             stack.enter_context(wait_set)
             while not self._stopped:
+                self._turned = time.monotonic()
                 wait_set.clear_entities()
                 wait_set.add_guard_condition(self._wake)
                 for kind, entries in built.items():

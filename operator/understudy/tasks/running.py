@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 from understudy.api import names
-from understudy.cluster import logs
+from understudy.cluster import logs, pages
 from understudy.ros.spinning import Spinning
 from understudy.tasks.journal import Journal
 from understudy.tasks.proxy import Proxy
@@ -20,6 +20,9 @@ from understudy.tasks.talking import Talk
 _logger = logging.getLogger(__name__)
 
 STATE = Path("/var/lib/understudy")
+
+HUNG = 20.0
+"""Seconds without a turn after which the thread that serves ROS hangs. It blocks for a tenth of a second at most."""
 
 
 def main(argv: list[str]) -> int:
@@ -33,11 +36,19 @@ def main(argv: list[str]) -> int:
     state.mkdir(parents=True, exist_ok=True)
     socket = Path(os.environ.get("UNDERSTUDY_TASKS_SOCKET", f"{names.TASKS_DIR}/{names.TASKS_SOCKET}"))
     socket.unlink(missing_ok=True)  # of an earlier proxy
-    asyncio.run(_run(workload, state, socket))
+    port = int(os.environ.get("UNDERSTUDY_TASKS_PORT", names.TASKS_PORT))
+    asyncio.run(_run(workload, state, socket, port))
     return 0
 
 
-async def _run(workload: str, state: Path, socket: Path) -> None:
+def health(silent_for: float) -> tuple[int, str]:
+    """The page by which a proxy that hangs is told: answered by the loop, and about the thread that serves ROS."""
+    if silent_for > HUNG:
+        return 503, f"nothing was done in ROS for {silent_for:.0f} s\n"
+    return 200, "ok\n"
+
+
+async def _run(workload: str, state: Path, socket: Path, port: int) -> None:
     loop = asyncio.get_running_loop()
     told = asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
@@ -47,9 +58,11 @@ async def _run(workload: str, state: Path, socket: Path) -> None:
     talk = Talk(proxy.place, proxy.report)
     proxy.on_report = talk.tell
     server = await talk.listen(socket)
+    page = await pages.serve({"/healthz": lambda: health(spinning.silent_for)}, port)
     _logger.info("task proxy of %s", workload)
     await told.wait()
     server.close()
+    page.close()
     await proxy.close()
     await spinning.close()
     _logger.info("ended")

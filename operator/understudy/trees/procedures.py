@@ -234,12 +234,13 @@ class _Loader(Reader):
         return work
 
     def _call_service(self, fields: Mapping[str, Any], path: str) -> Work | None:
-        self.known(fields, ("service", "type", "request", "expect"), path)
+        self.known(fields, ("service", "type", "request", "expect", "repeat"), path)
         service, type_ = self._ros(fields, "service", path), self._type(fields, path, "srv")
         request, expect = self._mapping(fields, "request", path), self._mapping(fields, "expect", path)
+        repeat = self.given(fields, "repeat", path, duration_of)
 
         async def work(actions: Actions, within: float) -> None:
-            answer = await actions.call(str(service), str(type_), request, within)
+            answer = await actions.call(str(service), str(type_), request, within, repeat=repeat)
             if (reason := mismatch(answer, expect)) is not None:
                 raise ProcedureFailed(f"service {service} answered otherwise: {reason}")
 
@@ -425,7 +426,7 @@ _FIELDS = {
     "timeout": "within and do",
     "retry": "times, do and (if not 1s) wait",
     "set_lifecycle": "node and state",
-    "call_service": "service, type, request and expect",
+    "call_service": "service, type, request, expect and (if it may be asked twice) repeat",
     "publish": "topic, type and message",
     "set_parameters": "node and values",
     "wait_for": "topic and type, or service, or node",

@@ -29,8 +29,10 @@ may come to that late.
 class Actions(Protocol):
     """What can be done to one instance. Each raises, in plain words, what it failed by; times are bounds in seconds."""
 
-    async def call(self, service: str, type_name: str, request: Mapping[str, Any], within: float) -> dict[str, Any]:
-        """The answer of a service."""
+    async def call(
+        self, service: str, type_name: str, request: Mapping[str, Any], within: float, *, repeat: float | None = None
+    ) -> dict[str, Any]:
+        """The answer of a service, which is asked again after so many seconds without one where ``repeat`` is given."""
 
     async def service_present(self, service: str) -> bool:
         """Whether the instance serves it."""

@@ -60,6 +60,12 @@ def test_the_operator(render: Render) -> None:
     assert deployment["spec"]["selector"]["matchLabels"].items() <= labels.items()
 
 
+def test_the_operator_is_told_by_which_secrets_monitors_are_pulled(render: Render) -> None:
+    secrets = ("images.monitorPullSecrets[0].name=registry", "images.monitorPullSecrets[1].name=other")
+    (container,) = one(render(*secrets), "Deployment")["spec"]["template"]["spec"]["containers"]
+    assert {"name": "UNDERSTUDY_IMAGE_PULL_SECRETS", "value": "registry,other"} in container["env"]
+
+
 def test_the_operator_meets_the_restricted_pod_security_standard(render: Render) -> None:
     pod = one(render(), "Deployment")["spec"]["template"]["spec"]
     assert pod["securityContext"]["runAsNonRoot"] is True

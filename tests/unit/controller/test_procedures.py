@@ -6,9 +6,20 @@ import json
 
 import pytest
 
-from tests.unit.controller.world import World, applied, created, gate, hot, policy, source_pod, standby_pod, workload
+from tests.unit.controller.world import (
+    World,
+    applied,
+    created,
+    deleted,
+    gate,
+    hot,
+    policy,
+    source_pod,
+    standby_pod,
+    workload,
+)
 from understudy.cluster.client import Object
-from understudy.controller import policies
+from understudy.controller import instances, policies
 
 INACTIVE = {"yaml": {"set_lifecycle": {"node": "/amcl", "state": "inactive"}}, "within": "20s"}
 CHECK = {"yaml": {"lifecycle_is": {"node": "/amcl", "state": "inactive"}}, "period": "2s"}
@@ -71,3 +82,77 @@ def test_standbys_of_two_readinesses_count_each_for_its_own_pool() -> None:
     protected = world.condition("Protected")
     assert protected["status"] == "False"
     assert "If it failed now, Fallback from pool warm would be used" in protected["message"]
+
+
+BROKEN = {"yaml": {"set_lifecycle": {"node": "/amcl", "state": "on"}}}
+
+
+def standing(spec: Object) -> tuple[World, Object]:
+    """A world with a pod in control and a standby, as it is after everything was built, and the pool's spec then changed."""
+    world = World(workload(), policy("warm"), warm())
+    world.build()
+    built = world.understood().builts["warm"]
+    driving = source_pod("w-a")
+    ready = standby_pod("w-s", of=workload(), pool="warm", template_hash=instances.template_hash(built))
+    world.pods = [driving, ready]
+    world.own(gate(world.workload, active=driving, epoch=1))
+    world.others = [policy("warm"), changed(spec)]
+    return world, ready
+
+
+def changed(spec: Object) -> Object:
+    return hot("warm", readiness="Initialized", **spec)
+
+
+def settings(world: World) -> Object:
+    found: Object = json.loads(applied(world.plan(), "configmaps")["w-settings"]["data"]["settings.json"])
+    return found
+
+
+def test_no_standby_is_made_of_a_pool_that_is_not_accepted_and_it_is_told() -> None:
+    world = World(workload(), policy("warm"), changed({"initialization": BROKEN}))
+    assert created(world.plan(), "pods") == []
+    assert settings(world)["pools"] == [], "the monitor never hears of it"
+    world.build()
+    driving = source_pod("w-a")
+    world.pods = [driving]
+    world.own(gate(world.workload, active=driving, epoch=1))
+    protected = world.condition("Protected")
+    assert (protected["status"], protected["reason"]) == ("False", "PoolNotAccepted")
+    assert "FallbackPool warm is not accepted" in protected["message"]
+    assert "spec.initialization.yaml.set_lifecycle.state: found 'on'" in protected["message"]
+
+
+def test_standbys_of_a_pool_that_is_accepted_no_more_stay_what_they_are() -> None:
+    world, _ = standing({"initialization": BROKEN})
+    plan = world.plan()
+    assert (created(plan, "pods"), deleted(plan)) == ([], [])
+    assert settings(world)["pools"][0]["initialization"] == INACTIVE, "they are judged by what made them"
+    assert world.condition("Protected")["status"] == "True"
+
+
+def test_another_initialization_takes_a_standby_away_only_when_another_one_is_ready() -> None:
+    world, old = standing({"initialization": {"yaml": {"wait_for": {"node": "/amcl"}}}})
+    (made,) = created(world.plan(), "pods")
+    assert deleted(world.plan()) == []
+    made |= {
+        "metadata": made["metadata"] | {"uid": "uid-new", "creationTimestamp": old["metadata"]["creationTimestamp"]}
+    }
+    made["status"] = {"phase": "Running", "conditions": [{"type": "Ready", "status": "False"}]}
+    world.pods.append(made)
+    assert (created(world.plan(), "pods"), deleted(world.plan())) == ([], [])
+    made["status"]["conditions"][0]["status"] = "True"
+    assert deleted(world.plan()) == ["w-s"]
+
+
+def test_another_time_for_the_same_initialization_makes_no_other_standby() -> None:
+    world, _ = standing({"initialization": INACTIVE | {"within": "90s"}})
+    plan = world.plan()
+    assert (created(plan, "pods"), deleted(plan)) == ([], [])
+
+
+def test_a_new_template_that_waits_for_a_standby_says_why_there_is_none() -> None:
+    world, _ = standing({"initialization": BROKEN})
+    world.workload["spec"]["template"]["spec"]["containers"][0]["image"] = "app:2"
+    told = world.condition("Reconciled")["message"]
+    assert "gets the new template when a standby of it is ready, and FallbackPool warm, which is not accepted" in told

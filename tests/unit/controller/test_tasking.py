@@ -85,6 +85,11 @@ class TestWorkloads:
             assert mounts(proxy).items() >= {"tasks": "/run/understudy", "state": "/var/lib/understudy"}.items()
             assert mounts(containers["monitor"])["tasks"] == "/run/understudy"
             assert env(proxy, names.PROFILES_VARIABLE) is None
+            (port,) = (port["containerPort"] for port in proxy["ports"])
+            assert proxy["livenessProbe"]["httpGet"] == {"path": "/healthz", "port": port}
+            assert port not in [p["containerPort"] for p in containers["monitor"]["ports"]], (
+                "they share the pod's address"
+            )
             assert config["w-instance-profiles"]["data"]["profiles.xml"] == PROFILES
 
     def test_a_referred_controllers_pods_have_no_proxy_and_it_is_said(self) -> None:

@@ -138,7 +138,7 @@ def test_strategies_bring_up_what_is_not_driving_yet() -> None:
     assert executing._recovery is None, "it drives already"
     assert not executing._with_source, "what the controller makes waits in the first pool"
     assert isinstance(again, Restart)
-    assert again._recovery.name == "recovery", "instead of the workload's bringUp"
+    assert again._recovery.name == "strategies[2].recovery", "instead of the workload's bringUp"
 
 
 class Sidecars:
@@ -148,17 +148,21 @@ class Sidecars:
         self.ran: list[tuple[str, str]] = []
         self.brought: dict[str, str] = {}
         self.fails = ""
+        self.endless = 0.0
+        """Procedures that are given so many seconds don't end."""
         self.ready = {"uid-3": True}
 
     def status(self, instance: Instance) -> AgentStatus:
         return AgentStatus("Running", configured=True, initialized=self.brought.get(instance.uid, ""))
 
     def is_ready(self, instance: Instance) -> tuple[bool, str]:
-        ready = self.ready.get(instance.uid, False)
+        ready = self.ready.get(instance.uid, False) and bool(self.brought.get(instance.uid))
         return ready, "" if ready else "node /nav is gone"
 
     async def run(self, instance: Instance, procedure: Any, *, brought: str, **more: Any) -> RestoreReport:
         self.ran.append((instance.name, procedure.name))
+        if procedure.within == self.endless:
+            await asyncio.Event().wait()
         if self.fails:
             raise NotVerified(self.fails)
         self.brought[instance.uid] = brought
@@ -200,7 +204,7 @@ def world(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
             instances or (ACTIVE, STANDBY),
             policy(),
             more.get("spec", workload(bringUp=UP)),
-            settings(WARM),
+            settings(more.get("pool", WARM)),
             more.get("active", "uid-1"),
             KeptState,
         )
@@ -226,7 +230,8 @@ async def test_a_failure_is_told_once_and_tried_again_later(world: SimpleNamespa
     assert world.reporter.conditions["BroughtUp"] == (
         "False",
         "ProcedureFailed",
-        "w-3: initialization.set_lifecycle: node /nav did not configure",
+        "w-3: initialization.set_lifecycle: node /nav did not configure. Correct spec.initialization of FallbackPool warm, "
+        "or what it waits for there; it is tried again.",
     )
     assert len(world.sidecars.ran) == 1
     world.clock += bringing.RETRY_FIRST
@@ -235,7 +240,61 @@ async def test_a_failure_is_told_once_and_tried_again_later(world: SimpleNamespa
     assert [reason for reason, _ in world.reporter.events] == ["NotBroughtUp"]
 
 
+OTHER = Procedure(yaml={"wait_for": {"node": "/nav"}}, within="7s")
+
+
+async def test_a_correction_is_tried_at_once_and_nothing_is_said_of_what_it_corrects(world: SimpleNamespace) -> None:
+    world.sidecars.ready["uid-3"] = False
+    world.sidecars.fails = "initialization.set_lifecycle: node /nav did not configure"
+    for _ in range(4):  # the wait for the next try grows
+        await world.look()
+        world.clock += bringing.RETRY_MOST
+    world.sidecars.fails = ""
+    await world.look(pool=WARM.model_copy(update={"initialization": OTHER}))
+    assert "did not configure" not in world.reporter.conditions["BroughtUp"][2]
+    await world.look(pool=WARM.model_copy(update={"initialization": OTHER}))
+    assert world.reporter.conditions["BroughtUp"][:2] == ("True", "BroughtUp")
+
+
+async def test_a_procedure_that_does_not_end_is_cut_short_when_its_time_is_corrected(world: SimpleNamespace) -> None:
+    world.sidecars.endless = 3600.0
+    endless = WARM.model_copy(update={"initialization": INIT.model_copy(update={"within": "1h"})})
+    await world.look(pool=endless)
+    await world.look(pool=endless)
+    assert len(world.sidecars.ran) == 1
+    await world.look()
+    await world.look()
+    assert len(world.sidecars.ran) == 2
+    assert world.reporter.conditions["BroughtUp"][:2] == ("True", "BroughtUp")
+
+
+@pytest.mark.parametrize("before", ["init:other:0", ""])
+def test_a_standby_that_is_ready_as_it_is_waits_so(before: str) -> None:
+    found = expected(STANDBY, workload(), settings(WARM), active_uid="uid-1", brought=before, ready=True)
+    assert (found.brought, found.outdated) == (before, True)
+    assert found.standby is not None
+    assert found.standby["brought"] == before
+    assert not expected(STANDBY, workload(), settings(WARM), active_uid="uid-1", brought=before).outdated
+
+
+@pytest.mark.parametrize("before", ["up:other:0", "init:other:1"])
+def test_what_was_brought_elsewhere_or_was_started_again_since_is_initialized(before: str) -> None:
+    found = expected(STANDBY, workload(), settings(WARM), active_uid="uid-1", brought=before, ready=True)
+    assert found.brought.startswith("init:")
+    assert (found.brought == before, found.outdated) == (False, False)
+
+
+async def test_a_standby_that_waits_as_an_earlier_procedure_left_it_is_named(world: SimpleNamespace) -> None:
+    world.sidecars.brought["uid-3"] = "init:other:0"
+    await world.look()
+    assert world.sidecars.ran == []
+    status, _, message = world.reporter.conditions["BroughtUp"]
+    assert status == "True"
+    assert "w-3 as an earlier procedure left it: delete the pod" in message
+
+
 async def test_a_standby_that_lost_its_readiness_for_long_is_replaced_and_reported(world: SimpleNamespace) -> None:
+    await world.look()
     await world.look()
     world.sidecars.ready["uid-3"] = False
     await world.look()

@@ -189,3 +189,5 @@ def test_what_the_condition_says() -> None:
     assert judged([{**task, "served": False}], "")[:2] == ("Unknown", "Starting")
     assert judged([task], "container app sets it itself")[:2] == ("False", "OwnProfiles")
     assert judged([{**task, "message": "refused"}], "")[1:] == ("GoalsNotSent", "/goto: refused")
+    missing = {**task, "message": "my/action/Go is not installed"}
+    assert judged([missing], "")[1:] == ("TypeNotInstalled", "spec.tasks: /goto: my/action/Go is not installed")

@@ -3,6 +3,7 @@
 /managed       lifecycle node with parameters speed (double), label (string), count (integer)
 /switch        std_srvs/SetBool: answers with what it was told
 /never         std_srvs/Trigger that takes a minute
+/second        std_srvs/Trigger that leaves the first request unanswered
 /initialpose   is subscribed to; what came is published latched on /taken
 """
 
@@ -51,9 +52,18 @@ def run(kind: str) -> None:
         time.sleep(60)
         return response
 
+    asked = []
+
+    def second(request, response):
+        asked.append(request)
+        time.sleep(600 if len(asked) == 1 else 0)
+        response.success = True
+        return response
+
     aside = ReentrantCallbackGroup()
     node.create_service(SetBool, "/switch", switch)
     node.create_service(Trigger, "/never", never, callback_group=aside)
+    node.create_service(Trigger, "/second", second, callback_group=aside)
     node.create_subscription(
         PoseWithCovarianceStamped,
         "/initialpose",

@@ -83,6 +83,14 @@ async def test_a_service_that_does_not_answer_is_given_up(managed: Managed, call
         told = str(failure.value)
 
 
+async def test_an_answer_that_gets_lost_is_asked_for_again_where_that_is_said(managed: Managed, caller) -> None:
+    managed.start()
+
+    answer = await caller.call("/second", "std_srvs/srv/Trigger", {}, WITHIN, repeat=0.5)
+
+    assert answer["success"] is True
+
+
 async def test_what_does_not_fit_the_type_names_the_field(caller) -> None:
     from understudy.ros.calling import CallFailed
 

@@ -48,3 +48,26 @@ def test_a_generator_that_is_loaded_is_left_alone():
         "from rclpy.serialization import serialize_message\n" + SAY
     )
     assert "lark" in found["loaded"]
+
+
+def test_two_threads_may_need_rclpy_at_the_same_time():
+    found = run(
+        "import asyncio, json, threading\n"
+        "from understudy.ros.lean import import_rclpy, rclpy_imported\n"
+        "failed = []\n"
+        "def use():\n"
+        "    try:\n"
+        "        import_rclpy()\n"
+        "        from rclpy.node import Node\n"
+        "    except BaseException as error:\n"
+        "        failed.append(repr(error))\n"
+        "async def run():\n"
+        "    threads = [threading.Thread(target=use) for _ in range(4)]\n"
+        "    for thread in threads: thread.start()\n"
+        "    await asyncio.gather(rclpy_imported(), rclpy_imported())\n"
+        "    from rclpy.serialization import serialize_message\n"
+        "    for thread in threads: thread.join()\n"
+        "asyncio.run(run())\n"
+        "print(json.dumps(failed))\n"
+    )
+    assert found == []

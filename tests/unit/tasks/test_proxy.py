@@ -9,8 +9,11 @@ from __future__ import annotations
 import asyncio
 import json
 import os
+import socket
 import subprocess
 import sys
+import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -22,6 +25,8 @@ from tests.unit.agent.conftest import Pod as AgentPod
 from tests.unit.tasks.conftest import ACTION, CANCELED, SUCCEEDED, TYPE, Process, eventually
 from understudy.api.tasks import Task
 from understudy.ros.profiles import instance_profiles_xml
+from understudy.ros.spinning import Spinning
+from understudy.tasks import running
 from understudy.tasks.situation import Peer, Rule, Situation
 
 pytestmark = pytest.mark.ros
@@ -65,6 +70,9 @@ class Monitor:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         folder.mkdir()
+        with socket.socket() as found:
+            found.bind(("127.0.0.1", 0))
+            self.port: int = found.getsockname()[1]
         self.reports: list[dict[str, Any]] = []
         self.epoch, self.active, self.settled = 0, "", True
         self.rules = (Rule(ACTION, TYPE),)
@@ -74,13 +82,13 @@ class Monitor:
         self._writer: asyncio.StreamWriter
 
     async def start(self) -> None:
-        socket = self._folder / "tasks.sock"
-        self._run(socket)
+        path = self._folder / "tasks.sock"
+        self._run(path)
 
         async def connect() -> None:
             while True:
                 try:
-                    reader, self._writer = await asyncio.open_unix_connection(socket)
+                    reader, self._writer = await asyncio.open_unix_connection(path)
                     break
                 except OSError:
                     await asyncio.sleep(0.05)
@@ -90,13 +98,25 @@ class Monitor:
             await connect()
         self.tell()
 
-    def _run(self, socket: Path) -> None:
+    async def healthy(self) -> bool:
+        """What the kubelet is told."""
+        try:
+            reader, writer = await asyncio.open_connection("127.0.0.1", self.port)
+        except ConnectionRefusedError:
+            return False
+        writer.write(b"GET /healthz HTTP/1.1\r\n\r\n")
+        status = (await reader.readline()).split()[1]
+        writer.close()
+        return status == b"200"
+
+    def _run(self, path: Path) -> None:
         environment = {
             **os.environ,
             "PYTHONPATH": str(PACKAGE),
             "UNDERSTUDY_WORKLOAD": "robot",
             "UNDERSTUDY_STATE": str(self._folder),
-            "UNDERSTUDY_TASKS_SOCKET": str(socket),
+            "UNDERSTUDY_TASKS_SOCKET": str(path),
+            "UNDERSTUDY_TASKS_PORT": str(self.port),
         }
         with (self._folder / "proxy.log").open("ab") as log:
             command = [sys.executable, "-m", "understudy.main", "tasks"]
@@ -241,6 +261,28 @@ async def test_an_executing_standby_has_the_goal_already(monitor, pods, start):
     await eventually(lambda: client.said("ended", status=SUCCEEDED), 120)
     assert executed(second) == [40], "it went on, and wasn't begun again"
     assert client.said("answered", accepted=True)
+
+
+async def test_the_kubelet_is_told_whether_the_proxy_hangs(monitor):
+    end = time.monotonic() + 60
+    while not await monitor.healthy():
+        assert time.monotonic() < end
+        await asyncio.sleep(0.1)
+    assert running.health(running.HUNG)[0] == 200
+    assert running.health(running.HUNG + 1)[0] == 503
+
+
+async def test_a_thread_that_hangs_is_seen(dds):
+    spinning, release = Spinning("hanging"), threading.Event()
+    try:
+        await eventually(lambda: spinning.silent_for < 1.5)
+        spinning.do(lambda: release.wait(60))
+        await eventually(lambda: spinning.silent_for > 3)  # at rest it comes round every second
+        release.set()
+        await eventually(lambda: spinning.silent_for < 1.5)
+    finally:
+        release.set()
+        await spinning.close()
 
 
 async def test_a_type_that_is_not_installed_is_told(monitor):

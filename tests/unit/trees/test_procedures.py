@@ -41,8 +41,10 @@ class Instance:
                 raise
         await asyncio.sleep(0)
 
-    async def call(self, service: str, type_name: str, request: Mapping[str, Any], within: float) -> dict[str, Any]:
-        await self._step("call", service)
+    async def call(
+        self, service: str, type_name: str, request: Mapping[str, Any], within: float, *, repeat: float | None = None
+    ) -> dict[str, Any]:
+        await self._step("call" if repeat is None else f"call every {repeat:g} s", service)
         answers = self.answers.get(service, [{}])
         return answers.pop(0) if len(answers) > 1 else answers[0]
 
@@ -140,6 +142,15 @@ async def test_a_failed_leaf_is_named_with_its_place_and_ends_the_sequence() -> 
         "bringUp.sequence[0].call_service: service /go answered otherwise: success is False, expected True"
     )
     assert instance.done == ["call /go"]
+
+
+async def test_a_service_that_may_be_asked_twice_is_asked_again_so_often() -> None:
+    instance = Instance()
+    tree = procedure({"call_service": {"service": "/go", "type": "std_srvs/srv/Trigger", "repeat": "1500ms"}})
+
+    await tree.run(instance, LONG)
+
+    assert instance.done == ["call every 1.5 s /go"]
 
 
 async def test_a_parallel_works_on_all_at_once_and_a_failure_cancels_the_rest() -> None:

@@ -1,0 +1,66 @@
+"""What the monitor goes by while somebody gives it what can't be followed."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from understudy.monitor.view import View
+
+GOOD = {"yaml": {"set_lifecycle": {"node": "/nav", "state": "active"}}}
+BROKEN = {"yaml": {"set_lifecycle": {"node": "/nav", "state": "on"}}}
+
+
+@pytest.fixture
+def view() -> View:
+    found = View(None, "n", "w", on_pod=lambda: None)  # type: ignore[arg-type]
+    found.workloads = SimpleNamespace(revision=0, items={})  # type: ignore[assignment]
+    found.policies = SimpleNamespace(items={})  # type: ignore[assignment]
+    return found
+
+
+def give_workload(view: View, **more: Any) -> None:
+    outputs = [{"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist"}]
+    spec = {"template": {"spec": {}}, "outputs": outputs, "failurePolicyRef": {"name": "p"}, **more}
+    view.workloads.items["w"] = {"metadata": {"name": "w"}, "spec": spec}  # type: ignore[index]
+    view.workloads.revision += 1  # type: ignore[misc]
+
+
+def give_policy(view: View, version: str, **strategy: Any) -> None:
+    tree = {"topic": {"name": "/cmd_vel", "gap": "500ms"}}
+    spec = {"monitoring": {"yaml": tree}, "strategies": [{"type": "Restart", **strategy}]}
+    view.policies.items["p"] = {"metadata": {"name": "p", "uid": "u", "resourceVersion": version}, "spec": spec}  # type: ignore[index]
+
+
+@pytest.mark.parametrize("broken", [{"bringUp": BROKEN}, {"outputs": "none"}])
+def test_a_spec_that_can_not_be_followed_leaves_the_last_one_in_force(view: View, broken: dict[str, Any]) -> None:
+    give_workload(view, bringUp=GOOD)
+    before = view.spec
+    assert before is not None
+    give_workload(view, **broken)
+    assert view.spec == before
+    give_workload(view)
+    assert view.spec is not None
+    assert view.spec.bring_up is None, "corrected"
+    view.workloads.items.clear()  # type: ignore[attr-defined]
+    view.workloads.revision += 1  # type: ignore[misc]
+    assert view.spec is None
+
+
+def test_a_recovery_that_does_not_load_leaves_the_last_policy_in_force(view: View) -> None:
+    give_workload(view)
+    give_policy(view, "1", recovery=GOOD)
+    before = view.policy
+    give_policy(view, "2", recovery=BROKEN)
+    assert view.policy == before
+    give_policy(view, "3")
+    assert view.policy is not None
+    assert view.policy.strategies[0].recovery is None, "corrected"
+
+
+def test_a_new_monitor_watches_by_a_policy_with_a_recovery_that_does_not_load(view: View) -> None:
+    give_workload(view)
+    give_policy(view, "1", recovery=BROKEN)
+    assert view.policy is not None
