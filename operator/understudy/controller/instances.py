@@ -145,6 +145,8 @@ def build(template: Mapping[str, Any], recipe: Recipe) -> Object:
     if recipe.profiles:
         # A process that has read the profiles must start anew to read others.
         metadata.setdefault("annotations", {})[names.PROFILES_HASH] = digest(recipe.profiles)
+    if recipe.procedure:
+        metadata.setdefault("annotations", {})[names.PROCEDURE_HASH] = digest(recipe.procedure)
     built: Object = {"metadata": metadata, "spec": spec}
     labels[names.TEMPLATE_HASH] = digest(built)
     return built
@@ -158,8 +160,6 @@ def _labels(recipe: Recipe) -> dict[str, str]:
         labels[names.POOL] = recipe.pool
     if recipe.held:
         labels[names.HELD] = "true"
-    if recipe.procedure:
-        metadata.setdefault("annotations", {})[names.PROCEDURE_HASH] = digest(recipe.procedure)
     if not recipe.pool:
         labels[names.SOURCE] = "workload"
     return labels

@@ -181,6 +181,8 @@ class Caller:
         Raises CallFailed with the node's reason where it refuses one.
         """
         async with self._bound(f"node {node}", within) as (opened, bound):
+            from rclpy.parameter import Parameter
+
             whole = [name for name, value in values.items() if _is_whole(value)]
             present = await _parameters(opened, bound, node, whole) if whole else {}
             wanted = {name: _as_real(value) if _is_real(present.get(name)) else value for name, value in values.items()}
@@ -199,8 +201,6 @@ class Caller:
             refused = [
                 f"{name} = {value!r}: {result.reason or 'no reason given'}"
                 for (name, value), result in zip(wanted.items(), answer.results, strict=True)
-            from rclpy.parameter import Parameter
-
                 if not result.successful
             ]
             if refused:
@@ -259,6 +259,8 @@ class Caller:
         from understudy.ros.taking import Taker
 
         async with self._bound(f"topic {topic}", within) as (opened, bound):
+            from understudy.ros.taking import Taker
+
             cls, taker, host = message_class(type_name), Taker(), opened.host if own else None
             bound.missing = f"nothing {'of this instance ' if host else ''}came on {topic} ({type_name})"
             # A reader of latched messages doesn't match a writer that keeps none, and the other doesn't get them.
@@ -322,6 +324,7 @@ class Caller:
         self._stay()
         try:
             async with asyncio.timeout(within):
+                await rclpy_imported()
                 await _until(lambda: self._open() is not None)
                 assert self._opened is not None, "it was waited for"
                 yield self._opened, bound
@@ -362,7 +365,6 @@ class _Opened:
             name,
             context=self._context,
             use_global_arguments=False,
-                await rclpy_imported()
             enable_rosout=False,
             start_parameter_services=False,
             parameter_overrides=[Parameter("start_type_description_service", value=False)],
