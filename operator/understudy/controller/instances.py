@@ -132,7 +132,7 @@ def build(template: Mapping[str, Any], recipe: Recipe) -> Object:
         config_map = {"name": names.instance_profiles(recipe.workload)}
         spec["volumes"].append({"name": names.INSTANCE_PROFILES_VOLUME, "configMap": config_map})
     if recipe.prepared:
-        spec["initContainers"] = [_prepare(recipe, fenced_names), *(spec.get("initContainers") or [])]
+        spec["initContainers"] = [_prepare(recipe), *(spec.get("initContainers") or [])]
     spec |= pull_secrets(recipe.images.pull_secrets, spec.get("imagePullSecrets") or [])
     _keep_apart(spec, recipe)
     _leave_lost_nodes(spec)
