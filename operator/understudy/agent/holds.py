@@ -27,6 +27,43 @@ def write_atomically(path: Path, text: str, mode: int) -> None:
         raise
 
 
+def make_fifo(path: Path) -> None:
+    """Make a FIFO that is open to all, since the containers run as users of their own. Raises OSError."""
+    umask = os.umask(0)
+    try:
+        os.mkfifo(path, 0o666)
+    except FileExistsError:
+        pass
+    finally:
+        os.umask(umask)
+
+
+def open_fifo(path: Path) -> int | None:
+    """A FIFO for writing, None when nobody reads it. Raises OSError."""
+    try:
+        fifo = os.open(path, os.O_WRONLY | os.O_NONBLOCK)
+    except OSError as error:
+        if error.errno in (errno.ENXIO, errno.ENOENT):
+            return None
+        raise
+    if not stat.S_ISFIFO(os.fstat(fifo).st_mode):
+        os.close(fifo)
+        raise OSError(errno.EINVAL, f"{path.name} in the shared volume is no FIFO")
+    return fifo
+
+
+def wake_fifo(path: Path) -> bool:
+    """Have who reads a FIFO look; whether anybody does. Harmless when repeated. Raises OSError."""
+    fifo = open_fifo(path)
+    if fifo is None:
+        return False
+    # Full of earlier ones, which do as well; or who read it has just gone.
+    with contextlib.suppress(BlockingIOError, BrokenPipeError):
+        os.write(fifo, b"\n")
+    os.close(fifo)
+    return True
+
+
 class Holds:
     """The held containers of this pod; none of them in a pod that isn't held."""
 
@@ -35,16 +72,9 @@ class Holds:
         self.containers = tuple(containers)
 
     def prepare(self) -> None:
-        """Make the FIFOs for images that can't. Open to all: the containers run as users of their own."""
+        """Make the FIFOs for images that can't."""
         for container in self.containers:
-            path = self._directory / holding.wake_name(container)
-            umask = os.umask(0)
-            try:
-                os.mkfifo(path, 0o666)
-            except FileExistsError:
-                pass
-            finally:
-                os.umask(umask)
+            make_fifo(self._directory / holding.wake_name(container))
 
     def missing(self) -> list[str]:
         """Containers that don't wait (yet): still being created, reading their warm paths, or ended."""
@@ -66,34 +96,17 @@ class Holds:
     def wake(self) -> None:
         """Have waiting containers look for their environment. Harmless when repeated."""
         for container in self.containers:
-            if (fifo := self._open(container)) is not None:
-                # Full of earlier ones, which do as well; or the script has just seen the environment by itself.
-                with contextlib.suppress(BlockingIOError, BrokenPipeError):
-                    os.write(fifo, b"\n")
-                os.close(fifo)
+            wake_fifo(self._directory / holding.wake_name(container))
 
     def _waits(self, container: str) -> bool:
         """Whether its script has said so and still has the FIFO open."""
         if not (self._directory / holding.waiting_name(container)).exists():
             return False
         try:
-            fifo = self._open(container)
+            fifo = open_fifo(self._directory / holding.wake_name(container))
         except OSError:
             return False
         if fifo is None:
             return False
         os.close(fifo)
         return True
-
-    def _open(self, container: str) -> int | None:
-        """The FIFO for writing, None when nobody reads it."""
-        try:
-            fifo = os.open(self._directory / holding.wake_name(container), os.O_WRONLY | os.O_NONBLOCK)
-        except OSError as error:
-            if error.errno in (errno.ENXIO, errno.ENOENT):
-                return None
-            raise
-        if not stat.S_ISFIFO(os.fstat(fifo).st_mode):
-            os.close(fifo)
-            raise OSError(errno.EINVAL, f"{holding.wake_name(container)} in the shared volume is no FIFO")
-        return fifo

@@ -22,6 +22,10 @@ class Identity:
     directory: Path
     """The emptyDir shared with the held containers."""
     token_file: Path
+    fenced: tuple[str, ...] = ()
+    """Containers whose application can be held while the pod is cut off."""
+    unfenced: tuple[str, ...] = ()
+    """Containers where it should be and can't."""
 
     @classmethod
     def from_environment(cls, environment: Mapping[str, str]) -> Identity:
@@ -42,6 +46,8 @@ class Identity:
             held=held,
             directory=Path(environment.get("UNDERSTUDY_DIR", names.AGENT_DIR)),
             token_file=Path(environment.get("UNDERSTUDY_TOKEN_FILE", f"{names.SECRET_DIR}/token")),
+            fenced=tuple(environment.get(names.FENCED_VARIABLE, "").split()),
+            unfenced=tuple(environment.get(names.UNFENCED_VARIABLE, "").split()),
         )
 
     def token(self) -> bytes:

@@ -1,4 +1,5 @@
-"""``understudy prepare``: an init container that writes the profiles of its pod before any of its processes reads them.
+"""``understudy prepare``: an init container that writes the profiles of its pod before any of its processes reads them,
+and makes what they are held by.
 
 Only pods whose profiles hold what isn't known before they start have it.
 """
@@ -10,8 +11,8 @@ import sys
 import time
 from pathlib import Path
 
-from understudy.agent.holds import write_atomically
-from understudy.api import filling, names
+from understudy.agent.holds import make_fifo, write_atomically
+from understudy.api import fencing, filling, names
 from understudy.api.strengths import strength
 
 
@@ -27,6 +28,9 @@ def main(argv: list[str]) -> int:
             Path(os.environ.get("UNDERSTUDY_DIR", names.AGENT_DIR)),
             os.environ.get(names.POD_VARIABLE, ""),
         )
+        directory = Path(os.environ.get("UNDERSTUDY_DIR", names.AGENT_DIR))
+        for container in os.environ.get(names.FENCED_VARIABLE, "").split():
+            make_fifo(directory / fencing.fence_name(container))
     except OSError as error:
         print(f"understudy prepare: {error}", file=sys.stderr)
         return 1

@@ -52,6 +52,7 @@ async def _run(identity: Identity, probes: ProbeSender) -> None:
     sidecar = Sidecar(identity, probes)
     sessions = Sessions(sidecar)
     sidecar.publish = sessions.publish
+    sidecar.fence.contacts = sessions
 
     def ready() -> tuple[int, str]:
         status = sidecar.status()
@@ -63,7 +64,10 @@ async def _run(identity: Identity, probes: ProbeSender) -> None:
     probes.run()
     await sidecar.begin()
     _logger.info("agent of %s%s", identity.pod, ", held" if sidecar.held else "")
-    housekeeping = [asyncio.create_task(_rest_when_forsaken(sessions, probes))]
+    housekeeping = [
+        asyncio.create_task(_rest_when_forsaken(sessions, probes)),
+        asyncio.create_task(sidecar.fence.run(), name="fence"),
+    ]
     if sidecar.held:
         housekeeping.append(asyncio.create_task(_warm()))
     await told.wait()

@@ -8,10 +8,13 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import fcntl
 import hmac
 import logging
 import secrets
 import socket
+import struct
+import termios
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -114,6 +117,25 @@ class _Session:
     def abort(self) -> None:
         self._writer.transport.abort()
 
+    def reset(self) -> None:
+        """End it with what was sent and isn't there yet: the kernel would try to deliver that first."""
+        with contextlib.suppress(OSError):
+            self._writer.get_extra_info("socket").setsockopt(
+                socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0)
+            )
+        self.abort()
+
+    @property
+    def taken_in(self) -> bool:
+        """Whether the other side's kernel has all that was sent."""
+        sock, transport = self._writer.get_extra_info("socket"), self._writer.transport
+        if transport.is_closing() or transport.get_write_buffer_size():
+            return False
+        try:
+            return not any(fcntl.ioctl(sock.fileno(), termios.TIOCOUTQ, bytes(struct.calcsize("i"))))
+        except (OSError, ValueError):
+            return False
+
 
 class Sessions:
     """Serves the control channel."""
@@ -141,6 +163,15 @@ class Sessions:
             except asyncio.QueueFull:
                 _logger.warning("session of %s doesn't take in its events", session.peer.host)
                 session.abort()
+
+    def taken_in(self) -> bool:
+        """Whether the other side of a session has all that was sent to it."""
+        return any(session.taken_in for session in self._sessions)
+
+    def abort(self) -> None:
+        """End all sessions at once."""
+        for session in list(self._sessions):
+            session.reset()
 
     async def end_refused(self) -> None:
         """End the sessions of those who may no longer command this pod."""

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
-from understudy.agent import preparing
+from understudy.agent import fencing, preparing
 from understudy.agent.goals import Goals
 from understudy.agent.health import Health, Plan
 from understudy.agent.holds import Holds
@@ -43,6 +43,15 @@ class Sidecar:
         self._holds.prepare()
         self._memory = Memory.load(identity.directory)
         self._strengths = Strengths(identity.directory)
+        self.fence = fencing.Fence(
+            identity.directory,
+            identity.fenced,
+            unfenced=identity.unfenced,
+            apiserver=fencing.apiserver(os.environ),
+            on_change=self._notify,
+            nudge=self._notify,
+        )
+        """What holds the application while the pod is cut off."""
         self._health = Health(identity.pod, on_change=self._health_changed, on_writers=self._writers_seen)
         self._health.resume(self._memory.process_up_at, self._memory.ready_at)
         self._caller: Caller | None = None
@@ -132,6 +141,8 @@ class Sidecar:
         ready, reason = self._readiness.judge(
             judgement.ready, judgement.reason, brought=brought, busy=self._procedures.summary
         )
+        if self.fence.reason:
+            ready, reason = False, self.fence.reason
         return AgentStatus(
             phase=phase,
             ready=ready,
@@ -145,6 +156,8 @@ class Sidecar:
             check=self._readiness.reason,
             procedure=doing,
             strength=self._strengths.range,
+            cut_off=self.fence.since,
+            unfenced=self.fence.unfenced,
         )
 
     @property
@@ -173,6 +186,7 @@ class Sidecar:
             **self._restorer.operations(),
             **self._procedures.operations(),
             **self._goals.operations(),
+            **self.fence.operations(),
         }
 
     async def configure(self, body: Mapping[str, Any], peer: Peer) -> None:

@@ -108,6 +108,10 @@ class AgentStatus:
     """Name of the procedure that runs on it."""
     strength: tuple[int, int] | None = None
     """Least and greatest ownership strength that its writers may have; None where they have none, or none is up."""
+    cut_off: float | None = None
+    """Since when its application is held, since nobody answered; None while it runs."""
+    unfenced: str = ""
+    """Why its application couldn't be held if it were cut off; empty where it could, or needn't."""
 
     def to_wire(self) -> dict[str, Any]:
         """As it is sent."""
@@ -124,6 +128,8 @@ class AgentStatus:
             "check": self.check,
             "procedure": self.procedure,
             **({"strength": list(self.strength)} if self.strength else {}),
+            **({"cutOff": self.cut_off} if self.cut_off is not None else {}),
+            **({"unfenced": self.unfenced} if self.unfenced else {}),
         }
 
     @classmethod
@@ -149,6 +155,8 @@ class AgentStatus:
                 check=str(data.get("check") or ""),
                 procedure=str(data.get("procedure") or ""),
                 strength=(int(strength[0]), int(strength[1])) if strength else None,
+                cut_off=float(data["cutOff"]) if data.get("cutOff") is not None else None,
+                unfenced=str(data.get("unfenced") or ""),
             )
         except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
             raise ProtocolError(f"not a status: {error!r} in {data!r:.200}") from error

@@ -114,6 +114,10 @@ PROFILES_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 POD_VARIABLE = "UNDERSTUDY_POD"
 """The name of the pod, in the environment of an instance's containers; Fast DDS puts it into the profiles."""
 
+FENCED_VARIABLE = "UNDERSTUDY_FENCED_CONTAINERS"
+UNFENCED_VARIABLE = "UNDERSTUDY_UNFENCED_CONTAINERS"
+"""The containers whose application the agent can hold while their pod is cut off, and those where it can't."""
+
 STRENGTH_VARIABLE = "UNDERSTUDY_STRENGTH"
 """Stands in the profiles for an instance's ownership strength, which is put in before any process reads them."""
 

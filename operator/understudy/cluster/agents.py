@@ -59,6 +59,8 @@ class AgentLink:
         self._answers: dict[int, asyncio.Future[dict[str, Any]]] = {}
         self._changed = asyncio.Event()
         self._accepted = False
+        self.sessions = 0
+        """Times that it was connected."""
         self.pod = ""
         """Name of the pod that answers, once connected."""
         self.uid = ""
@@ -243,6 +245,7 @@ class AgentLink:
         status = AgentStatus.from_wire(first.get("status", {}))
         self.pod, self.uid = str(greeting.get("pod", "")), str(greeting.get("uid", ""))
         self._writer, self._status, self.problem, self._accepted = writer, status, "", True
+        self.sessions += 1
         self._notify()
 
     async def _read(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from understudy.api import holding, names
+from understudy.api import fencing, holding, names
 from understudy.cluster.applying import digest
 from understudy.cluster.client import Object
 from understudy.controller import robots
@@ -63,6 +63,11 @@ class Recipe:
     def prepared(self) -> bool:
         """Whether the profiles hold what only the pod itself can put in, before its processes start."""
         return names.STRENGTH_VARIABLE in self.profiles
+
+    @property
+    def fenced(self) -> bool:
+        """Whether the agent can hold its application while the pod is cut off: where the robot's readers choose by strength."""
+        return self.prepared and not self.held
 
     @property
     def profiles_file(self) -> str:
@@ -121,8 +126,16 @@ def build(template: Mapping[str, Any], recipe: Recipe) -> Object:
     """The pod template of an instance: ``metadata`` (labels, annotations) and ``spec``, without what names one pod."""
     spec = copy.deepcopy(dict(template.get("spec") or {}))
     held_names = [c["name"] for c in spec["containers"]] if recipe.held else []
-    spec["containers"] = [_container(container, recipe) for container in spec["containers"]]
-    spec["containers"].append(_agent(recipe, held_names))
+    fenced_names = [c["name"] for c in spec["containers"] if c.get("command")] if recipe.fenced else []
+    scope: fencing.Scope = "own" if spec.get("shareProcessNamespace") or spec.get("hostPID") else "all"
+    spec["containers"] = [
+        _fenced(_container(container, recipe), scope)
+        if container["name"] in fenced_names
+        else _container(container, recipe)
+        for container in spec["containers"]
+    ]
+    unfenced = [c["name"] for c in spec["containers"] if c["name"] not in fenced_names] if recipe.fenced else []
+    spec["containers"].append(_agent(recipe, held_names, fenced_names, unfenced))
     spec["volumes"] = [
         *(spec.get("volumes") or []),
         {"name": names.AGENT_VOLUME, "emptyDir": {}},
@@ -132,7 +145,7 @@ def build(template: Mapping[str, Any], recipe: Recipe) -> Object:
         config_map = {"name": names.instance_profiles(recipe.workload)}
         spec["volumes"].append({"name": names.INSTANCE_PROFILES_VOLUME, "configMap": config_map})
     if recipe.prepared:
-        spec["initContainers"] = [_prepare(recipe), *(spec.get("initContainers") or [])]
+        spec["initContainers"] = [_prepare(recipe, fenced_names), *(spec.get("initContainers") or [])]
     spec |= pull_secrets(recipe.images.pull_secrets, spec.get("imagePullSecrets") or [])
     _keep_apart(spec, recipe)
     _leave_lost_nodes(spec)
@@ -241,14 +254,15 @@ def _profiles_mount(recipe: Recipe) -> Object:
     return {"name": volume, "mountPath": folder, "readOnly": True}
 
 
-def _prepare(recipe: Recipe) -> Object:
+def _prepare(recipe: Recipe, fenced: Sequence[str]) -> Object:
     """The init container that fills in the profiles, before the application's own ones."""
+    fences = _plain({names.FENCED_VARIABLE: " ".join(fenced)}) if fenced else []
     return {
         "name": names.INIT_CONTAINER,
         "image": recipe.images.monitor,
         "imagePullPolicy": recipe.images.pull_policy,
         "args": ["prepare"],
-        "env": [_field(names.POD_VARIABLE, "metadata.name")],
+        "env": [*fences, _field(names.POD_VARIABLE, "metadata.name")],
         "resources": {"requests": dict(AGENT_REQUESTS)},
         "securityContext": copy.deepcopy(HARDENED),
         "volumeMounts": [
@@ -276,6 +290,15 @@ def _held(container: Object, recipe: Recipe) -> Object:
     return made
 
 
+def _fenced(container: Object, scope: fencing.Scope) -> Object:
+    """The container's command is begun by a script through which the agent can hold it."""
+    made = {key: value for key, value in container.items() if key != "args"}
+    made["command"] = fencing.fenced_command(
+        container["name"], container["command"], container.get("args") or [], scope=scope
+    )
+    return made
+
+
 def _plain(environment: Mapping[str, str]) -> list[Object]:
     return [{"name": key, "value": value} for key, value in sorted(environment.items())]
 
@@ -284,8 +307,10 @@ def _field(name: str, path: str) -> Object:
     return {"name": name, "valueFrom": {"fieldRef": {"apiVersion": "v1", "fieldPath": path}}}
 
 
-def _agent(recipe: Recipe, held: Sequence[str]) -> Object:
+def _agent(recipe: Recipe, held: Sequence[str], fenced: Sequence[str], unfenced: Sequence[str]) -> Object:
+    fences = {names.FENCED_VARIABLE: " ".join(fenced), names.UNFENCED_VARIABLE: " ".join(unfenced)}
     fixed = {
+        **{key: value for key, value in fences.items() if value},
         "UNDERSTUDY_WORKLOAD": recipe.workload,
         "UNDERSTUDY_NAMESPACE": recipe.namespace,
         "UNDERSTUDY_HELD_CONTAINERS": " ".join(held),

@@ -195,10 +195,12 @@ class Reflexes:
                 f"Packets of {standby.name} don't reach gated ports although the gate lets it through: look for other "
                 "NetworkPolicies that select it.",
             )
+        status = self._sidecars.status(active)
+        unfenced = f" It won't be held if its node is cut off: {status.unfenced}." if status and status.unfenced else ""
         return (
             "True",
             "Armed",
-            f"The robot's readers take {standby.name} when {active.name} is silent for {self.deadline * 1000:g} ms.",
+            f"The robot's readers take {standby.name} when {active.name} is silent for {self.deadline * 1000:g} ms.{unfenced}",
         )
 
     def _too_slow(self, active: Instance) -> str:

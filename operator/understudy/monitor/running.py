@@ -25,6 +25,7 @@ from understudy.monitor.faults import CrashPoints
 from understudy.monitor.fleet import Fleet
 from understudy.monitor.gating import PolicyGate
 from understudy.monitor.keeping import StateKeeping
+from understudy.monitor.leases import Leases
 from understudy.monitor.reporting import Reporter
 from understudy.monitor.sidecars import Sidecars
 from understudy.monitor.sight import Sight
@@ -103,7 +104,15 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
         )
         supervisor = Supervisor(parts)
         watchers.append(supervisor)
-        sidecars.on_status = supervisor.wake.set
+        leases = Leases(client, view, fleet, gate, sidecars, sight, reporter)
+        leases.recovering = lambda: supervisor.recovering
+
+        def on_status() -> None:
+            supervisor.wake.set()
+            leases.wake.set()
+
+        sidecars.on_status = on_status
+        group.create_task(leases.run())
         group.create_task(reporter.run())
         socket = Path(os.environ.get("UNDERSTUDY_TASKS_SOCKET", f"{names.TASKS_DIR}/{names.TASKS_SOCKET}"))
         group.create_task(TaskLink(socket, view, fleet, gate, sidecars, reporter).run())

@@ -233,6 +233,18 @@ class Sidecars:
         self._spawn(give_way())
         await asyncio.sleep(0)  # lets the request leave before the commit does
 
+    def session(self, instance: Instance) -> tuple[int, int]:
+        """Another one for every connection that there is to its agent."""
+        link = self._links.get(instance.uid)
+        return (id(link), link.sessions) if link else (0, 0)
+
+    async def lease(self, instance: Instance, body: Mapping[str, Any]) -> None:
+        """Tell an agent what it may hold its application by. Raises AgentGone, AgentRefused."""
+        link = self._links.get(instance.uid)
+        if link is None:
+            raise AgentGone(f"{instance.name}: its agent isn't connected")
+        await link.request("lease", body, within=ANSWER_LATE)
+
     async def start(self, instance: Instance) -> None:
         """Start the held processes of a claimed instance with this robot's settings. Harmless when repeated."""
         settings = self._view.settings

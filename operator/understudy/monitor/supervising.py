@@ -126,6 +126,8 @@ class Supervisor:
         self._cooldown_told = False
         self._trusted_from = 0.0
         self._labelling: asyncio.Task[None] | None = None
+        self.recovering: Progress | None = None
+        """The recovery under way."""
         self._bringing = Bringing(parts.fleet, parts.sidecars, parts.reporter)
         parts.sidecars.role = self._role
         self._reflexes = Reflexes(
@@ -509,10 +511,14 @@ class Supervisor:
 
     async def _recovered(self, progress: Progress, choices: list[Choice]) -> Progress:
         means = self._means()
-        if progress.taken_over is not None:
-            await reflex.commit(progress, means)
-            choices = [Choice(reflex.ReflexFallback(), REFLEX_WITHIN), *choices]
-        return await recover(progress, choices, means)
+        self.recovering = progress
+        try:
+            if progress.taken_over is not None:
+                await reflex.commit(progress, means)
+                choices = [Choice(reflex.ReflexFallback(), REFLEX_WITHIN), *choices]
+            return await recover(progress, choices, means)
+        finally:
+            self.recovering = None
 
     def _after(self, wait: float) -> None:
         now = time.time()

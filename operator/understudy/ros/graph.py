@@ -81,6 +81,10 @@ class Graph:
         """The publishers of a topic."""
         return _endpoints(self.node.get_publishers_info_by_topic(topic))
 
+    def subscribers(self, topic: str) -> list[Endpoint]:
+        """The subscribers of a topic, this process's own among them."""
+        return _endpoints(self.node.get_subscriptions_info_by_topic(topic))
+
     def type_of(self, topic: str) -> str | None:
         """The type that a topic's publishers announce; None where there are none, or where they disagree."""
         types = {endpoint.type for endpoint in self.publishers(topic)}

@@ -6,7 +6,7 @@ import copy
 from typing import Any
 
 from tests.unit.controller.world import workload
-from understudy.api import names
+from understudy.api import fencing, names
 from understudy.api.workloads import RobotWorkloadSpec
 from understudy.cluster.client import Object
 from understudy.controller import instances, reflexes, robots, tasking
@@ -67,3 +67,53 @@ def test_a_strength_is_put_in_before_any_process_starts_and_the_robot_chooses_by
     assert [c["name"] for c in pod["initContainers"]] == [names.INIT_CONTAINER]
     robot = robots.config_maps("w", {}, found.outputs, found.gate.reflex)[1]["data"][robots.PROFILES_KEY]
     assert "<kind>EXCLUSIVE</kind>" in robot
+
+
+def built(**more: Any) -> Object:
+    found = spec([CMD_VEL])
+    template = copy.deepcopy(found.template or {})
+    template["spec"] |= more
+    recipe = instances.Recipe(
+        workload="w",
+        namespace="fleet",
+        images=Images("monitor"),
+        secret="w-agent",
+        profiles=tasking.instance_profiles(found),
+    )
+    pod: Object = instances.build(template, recipe)["spec"]
+    return pod
+
+
+def environment(container: Object) -> dict[str, str]:
+    return {entry["name"]: entry.get("value", "") for entry in container["env"]}
+
+
+def test_the_agent_can_hold_containers_whose_command_is_known() -> None:
+    pod = built(
+        containers=[
+            {"name": "drive", "image": "i", "command": ["python3", "drive.py"], "args": ["--fast"]},
+            {"name": "lamp", "image": "i", "args": ["--on"]},
+        ]
+    )
+    drive, lamp, agent = pod["containers"]
+    assert drive["command"] == fencing.fenced_command("drive", ["python3", "drive.py"], ["--fast"], scope="all")
+    assert "args" not in drive
+    assert (lamp.get("command"), lamp["args"]) == (None, ["--on"])
+    assert environment(agent)[names.FENCED_VARIABLE] == "drive"
+    assert environment(agent)[names.UNFENCED_VARIABLE] == "lamp"
+    assert environment(pod["initContainers"][0])[names.FENCED_VARIABLE] == "drive"
+
+
+def test_in_a_shared_process_namespace_the_rest_of_the_pod_is_left_alone() -> None:
+    containers = [{"name": "drive", "image": "i", "command": ["drive"]}]
+    pod = built(containers=containers, shareProcessNamespace=True)
+    assert pod["containers"][0]["command"][6] == "own"
+
+
+def test_without_a_reflex_the_command_is_the_users() -> None:
+    plain = RobotWorkloadSpec.model_validate(workload("w")["spec"])
+    recipe = instances.Recipe(workload="w", namespace="fleet", images=Images("monitor"), secret="w-agent")
+    before = (plain.template or {})["spec"]["containers"][0]
+    after = instances.build(plain.template or {}, recipe)["spec"]["containers"]
+    assert after[0].get("command") == before.get("command")
+    assert names.FENCED_VARIABLE not in environment(after[1])

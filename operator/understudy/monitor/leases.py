@@ -1,0 +1,209 @@
+"""What becomes of an instance that was cut off and is held by its agent (agent/leases.py), and who may show that one isn't.
+
+Once it is connected again the policies on its node may be those of before for a while, so its agent doesn't let it go on
+before it has heard from here that it still drives, or stands by.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import ipaddress
+import logging
+import time
+from collections.abc import Callable, Collection, Sequence
+from datetime import UTC, datetime
+from typing import Any, Literal
+
+import aiohttp
+
+from understudy.api import names
+from understudy.cluster.agents import AgentGone, AgentRefused
+from understudy.cluster.client import PODS, ApiError, Client, Object
+from understudy.mitigation.interfaces import GateState, Instance
+from understudy.mitigation.progress import Progress
+from understudy.monitor.fleet import Fleet
+from understudy.monitor.gating import PolicyGate
+from understudy.monitor.reporting import Reporter
+from understudy.monitor.sidecars import Sidecars
+from understudy.monitor.sight import Sight
+from understudy.monitor.view import View
+from understudy.ros.sources import HOST, VENDOR, host_id
+
+_logger = logging.getLogger(__name__)
+
+REFRESH = 10.0
+"""Seconds between two looks at who is there to answer an instance."""
+
+PERIOD = 1.0
+"""Seconds between two looks at the instances where none of them says anything."""
+
+SAY_AGAIN = 0.5
+"""Seconds after which a word that wasn't followed is said again."""
+
+MOST_OTHERS = 3
+"""Pods beside the robots that an agent is told of; each is on another node than the instance."""
+
+Word = Literal["Go", "Stay"]
+
+
+def word(instance: Instance, state: GateState, replaced: Collection[str], recovering: Progress | None) -> Word:
+    """What becomes of an instance that was cut off.
+
+    ``replaced`` has the UIDs of the pods that failed in earlier recoveries. While one is under way the instance in control is
+    that until the gate says otherwise; but where the robot follows a standby already, it mustn't take the robot back.
+    """
+    failed = {pod.uid for pod in recovering.failed} if recovering is not None else set()
+    if instance.terminating:
+        return "Stay"
+    if instance.uid == state.active_uid:
+        lost = recovering is not None and recovering.taken_over is not None and instance.uid in failed
+        return "Stay" if lost else "Go"
+    return "Stay" if instance.uid in failed or instance.uid in replaced else "Go"
+
+
+def witnesses(
+    instance: Instance, pods: Sequence[Object], *, workload: str, readers: Collection[bytes], robots: Sequence[str]
+) -> list[str]:
+    """Addresses that show an instance that it isn't cut off, where one of them answers.
+
+    First the robots, wherever they are, since who reaches its robot may drive it: pods on whose hosts (the first four bytes
+    of a GID) there are readers of its outputs, and single addresses outside the cluster (CIDRs). Then pods on other nodes.
+    Those of its own workload answer to none of each other, and its monitor it knows.
+    """
+    found = [str(net.network_address) for net in map(ipaddress.ip_network, robots) if net.num_addresses == 1]
+    node = next((_node(pod) for pod in pods if pod["metadata"]["uid"] == instance.uid), "")
+    others: dict[str, str] = {}
+    for pod in sorted(pods, key=lambda pod: (pod["metadata"].get("creationTimestamp") or "", pod["metadata"]["name"])):
+        labels, ip = pod["metadata"].get("labels") or {}, pod.get("status", {}).get("podIP", "")
+        if not ip or pod["status"].get("phase") != "Running" or pod["metadata"].get("deletionTimestamp"):
+            continue
+        if workload in (labels.get(names.WORKLOAD), labels.get(names.MONITORED)) or labels.get(names.HELD) == "true":
+            continue
+        if _host(ip) in readers:
+            found.append(ip)
+        elif node and _node(pod) != node and not pod["spec"].get("hostNetwork"):
+            others.setdefault(ip, _node(pod))
+    return list(dict.fromkeys([*found, *_apart(others)]))
+
+
+def _apart(others: dict[str, str]) -> list[str]:
+    """Some of these addresses, of as many nodes as possible."""
+    first = {node: ip for ip, node in reversed(others.items())}
+    return [*first.values(), *(ip for ip in others if ip not in first.values())][:MOST_OTHERS]
+
+
+def _node(pod: Object) -> str:
+    found: str = pod["spec"].get("nodeName") or ""
+    return found
+
+
+def _host(ip: str) -> bytes:
+    try:
+        return VENDOR + host_id(ip)
+    except ValueError:
+        return b""
+
+
+class Leases:
+    """Those of one workload; idle where its agents needn't hold anything."""
+
+    def __init__(
+        self,
+        client: Client,
+        view: View,
+        fleet: Fleet,
+        gate: PolicyGate,
+        sidecars: Sidecars,
+        sight: Sight,
+        reporter: Reporter,
+    ) -> None:
+        self._client, self._view, self._fleet, self._gate = client, view, fleet, gate
+        self._sidecars, self._sight, self._reporter = sidecars, sight, reporter
+        self.wake = asyncio.Event()
+        """Set when an agent has said something."""
+        self.recovering: Callable[[], Progress | None] = lambda: None
+        """The recovery under way."""
+        self._pods: list[Object] = []
+        self._readers: frozenset[bytes] = frozenset()
+        self._refreshed = -REFRESH
+        self._replaced: set[str] = set()
+        self._sent: dict[str, tuple[Any, float]] = {}
+        self._told: set[tuple[str, float, Word]] = set()
+
+    async def run(self) -> None:
+        """Keep them until cancelled."""
+        while True:
+            self.wake.clear()
+            spec = self._view.spec
+            if spec is not None and spec.gate.reflex is not None and self._gate.exists:
+                if time.monotonic() - self._refreshed >= REFRESH and await self._refresh():
+                    self._refreshed = time.monotonic()
+                await self._tell()
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(PERIOD):
+                    await self.wake.wait()
+
+    async def _refresh(self) -> bool:
+        """Look who is there; whether that could be found out. An API server that is away mustn't hold up a word."""
+        spec = self._view.spec
+        topics = [output.topic for output in spec.outputs if output.topic] if spec is not None else []
+        found = [self._sight.graph.subscribers(topic) for topic in topics]
+        self._readers = frozenset(endpoint.gid[HOST] for endpoints in found for endpoint in endpoints)
+        try:
+            async with asyncio.timeout(PERIOD):
+                self._pods = (await self._client.list(PODS, self._view.namespace))["items"]
+        except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
+            _logger.info("who could answer an instance that is cut off: %r", error)
+            return False
+        return True
+
+    async def _tell(self) -> None:
+        state, recovering = self._gate.state, self.recovering()
+        for progress in (state.recovery, recovering):
+            if progress is not None:
+                self._replaced |= {pod.uid for pod in progress.failed}
+        instances = [i for i in self._fleet.of_workload() if i.has_agent and not i.held]
+        self._sent = {uid: sent for uid, sent in self._sent.items() if uid in {i.uid for i in instances}}
+        await asyncio.gather(*(self._tell_one(i, state, recovering) for i in instances))
+
+    async def _tell_one(self, instance: Instance, state: GateState, recovering: Progress | None) -> None:
+        status, spec = self._sidecars.status(instance), self._view.spec
+        if status is None or spec is None:
+            return
+        body: dict[str, Any] = {
+            "witnesses": witnesses(
+                instance,
+                self._pods,
+                workload=self._view.workload,
+                readers=self._readers,
+                robots=spec.gate.robots,
+            )
+        }
+        if status.cut_off is not None:
+            body["word"] = word(instance, state, self._replaced, recovering)
+            self._say(instance, status.cut_off, body["word"])
+        wanted = (self._sidecars.session(instance), body)
+        sent, at = self._sent.get(instance.uid, (None, 0.0))
+        if sent == wanted and (body.get("word") != "Go" or time.monotonic() - at < SAY_AGAIN):
+            return
+        self._sent[instance.uid] = (wanted, time.monotonic())
+        try:
+            await self._sidecars.lease(instance, body)
+        except AgentGone as error:
+            _logger.info("%s", error)
+            self._sent.pop(instance.uid, None)
+        except AgentRefused as error:
+            _logger.warning("%s", error)
+
+    def _say(self, instance: Instance, since: float, word: Word) -> None:
+        if (instance.uid, since, word) in self._told:
+            return
+        self._told.add((instance.uid, since, word))
+        when = datetime.fromtimestamp(since, UTC).strftime("%H:%M:%S UTC")
+        then = "it goes on" if word == "Go" else "it stays held, since it was replaced"
+        self._reporter.event(
+            "Normal" if word == "Go" else "Warning",
+            "InstanceCutOff",
+            f"{instance.name} was cut off at {when} and held by its agent; {then}",
+        )

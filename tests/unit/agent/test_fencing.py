@@ -1,0 +1,264 @@
+"""A real agent process, a real application behind the real script, and real sockets that answer or don't."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.unit.agent.conftest import PACKAGE, Pod, eventually
+from understudy.agent import fencing
+from understudy.agent.fencing import Address, Fence, answers
+from understudy.agent.sessions import Peer, Refused
+from understudy.api import fencing as script
+from understudy.api import names
+
+COUNTING = """
+import sys, time
+while True:
+    with open(sys.argv[1], "a") as file:
+        file.write(".")
+    time.sleep(0.02)
+"""
+
+
+def dropping() -> socket.socket:
+    """A listener whose queue is full: as with a host that is gone, nobody answers who asks it."""
+    sock = socket.socket()
+    sock.bind(("127.0.0.1", 0))
+    sock.listen(0)
+    sock.setblocking(False)
+    filling = []
+    for _ in range(4):
+        one = socket.socket()
+        one.setblocking(False)
+        with contextlib.suppress(BlockingIOError):
+            one.connect(sock.getsockname())
+        filling.append(one)
+    _kept.append(filling)
+    return sock
+
+
+_kept: list[list[socket.socket]] = []
+
+
+@pytest.fixture
+def silent() -> Iterator[socket.socket]:
+    sock = dropping()
+    yield sock
+    sock.close()
+    for filling in _kept:
+        for one in filling:
+            one.close()
+    _kept.clear()
+
+
+async def test_who_accepts_and_who_refuses_answers_and_who_is_silent_does_not(silent: socket.socket) -> None:
+    with socket.socket() as listening:
+        listening.bind(("127.0.0.1", 0))
+        listening.listen(8)
+        host, port = listening.getsockname()
+        assert await answers(Address(host, port), 20)
+        assert await answers(Address(host, port, accept=True), 20)
+    assert await answers(Address(host, port), 20), "nobody listens there now, and its kernel says so"
+    assert not await answers(Address(host, port, accept=True), 20)
+    assert not await answers(Address(*silent.getsockname()), 0.3)
+
+
+def test_the_api_servers_address_is_that_of_the_pods_environment() -> None:
+    environment = {"KUBERNETES_SERVICE_HOST": "10.96.0.1", "KUBERNETES_SERVICE_PORT": "443"}
+    assert fencing.apiserver(environment) == Address("10.96.0.1", 443, accept=True)
+    assert fencing.apiserver({}) is None
+    assert fencing.apiserver({**environment, "KUBERNETES_SERVICE_HOST": "api.example"}) is None
+
+
+class Application:
+    """The application behind the script, its agent's part in this process."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.output = folder, folder / "output"
+        os.mkfifo(folder / script.fence_name("drive"), 0o666)
+        # A process namespace of its own as a container has it.
+        self.process = subprocess.Popen(
+            [
+                *("unshare", "--pid", "--fork", "--mount-proc", "--kill-child"),
+                *script.fenced_command(
+                    "drive",
+                    [sys.executable, "-c", COUNTING, str(self.output)],
+                    [],
+                    scope="all",
+                    directory=str(folder),
+                ),
+            ]
+        )
+
+    def written(self) -> int:
+        return self.output.stat().st_size if self.output.exists() else 0
+
+    async def goes_on(self) -> None:
+        before = self.written()
+        await eventually(lambda: self.written() > before + 2, 25)
+
+    async def is_held(self) -> None:
+        async def still() -> bool:
+            before = self.written()
+            await asyncio.sleep(0.25)
+            return self.written() == before
+
+        await eventually(still, 25)
+
+
+@pytest.fixture
+def application(tmp_path: Path) -> Iterator[Application]:
+    probe = ["unshare", "--pid", "--fork", "--mount-proc", "true"]
+    if not shutil.which("unshare") or subprocess.run(probe, capture_output=True, check=False, timeout=20).returncode:
+        pytest.skip("no process namespace can be made here")
+    found = Application(tmp_path)
+    yield found
+    found.process.kill()
+    found.process.wait()
+
+
+class Session:
+    """A session as the fence sees it."""
+
+    count = 1
+
+    def __init__(self) -> None:
+        self.aborted = 0
+
+    def taken_in(self) -> bool:
+        return False
+
+    def abort(self) -> None:
+        self.aborted += 1
+
+
+def running(fence: Fence) -> asyncio.Task[None]:
+    return asyncio.create_task(fence.run())
+
+
+async def test_it_is_held_while_nobody_answers_and_goes_on_with_the_monitors_word(
+    application: Application, silent: socket.socket, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    changes: list[str] = []
+    fence = Fence(application.folder, ["drive"], on_change=lambda: changes.append(fence.reason))
+    fence.contacts = session = Session()
+    host, port = silent.getsockname()
+    monkeypatch.setattr(names, "PROBE_PORT", port)
+    peer = Peer("w", "", host)
+    await fence.lease({"witnesses": []}, peer)
+    assert "nobody has answered" in fence.unfenced
+    task = running(fence)
+    await application.goes_on()
+    assert fence.since is None, "nobody has ever answered: silence says nothing"
+
+    with socket.socket() as closed:  # whose kernel refuses
+        closed.bind((host, 0))
+        monkeypatch.setattr(names, "PROBE_PORT", closed.getsockname()[1])
+        await fence.lease({"witnesses": ["127.0.0.2"]}, peer)
+        await eventually(lambda: not fence.unfenced, 25)
+        await application.goes_on()
+        assert fence.since is None
+
+        monkeypatch.setattr(names, "PROBE_PORT", port)
+        await fence.lease({"witnesses": []}, peer)
+        await eventually(lambda: fence.since is not None, 25)
+        await application.is_held()
+        assert "cut off since" in fence.reason
+        assert not session.aborted
+        again = Fence(application.folder, ["drive"])
+        assert again.since is not None, "an agent that is restarted meanwhile knows"
+
+        monkeypatch.setattr(names, "PROBE_PORT", closed.getsockname()[1])
+        await fence.lease({"witnesses": []}, peer)
+        await eventually(lambda: "waits for the monitor's word" in fence.reason, 25)
+        assert session.aborted == 1, "for a fresh session"
+        await application.is_held()
+        await fence.lease({"witnesses": [], "word": "Stay"}, peer)
+        assert "was replaced" in fence.reason
+        await application.is_held()
+        await fence.lease({"witnesses": [], "word": "Go"}, peer)
+        assert (fence.reason, fence.since) == ("", None)
+        await application.goes_on()
+    task.cancel()
+    assert [bool(reason) for reason in changes] == [False, True, True, True, False]
+
+
+async def test_a_witness_that_answers_is_enough(
+    application: Application, silent: socket.socket, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fence = Fence(application.folder, ["drive"])
+    host, port = silent.getsockname()
+    with socket.socket() as closed:
+        closed.bind(("127.0.0.2", port))  # the same port at another address, where nobody listens
+        monkeypatch.setattr(names, "PROBE_PORT", port)
+        await fence.lease({"witnesses": ["127.0.0.2"]}, Peer("w", "", host))
+        task = running(fence)
+        await eventually(lambda: not fence.unfenced, 25)
+        end = time.monotonic() + 1.5
+        while time.monotonic() < end:
+            await application.goes_on()
+            assert fence.since is None
+        task.cancel()
+
+
+@pytest.mark.parametrize(
+    ("body", "words"),
+    [
+        ({"witnesses": "all"}, "list of addresses"),
+        ({"witnesses": [5]}, "list of addresses"),
+        ({"word": "Run"}, "Go or Stay"),
+    ],
+)
+async def test_nonsense_is_refused(tmp_path: Path, body: dict[str, object], words: str) -> None:
+    with pytest.raises(Refused, match=words):
+        await Fence(tmp_path, ["drive"]).lease(body, Peer("w", "", "127.0.0.1"))
+
+
+def test_containers_that_cannot_be_held_are_said(tmp_path: Path) -> None:
+    fence = Fence(tmp_path, ["drive"], unfenced=["lamp"])
+    assert fence.unfenced == "container lamp has no command in the template"
+    assert Fence(tmp_path, []).unfenced == "", "and nothing is where nothing has to be"
+
+
+def test_the_init_container_makes_what_they_are_held_by(tmp_path: Path) -> None:
+    (tmp_path / "in.xml").write_text("<profiles/>")
+    environment = {
+        "PYTHONPATH": str(PACKAGE),
+        "UNDERSTUDY_PROFILES": str(tmp_path / "in.xml"),
+        "UNDERSTUDY_DIR": str(tmp_path),
+        names.FENCED_VARIABLE: "drive lamp",
+    }
+    for _ in range(2):
+        command = [sys.executable, "-m", "understudy.main", "prepare"]
+        subprocess.run(command, env=environment, check=True, timeout=60)
+    for container in ("drive", "lamp"):
+        path = tmp_path / script.fence_name(container)
+        assert path.is_fifo()
+        assert path.stat().st_mode & 0o777 == 0o666
+
+
+async def test_an_agent_says_that_its_application_is_held(pod: Pod, links) -> None:
+    pod.environment = {"UNDERSTUDY_WORKLOAD": "robot", names.FENCED_VARIABLE: "drive"}
+    os.mkfifo(pod.volume / script.fence_name("drive"))
+    (pod.volume / script.HELD_NAME).touch()
+    pod.start_agent()
+    links.append(link := pod.link())
+    status = await link.wait_for(lambda s: s.cut_off is not None, 25)
+    assert not status.ready
+    assert "held: " in status.reason
+    await link.request("lease", {"witnesses": [], "word": "Go"})
+    status = await link.wait_for(lambda s: s.cut_off is None, 25)
+    assert not (pod.volume / script.HELD_NAME).exists()
+    assert json.dumps(status.to_wire())

@@ -1,0 +1,155 @@
+"""The lease's state machine: every event in every state, and how long silence may last."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from understudy.agent import leases
+from understudy.agent.leases import HELD, Lease, State
+
+NOW = 1000.0
+
+
+def lease(state: State) -> Lease:
+    """In a state, with somebody's last answer just now."""
+    return Lease(state=state, answered_at=NOW, looked_at=NOW)
+
+
+def pass_time(
+    found: Lease, seconds: float, *, since: float = NOW, answer: Callable[[float], bool] | None = None
+) -> float:
+    """Look and ask as often as is due for so many seconds; when it ended."""
+    now = since
+    while now < since + seconds:
+        now += found.wait
+        found.look(now)
+        if found.ask(now) != "Nobody" and answer is not None and answer(now):
+            found.answered(now)
+    return now
+
+
+def silence(found: Lease) -> None:
+    pass_time(found, 3.0)
+
+
+def answer(found: Lease) -> None:
+    found.answered(NOW + 1)
+
+
+def go(found: Lease) -> None:
+    found.word("Go", NOW + 1)
+
+
+def stay(found: Lease) -> None:
+    found.word("Stay", NOW + 1)
+
+
+def apiserver_alone(found: Lease) -> None:
+    """The API server answers for longer than is waited for a monitor; nobody else does."""
+
+    def reached(now: float) -> bool:
+        found.apiserver(now, True)
+        return True
+
+    pass_time(found, leases.WITHOUT_MONITOR + 2, answer=reached)
+
+
+TABLE: dict[State, tuple[State, State, State, State, State]] = {
+    #           silence     answer     go         stay        API server alone
+    "Idle": ("Idle", "Running", "Idle", "Idle", "Running"),
+    "Running": ("Away", "Running", "Running", "Running", "Running"),
+    "Away": ("Away", "Back", "Running", "Replaced", "Running"),
+    "Back": ("Away", "Back", "Running", "Replaced", "Running"),
+    "Replaced": ("Replaced", "Replaced", "Running", "Replaced", "Replaced"),
+}
+EVENTS = [silence, answer, go, stay, apiserver_alone]
+
+
+@pytest.mark.parametrize("state", TABLE)
+@pytest.mark.parametrize("event", EVENTS, ids=lambda event: event.__name__)
+def test_every_event_in_every_state(state: State, event: Callable[[Lease], None]) -> None:
+    found = lease(state)
+    event(found)
+    assert found.state == TABLE[state][EVENTS.index(event)]
+    assert found.held is (found.state in HELD)
+
+
+def test_the_table_has_every_state() -> None:
+    assert set(TABLE) == set(State.__args__)  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("phase", [step / 100 for step in range(13)])
+def test_silence_is_acted_upon_within_half_a_second_whenever_it_begins(phase: float) -> None:
+    found, cut = lease("Running"), NOW + 5 + phase
+    now = NOW
+    while not found.held:
+        now += found.wait
+        found.look(now)
+        if found.ask(now) != "Nobody" and now < cut:
+            found.answered(now)
+        assert now < cut + 2
+    assert leases.PATIENCE - leases.PERIOD <= now - cut <= 0.5
+
+
+def test_a_shorter_silence_is_not() -> None:
+    found = lease("Running")
+    pass_time(found, 60, answer=lambda now: now % 1.0 > 0.2)
+    assert found.state == "Running"
+
+
+def test_one_is_asked_while_it_answers_and_everybody_when_it_does_not() -> None:
+    found = lease("Running")
+    assert found.ask(NOW) == "One"
+    assert found.ask(NOW + 0.1) == "Everybody"
+    assert found.ask(NOW + 0.2) == "Everybody"
+    found.answered(NOW + 0.25)
+    assert found.ask(NOW + 0.3) == "One"
+
+
+def test_a_process_that_was_stalled_asks_anew_before_it_judges() -> None:
+    found = lease("Running")
+    found.ask(NOW)
+    found.ask(NOW + 0.1)
+    found.ask(NOW + 0.2)
+    found.look(NOW + 8)
+    assert found.state == "Running"
+    assert found.ask(NOW + 8) == "One"
+    pass_time(found, 0.2, since=NOW + 8)
+    assert found.state == "Running"
+    pass_time(found, 0.5, since=NOW + 8.3)
+    assert found.state == "Away"
+
+
+def test_nobody_is_asked_for_one_that_was_replaced() -> None:
+    assert lease("Replaced").ask(NOW) == "Nobody"
+
+
+def test_the_api_server_must_be_reached_all_the_time() -> None:
+    found = lease("Back")
+
+    def now_and_then(now: float) -> bool:
+        found.apiserver(now, (now - NOW) % 20 > 1)
+        return True
+
+    pass_time(found, 10 * leases.WITHOUT_MONITOR, answer=now_and_then)
+    assert found.state == "Back"
+
+
+def test_one_that_is_cut_off_again_waits_for_another_word() -> None:
+    found = lease("Running")
+    silence(found)
+    found.answered(NOW + 4)
+    found.word("Go", NOW + 4)
+    assert not found.held
+    pass_time(found, 2, since=NOW + 4)
+    assert found.state == "Away"
+
+
+def test_the_monitors_last_word_counts() -> None:
+    found = lease("Back")
+    found.word("Stay", NOW)
+    assert found.state == "Replaced"
+    found.word("Go", NOW)
+    assert found.state == "Running"
