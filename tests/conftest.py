@@ -6,6 +6,7 @@ pytest what isn't there is skipped with the reason.
 
 from __future__ import annotations
 
+import ctypes
 import os
 import shutil
 import signal
@@ -24,6 +25,7 @@ from testcluster.providers.base import ClusterError
 from tests.support.cluster import Cluster
 
 REPOSITORY = Path(__file__).resolve().parent.parent
+_CLONE_NEWNET = 0x40000000
 _CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "understudy"
 
 
@@ -66,6 +68,16 @@ def _suitable_provider() -> str | None:
         return select(None, None, Progress()).name
     except ClusterError:
         return None
+
+
+def pytest_configure() -> None:
+    """Give each of several test processes a network of its own, so that none hears what another one's robots say."""
+    if "PYTEST_XDIST_WORKER" not in os.environ or os.geteuid() != 0:
+        return
+    libc = ctypes.CDLL(None, use_errno=True)
+    if libc.unshare(_CLONE_NEWNET):
+        raise pytest.UsageError(f"no network of its own for a test process: {os.strerror(ctypes.get_errno())}")
+    subprocess.run(["ip", "link", "set", "lo", "up"], check=True)
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
