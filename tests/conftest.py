@@ -48,6 +48,17 @@ def pytest_configure(config: pytest.Config) -> None:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     # kubectl and helm of the project, where the machine has none.
     os.environ["PATH"] = f"{_CACHE / 'tools'}{os.pathsep}{os.environ['PATH']}"
+    # None of several test processes is to hear what another one's robots say.
+    if "PYTEST_XDIST_WORKER" in os.environ and os.geteuid() == 0:
+        _own_network()
+
+
+def _own_network() -> None:
+    """Move this process into a network of its own."""
+    libc = ctypes.CDLL(None, use_errno=True)
+    if libc.unshare(_CLONE_NEWNET):
+        raise pytest.UsageError(f"no network of its own for a test process: {os.strerror(ctypes.get_errno())}")
+    subprocess.run(["ip", "link", "set", "lo", "up"], check=True)
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -68,16 +79,6 @@ def _suitable_provider() -> str | None:
         return select(None, None, Progress()).name
     except ClusterError:
         return None
-
-
-def pytest_configure() -> None:
-    """Give each of several test processes a network of its own, so that none hears what another one's robots say."""
-    if "PYTEST_XDIST_WORKER" not in os.environ or os.geteuid() != 0:
-        return
-    libc = ctypes.CDLL(None, use_errno=True)
-    if libc.unshare(_CLONE_NEWNET):
-        raise pytest.UsageError(f"no network of its own for a test process: {os.strerror(ctypes.get_errno())}")
-    subprocess.run(["ip", "link", "set", "lo", "up"], check=True)
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
