@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import re
+import time
+
 import pytest
 
+from tests.e2e.faults import Stage, staying
 from tests.e2e.kubectl import Kubectl, Object
 from tests.e2e.navigation import CONFIGURATIONS, GOAL_TOLERANCE, Navigator, Tour
 
@@ -12,6 +16,9 @@ LOCALIZATION = 0.3
 
 OFTEN = ("executing", "stack-started")
 """Configurations that CI drives through; the others are `long`."""
+
+SILENT = 6.0
+"""Seconds for which a robot without a goal is looked at: /cmd_vel may be silent for 2.5 s after a goal came, with one 0.5 s."""
 
 DONE = 420.0
 """Seconds for a tour of three goals with what is lost on the way, on a machine that is busy."""
@@ -68,13 +75,15 @@ def test_all_goals_are_reached_though_the_stack_is_lost_twice(navigator: Navigat
 
 
 @pytest.mark.parametrize(
-    ("number", "node"),
+    ("number", "node", "missed"),
     [
-        pytest.param("STOP", "controller_server", id="controller silent"),
-        pytest.param("KILL", "amcl", id="localization dead", marks=pytest.mark.long),
+        pytest.param("STOP", "controller_server", "/cmd_vel", id="controller silent"),
+        pytest.param("KILL", "amcl", "/amcl_pose|/cmd_vel", id="localization dead", marks=pytest.mark.long),
     ],
 )
-def test_one_node_that_fails_is_noticed_and_the_goal_is_reached(navigator: Navigator, number: str, node: str) -> None:
+def test_one_node_that_fails_is_noticed_and_the_goal_is_reached(
+    navigator: Navigator, number: str, node: str, missed: str
+) -> None:
     navigator.set_up("executing")
     active = navigator.wait_ready()
     navigator.send_client(1)
@@ -82,8 +91,31 @@ def test_one_node_that_fails_is_noticed_and_the_goal_is_reached(navigator: Navig
     navigator.send_signal(active, number, node)
     recovery = navigator.wait_recovered(1, within=120)
     assert (recovery.strategy, recovery.old) == ("Fallback/Executing", active)
+    assert re.search(missed, recovery.reason), recovery
+    assert navigator.localization_error(recovery.new) < LOCALIZATION
     assert_reached(navigator, navigator.wait_done(DONE))
     assert_clean(navigator, 1)
+
+
+@pytest.mark.local_only
+@pytest.mark.long
+def test_all_goals_are_reached_though_the_stacks_node_is_lost(navigator: Navigator, stage: Stage) -> None:
+    def place(objects: list[Object]) -> None:
+        stage.place(staying(objects))
+
+    navigator.set_up("executing", edit=place)
+    active = navigator.wait_ready()
+    node = stage.node_of(active)
+    navigator.send_client(2)
+    navigator.wait_driving(120)
+    stage.lose(node, "down")
+    recovery = navigator.wait_recovered(1, within=120)
+    assert (recovery.strategy, recovery.old) == ("Fallback/Executing", active)
+    assert stage.node_of(recovery.new) != node
+    assert navigator.localization_error(recovery.new) < LOCALIZATION
+    assert_reached(navigator, navigator.wait_done(DONE))
+    assert_clean(navigator, 1)
+    stage.restore()
 
 
 def test_a_stack_that_has_nothing_to_do_may_be_silent_and_is_missed_when_it_is_lost(navigator: Navigator) -> None:
@@ -93,13 +125,21 @@ def test_a_stack_that_has_nothing_to_do_may_be_silent_and_is_missed_when_it_is_l
         policy = next(o for o in objects if o["kind"] == "FailurePolicy")
         policy["spec"]["strategies"] = policy["spec"]["strategies"][:1]
 
+    def assert_left_alone(pod: str, recoveries: int) -> None:
+        """For many times what /cmd_vel may be silent while there is a goal."""
+        time.sleep(SILENT)
+        assert len(navigator.recoveries()) == recoveries
+        status = navigator.status()
+        assert (status["active"], status["health"]) == (pod, "Healthy")
+
     navigator.set_up("executing", edit=only_restart_would_take_long)
     active = navigator.wait_ready()
-    assert not navigator.log(tail=200).of(active), "nobody asked it to drive"
-    assert navigator.recoveries() == []
+    assert_left_alone(active, 0)
+    assert not navigator.log().of(active), "nobody asked it to drive"
     navigator.send_signal(active, "STOP")
     recovery = navigator.wait_recovered(1, within=120)
     assert recovery.old == active
     assert "/navigation/heartbeat" in recovery.reason or "/amcl_pose" in recovery.reason
     navigator.send_client(1)
     assert_reached(navigator, navigator.wait_done(DONE))
+    assert_left_alone(recovery.new, 1)

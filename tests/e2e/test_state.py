@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Iterator
 from datetime import datetime, timedelta
+from pathlib import Path
 
 import pytest
 
@@ -39,13 +42,43 @@ for _ in range(20):
 @pytest.fixture
 def keeping(kubectl: Kubectl) -> Robot:
     """A robot whose managed application is only restarted, with a policy that keeps state, and wrong things among it."""
+    return keeper(kubectl, STATE)
+
+
+def keeper(kubectl: Kubectl, state: Object) -> Robot:
     robot = Robot(kubectl)
     policy = manifest("strategies/restart.yaml")
-    policy[0]["spec"]["state"] = STATE
+    policy[0]["spec"]["state"] = state
     kubectl.apply(policy)
     kubectl.apply(robot.objects(policy="quickstart-restart", workload="managed/robotworkload.yaml"))
     robot.wait_protected()
     return robot
+
+
+@pytest.fixture
+def claim(kubectl: Kubectl, tmp_path: Path) -> Iterator[str]:
+    """A PersistentVolumeClaim that every node of the local provider can mount: they all have this machine's files."""
+    folder, name = tmp_path / "kept", f"{kubectl.namespace}-kept"
+    folder.mkdir()
+    nodes = [node["metadata"]["name"] for node in kubectl.list("nodes")]
+    on = {"matchExpressions": [{"key": "kubernetes.io/hostname", "operator": "In", "values": nodes}]}
+    common = {"accessModes": ["ReadWriteMany"], "storageClassName": "", "volumeMode": "Filesystem"}
+    volume = common | {
+        "capacity": {"storage": "100Mi"},
+        "persistentVolumeReclaimPolicy": "Retain",
+        "claimRef": {"namespace": kubectl.namespace, "name": "kept"},
+        "local": {"path": str(folder)},
+        "nodeAffinity": {"required": {"nodeSelectorTerms": [on]}},
+    }
+    wanted = common | {"resources": {"requests": {"storage": "100Mi"}}, "volumeName": name}
+    kubectl.apply(
+        [
+            {"apiVersion": "v1", "kind": "PersistentVolume", "metadata": {"name": name}, "spec": volume},
+            {"apiVersion": "v1", "kind": "PersistentVolumeClaim", "metadata": {"name": "kept"}, "spec": wanted},
+        ]
+    )
+    yield "kept"
+    kubectl("delete", "persistentvolume", name, "--wait=false")
 
 
 def kept(robot: Robot) -> dict[str, Object]:
@@ -110,3 +143,33 @@ def test_kept_state_outlasts_the_monitors_container(keeping: Robot) -> None:
     # Nobody has said it again. It was said for two seconds, and the first of them may be what was told before.
     was, taken = (datetime.fromisoformat(entry["takenAt"]) for entry in (before, kept(keeping)["Topic /note"]))
     assert was <= taken <= was + timedelta(seconds=10)
+
+
+@pytest.mark.local_only
+@pytest.mark.long
+def test_kept_state_outlasts_the_monitors_pod_and_its_node_with_a_claim(kubectl: Kubectl, claim: str) -> None:
+    robot = keeper(kubectl, STATE | {"storage": {"claimName": claim}})
+    kubectl.shell(robot.robot_pod(), "robot", 'python3 -c "$1"', SAY)
+    wait_kept(robot, "Topic /note", "Topic /map")
+    before = kept(robot)["Topic /note"]
+    time.sleep(3)  # it is written every second
+    (pod,) = robot.monitor_pods()
+    node = pod["spec"]["nodeName"]
+    kubectl("cordon", node)
+    try:
+        robot.replace_monitor()
+    finally:
+        kubectl("uncordon", node)
+    (pod,) = (pod for pod in robot.monitor_pods() if not pod["metadata"].get("deletionTimestamp"))
+    assert pod["spec"]["nodeName"] != node, "the next monitor is on another node"
+
+    wait_kept(robot, "Topic /note", "Topic /map")
+    was, taken = (datetime.fromisoformat(entry["takenAt"]) for entry in (before, kept(robot)["Topic /note"]))
+    assert was <= taken <= was + timedelta(seconds=10), "nobody has said it again"
+
+    old = robot.wait_protected()
+    robot.fail(old, "deleted")
+    robot.wait_recovered(1)
+    became = {entry["name"]: entry for entry in robot.status()["recoveries"][0]["state"]}
+    assert became["/map"]["restored"], became
+    assert robot.wait_driven() != old

@@ -10,22 +10,24 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from tests.e2e.kubectl import Kubectl, Object
 from tests.e2e.scenario import eventually
 
 NODES = Path(__file__).parents[1] / "unit" / "tasks" / "nodes.py"
 IMAGE = "localhost/understudy-monitor:dev"
 ACTION, TYPE = "/goto", "test_msgs/action/Fibonacci"
-SUCCEEDED, CANCELED = 4, 5
+SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
 NAME = "worker"
 
 
-def container(role: str, *arguments: str, **environment: str) -> Object:
+def container(role: str, *arguments: str, name: str = "app", action: str = ACTION, **environment: str) -> Object:
     return {
-        "name": "app",
+        "name": name,
         "image": IMAGE,
         "imagePullPolicy": "IfNotPresent",
-        "command": ["python3", "/nodes/nodes.py", role, ACTION, *arguments],
+        "command": ["python3", "/nodes/nodes.py", role, action, *arguments],
         "env": [{"name": key, "value": value} for key, value in {"HOME": "/tmp", **environment}.items()],
         "volumeMounts": [{"name": "nodes", "mountPath": "/nodes"}],
     }
@@ -39,7 +41,7 @@ class Cell:
 
     def __init__(self, kubectl: Kubectl, strategy: str, *other_tasks: Object) -> None:
         self.kubectl = kubectl
-        self._tasks = [{"action": ACTION, "type": TYPE}, *other_tasks]
+        self._other_tasks = other_tasks
         config = {"apiVersion": "v1", "kind": "ConfigMap", "metadata": {"name": "nodes"}}
         kubectl.apply(
             [config | {"data": {"nodes.py": NODES.read_text()}}, *self._protection(strategy), self._workload()]
@@ -48,13 +50,25 @@ class Cell:
     @property
     def told(self) -> str:
         """The reason that the condition of the tasks has when all is as well as it can be."""
-        return "Serving" if len(self._tasks) == 1 else "TypeNotInstalled"
+        return "TypeNotInstalled" if self._other_tasks else "Serving"
+
+    def tasks(self) -> list[Object]:
+        """``spec.tasks``."""
+        return [{"action": ACTION, "type": TYPE}, *self._other_tasks]
+
+    def containers(self) -> list[Object]:
+        """The application."""
+        return [container("serve", STEP="0.1", TALK="/cmd_vel")]
+
+    def recovery(self) -> Object | None:
+        """What is done to the instance that takes over."""
+        return None
 
     def _workload(self) -> Object:
         template = {
             "spec": {
                 "terminationGracePeriodSeconds": 1,
-                "containers": [container("serve", STEP="0.1", TALK="/cmd_vel")],
+                "containers": self.containers(),
                 "volumes": [NODES_VOLUME],
             }
         }
@@ -66,13 +80,12 @@ class Cell:
                 "template": template,
                 "ros": {"domainId": 7},
                 "outputs": [{"topic": "/cmd_vel", "type": "std_msgs/msg/String"}],
-                "tasks": self._tasks,
+                "tasks": self.tasks(),
                 "failurePolicyRef": {"name": NAME},
             },
         }
 
-    @staticmethod
-    def _protection(strategy: str) -> list[Object]:
+    def _protection(self, strategy: str) -> list[Object]:
         def custom(kind: str, spec: Object) -> Object:
             version = "understudy.dev/v1alpha1"
             return {"apiVersion": version, "kind": kind, "metadata": {"name": NAME}, "spec": spec}
@@ -83,7 +96,10 @@ class Cell:
             pool["perWorkload"] = 1
         else:
             pool |= {"replicas": 2, "templateFrom": {"workload": NAME}}
-        strategies = [{"type": "Fallback", "poolRef": {"name": NAME}, "verifyWithin": "60s"}, {"type": "Restart"}]
+        fallback: Object = {"type": "Fallback", "poolRef": {"name": NAME}, "verifyWithin": "60s"}
+        if recovery := self.recovery():
+            fallback["recovery"] = recovery
+        strategies = [fallback, {"type": "Restart"}]
         tree = {"topic": {"name": "/cmd_vel", "gap": "1s"}}
         policy = {"monitoring": {"yaml": tree}, "strategies": strategies, "limits": {"cooldown": "1s"}}
         return [custom("FailurePolicy", policy), custom("FallbackPool", pool)]
@@ -114,12 +130,13 @@ class Cell:
         found: str = self.kubectl.list("pods", selector)[0]["metadata"]["name"]
         return found
 
-    def client(self, name: str, *orders: str) -> Client:
+    def client(self, name: str, *orders: str, action: str = ACTION) -> Client:
         spec = {
             "restartPolicy": "Never",
             "terminationGracePeriodSeconds": 0,
             "containers": [
-                container("client", *orders) | {"envFrom": [{"configMapRef": {"name": f"{NAME}-robot-env"}}]}
+                container("client", *orders, action=action)
+                | {"envFrom": [{"configMapRef": {"name": f"{NAME}-robot-env"}}]}
             ],
             "volumes": [NODES_VOLUME, {"name": "profiles", "configMap": {"name": f"{NAME}-robot-profiles"}}],
         }
@@ -128,9 +145,9 @@ class Cell:
         self.kubectl.apply([{"apiVersion": "v1", "kind": "Pod", "metadata": {"name": name}, "spec": spec}])
         return Client(self, name)
 
-    def events(self, pod: str) -> list[dict[str, Any]]:
+    def events(self, pod: str, container: str = "app") -> list[dict[str, Any]]:
         """What the application in a pod has said."""
-        return lines(self.kubectl("logs", pod, "-c", "app"))
+        return lines(self.kubectl("logs", pod, "-c", container))
 
     def describe(self) -> str:
         texts = [self.kubectl("get", "pods", "-o", "wide"), json.dumps(self.status(), indent=1)]
@@ -218,3 +235,59 @@ def outlives(cell: Cell, disturb: Callable[[str], None]) -> None:
     assert sorted(executed) == sorted(goals), "each of them once"
     eventually(lambda: cell.task().get("active") == 0, within=30, what="no goal is active", note=cell.describe)
     assert cell.task()["resent"] >= 2, "those since the proxy is in its present pod"
+
+
+CARRY, CARRYING = "/carry", "/carrying"
+
+
+class Fates(Cell):
+    """Two tasks that are treated differently at a failover. The tree that brings up the next instance wants to see the second
+    one's goal worked on there, behind the closed gate.
+    """
+
+    def __init__(self, kubectl: Kubectl) -> None:
+        super().__init__(kubectl, "Uninitialized", {"action": CARRY, "type": TYPE, "onFailover": "Tree"})
+
+    def tasks(self) -> list[Object]:
+        return [task | {"onFailover": task.get("onFailover", "Abort")} for task in super().tasks()]
+
+    @property
+    def told(self) -> str:
+        return "Serving"
+
+    def containers(self) -> list[Object]:
+        carry = container("serve", name="carry", action=CARRY, STEP="0.1", TALK_WORKING=CARRYING)
+        return [*super().containers(), carry]
+
+    def recovery(self) -> Object:
+        working = {"wait_for": {"topic": CARRYING, "type": "std_msgs/msg/String", "within": "40s"}}
+        return {"within": "50s", "yaml": {"sequence": [{"resend_goals": {}}, working]}}
+
+
+@pytest.mark.long
+def test_a_goal_is_aborted_or_sent_by_the_recovery_tree_as_its_task_says(kubectl: Kubectl) -> None:
+    cell = Fates(kubectl)
+    first = cell.wait_protected()
+    going, carrying = cell.client("going", "450"), cell.client("carrying", "400", action=CARRY)
+    for client in (going, carrying):
+        client.wait("feedback", 90, index=0)
+    (goal,) = {line["goal"] for line in carrying.said("answered", accepted=True)}
+
+    kubectl("delete", "pod", first, "--grace-period=0", "--force", "--wait=false")
+    recovery = eventually(
+        lambda: next((r for r in cell.status().get("recoveries") or [] if r["result"] == "Recovered"), None),
+        within=120,
+        what="another instance in control",
+        note=cell.describe,
+    )
+    second = recovery["toPod"]
+    assert recovery["strategy"] == "Fallback/Uninitialized", "its tree saw the goal worked on before the gate opened"
+
+    assert going.wait("ended", 60, index=0)["status"] == ABORTED
+    assert not [e for e in cell.events(second) if e["event"] == "executing"], "it is never sent again"
+    assert carrying.said("ended") == []
+    assert carrying.wait("ended", 150, index=0)["status"] == SUCCEEDED
+    executed = [e["goal"] for e in cell.events(second, "carry") if e["event"] == "executing"]
+    assert executed == [goal], "once, under its client's id"
+    assert len(carrying.said("answered")) == 1
+    assert cell.condition("TasksProxied")["status"] == "True"

@@ -4,8 +4,8 @@
 steps; from 1000 on it is rejected, from 500 on aborted at the second step.
 ``client ACTION ORDER...``: sends all goals and ends with the last result; lines on its input cancel: ``cancel INDEX``.
 What happens is said on the standard output, one JSON object a line. STEP is the seconds of a step; with TALK a server
-publishes on that topic too, 20 times a second, as a workload's output. With DROP it loses its answers to so many
-requests for results, as one does that is starved of CPU.
+publishes on that topic too, 20 times a second, as a workload's output, with TALK_WORKING at each step.
+With DROP it loses its answers to so many requests for results, as one does that is starved of CPU.
 """
 
 from __future__ import annotations
@@ -51,6 +51,8 @@ class Dropping(ActionServer):
 class Server:
     def __init__(self, node: Node, action: str, *, preempting: bool) -> None:
         self._preempting, self._latest = preempting, None
+        topic = os.environ.get("TALK_WORKING")
+        self._working = node.create_publisher(String, topic, 10) if topic else None
         self._server = Dropping(
             node,
             Fibonacci,
@@ -80,6 +82,8 @@ class Server:
                 return Fibonacci.Result(sequence=sequence)
             sequence.append(sequence[-1] + sequence[-2] if len(sequence) < 40 else 0)
             handle.publish_feedback(Fibonacci.Feedback(sequence=[step]))
+            if self._working:
+                self._working.publish(String(data=goal))
             time.sleep(STEP)
         handle.succeed()
         say(event="succeeded", goal=goal)
