@@ -1,4 +1,7 @@
-"""Bad input: a condition and an Event that say what to do; nothing crashes, and what is protected stays protected."""
+"""Bad input: a condition and an Event that say what to do; nothing crashes, and what is protected stays protected.
+
+A state topic that never comes and a restore target without a subscriber are in test_state.py too.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,9 @@ import pytest
 
 from tests.e2e.kubectl import Failed, Kubectl, Object
 from tests.e2e.scenario import Robot, eventually, manifest
+
+WITHIN = 90.0
+"""Seconds for what takes ten on a machine that is not busy."""
 
 
 def told(kubectl: Kubectl, kind: str, name: str, *words: str) -> None:
@@ -29,7 +35,7 @@ def told(kubectl: Kubectl, kind: str, name: str, *words: str) -> None:
     def note() -> str:
         return kubectl("describe", kind, name)
 
-    eventually(condition, within=60, what=f"a condition of {kind} {name} says {words}", note=note)
+    eventually(condition, within=WITHIN, what=f"a condition of {kind} {name} says {words}", note=note)
     eventually(event, within=30, what=f"a Warning Event of {kind} {name} says {words}", note=note)
 
 
@@ -127,3 +133,153 @@ def test_what_is_protected_stays_protected(executing: Robot, spoil: Callable[[Ku
     executing.fail(old, "killed")
     recovery = executing.wait_recovered(1)
     assert recovery.strategy == "Fallback/Executing"
+
+
+# -- what is only seen while it runs: nothing is wrong with how it is written ------------------------------------------
+
+MANAGED = "managed/robotworkload.yaml"
+POOL = "quickstart-initialized"
+NEVER = {"sequence": [{"wait_for": {"node": "/nobody"}}]}
+"""A tree that doesn't end; nothing in it says how long it may take."""
+
+
+def standbys(robot: Robot) -> list[Object]:
+    """Its instances that aren't in control."""
+    active = robot.status().get("active")
+    return [
+        pod
+        for pod in robot.pods()
+        if pod["metadata"]["name"] != active and not pod["metadata"].get("deletionTimestamp")
+    ]
+
+
+def _initialize(kubectl: Kubectl, procedure: Object) -> None:
+    """Give the pool another initialization."""
+    change = [{"op": "replace", "path": "/spec/initialization", "value": procedure}]
+    kubectl.patch("fallbackpool", POOL, change, kind_of_patch="json")
+
+
+def test_a_bring_up_that_never_ends_is_told_and_goes_on_once_it_is_corrected(kubectl: Kubectl) -> None:
+    robot, right = Robot(kubectl), {}
+
+    def never(workload: Object) -> None:
+        right.update(workload["spec"]["bringUp"])
+        workload["spec"]["bringUp"] = {"within": "3s", "yaml": NEVER}
+
+    kubectl.apply(manifest("strategies/restart.yaml"))
+    kubectl.apply(robot.objects(policy="quickstart-restart", workload=MANAGED, edit=never))
+    told(
+        kubectl,
+        "robotworkload",
+        robot.workload,
+        "bringUp.sequence[0].wait_for: node /nobody is not there",
+        "spec.bringUp",
+    )
+    kubectl.patch(
+        "robotworkload",
+        robot.workload,
+        [{"op": "replace", "path": "/spec/bringUp", "value": right}],
+        kind_of_patch="json",
+    )
+    robot.wait_protected()
+    eventually(
+        lambda: robot.condition("BroughtUp").get("status") == "True",
+        within=WITHIN,
+        what="what was told is taken back",
+        note=robot.describe,
+    )
+
+
+def test_all_that_never_comes_at_once_and_the_robot_is_driven_all_the_same(kubectl: Kubectl) -> None:
+    robot = Robot(kubectl)
+    policy, pool = manifest("strategies/initialized.yaml")
+    policy["spec"]["strategies"][0] |= {"recovery": {"yaml": NEVER}, "verifyWithin": "10s"}
+    policy["spec"]["state"] = {
+        "keep": [
+            {"topic": "/nobody_talks", "type": "std_msgs/msg/String", "restoreTo": "/map"},
+            {"topic": "/odom", "type": "nav_msgs/msg/Odometry", "restoreTo": "/nobody_listens"},
+        ],
+        "within": "2s",
+    }
+
+    def unknown_action(workload: Object) -> None:
+        workload["spec"]["tasks"] = [{"action": "/dock", "type": "robots_msgs/action/Dock"}]
+
+    kubectl.apply([policy, pool])
+    kubectl.apply(robot.objects(policy=POOL, workload=MANAGED, edit=unknown_action))
+    old = robot.wait_protected()
+    name = robot.workload
+    told(
+        kubectl,
+        "robotworkload",
+        name,
+        "spec.tasks",
+        "/dock: robots_msgs/action/Dock is not installed",
+        "spec.monitor.image",
+    )
+    told(kubectl, "robotworkload", name, "/nobody_talks: nobody publishes it", "state.keep[0]", "correct it there")
+
+    # An initialization that never ends: the standby that waits is left alone, and the one beside it tells.
+    before = [pod["metadata"]["name"] for pod in standbys(robot)]
+    _initialize(kubectl, {"within": "3s", "yaml": NEVER})
+    told(
+        kubectl,
+        "robotworkload",
+        name,
+        "initialization.sequence[0].wait_for: node /nobody is not there",
+        f"FallbackPool {POOL}",
+    )
+    assert set(before) < {pod["metadata"]["name"] for pod in standbys(robot)}
+    assert robot.condition("Protected")["status"] == "True"
+
+    # A recovery that never ends and a state that can't be given: the next strategy takes over, in bounded time.
+    robot.fail(old, "killed")
+    recovery = robot.wait_recovered(1)
+    assert recovery.strategy == "Restart", recovery
+    in_vain = robot.status()["recoveries"][0]["attempts"][0]
+    leaf = "strategies[0].recovery.sequence[0].wait_for: node /nobody is not there"
+    assert in_vain["strategy"] == "Fallback/Initialized"
+    assert in_vain["pod"] in before
+    assert leaf in in_vain["message"]
+    told(kubectl, "robotworkload", name, "nobody subscribes to /nobody_listens", "state.keep[1]", "restore_state")
+    eventually(
+        lambda: any(e["reason"] == "StrategyNotVerified" and leaf in e["message"] for e in kubectl.list("events")),
+        within=30,
+        what="an Event tells what was tried in vain",
+        note=robot.describe,
+    )
+
+    # Corrected, the same standby strategy carries the next failure.
+    kubectl.apply(manifest("strategies/initialized.yaml"))
+    robot.wait_protected()
+    eventually(
+        lambda: robot.status().get("strategy") == "Initialized",
+        within=WITHIN,
+        what="the monitor counts on a standby again",
+        note=robot.describe,
+    )
+    robot.fail(robot.wait_driven(), "killed")
+    assert robot.wait_recovered(2).strategy == "Fallback/Initialized"
+
+
+def test_no_standby_is_made_of_a_pool_that_is_not_accepted(kubectl: Kubectl) -> None:
+    robot = Robot(kubectl)
+    policy, pool = manifest("strategies/initialized.yaml")
+    right = pool["spec"]["initialization"]
+    wrong = {"yaml": {"set_lifecycle": {"node": "/drive", "state": "on"}}}
+    pool["spec"]["initialization"] = wrong
+    kubectl.apply([policy, pool])
+    kubectl.apply(robot.objects(policy=POOL, workload=MANAGED))
+    told(kubectl, "fallbackpool", POOL, "spec.initialization.yaml.set_lifecycle.state: found 'on'")
+    robot.wait_driven()
+    told(kubectl, "robotworkload", robot.workload, "PoolNotAccepted", "found 'on'")
+    assert standbys(robot) == []
+    _initialize(kubectl, right)
+    robot.wait_protected()
+    (standby,) = standbys(robot)
+
+    _initialize(kubectl, wrong)
+    told(kubectl, "fallbackpool", POOL, "spec.initialization.yaml.set_lifecycle.state: found 'on'")
+    robot.fail(robot.wait_driven(), "killed")
+    recovery = robot.wait_recovered(1)
+    assert (recovery.strategy, recovery.new) == ("Fallback/Initialized", standby["metadata"]["name"])

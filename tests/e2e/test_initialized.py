@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 import pytest
 
 from tests.e2e.kubectl import Kubectl, Object
@@ -118,24 +116,3 @@ def test_a_restarted_managed_application_is_brought_up_again(managed: Robot) -> 
     assert recovery.strategy == "Restart", recovery
     assert recovery.parts["startup"] > 0
     assert_handed_over(managed, recovery)
-
-
-def test_a_bring_up_that_never_ends_is_told_with_its_leaf(kubectl: Kubectl) -> None:
-    robot = Robot(kubectl)
-
-    def never(workload: Object) -> None:
-        leaf = {"wait_for": {"node": "/nobody"}}
-        workload["spec"]["bringUp"] = {"within": "3s", "yaml": {"sequence": [leaf]}}
-
-    kubectl.apply(manifest("strategies/initialized.yaml"))
-    kubectl.apply(robot.objects(policy=POOL, workload="managed/robotworkload.yaml", edit=never))
-    condition = eventually(
-        lambda: (found := robot.condition("BroughtUp")).get("status") == "False" and found,
-        within=90,
-        what="the procedure that never ends is told",
-        note=robot.describe,
-    )
-    assert condition["reason"] == "ProcedureFailed"
-    assert "bringUp.sequence[0].wait_for: node /nobody is not there" in condition["message"]
-    time.sleep(1)
-    assert any(event["reason"] == "NotBroughtUp" for event in kubectl.list("events"))

@@ -22,6 +22,10 @@ ENFORCED_WITHIN = 1.0
 MOMENT = 0.1
 """Seconds that a step gets at least, so that it can say what it failed by."""
 
+ANSWER = 1.0
+"""Seconds before the end of a strategy's time at which its procedure ends at the latest, so that it is told at which leaf; of
+a short time no more than a quarter."""
+
 PROBE_SECONDS = 2.0
 """How long probes are asked for around a commit."""
 
@@ -287,7 +291,8 @@ async def _bring_up(
     if recovery is None or not recovery.restores_state or not target.has_agent:
         await restore(target, progress, means)
     if recovery is not None and target.has_agent:
-        within = min(recovery.within, max(MOMENT, 0.95 * (end - _now())))
+        rest = end - _now()
+        within = min(recovery.within, max(MOMENT, rest - min(ANSWER, rest / 4)))
         state = kept(progress, means) if recovery.restores_state else KeptState()
         report = await means.agents.bring_up(target, recovery, within=within, state=state)
         if recovery.restores_state:

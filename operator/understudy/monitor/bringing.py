@@ -179,7 +179,7 @@ class Bringing:
             care = self._cared.setdefault(instance.uid, _Care())
             status = self.sidecars.status(instance)
             if status is not None and status.configured:
-                ready = self.sidecars.is_ready(instance)[0]
+                ready = care.was_ready or self.sidecars.is_ready(instance)[0]
                 found = expected(
                     instance, spec, settings, active_uid=active_uid, brought=status.initialized, ready=ready
                 )
@@ -192,6 +192,11 @@ class Bringing:
             elif _pool(instance, settings) is not None and active_uid:
                 self._watch_readiness(instance, care, now)
         self._say(instances, policy, spec, settings, waiting, outdated)
+
+    def was_ready(self, instance: Instance) -> bool:
+        """Whether it is a standby that was ready, and isn't replaced yet if it is so no more."""
+        care = self._cared.get(instance.uid)
+        return care is not None and care.was_ready
 
     def _bring(
         self, instance: Instance, found: Expected, care: _Care, brought: str, kept: Callable[[], KeptState], now: float

@@ -377,7 +377,7 @@ class Supervisor:
         policy, spec, settings = self._view.policy, self._view.spec, self._view.settings
         if policy is None or spec is None or settings is None:
             return None, False
-        ready, _ = self._sidecars.is_ready(instance)
+        ready = self._bringing.was_ready(instance) or self._sidecars.is_ready(instance)[0]
         found = expected(instance, spec, settings, active_uid=self._gate.state.active_uid, brought=brought, ready=ready)
         return found.standby, managed(spec, settings, policy)
 

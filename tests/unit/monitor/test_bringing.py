@@ -268,6 +268,15 @@ async def test_a_procedure_that_does_not_end_is_cut_short_when_its_time_is_corre
     assert world.reporter.conditions["BroughtUp"][:2] == ("True", "BroughtUp")
 
 
+async def test_a_standby_that_is_not_ready_for_a_moment_is_not_given_another_procedure(world: SimpleNamespace) -> None:
+    await world.look()
+    await world.look()
+    world.sidecars.ready["uid-3"] = False
+    await world.look(pool=WARM.model_copy(update={"initialization": OTHER}))
+    assert world.sidecars.ran == [("w-3", "initialization")]
+    assert world.bringing.was_ready(STANDBY)
+
+
 @pytest.mark.parametrize("before", ["init:other:0", ""])
 def test_a_standby_that_is_ready_as_it_is_waits_so(before: str) -> None:
     found = expected(STANDBY, workload(), settings(WARM), active_uid="uid-1", brought=before, ready=True)

@@ -31,9 +31,10 @@ PROCEDURES = (Path(__file__).parents[3] / "docs" / "procedures.md").read_text()
 
 
 def test_the_procedure_that_is_shown_loads():
-    (example,) = re.findall(r"```yaml\n(.*?)```", PROCEDURES, re.DOTALL)
+    example, leaf = re.findall(r"```yaml\n(.*?)```", PROCEDURES, re.DOTALL)
     shown = yaml.safe_load(example)["bringUp"]
     assert load_procedure(shown["yaml"], path="bringUp").restores_state
+    assert load_procedure(yaml.safe_load(leaf), path="bringUp")
 
 
 def test_every_node_of_a_procedure_is_on_the_page():
