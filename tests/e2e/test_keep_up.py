@@ -79,6 +79,7 @@ def said_by(robot: Robot, pod: str) -> list[str]:
     return robot.kubectl("logs", pod, "-c", "drive").splitlines()
 
 
+@pytest.mark.long
 def test_a_waiting_standby_is_given_what_is_new_and_drives_by_it(robot: Robot) -> None:
     old = robot.wait_protected()
     (standby,) = (pod["metadata"]["name"] for pod in standbys(robot) if is_ready(pod))
