@@ -103,9 +103,11 @@ class Restorer:
 
     async def _say(self, sample: KeptSample, within: float) -> None:
         """Publish a message until the instance has it. Raises CallFailed."""
+        from understudy.ros.lean import rclpy_imported
+
         end = time.monotonic() + within
         caller = self._caller()
-        await caller.joined(within)
+        await rclpy_imported()  # the message is stamped with it, perhaps while this process joins the ROS graph
         within = max(0.0, end - time.monotonic())
         if not sample.confirm:
             await caller.publish(sample.to, sample.type, stamped(sample), within)

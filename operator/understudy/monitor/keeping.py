@@ -140,18 +140,32 @@ class StateKeeping:
     def tell(self, recovery: Recovery) -> None:
         """Say what became of the state in a recovery."""
         if not recovery.state:
+            if recovery.result == "Recovered":
+                self._reporter.withdraw("StateRestored")  # what is said of an earlier one isn't so of this one
             return
         missing = [entry for entry in recovery.state if not entry.restored]
         given = ", ".join(f"{e.name} ({e.age_seconds:.1f} s old)" for e in recovery.state if e.restored)
         if not missing:
             self._reporter.condition("StateRestored", "True", "Restored", f"{recovery.to_pod} was given {given}.")
             return
-        reasons = "; ".join(f"{entry.name}: {entry.message}" for entry in missing)
+        reasons = "; ".join(f"{entry.name}: {entry.message}{self._place(entry.name)}" for entry in missing)
         text = f"{recovery.to_pod or 'No pod'} was not given all of the kept state: {reasons}."
-        self._reporter.condition(
-            "StateRestored", "False", "NotRestored", text + (f" It was given {given}." if given else "")
-        )
-        self._reporter.event("Warning", "StateNotRestored", text)
+        told = text + (f" It was given {given}." if given else "")
+        way_out = " It took over nevertheless; where it must not, put restore_state into the strategy's recovery."
+        self._reporter.condition("StateRestored", "False", "NotRestored", told + way_out)
+        self._reporter.event("Warning", "StateNotRestored", text + way_out)
+
+    def _place(self, label: str) -> str:
+        """Where in the policy something that is kept is written, for messages; nothing where it isn't there any more."""
+        state = self._state
+        if state is None:
+            return ""
+        keys = [
+            *((Key("Topic", kept.topic), f"keep[{i}]") for i, kept in enumerate(state.keep)),
+            *((Key("Parameters", kept.node), f"parameters[{i}]") for i, kept in enumerate(state.parameters)),
+            *((Key("Lifecycle", node), f"lifecycle[{i}]") for i, node in enumerate(state.lifecycle)),
+        ]
+        return next((f" (state.{place} of the policy)" for key, place in keys if key.label == label), "")
 
     # -- what has time ----------------------------------------------------------------------------------------------
 
@@ -247,7 +261,11 @@ class StateKeeping:
             return
         troubled = sorted((e for e in entries if e.trouble), key=lambda e: REASONS.index(e.trouble))
         if troubled:
-            text = ". ".join(entry.message for entry in troubled) + "."
+            text = ". ".join(f"{entry.message}{self._place(entry.key.label)}" for entry in troubled) + "."
+            if any(entry.trouble == "NeverCame" for entry in troubled):
+                text += (
+                    " What never came is not given to the one that takes over: correct it there, or have it published."
+                )
             reason = "TypeNotInstalled" if "not installed" in text else str(troubled[0].trouble)
             if self._reporter.condition("StateKept", "False", reason, text):
                 self._reporter.event("Warning", f"State{reason}", text)

@@ -112,13 +112,6 @@ class Caller:
         self._idle: asyncio.TimerHandle | None = None
         self._pinned = False
 
-    async def joined(self, within: float) -> None:
-        """Wait until this process is in the ROS graph. Until then another thread may be about to load rclpy, which two at
-        the same time can't. Raises CallFailed.
-        """
-        async with self._bound("the ROS graph", within):
-            pass
-
     # -- services ---------------------------------------------------------------------------------------------------
 
     async def call(
@@ -256,8 +249,6 @@ class Caller:
         """The next message of a topic, or a latched one that is there; with ``since`` none that was written before (Unix
         seconds, by the writer's clock), with ``own`` only of a writer on this host. Raises CallFailed.
         """
-        from understudy.ros.taking import Taker
-
         async with self._bound(f"topic {topic}", within) as (opened, bound):
             from understudy.ros.taking import Taker
 

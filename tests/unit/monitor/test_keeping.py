@@ -89,6 +89,9 @@ class Told:
     def event(self, kind: str, reason: str, message: str) -> None:
         self.events.append((reason, message))
 
+    def withdraw(self, type_: str) -> None:
+        self.conditions.pop(type_, None)
+
     def keep(self, kept: list[KeptStatus]) -> None:
         self.kept.append(kept)
 
@@ -197,8 +200,12 @@ async def test_it_outlasts_the_monitor(
 async def test_a_topic_that_never_comes_is_told_in_time(monitor: Monitor, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pure, "PATIENCE", 0.3)
     await monitor.until(lambda: monitor.told.conditions.get("StateKept", ("",))[0] == "False")
-    assert monitor.told.conditions["StateKept"] == ("False", "NeverCame", "/amcl_pose: nobody publishes it.")
-    assert monitor.told.events == [("StateNeverCame", "/amcl_pose: nobody publishes it.")]
+    told = (
+        "/amcl_pose: nobody publishes it (state.keep[0] of the policy). What never came is not given to the one that takes "
+        "over: correct it there, or have it published."
+    )
+    assert monitor.told.conditions["StateKept"] == ("False", "NeverCame", told)
+    assert monitor.told.events == [("StateNeverCame", told)]
     assert monitor.keeping.select(time.time()).left_out == (
         NotRestored("/amcl_pose", "nobody publishes it", failed=False),
     )
@@ -253,7 +260,9 @@ async def test_parameters_and_states_are_asked_of_the_agent(monitor: Monitor) ->
 async def test_an_agent_that_does_not_answer_is_told(monitor: Monitor) -> None:
     monitor.state = State.model_validate({"lifecycle": ["/amcl"]})
     await monitor.until(lambda: monitor.told.conditions.get("StateKept", ("", ""))[1] == "NotAsked")
-    assert monitor.told.conditions["StateKept"][2] == "/amcl (lifecycle): its agent isn't connected."
+    assert monitor.told.conditions["StateKept"][2] == (
+        "/amcl (lifecycle): its agent isn't connected (state.lifecycle[0] of the policy)."
+    )
 
 
 async def test_a_pod_without_an_agent_is_told(monitor: Monitor) -> None:
@@ -301,6 +310,8 @@ async def test_nothing_is_given_to_standbys_while_the_workload_is_not_healthy(
 
 
 async def test_what_became_of_it_in_a_recovery_is_told(monitor: Monitor) -> None:
+    monitor.state = State.model_validate({"keep": [{"topic": "/amcl_pose"}, {"topic": "/map"}]})
+    monitor.keeping.take(monitor.state, {}, ACTIVE.name)
     given = RestoredState(name="/amcl_pose", restored=True, age_seconds=0.75)
     missing = RestoredState(name="/map", restored=False, message="what is kept is 61.0 s old, more than maxAge (1m)")
     recovery = Recovery(id="1", reason="x", result="Recovered", to_pod="w-2", state=[given])
@@ -316,8 +327,18 @@ async def test_what_became_of_it_in_a_recovery_is_told(monitor: Monitor) -> None
     ((reason, message),) = monitor.told.events
     assert reason == "StateNotRestored"
     assert message == (
-        "w-2 was not given all of the kept state: /map: what is kept is 61.0 s old, more than maxAge (1m)."
+        "w-2 was not given all of the kept state: /map: what is kept is 61.0 s old, more than maxAge (1m) (state.keep[1] of "
+        "the policy). It took over nevertheless; where it must not, put restore_state into the strategy's recovery."
     )
+    assert "It was given /amcl_pose (0.8 s old)." in monitor.told.conditions["StateRestored"][2]
+
+
+async def test_a_recovery_in_which_nothing_is_given_takes_back_what_is_said_of_the_last(monitor: Monitor) -> None:
+    monitor.told.conditions["StateRestored"] = ("False", "NotRestored", "w-2 was not given ...")
+    monitor.keeping.tell(Recovery(id="2", reason="x", result="Failed"))
+    assert "StateRestored" in monitor.told.conditions
+    monitor.keeping.tell(Recovery(id="2", reason="x", result="Recovered", to_pod="w-3"))
+    assert "StateRestored" not in monitor.told.conditions
 
 
 @pytest.mark.parametrize("step", [-3600.0, 3600.0])
