@@ -74,6 +74,23 @@ def signal_processes(pod_uid: str, words: str, number: signal.Signals) -> int:
     return found
 
 
+def process_states(pod_uid: str, words: str) -> dict[int, str]:
+    """The processes of a pod on this machine whose command line begins with these words, each with its state (T is stopped)."""
+    found = {}
+    for entry in Path("/proc").iterdir():
+        if not entry.name.isdigit():
+            continue
+        try:
+            if pod_uid not in (entry / "cgroup").read_text():
+                continue
+            if not (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace").startswith(words):
+                continue
+            found[int(entry.name)] = (entry / "stat").read_text().rpartition(")")[2].split()[0]
+        except (FileNotFoundError, ProcessLookupError):
+            continue
+    return found
+
+
 class Switch:
     """Lets every new start of an application end at once, while it is on: its command looks for a file of a ConfigMap."""
 
@@ -133,8 +150,10 @@ class Stage:
         return found
 
     def lose(self, node: str, how: str) -> None:
-        """``down``: its power is cut. ``stop-runtime``: its kubelet and its container runtime are ended."""
-        self._lost[node] = {"down": "up", "stop-runtime": "start-runtime"}[how]
+        """``down``: its power is cut. ``stop-runtime``: its kubelet and its container runtime are ended. ``cut``: its cable is
+        pulled, and everything on it goes on.
+        """
+        self._lost[node] = {"down": "up", "stop-runtime": "start-runtime", "cut": "connect"}[how]
         cluster("node", how, node)
 
     def is_ready(self, node: str) -> bool:

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from understudy_demo.recovery import Recovered
 
-from tests.e2e.faults import ApiServer, cluster, signal_processes, staying
+from tests.e2e.faults import ApiServer, Stage, cluster, process_states, signal_processes, staying
 from tests.e2e.kubectl import Failed, Kubectl, Object
 from tests.e2e.scenario import APPLICATION, Late, Robot, eventually, manifest
 from tests.e2e.test_strategies import ENFORCEMENT
@@ -25,6 +25,9 @@ TIMEOUT = 0.5
 
 STRATEGY = "Fallback/Executing (reflex)"
 
+PROCESS = f"python3 -m {APPLICATION}"
+"""How the application's process begins, and the script that holds it doesn't."""
+
 
 def with_reflex(workload: Object) -> None:
     workload["spec"]["gate"] = {"reflex": {"deadline": f"{DEADLINE * 1000:.0f}ms"}}
@@ -36,6 +39,18 @@ def reflexive(kubectl: Kubectl) -> Robot:
     robot = Robot(kubectl)
     kubectl.apply(manifest("strategies/executing.yaml"))
     kubectl.apply(staying(robot.objects(policy="quickstart-executing", edit=with_reflex)))
+    robot.wait_protected()
+    return robot
+
+
+@pytest.fixture
+def apart(kubectl: Kubectl, stage: Stage) -> Robot:
+    """The same, its instances on nodes where nothing else is."""
+    robot = Robot(kubectl)
+    kubectl.apply(manifest("strategies/executing.yaml"))
+    objects = staying(robot.objects(policy="quickstart-executing", edit=with_reflex))
+    stage.place(objects)
+    kubectl.apply(objects)
     robot.wait_protected()
     return robot
 
@@ -142,6 +157,91 @@ def test_a_pod_that_thaws_while_there_is_no_api_server_drives_until_the_commit_a
     api_server.start()
     recovery = recovered(reflexive, old)
     assert_fell_over(reflexive, recovery, returned=True)
+
+
+def instances(robot: Robot) -> dict[str, str]:
+    """UIDs of the pods that aren't being deleted, by name."""
+    return {
+        pod["metadata"]["name"]: pod["metadata"]["uid"]
+        for pod in robot.pods()
+        if not pod["metadata"].get("deletionTimestamp")
+    }
+
+
+def wait_held(uid: str) -> None:
+    """Wait until the application of a pod is stopped."""
+
+    def stopped() -> bool:
+        found = process_states(uid, PROCESS)
+        return bool(found) and set(found.values()) == {"T"}
+
+    eventually(stopped, within=30, every=0.05, what="the application is held")
+
+
+@pytest.mark.local_only
+def test_a_pod_whose_node_was_cut_off_is_held_and_never_drives_again(apart: Robot, stage: Stage) -> None:
+    old = wait_armed(apart)
+    uid, node = instances(apart)[old], stage.node_of(old)
+    assert len({stage.node_of(name) for name in instances(apart)}) == 2, "understudies are kept apart"
+    stage.lose(node, "cut")
+    wait_held(uid)
+    recovery = recovered(apart, old)
+    assert set(process_states(uid, PROCESS).values()) == {"T"}
+    stage.restore()
+    eventually(lambda: not apart.has_pod(old), within=120, what=f"the failed pod {old} is gone")
+    assert_fell_over(apart, recovery)
+    assert apart.log().commands[-1].source == recovery.new
+
+
+@pytest.mark.long
+@pytest.mark.local_only
+def test_the_same_without_the_api_server_until_the_node_is_back(
+    apart: Robot, stage: Stage, api_server: ApiServer
+) -> None:
+    old = wait_armed(apart)
+    uid, node = instances(apart)[old], stage.node_of(old)
+    api_server.stop()
+    stage.lose(node, "cut")
+    wait_held(uid)
+    time.sleep(3)
+    cluster("node", "connect", node)
+    time.sleep(4)  # the monitor is there, and it knows that another one drives
+    assert set(process_states(uid, PROCESS).values()) == {"T"}
+    api_server.start()
+    recovery = recovered(apart, old)
+    stage.restore()
+    eventually(lambda: not apart.has_pod(old), within=120, what=f"the failed pod {old} is gone")
+    assert_fell_over(apart, recovery)
+
+
+@pytest.mark.long
+@pytest.mark.local_only
+def test_a_standby_that_was_cut_off_goes_on_and_a_monitor_that_is_gone_holds_nobody(apart: Robot, stage: Stage) -> None:
+    active = wait_armed(apart)
+    pods = instances(apart)
+    standby = next(name for name in pods if name != active)
+    before = process_states(pods[standby], PROCESS)
+    stage.lose(stage.node_of(standby), "cut")
+    wait_held(pods[standby])
+    stage.restore()
+
+    def goes_on() -> bool:
+        states = process_states(pods[standby], PROCESS)
+        return bool(states) and "T" not in states.values()
+
+    eventually(goes_on, within=60, what="it goes on", note=apart.describe)
+    assert set(process_states(pods[standby], PROCESS)) == set(before), "as the same processes"
+    assert wait_armed(apart) == active
+    told = [event for event in apart.kubectl.list("events", "") if event["reason"] == "InstanceCutOff"]
+    assert any(standby in event["message"] and "it goes on" in event["message"] for event in told), told
+    apart.replace_monitor()
+    for _ in range(20):
+        for name, uid in pods.items():
+            assert "T" not in process_states(uid, PROCESS).values(), (
+                f"{name} is held although only the monitor was gone"
+            )
+        time.sleep(0.1)
+    assert not apart.recoveries()
 
 
 def test_a_reflex_with_several_outputs_is_refused_unless_all_are_accepted(kubectl: Kubectl) -> None:
