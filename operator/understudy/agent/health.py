@@ -5,7 +5,7 @@ name, so only here can a standby be told healthy. What counts for an output are 
 (the pod's network namespace, see ros/sources.py); for all else anyone's, since instances of one workload are isolated
 from each other.
 
-ROS is imported when it is first needed: a held agent doesn't, and stays small.
+ROS is imported when it is first needed, or before: by a held agent as soon as it stands.
 """
 
 from __future__ import annotations

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import importlib
 import logging
 import os
 import signal
@@ -17,6 +18,7 @@ from understudy.api import names
 from understudy.cluster import logs
 from understudy.cluster.pages import serve
 from understudy.cluster.probes import ProbeSender
+from understudy.ros.lean import rclpy_imported
 
 _logger = logging.getLogger(__name__)
 
@@ -25,7 +27,8 @@ FORSAKEN = 60.0
 
 _HOUSEKEEPING = 5.0  # seconds
 
-_WARMING = "import os; os.nice(19); import understudy.ros.watching, understudy.trees.loading"
+_WARM = ("understudy.ros.watching", "understudy.ros.calling", "understudy.trees.loading")
+_WARMING = f"import os; os.nice(19); import {', '.join(_WARM)}"
 
 
 def main(argv: list[str]) -> int:
@@ -91,7 +94,10 @@ async def _rest_when_forsaken(sessions: Sessions, probes: ProbeSender) -> None:
 
 
 async def _warm() -> None:
-    """Bring ROS into the node's page cache while there is time, in a process that goes away again."""
+    """Import ROS while there is time: when it is claimed, the instance's own start needs all the CPU that there is.
+
+    First by a process that goes away again and has no priority, so that the files are in the node's page cache.
+    """
     with contextlib.suppress(OSError):
         process = await asyncio.create_subprocess_exec(
             sys.executable,
@@ -105,3 +111,6 @@ async def _warm() -> None:
         finally:
             with contextlib.suppress(ProcessLookupError):
                 process.kill()
+    await rclpy_imported()
+    for module in _WARM:
+        await asyncio.to_thread(importlib.import_module, module)

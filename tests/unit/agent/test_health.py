@@ -56,6 +56,11 @@ async def test_a_held_talker_is_started_and_seen_to_be_up_and_ready(pod: Pod, li
     assert counted.outputs["/cmd_vel"].last == pytest.approx(time.time(), abs=1.5)
 
 
+async def test_a_held_agent_has_imported_ros_before_it_is_claimed(pod: Pod):
+    pod.start_agent()
+    await eventually(lambda: "librcl.so" in Path(f"/proc/{pod.agent.pid}/maps").read_text(), 30)
+
+
 async def test_an_application_that_dies_is_not_ready_until_it_is_back(pod: Pod, links, ros):
     pod.start_agent()
     container = pod.start_container(TALK)
