@@ -14,6 +14,8 @@ from understudy.controller import fleets, gates, instances, objects, ownership, 
 from understudy.controller.desired import Apply, Create, Delete, Images, Plan, Problem
 from understudy.controller.troubles import trouble
 
+_MOST_NAMED = 3
+
 
 @dataclass(frozen=True)
 class Observed:
@@ -271,4 +273,15 @@ def _ready(observed: Observed, counts: Counts, problem: Problem | None) -> Condi
     for pod in sorted(observed.pods, key=objects.sort_key):
         if found := trouble(pod):
             return no(found.reason, f"{counts.ready} of {counts.desired} are ready; {found.message}")
-    return no("PodsNotReady", f"{counts.ready} of {counts.desired} are ready.")
+    told = f"{counts.ready} of {counts.desired} are ready"
+    if policies.readiness(pool) == "Uninitialized":
+        return no("PodsNotReady", f"{told}.")
+    served = sorted(name for name, workload in observed.workloads.items() if serves(pool, workload))
+    return no("PodsNotReady", f"{told}; what is being done to them is in the condition BroughtUp of {_named(served)}.")
+
+
+def _named(workloads: Sequence[str]) -> str:
+    """Workloads in a message that doesn't grow with their number."""
+    if len(workloads) > _MOST_NAMED:
+        return f"its {len(workloads)} RobotWorkloads"
+    return f"RobotWorkload {', '.join(workloads)}"

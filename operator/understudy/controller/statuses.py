@@ -243,7 +243,7 @@ def _standing(observed: Observed, label: str, pool: Object) -> Means:
         return Means(label, False, "PoolNotAccepted", words)
     if bad := _first_trouble(found):
         return Means(label, False, bad.reason, bad.message)
-    return Means(label, False, "StandbyNotReady", f"no standby of FallbackPool {name} is ready")
+    return Means(label, False, "StandbyNotReady", f"no standby of FallbackPool {name} is ready (see BroughtUp)")
 
 
 def _uninitialized(observed: Observed, label: str, pool: Object) -> Means:

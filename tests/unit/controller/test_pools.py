@@ -303,3 +303,14 @@ def test_gates_tell_which_pods_are_driving() -> None:
     assert objects.active(gate(item, active=active, epoch=1)) == ("w-a", "uid-w-a")
     assert objects.active(gate(item)) == ("", "")
     assert objects.active(None) == ("", "")
+
+
+def test_standbys_that_are_not_ready_say_where_it_is_told_why() -> None:
+    item = workload()
+    waiting = standby_pod("w-s", of=item, ready=False)
+    told = condition(observe(hot(), [waiting], workloads=[item]), "Ready")
+    assert told["reason"] == "PodsNotReady"
+    assert (
+        "0 of 1 are ready; what is being done to them is in the condition BroughtUp of RobotWorkload w"
+        in told["message"]
+    )

@@ -11,7 +11,7 @@ from tests.unit.mitigation.world import Killed, World
 from understudy.api.kept import KeptSample, KeptState
 from understudy.api.procedures import Procedure
 from understudy.mitigation.bringing import BringUp
-from understudy.mitigation.failover import recover
+from understudy.mitigation.failover import Choice, recover
 from understudy.mitigation.strategies import ExecutingFallback, InitializedFallback, Restart, UninitializedFallback
 
 ACTIVATE = Procedure(yaml={"set_lifecycle": {"node": "/amcl", "state": "active"}}, within="10s")
@@ -96,6 +96,19 @@ async def test_a_procedure_that_fails_is_said_with_its_leaf_and_the_next_strateg
     assert {"w-1", "w-2"} <= set(store.deleted)
 
 
+async def test_a_procedure_that_never_ends_leaves_time_to_say_at_which_leaf_it_hung() -> None:
+    store = protected(pool="warm")
+    store.endless.add("w-2")
+    world = World(store)
+    endless = BringUp.of("bringUp", Procedure(yaml={"wait_for": {"node": "/nobody"}}))
+    assert endless is not None
+    assert endless.within == 60.0, "the bound where the policy gives none"
+    tried = [Choice(InitializedFallback("warm", recovery=endless), 2.0), *choices(Restart())]
+    done = await recover(failure(world), tried, world.means())
+    assert (done.result, done.strategy) == ("Recovered", "Restart")
+    assert done.attempts[0].message == "bringUp.wait_for: node /nobody is not there"
+
+
 async def test_the_standbys_of_another_readiness_are_not_taken() -> None:
     store = protected(pool="hot")
     store.add("w-3", pool="warm")
@@ -137,7 +150,8 @@ async def test_state_is_restored_before_the_tree_unless_the_tree_says_where(proc
 async def test_a_monitor_that_dies_while_bringing_up_is_finished_by_the_next(dies_after: int) -> None:
     store = protected(pool="warm")
     world = World(store, dies_after=dies_after)
-    strategies = choices(InitializedFallback("warm", recovery=bring_up()), Restart())
+    # Long, since the first of them must verify however busy the machine is.
+    strategies = [Choice(s, 20.0) for s in (InitializedFallback("warm", recovery=bring_up()), Restart())]
     progress = failure(world)
     try:
         await recover(progress, strategies, world.means())

@@ -93,6 +93,19 @@ async def test_a_pod_without_an_agent_takes_over_and_is_told_to_have_been_given_
     assert done.state[1].message == "pod w-9 has no agent, since a referred controller made it"
 
 
+async def test_a_state_that_can_not_be_given_is_recorded_and_keeps_nobody_from_taking_over() -> None:
+    made = store()
+    made.refusal = "nobody subscribes to /initialpose within 5 s"
+    done = await recover(failure(world := World(made)), [Choice(Restart(), 0.5)], world.means())
+    assert done.result == "Recovered"
+    assert [(entry.name, entry.restored) for entry in done.to_recovery(1).state] == [
+        ("/plan", False),
+        ("/amcl_pose", False),
+        ("/controller (parameters)", False),
+    ]
+    assert done.to_recovery(1).state[1].message == "nobody subscribes to /initialpose within 5 s"
+
+
 async def test_a_second_attempt_records_what_its_own_instance_was_given() -> None:
     made = store(pool="spare", held=True)
     made.broken.add("w-2")

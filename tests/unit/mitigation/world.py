@@ -38,6 +38,10 @@ class Store:
     """Which pods were brought up by which procedure."""
     unwilling: set[str] = field(default_factory=set)
     """Pods (by name) whose procedures fail."""
+    endless: set[str] = field(default_factory=set)
+    """Pods (by name) whose procedures don't end before their time does."""
+    refusal: str = ""
+    """Why no pod can be given any state."""
     others_claim: set[str] = field(default_factory=set)
     counter: itertools.count[int] = field(default_factory=lambda: itertools.count(1))
     source_makes_broken: bool = False
@@ -201,6 +205,8 @@ class _Agents(_Part):
         assert self.store.gate.closed, "state was given while the gate was open"
         self.store.given[instance.name] = state
         self.world.effect()
+        if self.store.refusal:
+            return state.not_given(self.store.refusal)
         items = (*state.restored_samples, *state.parameters, *state.lifecycle)
         return RestoreReport(tuple(Restored(item.name, item.taken_at) for item in items), state.left_out)
 
@@ -211,6 +217,9 @@ class _Agents(_Part):
         assert self.store.gate.closed, "an instance was brought up while the gate was open"
         self.store.brought_up.append((instance.name, procedure.name))
         await asyncio.sleep(PERIOD)
+        if instance.name in self.store.endless:
+            await asyncio.sleep(within)
+            raise NotVerified(f"{procedure.name}.wait_for: node /nobody is not there")
         if instance.name in self.store.unwilling:
             raise NotVerified(f"agent {instance.name}: procedure: {procedure.name}.set_lifecycle: node /amcl is gone")
         self.world.effect()
