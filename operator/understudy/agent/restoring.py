@@ -14,6 +14,7 @@ from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from understudy.agent.carrying import Carried, Present, present
 from understudy.agent.sessions import Operation, Peer, Refused
 from understudy.api.agents import ProtocolError
 from understudy.api.kept import (
@@ -72,18 +73,19 @@ class Restorer:
                 missing.append(NotRestored(name, reason, failed=some))
         state = state.only(only)
 
-        async def attempt(item: Item, give: Callable[[float], Awaitable[None]]) -> None:
+        async def attempt(item: Item, give: Callable[[float], Awaitable[Carried | None]]) -> None:
             from understudy.ros.calling import CallFailed
 
             try:
-                await give(max(0.0, end - time.monotonic()))
+                carried = await give(max(0.0, end - time.monotonic()))
             except CallFailed as error:
                 missing.append(NotRestored(item.name, str(error)))
             except Exception as error:
                 _logger.exception("restoring %s", item.name)
                 missing.append(NotRestored(item.name, f"restoring it failed: {error!r}"))
             else:
-                restored.append(Restored(item.name, item.taken_at))
+                metres, note = (carried.metres, carried.note) if carried is not None else (None, "")
+                restored.append(Restored(item.name, item.taken_at, metres, note))
 
         async def nodes() -> None:
             # In the policy's order: a managed node may need the one before it.
@@ -101,22 +103,27 @@ class Restorer:
     async def _bring(self, node: LifecycleState, within: float) -> None:
         await self._caller().bring_to(node.node, node.state, within)
 
-    async def _say(self, sample: KeptSample, within: float) -> None:
-        """Publish a message until the instance has it. Raises CallFailed."""
+    async def _say(self, sample: KeptSample, within: float) -> Carried | None:
+        """Publish a message until the instance has it; what became of a pose that was to be carried. Raises CallFailed."""
         from understudy.ros.lean import rclpy_imported
 
         end = time.monotonic() + within
         caller = self._caller()
         await rclpy_imported()  # the message is stamped with it, perhaps while this process joins the ROS graph
+        async with present(caller, sample, max(0.0, end - time.monotonic())) as said:
+            await self._publish(caller, sample, said, end)
+            return said.outcome
+
+    async def _publish(self, caller: Caller, sample: KeptSample, said: Present, end: float) -> None:
         within = max(0.0, end - time.monotonic())
         if not sample.confirm:
-            await caller.publish(sample.to, sample.type, stamped(sample), within)
+            await caller.publish(sample.to, sample.type, said.message, within)
             return
         since = time.time()
         confirmed = asyncio.create_task(self._confirmed(sample, since, within))
         try:
             while True:
-                await caller.publish(sample.to, sample.type, stamped(sample), max(0.0, end - time.monotonic()))
+                await caller.publish(sample.to, sample.type, said.message, max(0.0, end - time.monotonic()))
                 last = time.monotonic() + SAY_AGAIN >= end
                 await asyncio.wait([confirmed], timeout=None if last else SAY_AGAIN)
                 if confirmed.done():
@@ -192,23 +199,31 @@ def stamped(sample: KeptSample) -> bytes:
     """
     if sample.stamp != "now":
         return sample.data
-    from rclpy.serialization import deserialize_message, serialize_message
+    from rclpy.serialization import serialize_message
 
-    from understudy.ros.calling import CallFailed
     from understudy.ros.messages import now
-    from understudy.ros.types import TypeNotInstalled, message_class
 
-    try:
-        message = deserialize_message(sample.data, message_class(sample.type))
-    except (TypeNotInstalled, ValueError) as error:
-        raise CallFailed(str(error)) from error
-    except Exception as error:  # rclpy has no type of its own for what rmw refuses
-        raise CallFailed(f"what is kept of {sample.topic} is no {sample.type}: {error}") from error
+    message = deserialized(sample)
     header = getattr(message, "header", None)
     if header is None or not hasattr(header, "stamp"):
         return sample.data
     header.stamp = now()
     return bytes(serialize_message(message))
+
+
+def deserialized(sample: KeptSample) -> Any:
+    """The message itself. It loads rclpy. Raises CallFailed where its bytes are not of its type, or that isn't installed."""
+    from rclpy.serialization import deserialize_message
+
+    from understudy.ros.calling import CallFailed
+    from understudy.ros.types import TypeNotInstalled, message_class
+
+    try:
+        return deserialize_message(sample.data, message_class(sample.type))
+    except (TypeNotInstalled, ValueError) as error:
+        raise CallFailed(str(error)) from error
+    except Exception as error:  # rclpy has no type of its own for what rmw refuses
+        raise CallFailed(f"what is kept of {sample.topic} is no {sample.type}: {error}") from error
 
 
 def _within(body: Mapping[str, Any], usual: float) -> float:

@@ -9,15 +9,74 @@ from __future__ import annotations
 import base64
 import binascii
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any, Literal
 
 from understudy.api.agents import ProtocolError
+from understudy.motion.poses import HERE, Pose
 
 Stamp = Literal["now", "kept"]
 
 LARGEST = 22 * 1024 * 1024
 """Bytes of messages that fit into one request to an agent, with what base64 and JSON add."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What carries a kept pose to the present: where odometry had the robot when the pose was so, and had it last."""
+
+    topic: str
+    type: str
+    required: bool = False
+    """Whether a pose that can't be carried is not to be restored."""
+    missing: str = ""
+    """Why it can't be carried, in plain words; then what follows says nothing."""
+    writer: bytes = b""
+    """GID of the odometry's publisher: another one's has another origin."""
+    frame: str = ""
+    child: str = ""
+    then: Pose = HERE
+    last: Pose = HERE
+    stamp: int = 0
+    """Of the last one, in ns by its publisher's clock; 0 where it doesn't say."""
+    received: float = 0.0
+    """When it was received."""
+    driven: float = 0.0
+    """Metres between the two."""
+    turned: float = 0.0
+    """Radians between the two."""
+    blind: float = 0.0
+    """Seconds between them for which nobody watched whether odometry was set anew."""
+
+    def to_wire(self) -> dict[str, Any]:
+        """As it is sent."""
+        if self.missing:
+            return {"topic": self.topic, "type": self.type, "required": self.required, "missing": self.missing}
+        plain = {field.name: getattr(self, field.name) for field in fields(self)}
+        return plain | {"writer": self.writer.hex(), "then": list(self.then), "last": list(self.last)}
+
+    @classmethod
+    def from_wire(cls, data: Mapping[str, Any]) -> Motion:
+        """From what was sent. Raises ProtocolError."""
+        with _reading("motion", data):
+            required = bool(data.get("required"))
+            if data.get("missing"):
+                return cls(str(data["topic"]), str(data["type"]), required, str(data["missing"]))
+            return cls(
+                topic=str(data["topic"]),
+                type=str(data["type"]),
+                required=required,
+                writer=bytes.fromhex(data["writer"]),
+                frame=str(data["frame"]),
+                child=str(data["child"]),
+                then=Pose.of([float(value) for value in data["then"]]),
+                last=Pose.of([float(value) for value in data["last"]]),
+                stamp=int(data["stamp"]),
+                received=float(data["received"]),
+                driven=float(data["driven"]),
+                turned=float(data["turned"]),
+                blind=float(data["blind"]),
+            )
 
 
 @dataclass(frozen=True)
@@ -35,6 +94,8 @@ class KeptSample:
     """What becomes of the stamp of a message with a header."""
     confirm: str = ""
     """Topic on which the instance itself publishes once it has taken it in; empty where a subscriber is enough."""
+    motion: Motion | None = None
+    """What carries it to the present; None where it is restored as it was kept."""
 
     @property
     def name(self) -> str:
@@ -51,7 +112,7 @@ class KeptSample:
             "confirm": self.confirm,
             "takenAt": self.taken_at,
             "data": base64.b64encode(self.data).decode(),
-        }
+        } | ({"motion": self.motion.to_wire()} if self.motion else {})
 
     @classmethod
     def from_wire(cls, data: Mapping[str, Any]) -> KeptSample:
@@ -66,6 +127,7 @@ class KeptSample:
                 to=str(data.get("to") or ""),
                 stamp=stamp,
                 confirm=str(data.get("confirm") or ""),
+                motion=Motion.from_wire(data["motion"]) if data.get("motion") else None,
             )
 
 
@@ -236,16 +298,26 @@ class Restored:
     """Topic, or node with what of it."""
     taken_at: float
     """When it was taken of the healthy instance."""
+    carried: float | None = None
+    """Metres by which odometry carried it to the present; None where it didn't."""
+    note: str = ""
+    """Why it wasn't carried although it should have been, or what is uncertain about that."""
 
     def to_wire(self) -> dict[str, Any]:
         """As it is sent."""
-        return {"name": self.name, "takenAt": self.taken_at}
+        return {"name": self.name, "takenAt": self.taken_at, "carried": self.carried, "note": self.note}
 
     @classmethod
     def from_wire(cls, data: Mapping[str, Any]) -> Restored:
         """From what was sent. Raises ProtocolError."""
         with _reading("restore report", data):
-            return cls(str(data["name"]), float(data["takenAt"]))
+            carried = data.get("carried")
+            return cls(
+                str(data["name"]),
+                float(data["takenAt"]),
+                None if carried is None else float(carried),
+                str(data.get("note") or ""),
+            )
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,32 @@ from pydantic import Field
 from understudy.api.base import Duration, Model, ObjectName, matching, rules
 from understudy.api.conditions import Time
 from understudy.api.rosnames import ROS_TYPE_MESSAGE, RosName
+from understudy.motion.reading import ODOMETRY, POSE_TYPES
 
 MESSAGE_TYPE_PATTERN = r"^[a-zA-Z][a-zA-Z0-9_]*/msg/[A-Z][a-zA-Z0-9]*$"
+
+_POSES = ", ".join(POSE_TYPES[:-1]) + f" or {POSE_TYPES[-1]}"
+_IS_POSE = f"self.type in [{', '.join(repr(name) for name in POSE_TYPES)}]"
+
+
+class CarriedBy(Model):
+    """Odometry by which a kept pose is brought to the present when it is restored."""
+
+    model_config = Model.model_config | {
+        "json_schema_extra": rules(
+            (f"!has(self.type) || {_IS_POSE}", f"odometry has a type with a pose: {_POSES}", ".type"),
+        )
+    }
+
+    topic: RosName = Field(
+        description="The robot's odometry, such as /odom: of the same body as the pose, and published by what outlasts the "
+        "instance."
+    )
+    type: str = Field(default=ODOMETRY, max_length=256, description=f"Its type: {_POSES}.")
+    required: bool = Field(
+        default=False,
+        description="A pose that can't be carried is not restored. Otherwise it is restored as it was kept, and that is reported.",
+    )
 
 
 class KeptTopic(Model):
@@ -19,6 +43,21 @@ class KeptTopic(Model):
     model_config = Model.model_config | {
         "json_schema_extra": rules(
             ("has(self.restoreTo) || !has(self.confirm)", "confirm is only for a topic with restoreTo", ".confirm"),
+            (
+                "has(self.restoreTo) || !has(self.carriedBy)",
+                "carriedBy is only for a topic with restoreTo",
+                ".carriedBy",
+            ),
+            (
+                f"!has(self.carriedBy) || (has(self.type) && {_IS_POSE})",
+                f"carriedBy needs the type of what is carried, one with a pose: {_POSES}",
+                ".type",
+            ),
+            (
+                "!has(self.carriedBy) || self.carriedBy.topic != self.topic",
+                "carriedBy names the topic itself: give the robot's odometry",
+                ".carriedBy",
+            ),
         )
     }
 
@@ -45,6 +84,11 @@ class KeptTopic(Model):
         default=None,
         description="Restored counts as done when the instance itself has published on this topic afterwards. Absent: when a "
         "subscriber has taken it in.",
+    )
+    carried_by: CarriedBy | None = Field(
+        default=None,
+        description="Odometry that tells how the robot moved since: a kept pose is brought to the present by it. Absent: it is "
+        "restored as it was kept.",
     )
 
 
@@ -126,4 +170,9 @@ class RestoredState(Model):
     name: str = Field(description="Topic, or node with what of it.")
     restored: bool = Field(description="Whether the instance that took over was given it.")
     age_seconds: float | None = Field(default=None, description="How old it was when the failure began, in seconds.")
-    message: str = Field(default="", description="Why it was not restored.")
+    carried_metres: float | None = Field(
+        default=None, description="How far odometry carried it to the present, in metres; absent where it didn't."
+    )
+    message: str = Field(
+        default="", description="Why it was not restored, or was not carried, or what is uncertain about that."
+    )

@@ -23,7 +23,7 @@ Kind = Literal["Topic", "Parameters", "Lifecycle"]
 Standing = Literal["", "instance", "robot"]
 """Whether a message is held for late joiners, so that it holds until the next one comes, and by whom."""
 
-Trouble = Literal["NeverCame", "TooOld", "TooBig", "NotWatched", "NotAsked"]
+Trouble = Literal["NeverCame", "TooOld", "TooBig", "NotWatched", "NotAsked", "NotCarried"]
 """Why something that should be kept isn't, in the order in which they are told."""
 
 SPREAD = 0.25

@@ -97,7 +97,13 @@ class Progress(Model):
         """Record what the instance that takes over was given, and what not. What was tried again counts as it ended last."""
         onset = self.moments.get("last_healthy", self.cursor)
         entries = [
-            RestoredState(name=r.name, restored=True, age_seconds=round(max(0.0, onset - r.taken_at), 3))
+            RestoredState(
+                name=r.name,
+                restored=True,
+                age_seconds=round(max(0.0, onset - r.taken_at), 3),
+                carried_metres=None if r.carried is None else round(r.carried, 3),
+                message=r.note,
+            )
             for r in report.restored
         ]
         entries += [RestoredState(name=n.name, restored=False, message=n.reason) for n in report.not_restored]

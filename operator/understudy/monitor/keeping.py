@@ -7,18 +7,20 @@ status. Nothing of it waits in the monitor's loop.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import logging
 import time
-from collections.abc import Coroutine, Iterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Coroutine, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Literal
 
 from understudy.api.base import seconds
 from understudy.api.kept import KeptState
-from understudy.api.states import KeptStatus, State
+from understudy.api.states import KeptStatus, RestoredState, State
 from understudy.api.workloads import Recovery
 from understudy.cluster.agents import AgentGone, AgentRefused
+from understudy.mitigation.carrying import Carrier
 from understudy.mitigation.interfaces import Instance
 from understudy.mitigation.keeping import Entry, Keeper, Key, Trouble
 from understudy.mitigation.progress import rfc3339
@@ -35,6 +37,14 @@ LEAST_LOOK = 0.05
 """Seconds between two looks at the kept topics, where the policy's period is shorter; what comes in between is left to
 the middleware, which keeps the last."""
 
+LOOK_AT_ODOMETRY = 0.1
+"""Seconds between two looks at odometry, of which again only the last message counts: at 0.5 m/s and 1 rad/s the way between
+two of them is told to a millimetre, and a jump is told from how the robot drives.
+"""
+
+UNCARRIED_FOR = 10.0
+"""Seconds for which a pose can't be carried until that is told."""
+
 PERSIST = 1.0
 """Seconds between two writes to the disk, at least."""
 
@@ -50,7 +60,7 @@ TELL = 30.0
 CLOCK_STEP = 0.05
 """Seconds by which the clock must have moved against the monotonic one to count as having been set."""
 
-REASONS: tuple[Trouble, ...] = ("NotWatched", "TooBig", "NeverCame", "NotAsked", "TooOld")
+REASONS: tuple[Trouble, ...] = ("NotWatched", "TooBig", "NeverCame", "NotAsked", "TooOld", "NotCarried")
 """Reasons of the condition StateKept, the gravest first."""
 
 Health = Literal["Starting", "Healthy", "Failed"]
@@ -64,6 +74,9 @@ class StateKeeping:
         self._capturing = Capturing(graph)
         self._shelf, self._sidecars, self._reporter = shelf, sidecars, reporter
         self._keeper = Keeper()
+        self._odometry, self._carrier = Capturing(graph), Carrier()
+        self._next_odometry = 0.0
+        self._uncarried: dict[str, float] = {}
         self._state: State | None = None
         self._adopted = shelf.load()
         self._offset = time.time() - time.monotonic()
@@ -92,10 +105,17 @@ class StateKeeping:
             self._active = active
             self._keeper.forget_offers()
         now = time.monotonic()
-        if now < self._next_look:
-            return
-        self._next_look = now + max(LEAST_LOOK, self._period)
+        if now >= self._next_look:
+            self._next_look = now + max(LEAST_LOOK, self._period)
+            self._take_messages()
+        if self._carrier.topics:
+            # After the poses: most of them are of a moment from which odometry has come by now.
+            self._odometry.attribute(instances, active)
+            self._take_odometry(now)
+
+    def _take_messages(self) -> None:
         for message in self._capturing.drain():
+            self._carrier.kept(message.topic, message.data, taken_at=message.taken_at)
             self._keeper.offer(
                 Key("Topic", message.topic),
                 message.data,
@@ -104,6 +124,32 @@ class StateKeeping:
                 type=message.type,
                 standing=message.standing,
             )
+
+    def _take_odometry(self, now: float) -> None:
+        if now < self._next_odometry:
+            return
+        self._next_odometry = now + LOOK_AT_ODOMETRY
+        for message in self._odometry.drain():
+            self._carrier.moved(
+                message.topic, message.type, message.data, received_at=message.received_at, writer=message.writer
+            )
+        self._carrier.settle(time.time())
+
+    @contextlib.asynccontextmanager
+    async def recovering(self) -> AsyncIterator[None]:
+        """Go on watching odometry meanwhile, so that it is noticed when it is set anew."""
+
+        async def watch() -> None:
+            while True:
+                self._take_odometry(time.monotonic())
+                await asyncio.sleep(LOOK_AT_ODOMETRY)
+
+        watching = asyncio.create_task(watch()) if self._carrier.topics else None
+        try:
+            yield
+        finally:
+            if watching is not None:
+                watching.cancel()
 
     def judge(self, health: Health, now: float) -> None:
         """What was taken counts if the instance was healthy, and is. ``now`` in unix seconds."""
@@ -116,9 +162,12 @@ class StateKeeping:
         self._state, self._period = state, seconds(state.period)
         self._keeper.follow(state)
         self._capturing.follow({topic.topic: topic.type for topic in state.keep})
+        self._carrier.follow(state)
+        self._odometry.follow(dict(self._carrier.topics))
         if self._adopted:
             # Only now it is known what of it is wanted. The policy may be another by then, or back.
             self._keeper.adopt(self._adopted, time.time())
+            self._carrier.adopt(self._adopted)
             self._adopted = {}
 
     def _follow_clock(self) -> None:
@@ -130,12 +179,16 @@ class StateKeeping:
         if abs(step) > CLOCK_STEP:
             self._keeper.shift(step)
             self._capturing.shift(step)
+            self._odometry.shift(step)
+            self._carrier.shift(step)
 
     # -- giving out -------------------------------------------------------------------------------------------------
 
     def select(self, onset: float) -> KeptState:
         """The state for the instance that takes over after a failure that began then (unix seconds)."""
-        return self._keeper.select(onset)
+        if self._carrier.topics:
+            self._take_odometry(time.monotonic())
+        return self._carrier.carry(self._keeper.select(onset), time.time())
 
     def tell(self, recovery: Recovery) -> None:
         """Say what became of the state in a recovery."""
@@ -144,13 +197,20 @@ class StateKeeping:
                 self._reporter.withdraw("StateRestored")  # what is said of an earlier one isn't so of this one
             return
         missing = [entry for entry in recovery.state if not entry.restored]
-        given = ", ".join(f"{e.name} ({e.age_seconds:.1f} s old)" for e in recovery.state if e.restored)
+        given = ", ".join(f"{e.name} ({_given(e)})" for e in recovery.state if e.restored)
+        notes = "; ".join(f"{e.name}: {e.message}" for e in recovery.state if e.restored and e.message)
+        uncarried = [e for e in recovery.state if e.restored and e.message and e.carried_metres is None]
         if not missing:
-            self._reporter.condition("StateRestored", "True", "Restored", f"{recovery.to_pod} was given {given}.")
+            text = f"{recovery.to_pod} was given {given}." + (f" {notes}." if notes else "")
+            if not uncarried:
+                self._reporter.condition("StateRestored", "True", "Restored", text)
+                return
+            self._reporter.condition("StateRestored", "False", "NotCarried", text)
+            self._reporter.event("Warning", "StateNotCarried", text)
             return
         reasons = "; ".join(f"{entry.name}: {entry.message}{self._place(entry.name)}" for entry in missing)
         text = f"{recovery.to_pod or 'No pod'} was not given all of the kept state: {reasons}."
-        told = text + (f" It was given {given}." if given else "")
+        told = text + (f" It was given {given}." if given else "") + (f" {notes}." if notes else "")
         way_out = " It took over nevertheless; where it must not, put restore_state into the strategy's recovery."
         self._reporter.condition("StateRestored", "False", "NotRestored", told + way_out)
         self._reporter.event("Warning", "StateNotRestored", text + way_out)
@@ -185,10 +245,13 @@ class StateKeeping:
 
     def _persist(self, now: float) -> None:
         busy = self._persisting is not None and not self._persisting.done()
-        if busy or now < self._next_persist or self._keeper.revision == self._persisted or self._adopted:
+        revision = self._keeper.revision + self._carrier.revision
+        if busy or now < self._next_persist or revision == self._persisted or self._adopted:
             return
         self._next_persist = now + PERSIST
-        revision, kept = self._keeper.revision, self._keeper.versions()
+        kept = self._keeper.versions()
+        self._carrier.prune(kept)
+        kept |= self._carrier.packed(time.time())
 
         async def persist() -> None:
             try:
@@ -237,6 +300,22 @@ class StateKeeping:
         for key, data in _answers(answer):
             self._keeper.offer(key, data, taken_at=asked, received_at=time.time())
 
+    def _troubles(self) -> list[Entry]:
+        """How it stands with all that is kept, and what of it would not be carried to the present."""
+        now, entries = time.time(), self._keeper.entries(time.time())
+        if not self._carrier.topics:
+            return entries
+        self._carrier.note({**self._odometry.waiting, **self._odometry.problems})
+        reasons = self._carrier.reasons(self._keeper.select(now), now)
+        self._uncarried = {name: self._uncarried.get(name, now) for name in reasons}
+        lasting = {name: reasons[name] for name, since in self._uncarried.items() if now - since > UNCARRIED_FOR}
+        return [
+            replace(entry, trouble="NotCarried", message=f"{entry.key.label}: {lasting[entry.key.name]}")
+            if entry.trouble is None and entry.key.kind == "Topic" and entry.key.name in lasting
+            else entry
+            for entry in entries
+        ]
+
     def _note(self) -> None:
         notes: dict[Key, tuple[Trouble, str]] = {}
         for name, reason in self._capturing.waiting.items():
@@ -249,7 +328,7 @@ class StateKeeping:
 
     def _say(self, now: float) -> None:
         """Update status, condition and metrics: at once where something is wrong or right again, else seldom."""
-        entries = self._keeper.entries(time.time())
+        entries = self._troubles()
         metrics.kept({entry.key.label: (entry.taken_at, entry.bytes) for entry in entries})
         shape = tuple((entry.key, entry.trouble, entry.taken_at is None) for entry in entries)
         if shape == self._told and now < self._next_told:
@@ -288,7 +367,7 @@ class StateKeeping:
             if now >= upkeep.due and not upkeep.busy and self._keeper.healthy_since is not None:
                 upkeep.due = now + period
                 # Not the lifecycle states: they would make it drive before its time.
-                fresh = replace(self._keeper.select(time.time()), lifecycle=(), left_out=()).changed_from(upkeep.given)
+                fresh = replace(self.select(time.time()), lifecycle=(), left_out=()).changed_from(upkeep.given)
                 if fresh:
                     upkeep.begin(self._hand(instance, fresh, upkeep, seconds(state.within)))
 
@@ -300,6 +379,12 @@ class StateKeeping:
             upkeep.problem = report.problem
             if report.problem:
                 self._reporter.event("Warning", "StandbyNotKeptUp", f"{instance.name}: {report.problem}")
+
+
+def _given(entry: RestoredState) -> str:
+    """How old it was, and how far it was carried."""
+    age = f"{entry.age_seconds:.1f} s old"
+    return age if entry.carried_metres is None else f"{age}, carried by {entry.carried_metres:.2f} m"
 
 
 def _answers(answer: Mapping[str, Any]) -> Iterator[tuple[Key, bytes]]:

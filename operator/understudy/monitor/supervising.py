@@ -454,7 +454,8 @@ class Supervisor:
         self._reporter.set(health="Recovering")
         self._reporter.condition("Recovering", "True", "FailureDetected", progress.reason)
         try:
-            done = await self._recovered(progress, choices(policy, settings, self._view.spec))
+            async with self._keeping.recovering():
+                done = await self._recovered(progress, choices(policy, settings, self._view.spec))
         except Superseded as reason:
             _logger.warning("recovery %s given up: %s", progress.id, reason)
             self._reporter.condition("Recovering", "False", "Superseded", str(reason))

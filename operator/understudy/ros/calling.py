@@ -99,6 +99,31 @@ class _Bound:
         """Whether a request is on its way."""
 
 
+class Listener:
+    """The messages of a topic from now on."""
+
+    def __init__(self, subscription: Any) -> None:
+        from understudy.ros.taking import Taker
+
+        self._subscription, self._taker = subscription, Taker()
+        self._last: Sample | None = None
+
+    @property
+    def last(self) -> Sample | None:
+        """The latest; None before the first."""
+        with self._subscription.handle:
+            while (sample := self._taker.take(self._subscription.handle.pointer)) is not None:
+                self._last = sample
+        return self._last
+
+    async def first(self, within: float) -> Sample | None:
+        """Wait for the first, for at most so many seconds."""
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(within):
+                await _until(lambda: self.last is not None)
+        return self._last
+
+
 class Caller:
     """One instance's services, parameters, lifecycle and topics. For one event loop."""
 
@@ -202,24 +227,29 @@ class Caller:
     # -- topics -----------------------------------------------------------------------------------------------------
 
     async def publish(
-        self, topic: str, type_name: str, message: Mapping[str, Any] | bytes, within: float, count: int = 1
+        self,
+        topic: str,
+        type_name: str,
+        message: Mapping[str, Any] | bytes | Callable[[], bytes],
+        within: float,
+        count: int = 1,
     ) -> None:
-        """Publish a message (bytes are CDR with its header) so often, once somebody here subscribes to the topic, and
-        wait until the subscribers have it. Raises CallFailed.
+        """Publish a message (bytes are CDR with its header; a function is asked for them at the last moment) so often, once
+        somebody here subscribes to the topic, and wait until the subscribers have it. Raises CallFailed.
 
         Instances of one workload match each other's subscribers and can't reach them, and the middleware doesn't tell whose
         acknowledgement is missing: with subscribers elsewhere the message is sent on for a while instead, and not waited for.
         """
         async with self._bound(f"topic {topic}", within) as (opened, bound):
             cls = message_class(type_name)
-            wire = message if isinstance(message, bytes) else to_message(cls, message)
+            wire = to_message(cls, message) if isinstance(message, Mapping) else message
             publisher = opened.publisher(cls, topic, count)
             lingers = 0.0
             try:
                 bound.missing = f"nobody subscribes to {topic} as {type_name}"
                 await _until(lambda: opened.is_read(publisher, topic, type_name))
                 for _ in range(count):
-                    publisher.publish(wire)
+                    publisher.publish(wire() if callable(wire) else wire)
                 bound.missing = f"the subscribers of {topic} have not taken the message"
                 while not await asyncio.to_thread(_acknowledged, publisher):
                     if opened.is_read_elsewhere(topic, type_name):
@@ -268,6 +298,23 @@ class Caller:
             finally:
                 for subscription in subscriptions:
                     opened.node.destroy_subscription(subscription)
+
+    @contextlib.asynccontextmanager
+    async def listening(self, topic: str, type_name: str, within: float) -> AsyncIterator[Listener]:
+        """A topic's messages as they come, for as long as the context lasts; it begins in so many seconds.
+
+        Raises CallFailed.
+        """
+        self._users += 1
+        try:
+            async with self._bound(f"topic {topic}", within) as (opened, _):
+                subscription = opened.subscription(message_class(type_name), topic, latched=False)
+            try:
+                yield Listener(subscription)
+            finally:
+                opened.node.destroy_subscription(subscription)
+        finally:
+            self._left()
 
     # -- the node ---------------------------------------------------------------------------------------------------
 
@@ -324,9 +371,13 @@ class Caller:
         except (TypeNotInstalled, MessageError, ValueError) as error:
             raise CallFailed(f"{what}: {error}") from error
         finally:
-            self._users -= 1
-            if not self._users and not self._pinned and self._opened is not None:
-                self._idle = asyncio.get_running_loop().call_later(IDLE, self.close)
+            self._left()
+
+    def _left(self) -> None:
+        """One user less; after the last one it closes in a while."""
+        self._users -= 1
+        if not self._users and not self._pinned and self._opened is not None:
+            self._idle = asyncio.get_running_loop().call_later(IDLE, self.close)
 
 
 class _Opened:

@@ -47,6 +47,8 @@ class Captured(NamedTuple):
     received_at: float
     standing: Literal["", "instance", "robot"]
     """By whom it is held for late joiners, if it is: it holds until the next one."""
+    writer: bytes = b""
+    """GID of its publisher."""
 
 
 @dataclass
@@ -200,6 +202,7 @@ class Capturing:
                     min(received, sent) if late else received,
                     received,
                     "" if not topic.latched else "instance" if self._sources.candidates(host) else "robot",
+                    gid,
                 )
                 if topic.latched and self._sources.candidates(host) and len(message.data) <= LARGEST_WAITING:
                     topic.standing[host] = message

@@ -1,0 +1,142 @@
+"""Poses in space and how they are joined, and what becomes of their covariance.
+
+Metres and radians, in right-handed frames (REP 103); orientations are unit quaternions x, y, z, w. A pose is where a body
+is in a frame and, what is the same, the transform from the body's frame into that one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+DRIFT = 0.05
+"""What odometry is doubted by, as a standard deviation: a part of the distance and of the angle that it says."""
+
+DRIFT_IN_HEADING = 0.02
+"""And in each angle, in rad for each metre: wheels that aren't equally large turn a robot that believes to drive straight."""
+
+_UNIT = 0.1
+"""How far from 1 the length of a quaternion may be: what is rounded is made a rotation, what is none isn't."""
+
+Vector = tuple[float, float, float]
+
+
+class Pose(NamedTuple):
+    """A place and an orientation."""
+
+    x: float
+    y: float
+    z: float
+    qx: float
+    qy: float
+    qz: float
+    qw: float
+
+    @classmethod
+    def of(cls, values: Sequence[float]) -> Pose:
+        """From place and quaternion, which is made a unit one. Raises ValueError where they are no pose."""
+        if len(values) != 7 or not all(map(math.isfinite, values)):
+            raise ValueError(f"{list(values)} is no pose: seven finite numbers are, a place and a quaternion")
+        length = math.hypot(*values[3:])
+        if abs(length - 1.0) > _UNIT:
+            raise ValueError(f"the quaternion {list(values[3:])} is no rotation: its length is {length:.3g} and not 1")
+        return cls(*values[:3], *(value / length for value in values[3:]))
+
+    @property
+    def place(self) -> Vector:
+        """Where it is, in m."""
+        return self.x, self.y, self.z
+
+    @property
+    def angle(self) -> float:
+        """By how much it is turned against its frame, about whatever axis, from 0 to pi."""
+        return 2.0 * math.atan2(math.hypot(self.qx, self.qy, self.qz), abs(self.qw))
+
+    def turned(self, vector: Vector) -> Vector:
+        """A vector of the body's frame, in the outer one."""
+        x, y, z, w = self[3:]
+        vx, vy, vz = vector
+        # v + 2 q x (q x v + w v), which is q v q* without the products that cancel each other
+        tx, ty, tz = 2 * (y * vz - z * vy), 2 * (z * vx - x * vz), 2 * (x * vy - y * vx)
+        return (
+            vx + w * tx + y * tz - z * ty,
+            vy + w * ty + z * tx - x * tz,
+            vz + w * tz + x * ty - y * tx,
+        )
+
+    def then(self, step: Pose) -> Pose:
+        """Where a pose that is given in this one's frame is in the outer frame."""
+        dx, dy, dz = self.turned(step.place)
+        ax, ay, az, aw = self[3:]
+        bx, by, bz, bw = step[3:]
+        turned = (
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+            aw * bw - ax * bx - ay * by - az * bz,
+        )
+        length = math.hypot(*turned)  # rounding would add up over many steps
+        return Pose(self.x + dx, self.y + dy, self.z + dz, *(value / length for value in turned))
+
+    def inverse(self) -> Pose:
+        """The transform the other way."""
+        back = Pose(0.0, 0.0, 0.0, -self.qx, -self.qy, -self.qz, self.qw)
+        x, y, z = back.turned(self.place)
+        return back._replace(x=-x, y=-y, z=-z)
+
+    def to(self, other: Pose) -> Pose:
+        """The other pose, of the same frame, as seen from this one."""
+        return self.inverse().then(other)
+
+    def distance(self, other: Pose) -> float:
+        """Between the places, in m."""
+        return math.dist(self.place, other.place)
+
+    def towards(self, other: Pose, part: float) -> Pose:
+        """The pose that is so far (0 to 1) on the way to the other: straight on, and turning evenly the shorter way."""
+        step = self.to(other)
+        sine = math.hypot(step.qx, step.qy, step.qz)
+        half = math.atan2(sine, abs(step.qw))
+        scale = math.copysign(math.sin(part * half) / sine, step.qw) if sine else 0.0
+        turn = Pose(0.0, 0.0, 0.0, step.qx * scale, step.qy * scale, step.qz * scale, math.cos(part * half))
+        x, y, z = (a + part * (b - a) for a, b in zip(self.place, other.place, strict=True))
+        return self.then(turn)._replace(x=x, y=y, z=z)
+
+
+HERE = Pose(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+"""A frame's own origin."""
+
+
+def carried(kept: Pose, then: Pose, now: Pose) -> Pose:
+    """A kept pose of a body, moved as the body did since.
+
+    ``then`` and ``now`` are where odometry had it at the time of the kept pose, and has it now. Only the motion between
+    those counts, in the body's own frame: what odometry calls its origin has no say in it.
+    """
+    return kept.then(then.to(now))
+
+
+def grown(covariance: Sequence[float], kept: Pose, present: Pose, *, driven: float, turned: float) -> list[float]:
+    """The covariance of a pose that was carried from ``kept`` to ``present``, over so many metres and radians.
+
+    Row by row, for x, y, z and the turns about the fixed axes, as in geometry_msgs/msg/PoseWithCovariance. A doubt in the
+    orientation becomes one in the place, the more the farther it went; what odometry itself is doubted by (DRIFT) is
+    added. What says that it is unknown (a negative variance) stays as it is.
+    """
+    if len(covariance) != 36 or any(covariance[7 * i] < 0 for i in range(6)):
+        return list(covariance)
+    dx, dy, dz = (b - a for a, b in zip(kept.place, present.place, strict=True))
+    lever = ((0.0, dz, -dy), (-dz, 0.0, dx), (dy, -dx, 0.0))  # of a small turn, on what lies at that distance
+    jacobian = [[float(i == j) for j in range(6)] for i in range(6)]
+    for i in range(3):
+        jacobian[i][3:] = lever[i]
+    before = [list(covariance[6 * i : 6 * i + 6]) for i in range(6)]
+    half = [[sum(jacobian[i][k] * before[k][j] for k in range(6)) for j in range(6)] for i in range(6)]
+    after = [[sum(half[i][k] * jacobian[j][k] for k in range(6)) for j in range(6)] for i in range(6)]
+    place, turn = (DRIFT * driven) ** 2, (DRIFT * turned + DRIFT_IN_HEADING * driven) ** 2
+    for i in range(6):
+        # What a planar robot is not doubted in (z, roll, pitch are 0) it doesn't begin to be by driving.
+        if before[i][i] > 0 or i in (0, 1, 5):
+            after[i][i] += place if i < 3 else turn
+    return [value for row in after for value in row]
