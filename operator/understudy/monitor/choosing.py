@@ -21,7 +21,7 @@ from understudy.mitigation.strategies import (
 
 
 class MissingPool(Strategy):
-    """A fallback whose pool isn't there or doesn't serve this workload: never available, and says so."""
+    """A fallback whose pool isn't there, was never accepted or doesn't serve this workload: never available, and says so."""
 
     name = "Fallback"
 
@@ -30,7 +30,7 @@ class MissingPool(Strategy):
 
     def available(self, means: Means, progress: Progress | None = None) -> str | None:
         """Why it can't be used."""
-        return f"FallbackPool {self.pool} doesn't exist or its workloadSelector doesn't select this workload"
+        return f"FallbackPool {self.pool} isn't there, isn't accepted, or its workloadSelector doesn't select this workload"
 
     async def prepare(self, progress: Progress, means: Means, *, within: float) -> Instance:
         """Never possible."""
