@@ -13,11 +13,13 @@ import logging
 import time
 from collections.abc import Callable, Collection, Sequence
 from datetime import UTC, datetime
+from functools import partial
 from typing import Any, Literal
 
 import aiohttp
 
 from understudy.api import names
+from understudy.api.workloads import RobotWorkloadSpec
 from understudy.cluster.agents import AgentGone, AgentRefused
 from understudy.cluster.client import PODS, ApiError, Client, Object
 from understudy.mitigation.interfaces import GateState, Instance
@@ -126,9 +128,12 @@ class Leases:
         """The recovery under way."""
         self._pods: list[Object] = []
         self._readers: frozenset[bytes] = frozenset()
-        self._refreshed = -REFRESH
+        self._witnesses: dict[str, list[str]] = {}
+        self._refreshing: asyncio.Task[None] | None = None
+        self._refresh_at = 0.0
         self._replaced: set[str] = set()
         self._sent: dict[str, tuple[Any, float]] = {}
+        self._telling: dict[str, asyncio.Task[None]] = {}
         self._told: set[tuple[str, float, Word]] = set()
 
     async def run(self) -> None:
@@ -137,57 +142,66 @@ class Leases:
             self.wake.clear()
             spec = self._view.spec
             if spec is not None and spec.gate.reflex is not None and self._gate.exists:
-                if time.monotonic() - self._refreshed >= REFRESH and await self._refresh():
-                    self._refreshed = time.monotonic()
-                await self._tell()
+                self._refresh(spec)
+                self._tell(spec)
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(PERIOD):
                     await self.wake.wait()
 
-    async def _refresh(self) -> bool:
-        """Look who is there; whether that could be found out. An API server that is away mustn't hold up a word."""
-        spec = self._view.spec
-        topics = [output.topic for output in spec.outputs if output.topic] if spec is not None else []
-        found = [self._sight.graph.subscribers(topic) for topic in topics]
-        self._readers = frozenset(endpoint.gid[HOST] for endpoints in found for endpoint in endpoints)
-        try:
-            async with asyncio.timeout(PERIOD):
-                self._pods = (await self._client.list(PODS, self._view.namespace))["items"]
-        except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
-            _logger.info("who could answer an instance that is cut off: %r", error)
-            return False
-        return True
+    def _refresh(self, spec: RobotWorkloadSpec) -> None:
+        """Look now and then who is there, in the background: an API server that is away mustn't hold up a word."""
+        if time.monotonic() < self._refresh_at or (self._refreshing is not None and not self._refreshing.done()):
+            return
 
-    async def _tell(self) -> None:
+        async def refresh() -> None:
+            try:
+                self._pods = (await self._client.list(PODS, self._view.namespace))["items"]
+            except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
+                _logger.info("who could answer an instance that is cut off: %r", error)
+                self._refresh_at = time.monotonic() + PERIOD
+                return
+            self._refresh_at = time.monotonic() + REFRESH
+            topics = [output.topic for output in spec.outputs if output.topic]
+            found = [endpoint for topic in topics for endpoint in self._sight.graph.subscribers(topic)]
+            self._readers = frozenset(endpoint.gid[HOST] for endpoint in found)
+            self._witnesses.clear()
+
+        self._refreshing = asyncio.create_task(refresh())
+
+    def _tell(self, spec: RobotWorkloadSpec) -> None:
         state, recovering = self._gate.state, self.recovering()
         for progress in (state.recovery, recovering):
             if progress is not None:
                 self._replaced |= {pod.uid for pod in progress.failed}
-        instances = [i for i in self._fleet.of_workload() if i.has_agent and not i.held]
-        self._sent = {uid: sent for uid, sent in self._sent.items() if uid in {i.uid for i in instances}}
-        await asyncio.gather(*(self._tell_one(i, state, recovering) for i in instances))
+        instances = {i.uid: i for i in self._fleet.of_workload() if i.has_agent and not i.held}
+        self._sent = {uid: sent for uid, sent in self._sent.items() if uid in instances}
+        for uid, instance in instances.items():
+            if uid in self._telling or (status := self._sidecars.status(instance)) is None:
+                continue
+            body: dict[str, Any] = {"witnesses": self._witnesses_of(instance, spec)}
+            if status.cut_off is not None:
+                body["word"] = word(instance, state, self._replaced, recovering)
+                self._say(instance, status.cut_off, body["word"])
+            wanted = (self._sidecars.session(instance), body)
+            sent, at = self._sent.get(uid, (None, 0.0))
+            if sent != wanted or ("word" in body and time.monotonic() - at >= SAY_AGAIN):
+                self._sent[uid] = (wanted, time.monotonic())
+                # Each by itself: one that doesn't answer mustn't hold up the others.
+                self._telling[uid] = task = asyncio.create_task(self._request(instance, body))
+                task.add_done_callback(partial(self._done, uid))
 
-    async def _tell_one(self, instance: Instance, state: GateState, recovering: Progress | None) -> None:
-        status, spec = self._sidecars.status(instance), self._view.spec
-        if status is None or spec is None:
-            return
-        body: dict[str, Any] = {
-            "witnesses": witnesses(
-                instance,
-                self._pods,
-                workload=self._view.workload,
-                readers=self._readers,
-                robots=spec.gate.robots,
+    def _done(self, uid: str, task: asyncio.Task[None]) -> None:
+        self._telling.pop(uid, None)
+        self.wake.set()
+
+    def _witnesses_of(self, instance: Instance, spec: RobotWorkloadSpec) -> list[str]:
+        if instance.uid not in self._witnesses:
+            self._witnesses[instance.uid] = witnesses(
+                instance, self._pods, workload=self._view.workload, readers=self._readers, robots=spec.gate.robots
             )
-        }
-        if status.cut_off is not None:
-            body["word"] = word(instance, state, self._replaced, recovering)
-            self._say(instance, status.cut_off, body["word"])
-        wanted = (self._sidecars.session(instance), body)
-        sent, at = self._sent.get(instance.uid, (None, 0.0))
-        if sent == wanted and (body.get("word") != "Go" or time.monotonic() - at < SAY_AGAIN):
-            return
-        self._sent[instance.uid] = (wanted, time.monotonic())
+        return self._witnesses[instance.uid]
+
+    async def _request(self, instance: Instance, body: dict[str, Any]) -> None:
         try:
             await self._sidecars.lease(instance, body)
         except AgentGone as error:

@@ -19,9 +19,11 @@ import pytest
 from tests.unit.agent.conftest import PACKAGE, Pod, eventually
 from understudy.agent import fencing
 from understudy.agent.fencing import Address, Fence, answers
-from understudy.agent.sessions import Peer, Refused
+from understudy.agent.sessions import Operation, Peer, Refused, Sessions
+from understudy.api import agents as wire
 from understudy.api import fencing as script
 from understudy.api import names
+from understudy.api.agents import AgentStatus
 
 COUNTING = """
 import sys, time
@@ -262,3 +264,47 @@ async def test_an_agent_says_that_its_application_is_held(pod: Pod, links) -> No
     status = await link.wait_for(lambda s: s.cut_off is None, 25)
     assert not (pod.volume / script.HELD_NAME).exists()
     assert json.dumps(status.to_wire())
+
+
+class Pretending:
+    """What sessions serve, as little of it as there may be."""
+
+    version = 0
+
+    def greeting(self) -> dict[str, str]:
+        return {"pod": "drive-1", "uid": "uid"}
+
+    def token(self) -> bytes:
+        return b"token"
+
+    def refuses(self, workload: str, claim: str) -> str | None:
+        return None
+
+    def status(self) -> AgentStatus:
+        return AgentStatus()
+
+    async def changed(self, version: int) -> None:
+        await asyncio.sleep(3600)
+
+    def operations(self) -> dict[str, Operation]:
+        return {}
+
+
+async def test_a_session_shows_whether_the_other_side_has_what_was_sent_and_ends_at_once() -> None:
+    sessions = Sessions(Pretending())
+    server = await sessions.serve(0, host="127.0.0.1")
+    reader, writer = await asyncio.open_connection(*server.sockets[0].getsockname(), limit=1024)
+    assert not sessions.taken_in(), "there is none"
+    nonce = json.loads(await reader.readline())["nonce"]
+    writer.write(wire.encode({"workload": "w", "claim": "", "mac": wire.mac(b"token", nonce, "w", "")}))
+    await eventually(lambda: sessions.count == 1 and sessions.taken_in(), 25)
+    # Who doesn't read doesn't take in what doesn't fit into the kernels' buffers.
+    for _ in range(64):
+        sessions.publish({"filling": "x" * 262144})
+    await eventually(lambda: not sessions.taken_in(), 25)
+    sessions.abort()
+    with pytest.raises(ConnectionResetError):
+        await asyncio.wait_for(reader.read(-1), 25)
+    await eventually(lambda: sessions.count == 0, 25)
+    writer.close()
+    server.close()

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import asyncio
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
 import pytest
 
 from understudy.api import names
+from understudy.api.agents import AgentStatus
+from understudy.api.workloads import RobotWorkloadSpec
 from understudy.cluster.client import Object
 from understudy.mitigation.interfaces import GateState, Instance
 from understudy.mitigation.progress import PodIdentity, Progress
-from understudy.monitor.leases import Word, witnesses, word
+from understudy.monitor.leases import Leases, Word, witnesses, word
 from understudy.ros.sources import VENDOR, host_id
 
 ACTIVE, STANDBY = Instance("a", "uid-a", running=True), Instance("s", "uid-s", running=True)
@@ -106,3 +113,129 @@ def test_the_standby_on_another_node_has_others() -> None:
 def test_where_the_node_is_not_known_only_robots_count() -> None:
     stranger = Instance("x", "uid-x")
     assert witnesses(stranger, PODS, workload="w", readers=readers("10.1.1.2"), robots=[]) == ["10.1.1.2"]
+
+
+class Agents:
+    """The agents' ends as the monitor sees them; one of them may not answer."""
+
+    def __init__(self, statuses: dict[str, AgentStatus], deaf: str = "") -> None:
+        self.statuses, self.deaf = statuses, deaf
+        self.sessions = dict.fromkeys(statuses, 1)
+        self.told: list[tuple[str, dict[str, Any]]] = []
+
+    def status(self, instance: Instance) -> AgentStatus | None:
+        return self.statuses.get(instance.uid)
+
+    def session(self, instance: Instance) -> tuple[int, int]:
+        return (0, self.sessions[instance.uid])
+
+    async def lease(self, instance: Instance, body: dict[str, Any]) -> None:
+        if instance.uid == self.deaf:
+            await asyncio.sleep(3600)
+        self.told.append((instance.uid, body))
+
+    def words(self, uid: str) -> list[str]:
+        return [body["word"] for to, body in self.told if to == uid and "word" in body]
+
+
+class Cluster:
+    """What lists pods; with ``away`` it never answers."""
+
+    def __init__(self, *, away: bool = False) -> None:
+        self.away = away
+
+    async def list(self, *_: object) -> Object:
+        if self.away:
+            await asyncio.sleep(3600)
+        return {"items": PODS}
+
+
+def monitored(agents: Agents, cluster: Cluster, events: list[str], *, reflex: bool = True) -> Leases:
+    spec = RobotWorkloadSpec.model_validate(
+        {
+            "template": {"spec": {"containers": [{"name": "c", "image": "i"}]}},
+            "outputs": [{"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist"}],
+            "failurePolicyRef": {"name": "p"},
+            "gate": {"reflex": {"deadline": "100ms"}} if reflex else {},
+        }
+    )
+    robot = SimpleNamespace(gid=VENDOR + host_id("10.1.1.2") + bytes(12))
+    parts: dict[str, Any] = {
+        "client": cluster,
+        "view": SimpleNamespace(spec=spec, namespace="fleet", workload="w"),
+        "fleet": SimpleNamespace(of_workload=lambda: [ACTIVE, STANDBY]),
+        "gate": SimpleNamespace(state=BEFORE, exists=True),
+        "sidecars": agents,
+        "sight": SimpleNamespace(graph=SimpleNamespace(subscribers=lambda topic: [robot])),
+        "reporter": SimpleNamespace(event=lambda kind, reason, text: events.append(f"{reason}: {text}")),
+    }
+    return Leases(**parts)
+
+
+async def eventually(check: Callable[[], object]) -> None:
+    async with asyncio.timeout(25):
+        while not check():
+            await asyncio.sleep(0.01)
+
+
+def running() -> AgentStatus:
+    return AgentStatus("Running", True)
+
+
+def cut_off() -> AgentStatus:
+    return AgentStatus("Running", False, "held", cut_off=1700000000.0)
+
+
+async def test_every_agent_learns_who_may_answer_it_and_learns_it_anew_in_a_new_session() -> None:
+    agents = Agents({"uid-a": running(), "uid-s": running()})
+    leases = monitored(agents, Cluster(), [])
+    task = asyncio.create_task(leases.run())
+    await eventually(
+        lambda: {uid for uid, body in agents.told if "10.1.1.2" in body["witnesses"]} == {"uid-a", "uid-s"}
+    )
+    assert not agents.words("uid-a"), "who isn't held needs no word"
+    before = len(agents.told)
+    agents.sessions["uid-a"] = 2
+    leases.wake.set()
+    await eventually(lambda: len(agents.told) > before)
+    assert agents.told[-1][0] == "uid-a"
+    task.cancel()
+
+
+async def test_a_word_is_held_up_neither_by_an_api_server_that_is_away_nor_by_another_agent() -> None:
+    events: list[str] = []
+    agents = Agents({"uid-a": running(), "uid-s": running()}, deaf="uid-a")
+    leases = monitored(agents, Cluster(away=True), events)
+    task = asyncio.create_task(leases.run())
+    await eventually(lambda: agents.told)
+    agents.statuses["uid-s"] = cut_off()
+    leases.wake.set()
+    await eventually(lambda: agents.words("uid-s") == ["Go"])
+    await eventually(lambda: len(agents.words("uid-s")) > 1)  # again, until it is followed
+    agents.statuses["uid-s"] = running()
+    assert len([event for event in events if "s was cut off at 22:13:20 UTC" in event and "it goes on" in event]) == 1
+    task.cancel()
+
+
+async def test_one_that_was_replaced_is_told_so_as_long_as_it_is_there() -> None:
+    agents = Agents({"uid-a": cut_off(), "uid-s": running()})
+    leases = monitored(agents, Cluster(), [])
+    current: list[Progress | None] = [recovery(ACTIVE, reflex=True)]
+    leases.recovering = lambda: current[0]
+    task = asyncio.create_task(leases.run())
+    await eventually(lambda: agents.words("uid-a"))
+    current[0] = None
+    leases._gate = SimpleNamespace(state=AFTER, exists=True)  # type: ignore[assignment]
+    count = len(agents.words("uid-a"))
+    await eventually(lambda: len(agents.words("uid-a")) > count)
+    assert set(agents.words("uid-a")) == {"Stay"}
+    task.cancel()
+
+
+async def test_without_a_reflex_nobody_is_told_anything() -> None:
+    agents = Agents({"uid-a": running()})
+    leases = monitored(agents, Cluster(), [], reflex=False)
+    task = asyncio.create_task(leases.run())
+    await asyncio.sleep(0.1)
+    assert not agents.told
+    task.cancel()
