@@ -50,15 +50,28 @@ def release(kubeconfig: Path) -> Kubectl:
     return install(kubeconfig)
 
 
+@pytest.fixture(scope="session")
+def namespaces(release: Kubectl) -> Iterator[list[str]]:
+    """The namespaces of all tests. They end while the next test begins, and none may be left when all are through."""
+    made: list[str] = []
+    yield made
+    if not os.environ.get("UNDERSTUDY_KEEP"):
+        eventually(
+            lambda: not {n["metadata"]["name"] for n in release.list("namespaces")} & set(made),
+            within=150, what="the namespaces of all tests are gone", note=lambda: release("get", "namespaces"),
+        )  # fmt: skip
+
+
 @pytest.fixture
-def kubectl(release: Kubectl) -> Iterator[Kubectl]:
+def kubectl(release: Kubectl, namespaces: list[str]) -> Iterator[Kubectl]:
     """kubectl in a namespace of the test's own."""
     name = f"e2e-{uuid.uuid4().hex[:6]}"
+    namespaces.append(name)
     release("create", "namespace", name)
     mine = release.in_namespace(name)
     yield mine
     if not os.environ.get("UNDERSTUDY_KEEP"):
-        mine("delete", "namespace", name, "--wait=true", "--ignore-not-found", timeout=150)
+        mine("delete", "namespace", name, "--wait=false", "--ignore-not-found")
 
 
 @pytest.fixture
