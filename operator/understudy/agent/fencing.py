@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import logging
+import select
 import socket
 import struct
 import time
@@ -81,7 +83,7 @@ class Fence:
         self._monitor: Address | None = None
         self._witnesses: tuple[Address, ...] = ()
         self._favourite: Address | None = None
-        self._asking: set[asyncio.Task[None]] = set()
+        self._questions = Questions()
         self._asked_apiserver = 0.0
         self.contacts: Contacts | None = None
         self.since: float | None = None
@@ -145,30 +147,29 @@ class Fence:
                 self._look(time.monotonic())
                 await asyncio.sleep(self._lease.wait)
         finally:
-            for task in self._asking:
-                task.cancel()
+            self._questions.close()
 
     def _look(self, now: float) -> None:
         lease, contacts = self._lease, self.contacts
+        self._take_answers(now)
         if lease.rounds and lease.state != "Idle" and contacts is not None and contacts.taken_in():
             lease.answered(now)
         lease.look(now)
         self._apply()
         match lease.ask(now):
             case "One":
-                self._ask(self._favourite)
+                self._ask(now, self._favourite)
             case "Everybody":
                 if lease.state != "Idle":
                     self._nudge()
-                for address in (self._monitor, *self._witnesses):
-                    self._ask(address)
+                self._ask(now, self._monitor, *self._witnesses)
                 # Its connections are written down there, so it is asked only where nobody else is left.
                 if lease.rounds > 1 and lease.state != "Idle":
-                    self._ask(self._apiserver)
+                    self._ask(now, self._apiserver)
         if lease.state == "Back" and not (contacts and contacts.count):
             if now - self._asked_apiserver >= APISERVER_PERIOD:
                 self._asked_apiserver = now
-                self._ask(self._apiserver)
+                self._ask(now, self._apiserver)
         else:
             lease.apiserver(now, False)
 
@@ -199,37 +200,74 @@ class Fence:
             if not wake_fifo(self._directory / fencing.fence_name(container)):
                 _logger.warning("container %s isn't there to be %s", container, "held" if held else "let go")
 
-    def _ask(self, address: Address | None) -> None:
-        if address is not None:
-            task = asyncio.create_task(self._asked(address))
-            self._asking.add(task)
-            task.add_done_callback(self._asking.discard)
+    def _ask(self, now: float, *addresses: Address | None) -> None:
+        for address in addresses:
+            if address is not None:
+                self._questions.ask(address, now)
 
-    async def _asked(self, address: Address) -> None:
-        answer = await answers(address, ANSWER)
-        now = time.monotonic()
-        if address == self._apiserver:
-            self._lease.apiserver(now, answer)
-        if answer:
-            self._favourite = address
-            self._lease.answered(now)
-            self._apply()
+    def _take_answers(self, now: float) -> None:
+        for address, asked_at, answer in self._questions.answers(now):
+            if address == self._apiserver:
+                self._lease.apiserver(now, answer)
+            if answer and address in (self._monitor, *self._witnesses, self._apiserver):
+                self._favourite = address
+                self._lease.answered(asked_at)
 
 
-async def answers(address: Address, within: float) -> bool:
-    """Whether somebody at an address answers within so many seconds."""
-    family = socket.AF_INET6 if ":" in address.host else socket.AF_INET
-    try:
-        with socket.socket(family, socket.SOCK_STREAM) as sock:
+class Questions:
+    """Connections that are begun only to see whether anybody answers. Who asks looks again later: nothing is awaited."""
+
+    def __init__(self) -> None:
+        self._open: list[tuple[Address, float, socket.socket]] = []
+        self._ended: list[tuple[Address, float, bool]] = []
+
+    def ask(self, address: Address, now: float) -> None:
+        """Begin to connect."""
+        sock = None
+        try:
+            sock = socket.socket(socket.AF_INET6 if ":" in address.host else socket.AF_INET, socket.SOCK_STREAM)
             sock.setblocking(False)
             sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _AT_ONCE)
-            async with asyncio.timeout(within):
-                await asyncio.get_running_loop().sock_connect(sock, (address.host, address.port))
-            return True
-    except ConnectionRefusedError:
-        return not address.accept
-    except (OSError, TimeoutError):
-        return False
+            error = sock.connect_ex((address.host, address.port))
+        except OSError as problem:
+            error = problem.errno or errno.EIO
+        if error == errno.EINPROGRESS and sock is not None:
+            self._open.append((address, now, sock))
+            return
+        if sock is not None:
+            sock.close()
+        self._ended.append((address, now, _is_answer(address, error)))
+
+    def answers(self, now: float) -> list[tuple[Address, float, bool]]:
+        """What became of those that have ended since the last look: whom, when it was asked, and whether it answered."""
+        found, self._ended = self._ended, []
+        poll = select.poll()
+        for _, _, sock in self._open:
+            poll.register(sock, select.POLLOUT)
+        done = {descriptor for descriptor, _ in poll.poll(0)}
+        left = []
+        for address, asked_at, sock in self._open:
+            if sock.fileno() in done:
+                error = sock.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
+                found.append((address, asked_at, _is_answer(address, error)))
+            elif now - asked_at < ANSWER:
+                left.append((address, asked_at, sock))
+                continue
+            else:
+                found.append((address, asked_at, False))
+            sock.close()
+        self._open = left
+        return found
+
+    def close(self) -> None:
+        """Give them all up."""
+        for _, _, sock in self._open:
+            sock.close()
+        self._open = []
+
+
+def _is_answer(address: Address, error: int) -> bool:
+    return not error or (error == errno.ECONNREFUSED and not address.accept)
 
 
 def apiserver(environment: Mapping[str, str]) -> Address | None:

@@ -18,7 +18,7 @@ import pytest
 
 from tests.unit.agent.conftest import PACKAGE, Pod, eventually
 from understudy.agent import fencing
-from understudy.agent.fencing import Address, Fence, answers
+from understudy.agent.fencing import Address, Fence, Questions
 from understudy.agent.sessions import Operation, Peer, Refused, Sessions
 from understudy.api import agents as wire
 from understudy.api import fencing as script
@@ -63,6 +63,19 @@ def silent() -> Iterator[socket.socket]:
         for one in filling:
             one.close()
     _kept.clear()
+
+
+async def answers(address: Address, within: float) -> bool:
+    questions = Questions()
+    begun = time.monotonic()
+    questions.ask(address, begun)
+    while not (found := questions.answers(begun)):
+        if time.monotonic() - begun > within:
+            assert questions.answers(begun + fencing.ANSWER) == [(address, begun, False)], "it is given up"
+            return False
+        await asyncio.sleep(0.01)
+    assert found[0][:2] == (address, begun)
+    return found[0][2]
 
 
 async def test_who_accepts_and_who_refuses_answers_and_who_is_silent_does_not(silent: socket.socket) -> None:
