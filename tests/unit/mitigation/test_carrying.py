@@ -10,10 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from understudy.api.kept import KeptSample, KeptState, Motion, NotRestored
-from understudy.api.states import State
+from understudy.api.kept import KeptSample, KeptState, Motion, NotRestored, Restored, RestoreReport
+from understudy.api.states import RestoredState, State
 from understudy.mitigation.carrying import Carrier
 from understudy.mitigation.keeping import Key, Version
+from understudy.mitigation.progress import Progress
 from understudy.mitigation.shelf import Shelf
 from understudy.motion.poses import Pose
 
@@ -251,3 +252,16 @@ def test_the_wire_carries_it() -> None:
         KeptSample("/a", POSE, 1.0, b"\0", motion=found) for found in (None, moved, Motion("/o", ODOMETRY, False, "x"))
     ):
         assert KeptSample.from_wire(sample.to_wire()) == sample
+
+
+def test_a_recovery_records_how_far_it_was_carried_and_what_was_not() -> None:
+    report = RestoreReport(
+        (Restored("/amcl_pose", 98.5, 0.43219), Restored("/dock", 99.0, None, "it can't be carried"))
+    )
+    assert RestoreReport.from_wire(report.to_wire()) == report
+    progress = Progress.begin("silent", last_healthy=100.0, detected=100.5, failed=[])
+    progress.note_state(report)
+    assert progress.to_recovery(1).state == [
+        RestoredState(name="/amcl_pose", restored=True, age_seconds=1.5, carried_metres=0.432),
+        RestoredState(name="/dock", restored=True, age_seconds=1.0, message="it can't be carried"),
+    ]
