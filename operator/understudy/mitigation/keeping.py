@@ -364,6 +364,13 @@ class Keeper:
         """All that is kept, oldest first."""
         return {key: tuple(item.versions) for key, item in self._items.items() if item.versions}
 
+    def held(self) -> dict[Key, Sequence[Version]]:
+        """All that is kept, and what may be with the next verdict."""
+        return {
+            key: (*item.versions, *((item.pending[0],) if item.pending is not None else ()))
+            for key, item in self._items.items()
+        }
+
     def adopt(self, versions: Mapping[Key, Iterable[Version]], now: float) -> None:
         """Take up what an earlier keeper had kept; what the policy doesn't name (any more) is left out.
 

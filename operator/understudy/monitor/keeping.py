@@ -250,7 +250,7 @@ class StateKeeping:
             return
         self._next_persist = now + PERSIST
         kept = self._keeper.versions()
-        self._carrier.prune(kept)
+        self._carrier.prune(self._keeper.held())
         kept |= self._carrier.packed(time.time())
 
         async def persist() -> None:

@@ -15,6 +15,7 @@ pytest.importorskip("rclpy")
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
 
 from tests.unit.monitor.test_keeping import POSE, STANDBY, Monitor
@@ -116,6 +117,28 @@ async def test_a_pose_is_kept_with_where_odometry_was_then(monitor: Monitor, rob
     assert found.last.x - found.then.x >= 0.9, "it has driven on since"
     assert found.driven == pytest.approx(found.last.x - found.then.x, abs=0.05)
     assert (found.missing, len(found.writer)) == ("", 16)
+
+
+async def test_a_pose_from_before_it_is_healthy_is_carried_once_it_is(
+    monitor: Monitor, robot: Robot, graph: Graph
+) -> None:
+    """Said once, and held for late joiners: it counts from when the health tree first holds."""
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    robot._graph.node.destroy_publisher(robot._publishers[PoseWithCovarianceStamped])
+    robot._publishers[PoseWithCovarianceStamped] = graph.node.create_publisher(
+        PoseWithCovarianceStamped, "/amcl_pose", latched
+    )
+    monitor.health = "Starting"
+    carrier = monitor.keeping._carrier
+    await monitor.until(
+        lambda: "/odom" in carrier._odometry and carrier._odometry["/odom"].track.last, each=lambda: robot.say(Odometry)
+    )
+    robot.say()
+    await monitor.until(lambda: carrier._poses["/amcl_pose"].moments, each=lambda: robot.say(Odometry))
+    end = time.monotonic() + 3.0  # several times over what is not needed any more is forgotten
+    await monitor.until(lambda: time.monotonic() > end, each=lambda: robot.say(Odometry))
+    monitor.health = "Healthy"
+    await monitor.until(lambda: carried(monitor), each=lambda: robot.say(Odometry))
 
 
 async def test_odometry_is_watched_during_a_recovery(monitor: Monitor, robot: Robot) -> None:
