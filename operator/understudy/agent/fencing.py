@@ -20,7 +20,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Protocol
 
-from understudy.agent.holds import wake_fifo, write_atomically
+from understudy.agent.holds import make_fifo, wake_fifo, write_atomically
 from understudy.agent.leases import Lease
 from understudy.agent.sessions import Operation, Peer, Refused
 from understudy.api import fencing, names
@@ -121,6 +121,12 @@ class Fence:
             return "nobody has answered its agent yet"
         return ""
 
+    def build(self, containers: Sequence[str]) -> None:
+        """Make what containers can be held by, before their applications are started. Raises OSError."""
+        for container in containers:
+            make_fifo(self._directory / fencing.fence_name(container))
+        self.containers = tuple(containers)
+
     def operations(self) -> Mapping[str, Operation]:
         """What a monitor can ask for."""
         return {"lease": self.lease}
@@ -140,11 +146,10 @@ class Fence:
 
     async def run(self) -> None:
         """Watch until cancelled."""
-        if not self.containers:
-            return
         try:
             while True:
-                self._look(time.monotonic())
+                if self.containers:
+                    self._look(time.monotonic())
                 await asyncio.sleep(self._lease.wait)
         finally:
             self._questions.close()
@@ -268,6 +273,11 @@ class Questions:
 
 def _is_answer(address: Address, error: int) -> bool:
     return not error or (error == errno.ECONNREFUSED and not address.accept)
+
+
+def built(directory: Path, containers: Sequence[str]) -> tuple[str, ...]:
+    """Those of the containers that can be held since an earlier agent of this pod."""
+    return tuple(container for container in containers if (directory / fencing.fence_name(container)).exists())
 
 
 def apiserver(environment: Mapping[str, str]) -> Address | None:

@@ -45,7 +45,7 @@ class Sidecar:
         self._strengths = Strengths(identity.directory)
         self.fence = fencing.Fence(
             identity.directory,
-            identity.fenced,
+            identity.fenced or fencing.built(identity.directory, identity.held),
             unfenced=identity.unfenced,
             apiserver=fencing.apiserver(os.environ),
             on_change=self._notify,
@@ -245,6 +245,11 @@ class Sidecar:
             except OSError as error:
                 raise Refused(f"writing the profiles: {error}") from error
             ros = {**ros, names.PROFILES_VARIABLE: str(file)}
+        if names.STRENGTH_VARIABLE in profiles:
+            try:
+                self.fence.build(self._identity.held)
+            except OSError as error:
+                raise Refused(f"making what it can be held by: {error}") from error
         bound = dataclasses.replace(
             self._memory,
             workload=peer.workload,

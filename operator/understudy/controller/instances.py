@@ -129,9 +129,9 @@ def build(template: Mapping[str, Any], recipe: Recipe) -> Object:
     fenced_names = [c["name"] for c in spec["containers"] if c.get("command")] if recipe.fenced else []
     scope: fencing.Scope = "own" if spec.get("shareProcessNamespace") or spec.get("hostPID") else "all"
     spec["containers"] = [
-        _fenced(_container(container, recipe), scope)
+        _fenced(_container(container, recipe, scope), scope)
         if container["name"] in fenced_names
-        else _container(container, recipe)
+        else _container(container, recipe, scope)
         for container in spec["containers"]
     ]
     unfenced = [c["name"] for c in spec["containers"] if c["name"] not in fenced_names] if recipe.fenced else []
@@ -234,7 +234,7 @@ def literal_environment(template: Mapping[str, Any], ros: Mapping[str, str]) -> 
     }
 
 
-def _container(container: Object, recipe: Recipe) -> Object:
+def _container(container: Object, recipe: Recipe, scope: fencing.Scope) -> Object:
     given = {entry["name"] for entry in container.get("env") or []}
     added = [entry for entry in _plain(recipe.variables) if entry["name"] not in given]
     made = {**container, "env": [*(container.get("env") or []), *added]}
@@ -242,7 +242,7 @@ def _container(container: Object, recipe: Recipe) -> Object:
         if names.POD_VARIABLE not in given:
             made["env"].append(_field(names.POD_VARIABLE, "metadata.name"))
         made["volumeMounts"] = [*(container.get("volumeMounts") or []), _profiles_mount(recipe)]
-    return _held(made, recipe) if recipe.held else made
+    return _held(made, recipe, scope) if recipe.held else made
 
 
 def _profiles_mount(recipe: Recipe) -> Object:
@@ -272,16 +272,18 @@ def _prepare(recipe: Recipe, fenced: Sequence[str]) -> Object:
     }
 
 
-def _held(container: Object, recipe: Recipe) -> Object:
-    """The container waits; its probes would kill it for that, and its hook would wait for a process that isn't."""
+def _held(container: Object, recipe: Recipe, scope: fencing.Scope) -> Object:
+    """The container waits; its probes would kill it for that, and its hook would wait for a process that isn't.
+
+    Whether its robot needs it to be held when it's cut off is known with the claim only: the script finds out.
+    """
     made = {k: v for k, v in container.items() if k not in ("livenessProbe", "readinessProbe", "startupProbe")}
     if hooks := {k: v for k, v in (container.get("lifecycle") or {}).items() if k != "postStart"}:
         made["lifecycle"] = hooks
     else:
         made.pop("lifecycle", None)
-    made["command"] = holding.held_command(
-        container["name"], container["command"], container.get("args") or [], recipe.warm_paths
-    )
+    command = fencing.fenced_command(container["name"], container["command"], container.get("args") or [], scope=scope)
+    made["command"] = holding.held_command(container["name"], command, [], recipe.warm_paths)
     made.pop("args", None)
     made["volumeMounts"] = [
         *(container.get("volumeMounts") or []),

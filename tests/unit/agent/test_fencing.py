@@ -264,6 +264,22 @@ def test_the_init_container_makes_what_they_are_held_by(tmp_path: Path) -> None:
         assert path.stat().st_mode & 0o777 == 0o666
 
 
+async def test_a_claimed_pod_can_be_held_where_its_robot_chooses_by_strength(pod: Pod, links) -> None:
+    pod.start_agent()
+    command = [sys.executable, "-c", COUNTING, str(pod.folder / "output")]
+    pod.start_container(script.fenced_command("app", command, [], scope="own", directory=str(pod.volume)))
+    links.append(link := pod.link())
+    await link.wait_for(lambda s: s.ready, 25)
+    assert not (pod.volume / script.fence_name("app")).exists()
+    profiles = f"<ownershipStrength><value>${{{names.STRENGTH_VARIABLE}}}</value></ownershipStrength>"
+    await link.start({}, {}, profiles=profiles)
+    await eventually(lambda: (pod.folder / "output").exists(), 25)
+    assert (pod.volume / script.fence_name("app")).is_fifo()
+    status = await link.wait_for(lambda s: s.phase != "Held", 25)
+    assert status.unfenced == "nobody has answered its agent yet"
+    assert fencing.built(pod.volume, ["app", "lamp"]) == ("app",), "and an agent that is restarted knows"
+
+
 async def test_an_agent_says_that_its_application_is_held(pod: Pod, links) -> None:
     pod.environment = {"UNDERSTUDY_WORKLOAD": "robot", names.FENCED_VARIABLE: "drive"}
     os.mkfifo(pod.volume / script.fence_name("drive"))
