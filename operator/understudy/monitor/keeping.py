@@ -97,7 +97,7 @@ class StateKeeping:
     def take(self, state: State, instances: Mapping[str, str], active: str) -> None:
         """Take in what has come of what the policy keeps. ``instances`` has their IPs; ``active`` is in control."""
         if state is not self._state:  # comparing them costs more than all else here
-            self._follow(state)
+            self.follow(state)
         if not self._keeper.keys:
             return
         self._follow_clock()
@@ -155,7 +155,8 @@ class StateKeeping:
         """What was taken counts if the instance was healthy, and is. ``now`` in unix seconds."""
         self._keeper.judge(health, now)
 
-    def _follow(self, state: State) -> None:
+    def follow(self, state: State) -> None:
+        """Keep what this policy says; what an earlier monitor had kept of it is taken up."""
         if state == self._state:
             self._state = state
             return

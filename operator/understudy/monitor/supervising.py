@@ -450,6 +450,7 @@ class Supervisor:
         if policy is None or settings is None or self._retired():
             return
         self._sight.follow(policy, self._view.spec)
+        self._keeping.follow(policy.state)  # a recovery that an earlier monitor had begun comes before the first look
         self._sidecars.follow(self._fleet.of_workload())
         self._reporter.set(health="Recovering")
         self._reporter.condition("Recovering", "True", "FailureDetected", progress.reason)

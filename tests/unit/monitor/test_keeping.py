@@ -19,12 +19,14 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
 
 from understudy.api.kept import KeptState, NotRestored, Restored, RestoreReport
+from understudy.api.policies import FailurePolicySpec
 from understudy.api.settings import PoolChoice, WorkloadSettings
 from understudy.api.states import KeptStatus, RestoredState, State
 from understudy.api.workloads import Recovery
 from understudy.cluster.agents import AgentGone
 from understudy.mitigation import keeping as pure
-from understudy.mitigation.interfaces import GateState, Instance
+from understudy.mitigation.interfaces import GateState, Instance, Superseded
+from understudy.mitigation.progress import Progress
 from understudy.mitigation.shelf import Shelf
 from understudy.monitor import keeping as module
 from understudy.monitor.keeping import StateKeeping
@@ -52,6 +54,13 @@ def graph(monkeypatch: pytest.MonkeyPatch) -> Iterator[Graph]:
     made = Graph("keeper")
     yield made
     made.close()
+
+
+def policy_of(state: State) -> FailurePolicySpec:
+    health = {"topic": {"name": "/cmd_vel", "type": "geometry_msgs/msg/Twist", "gap": "500ms"}}
+    return FailurePolicySpec.model_validate(
+        {"monitoring": {"yaml": health}, "strategies": [{"type": "Restart"}], "state": state.to_wire()}
+    )
 
 
 class Agents:
@@ -195,6 +204,35 @@ async def test_it_outlasts_the_monitor(
     later.keeping.take(STATE, {}, "w-1")
     assert later.x(onset) == 1.0
     assert later.keeping.select(onset) == monitor.keeping.select(onset)
+
+
+async def test_it_is_there_for_a_recovery_that_an_earlier_monitor_had_begun(
+    monitor: Monitor, say: Callable[[float], None], graph: Graph, tmp_path: Path
+) -> None:
+    say(1.0)
+    await monitor.until(lambda: monitor.x() == 1.0 and (tmp_path / "kept").exists() and Shelf(tmp_path).load())
+    onset = time.time()
+    later = Monitor(graph, tmp_path)
+    view = SimpleNamespace(policy=policy_of(STATE), settings=SimpleNamespace(), spec=None, object={"metadata": {}})
+    quiet = SimpleNamespace(follow=lambda *_: None, of_workload=list, set=lambda **_: None)
+    parts = SimpleNamespace(keeping=later.keeping, view=view, sight=quiet, sidecars=quiet, fleet=quiet)
+    found: list[KeptState] = []
+
+    async def recovered(self: Supervisor, *_: object) -> None:
+        found.append(later.keeping.select(onset))
+        raise Superseded("that is all")
+
+    supervisor = Supervisor.__new__(Supervisor)
+    for name, part in vars(parts).items():
+        setattr(supervisor, f"_{name}", part)
+    supervisor._reporter = later.told  # type: ignore[assignment]
+    later.told.set = lambda **_: None  # type: ignore[attr-defined]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Supervisor, "_recovered", recovered)
+        patch.setattr(Supervisor, "_after", lambda *_: None)
+        patch.setattr("understudy.monitor.supervising.choices", lambda *_: [])
+        await supervisor._carry_out(Progress.begin("it ended", last_healthy=onset, detected=onset, failed=[]))
+    assert [sample.topic for sample in found[0].samples] == ["/amcl_pose"]
 
 
 async def test_a_topic_that_never_comes_is_told_in_time(monitor: Monitor, monkeypatch: pytest.MonkeyPatch) -> None:
