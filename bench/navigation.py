@@ -10,6 +10,7 @@ and the CPU the kubelets' counters over the whole drive (the paper's sigma(CPU))
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import sys
 import time
@@ -34,6 +35,12 @@ TIMEOUT = 0.5
 
 ALLOWED = 0.1
 """Seconds beyond the timeout that the robot may be without commands where a standby executes, at p95."""
+
+FAR = 1.5
+"""Metres to the goal at which the stack is lost, at least: some seconds of driving."""
+
+WITHIN = 120.0
+"""Seconds for the robot to be driven to a goal again."""
 
 LABELS = {
     "restart": "restart",
@@ -107,7 +114,7 @@ def _drive(kubeconfig: Path, configuration: str, failures: int, how: str) -> Dri
         navigator.set_up(configuration)
         navigator.wait_ready()
         navigator.send_client(500)  # more than will be reached
-        navigator.wait_driving(120)
+        navigator.wait_driving(WITHIN)
         nodes = [node["metadata"]["name"] for node in kubectl.list("nodes")]
         actives: set[str] = set()
         with Sampler(
@@ -116,8 +123,7 @@ def _drive(kubeconfig: Path, configuration: str, failures: int, how: str) -> Dri
             for number in range(1, failures + 1):
                 active = navigator.wait_ready()
                 actives.add(active)
-                navigator.wait_driving(120)
-                time.sleep(2.0)
+                _wait_under_way(navigator)
                 recovery = _fail(navigator, active, how, number)
                 if recovery.strategy != CONFIGURATIONS[configuration]:
                     raise SystemExit(f"failure {number} was recovered by {recovery.strategy}: {recovery.attempts}")
@@ -147,6 +153,23 @@ def _drive(kubeconfig: Path, configuration: str, failures: int, how: str) -> Dri
     finally:
         kubectl("delete", "namespace", kubectl.namespace, "--wait=true", timeout=180)
     return drive
+
+
+def _wait_under_way(navigator: Navigator) -> None:
+    """Wait until the robot has been driving for two seconds and won't reach its goal at once.
+
+    At a goal it stands until the client sends the next one, with nobody at fault for its having no commands.
+    """
+    end = time.monotonic() + WITHIN
+    while True:
+        navigator.wait_driving(WITHIN)
+        time.sleep(2.0)
+        goal = navigator.wait_driving(WITHIN)
+        here = navigator.log(tail=20).motions[-1]
+        if math.hypot(here.x - goal.x, here.y - goal.y) > FAR:
+            return
+        if time.monotonic() > end:
+            raise Late(f"the robot was never {FAR} m from its goal for {WITHIN} s")
 
 
 def _fail(navigator: Navigator, active: str, how: str, number: int) -> Recovered:
