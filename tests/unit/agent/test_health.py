@@ -238,7 +238,7 @@ async def test_behind_a_discovery_server_it_sees_its_instance(pod: Pod, links, r
     await link.wait_connected(10)
     await link.configure(TREE, OUTPUTS, 20.0)
     await link.start({}, {**ros, "ROS_DISCOVERY_SERVER": discovery_server})
-    await link.wait_for(runs, 30)
+    await link.wait_for(runs, 120)
 
 
 FETCH = """
