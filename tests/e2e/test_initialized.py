@@ -100,19 +100,21 @@ def test_a_standby_counts_only_while_its_check_holds_and_is_replaced_when_it_doe
     wait_counted(managed, 1)
     assert managed.status()["active"] == active, "the robot went on"
 
-
-def test_a_restarted_managed_application_is_brought_up_again(managed: Robot) -> None:
-    managed.wait_protected()
     managed.kubectl("delete", "fallbackpool", POOL, "--wait=true")
     eventually(
         lambda: managed.status().get("strategy") == "Restart" and not standbys(managed),
         within=60,
-        what="no standby is left",
+        what="standbys go with their pool",
         note=managed.describe,
     )
-    old = managed.wait_driven()
-    managed.fail(old, "deleted")
-    recovery = managed.wait_recovered(1)
+
+
+def test_a_restarted_managed_application_is_brought_up_again(kubectl: Kubectl) -> None:
+    robot = Robot(kubectl)
+    kubectl.apply(manifest("strategies/restart.yaml"))
+    kubectl.apply(robot.objects(policy="quickstart-restart", workload="managed/robotworkload.yaml"))
+    robot.fail(robot.wait_protected(), "deleted")
+    recovery = robot.wait_recovered(1)
     assert recovery.strategy == "Restart", recovery
     assert recovery.parts["startup"] > 0
-    assert_handed_over(managed, recovery)
+    assert_handed_over(robot, recovery)
