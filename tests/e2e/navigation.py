@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import json
 import math
+import re
+from bisect import bisect_left
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -36,6 +38,9 @@ CONFIGURATIONS = {
 GOAL_TOLERANCE = 0.25
 """Metres from the goal that the stack's controller calls reached; what it believes, so localization's error adds to it."""
 
+LOCALIZING = re.compile(r"localizing from (?P<x>-?[\d.]+), (?P<y>-?[\d.]+), heading -?[\d.]+ at (?P<time>[\d.]+)")
+"""What the stack's localization logs with the first pose after it was told where it is."""
+
 LOCATE = """
 import math, sys, time
 import rclpy
@@ -57,7 +62,7 @@ node.create_subscription(PoseWithCovarianceStamped, "/amcl_pose", believed,
 end = time.monotonic() + float(sys.argv[1])
 while time.monotonic() < end and len(errors) < 40:
     rclpy.spin_once(node, timeout_sec=0.1)
-print(len(errors), max(errors[len(errors) // 2:], default=0.0))
+print(len(errors), max(errors, default=0.0))
 """
 """Run in a pod of the stack: how far its own localization is from where the robot really is."""
 
@@ -202,7 +207,7 @@ class Navigator(Robot):
                 self._hosts[(VENDOR + host_id(ip)).hex()] = pod["metadata"]["name"]
 
     def localization_error(self, pod: str) -> float:
-        """How far a pod's stack is off with where it believes the robot, in metres: the most in the last two of four seconds."""
+        """How far a pod's stack is off with where it believes the robot, in metres: the most in four seconds."""
         graph: dict[str, str] = self.kubectl.get("configmap", f"{self.workload}-robot-env")["data"]
         environment = [f"{name}={value}" for name, value in graph.items() if not name.startswith("FASTRTPS")]
         # In the agent's container, since the stack's own has no memory to spare.
@@ -210,6 +215,31 @@ class Navigator(Robot):
         said = self.kubectl("exec", pod, "-c", names.AGENT_CONTAINER, "--", *command, timeout=60).split()
         assert int(said[0]) > 5, f"{pod} hardly says where the robot is: {said[0]} poses in 20 s"
         return float(said[1])
+
+    def first_localization_error(self, pod: str, since: float) -> float:
+        """How far a pod's localization was off in the first pose that it said after it was told where it is, in metres.
+
+        Told since that moment (unix seconds); by its own log, which says that pose and its time.
+        """
+
+        def said() -> tuple[float, float, float] | None:
+            found = LOCALIZING.finditer(self.kubectl("logs", pod, "-c", CONTAINER, "--tail=-1"))
+            poses = [(float(m["time"]), float(m["x"]), float(m["y"])) for m in found]
+            return next((pose for pose in poses if pose[0] >= since), None)
+
+        time, x, y = eventually(said, within=20, what=f"{pod} says from where it localizes", note=self.describe)
+        motions = sorted(self.log().motions, key=lambda m: m.time)
+        index = min(max(1, bisect_left(motions, time, key=lambda m: m.time)), len(motions) - 1)
+        before, after = motions[index - 1], motions[index]
+        assert before.time - 0.5 < time < after.time + 0.5, f"the robot's log has nothing of {time}"
+        part = (time - before.time) / (after.time - before.time)
+        return math.hypot(x - before.x - part * (after.x - before.x), y - before.y - part * (after.y - before.y))
+
+    def carried(self, number: int) -> float | None:
+        """By how many metres the pose that was given in a recovery was carried; None where it wasn't."""
+        entry = next(r for r in self.status()["recoveries"] if r["number"] == number)
+        metres: float | None = next((s.get("carriedMetres") for s in entry["state"] if s["name"] == "/amcl_pose"), None)
+        return metres
 
     def distance_to(self, goal: Goal) -> float:
         """Where the robot really was when a goal ended, from the goal, in metres."""

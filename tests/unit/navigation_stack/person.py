@@ -88,6 +88,10 @@ def end(process: subprocess.Popen[bytes]) -> None:
     process.wait(10)
 
 
+DOUBT = 0.35
+"""m and rad by which a person doubts where the robot is."""
+
+
 class Person:
     def __init__(self, domain: int) -> None:
         from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
@@ -181,11 +185,12 @@ class Person:
         message.header.frame_id = "map"
         message.header.stamp = self._node.get_clock().now().to_msg()
         message.pose.pose = message_of(pose)
+        for i in (0, 7, 35):  # as RViz does, a person says that it is about there
+            message.pose.covariance[i] = DOUBT**2
         self._initial.publish(message)
 
     def restore(self, message: Any) -> None:
-        """Give it a pose that it had published."""
-        message.header.stamp = self._node.get_clock().now().to_msg()
+        """Give it a pose that another instance had published, with the time at which it was so."""
         self._initial.publish(message)
 
     @property

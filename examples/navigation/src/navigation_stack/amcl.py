@@ -44,8 +44,8 @@ SETTLING = 15
 MADE_UP_FOR = 0.03
 """m that an initial pose is doubted by where it is known what was driven since."""
 
-FRESH = 0.15
-"""s: who stamps a pose with the time of sending it, as RViz does, doesn't say when the robot was there."""
+AHEAD = 1.0
+"""s by which an initial pose may be ahead of odometry, which is then waited for: who carried it to the present has heard more."""
 
 _Start = tuple[Pose, Sequence[Sequence[float]], float | None]
 
@@ -55,9 +55,9 @@ class Amcl(managed.Managed):
 
     Parameters, named as Nav2's: max_particles, max_beams, sigma_hit, laser_likelihood_max_dist, update_min_d,
     update_min_a, set_initial_pose, initial_pose.{x,y,yaw}, tf_broadcast, global_frame_id, odom_frame_id, base_frame_id.
-    And initial_pose_spread: m that an initial pose is doubted by on top of what its covariance says, and headings as much
-    in rad: a restored one is as old as the failure, and the robot drove on and turned for a while. Where its stamp says when it
-    was so, and odometry what was driven since, that is made up for instead.
+    And initial_pose_spread: m that an initial pose is doubted by at least, whatever its covariance says, and headings as much
+    in rad, where nobody knows what was driven since: it has no stamp, or one from before this node heard odometry. What was
+    driven since a stamp that odometry covers is made up for instead, as Nav2's does.
     """
 
     def __init__(self) -> None:
@@ -118,8 +118,7 @@ class Amcl(managed.Managed):
         try:
             pose = pose_of(message.pose.pose)
             stamp = seconds(message.header.stamp)
-            fresh = abs(self.get_clock().now().nanoseconds / 1e9 - stamp) < FRESH
-            self._begin(pose, covariance_of(message.pose.covariance), None if fresh else stamp)
+            self._begin(pose, covariance_of(message.pose.covariance), stamp)
         except ValueError as error:
             self.get_logger().error(f"/initialpose: {error}")
             return
@@ -164,12 +163,16 @@ class Amcl(managed.Managed):
 
     def _begin_at(self, grid: Grid, start: _Start, here: Pose) -> None:
         pose, covariance, stamp = start
+        latest = self._odometry.history.latest
+        if stamp is not None and latest is not None and 0.0 < stamp - latest[0] < AHEAD:
+            return
         # What was driven since then, as far back as odometry is known.
         then = None if stamp is None else self._odometry.history.at(stamp, slack=0.0)
         doubt, turned = (self._spread, self._spread) if then is None else (MADE_UP_FOR, MADE_UP_FOR / 2)
         if then is not None:
             pose = pose.then(then.to(here))
-        covariance = (np.asarray(covariance) + np.diag(np.square([doubt, doubt, turned]))).tolist()
+        least, said = np.square([doubt, doubt, turned]), np.asarray(covariance)
+        covariance = (said + np.diag(np.maximum(0.0, least - np.diag(said)))).tolist()
         if self._filter is None:
             self._filter = ParticleFilter(grid, particles=self._count, motion=Motion(), sensor=self._sensor)
         self._filter.spread(pose, covariance)
@@ -204,7 +207,7 @@ class Amcl(managed.Managed):
         self._poses.publish(message)
         if self._begun:
             self._begun = False
-            self.say(f"localizing from {pose.x:.2f}, {pose.y:.2f}, heading {pose.heading:.2f}")
+            self.say(f"localizing from {pose.x:.2f}, {pose.y:.2f}, heading {pose.heading:.2f} at {seconds(stamp):.3f}")
         if self._broadcast:
             origin = pose.then(here.inverse())
             self._frames.publish(TFMessage(transforms=[transform(origin, self._map_frame, self._odom_frame, stamp)]))
