@@ -191,7 +191,8 @@ class Fence:
             except OSError as error:
                 _logger.error("%s: the application can't be held or let go: %s", self._marker, error)
         if state != before:
-            _logger.warning("%s", self.reason or "the application runs")
+            if before != "Idle":
+                _logger.warning("%s", self.reason or "the application goes on")
             self._on_change()
 
     def _mark(self, held: bool) -> None:

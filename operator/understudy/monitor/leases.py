@@ -157,7 +157,7 @@ class Leases:
             try:
                 self._pods = (await self._client.list(PODS, self._view.namespace))["items"]
             except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
-                _logger.info("who could answer an instance that is cut off: %r", error)
+                _logger.debug("who could answer an instance that is cut off: %r", error)
                 self._refresh_at = time.monotonic() + PERIOD
                 return
             self._refresh_at = time.monotonic() + REFRESH
