@@ -39,6 +39,9 @@ NODES_VOLUME: Object = {"name": "nodes", "configMap": {"name": "nodes"}}
 class Cell:
     """A workload with a task, its policy, and clients."""
 
+    gap = "1s"
+    """How long its output may be silent."""
+
     def __init__(self, kubectl: Kubectl, strategy: str, *other_tasks: Object) -> None:
         self.kubectl = kubectl
         self._other_tasks = other_tasks
@@ -100,7 +103,7 @@ class Cell:
         if recovery := self.recovery():
             fallback["recovery"] = recovery
         strategies = [fallback, {"type": "Restart"}]
-        tree = {"topic": {"name": "/cmd_vel", "gap": "1s"}}
+        tree = {"topic": {"name": "/cmd_vel", "gap": self.gap}}
         policy = {"monitoring": {"yaml": tree}, "strategies": strategies, "limits": {"cooldown": "1s"}}
         return [custom("FailurePolicy", policy), custom("FallbackPool", pool)]
 
@@ -245,6 +248,8 @@ class Fates(Cell):
     one's goal worked on there, behind the closed gate.
     """
 
+    gap = "4s"  # what is looked at is one failover, and on a machine that is busy no other
+
     def __init__(self, kubectl: Kubectl) -> None:
         super().__init__(kubectl, "Uninitialized", {"action": CARRY, "type": TYPE, "onFailover": "Tree"})
 
@@ -283,11 +288,10 @@ def test_a_goal_is_aborted_or_sent_by_the_recovery_tree_as_its_task_says(kubectl
     second = recovery["toPod"]
     assert recovery["strategy"] == "Fallback/Uninitialized", "its tree saw the goal worked on before the gate opened"
 
-    assert going.wait("ended", 60, index=0)["status"] == ABORTED
-    assert not [e for e in cell.events(second) if e["event"] == "executing"], "it is never sent again"
-    assert carrying.said("ended") == []
-    assert carrying.wait("ended", 150, index=0)["status"] == SUCCEEDED
     executed = [e["goal"] for e in cell.events(second, "carry") if e["event"] == "executing"]
     assert executed == [goal], "once, under its client's id"
+    assert going.wait("ended", 60, index=0)["status"] == ABORTED
+    assert not [e for e in cell.events(second) if e["event"] == "executing"], "it is never sent again"
+    assert carrying.wait("ended", 150, index=0)["status"] == SUCCEEDED
     assert len(carrying.said("answered")) == 1
     assert cell.condition("TasksProxied")["status"] == "True"
