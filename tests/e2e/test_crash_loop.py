@@ -10,7 +10,7 @@ import pytest
 
 from tests.e2e.faults import Switch
 from tests.e2e.kubectl import Kubectl, Object
-from tests.e2e.scenario import Robot, eventually, manifest
+from tests.e2e.scenario import Robot, eventually, manifest, patient
 from tests.e2e.test_strategies import assert_handed_over
 
 PATIENCE = 240.0
@@ -35,7 +35,7 @@ def living(robot: Robot) -> set[str]:
 
 def test_a_crash_loop_has_the_next_strategy_tried_before_the_time_of_the_first_is_over(kubectl: Kubectl) -> None:
     switch, robot = Switch(kubectl), Robot(kubectl)
-    policy, pool = manifest("strategies/uninitialized.yaml")
+    policy, pool = patient(manifest("strategies/uninitialized.yaml"))
     fallback, restart = policy["spec"]["strategies"]
     policy["spec"]["strategies"] = [restart | {"verifyWithin": f"{PATIENCE:g}s"}, fallback]
     [workload] = manifest("robotworkload.yaml")
@@ -73,7 +73,7 @@ def test_when_every_new_instance_crashes_that_is_told_nothing_thrashes_and_the_f
     kubectl: Kubectl,
 ) -> None:
     switch, robot = Switch(kubectl), Robot(kubectl)
-    policy, pool = manifest("strategies/executing.yaml")
+    policy, pool = patient(manifest("strategies/executing.yaml"))
     policy["spec"]["strategies"][-1]["verifyWithin"] = f"{LAST:g}s"
     policy["spec"]["monitoring"]["startupGrace"] = "15s"
     kubectl.apply([policy, pool])

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.e2e.kubectl import Kubectl, Object
-from tests.e2e.scenario import Robot, eventually, manifest
+from tests.e2e.scenario import Robot, eventually, manifest, patient
 from tests.e2e.test_initialized import POOL, is_ready, standbys, wait_standing_by
 from tests.e2e.test_strategies import assert_handed_over
 
@@ -47,7 +47,7 @@ def application(workload: Object) -> None:
 
 def protection() -> list[Object]:
     """Speed and note are kept and given to standbys while they wait; at a failover the note alone is given."""
-    policy, pool = manifest("strategies/initialized.yaml")
+    policy, pool = patient(manifest("strategies/initialized.yaml"), "4s")
     policy["spec"]["state"] = {
         "keep": [
             {"topic": "/speed", "type": "std_msgs/msg/Float32", "restoreTo": "/told", "maxAge": "24h"},
