@@ -76,6 +76,11 @@ while :; do
   understudy_status=$?
   kill -0 "$understudy_application" 2>/dev/null || break
 done
+if [ "$understudy_status" -gt 128 ]; then
+  wait "$understudy_application" 2>/dev/null
+  understudy_again=$?
+  [ "$understudy_again" = 127 ] || understudy_status=$understudy_again
+fi
 kill -KILL "$understudy_guard" 2>/dev/null
 exit "$understudy_status"
 """
@@ -86,6 +91,7 @@ exit "$understudy_status"
 - The guard is begun after the command, and looks once before it reads: what was asked for in between isn't lost.
 - ``kill -1`` leaves out the caller and the first process of the namespace, which are the guard and the script.
 - Of the processes in control groups a second look finds those that were begun during the first.
+- A signal that comes as the application ends may hide its exit code; it is asked for again.
 - A shell without job control has background commands ignore INT and QUIT; ``env`` of GNU gives them back where it is there.
 - Whoever ends a held application has given it up: it would wait for a continuation that never comes, so it is killed.
 """

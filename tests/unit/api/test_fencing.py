@@ -41,6 +41,12 @@ def state(pid: int) -> str:
         return "gone"
 
 
+def caught(pid: int) -> int:
+    """The signals that a process has set something for, a bit for each."""
+    status = Path(f"/proc/{pid}/status").read_text()
+    return int(next(line.split()[1] for line in status.splitlines() if line.startswith("SigCgt")), 16)
+
+
 class Container:
     """A container's process as the kubelet would start it, in a process namespace of its own where ``scope`` is all."""
 
@@ -79,7 +85,10 @@ class Container:
         self.wake()
 
     def wake(self) -> None:
-        descriptor = os.open(self.fifo, os.O_WRONLY | os.O_NONBLOCK)
+        try:
+            descriptor = os.open(self.fifo, os.O_WRONLY | os.O_NONBLOCK)
+        except OSError:
+            return  # nobody reads it yet, and will look when it does
         os.write(descriptor, b"\n")
         os.close(descriptor)
 
@@ -180,6 +189,7 @@ def test_who_ends_a_held_one_ends_it_for_good(container: Container) -> None:
     processes = container.application()
     container.hold()
     within(lambda: all(state(pid) == "T" for pid in processes))
+    within(lambda: caught(container.descendants()[0]) & 1 << (signal.SIGUSR2 - 1))
     os.kill(container.descendants()[0], signal.SIGTERM)
     within(lambda: all(state(pid) in ("gone", "Z") for pid in processes))
     assert container.process is not None
@@ -198,17 +208,10 @@ while True: time.sleep(0.05)
 """
     container.start(ending)
     first = container.descendants()[0]
-
-    def ended() -> bool:
-        assert container.process is not None
-        if container.process.poll() is None:
-            os.kill(first, number)  # again, where the traps weren't set yet
-        return container.process.poll() is not None
-
-    time.sleep(0.5)
-    within(ended)
+    within(lambda: caught(first) & 1 << (signal.SIGUSR2 - 1))  # the last one that the script asks for
+    os.kill(first, number)
     assert container.process is not None
-    assert container.process.returncode == code
+    assert container.process.wait(25) == code
 
 
 def test_a_command_that_ends_by_itself_ends_the_container_with_its_code(container: Container) -> None:
