@@ -1,5 +1,6 @@
 """The hold script under real shells."""
 
+import contextlib
 import os
 import random
 import shutil
@@ -65,7 +66,8 @@ def wake(folder: Path) -> bool:
         fd = os.open(folder / holding.wake_name("app"), os.O_WRONLY | os.O_NONBLOCK)
     except OSError:
         return False
-    os.write(fd, b"\n")
+    with contextlib.suppress(BrokenPipeError):  # its reader has just gone
+        os.write(fd, b"\n")
     os.close(fd)
     return True
 

@@ -47,6 +47,10 @@ class Sensor:
     """Likelihood of a beam that ends nowhere near the map, at least (people, furniture)."""
 
 
+FIRST = 4
+"""Times as many particles as later, around a pose that was told."""
+
+
 class ParticleFilter:
     """Where the robot may be, as weighted particles in the map frame."""
 
@@ -78,13 +82,15 @@ class ParticleFilter:
         if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
             raise ValueError(f"covariance: a finite 3 by 3 matrix is needed, found {matrix.tolist()}")
         values, vectors = np.linalg.eigh((matrix + matrix.T) / 2)
-        steps = self._random.normal(size=(self._count, 3)) * np.sqrt(np.maximum(values, 0.0))
+        # More at first, until scans have told the good ones: a wide doubt is covered as densely as a narrow one.
+        many = FIRST * self._count
+        steps = self._random.normal(size=(many, 3)) * np.sqrt(np.maximum(values, 0.0))
         self._particles = np.array(pose) + steps @ vectors.T
-        self._weights[:] = 1 / self._count
+        self._weights = np.full(many, 1 / many)
 
     def move(self, step: Pose) -> None:
         """The robot moved by so much in its own frame, by its odometry."""
-        m, n = self._motion, self._count
+        m, n = self._motion, len(self._particles)
         length = math.hypot(step.x, step.y)
         bearing = math.atan2(step.y, step.x) if length > 1e-6 else 0.0
         turn = abs(step.heading)
@@ -125,7 +131,7 @@ class ParticleFilter:
         scores = self._sensor.trust * found.sum(axis=1, dtype=np.float64)
         weights = self._weights * np.exp(scores - scores.max())
         self._weights = weights / weights.sum()
-        if 1 / np.square(self._weights).sum() < self._count / 2:
+        if 1 / np.square(self._weights).sum() < len(self._weights) / 2:
             self._resample()
 
     def estimate(self) -> tuple[Pose, NDArray[np.float64]]:
@@ -139,6 +145,6 @@ class ParticleFilter:
     def _resample(self) -> None:
         # Low variance: one random number for all, so that equal weights keep every particle.
         points = (self._random.random() + np.arange(self._count)) / self._count
-        chosen = np.searchsorted(np.cumsum(self._weights), points).clip(0, self._count - 1)
+        chosen = np.searchsorted(np.cumsum(self._weights), points).clip(0, len(self._weights) - 1)
         self._particles = self._particles[chosen]
-        self._weights[:] = 1 / self._count
+        self._weights = np.full(self._count, 1 / self._count)
