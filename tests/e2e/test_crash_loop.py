@@ -33,6 +33,7 @@ def living(robot: Robot) -> set[str]:
     return {pod["metadata"]["name"] for pod in robot.pods() if not pod["metadata"].get("deletionTimestamp")}
 
 
+@pytest.mark.long
 def test_a_crash_loop_has_the_next_strategy_tried_before_the_time_of_the_first_is_over(kubectl: Kubectl) -> None:
     switch, robot = Switch(kubectl), Robot(kubectl)
     policy, pool = patient(manifest("strategies/uninitialized.yaml"))

@@ -54,6 +54,7 @@ def assert_it_stays_so(robot: Robot, stage: Stage, old: str, new: str) -> None:
     assert log.commands[-1].received > time.time() - 3
 
 
+@pytest.mark.long
 def test_the_node_of_the_pod_in_control_loses_its_power(robot: Robot, stage: Stage) -> None:
     old = robot.wait_protected()
     node = stage.node_of(old)

@@ -10,8 +10,9 @@ from dataclasses import dataclass
 
 from understudy.mitigation.progress import Progress
 
-SHORT_LIVED = 4.0
-"""Seconds in control below which an instance counts as one that never worked."""
+SHORT_LIVED = 2.0
+"""Seconds in control below which an instance counts as one that never worked. Failures that merely follow each other closely,
+on a robot whose next understudy stands ready, are longer apart."""
 
 
 @dataclass(frozen=True)
