@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
+from collections.abc import Iterator
 from pathlib import Path
 
 from tests.e2e.kubectl import Failed, Kubectl, Object
@@ -59,36 +61,36 @@ def staying(objects: list[Object]) -> list[Object]:
 def signal_processes(pod_uid: str, words: str, number: signal.Signals) -> int:
     """Send a signal to the processes of a pod on this machine whose command line has these words; how many there were."""
     found = 0
-    for entry in Path("/proc").iterdir():
-        if not entry.name.isdigit():
-            continue
-        try:
-            if pod_uid not in (entry / "cgroup").read_text():
-                continue
-            if words not in (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace"):
-                continue
-            os.kill(int(entry.name), number)
-            found += 1
-        except (FileNotFoundError, ProcessLookupError):
-            continue
+    for entry, command in _processes(pod_uid):
+        if words in command:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(int(entry.name), number)
+                found += 1
     return found
 
 
 def process_states(pod_uid: str, words: str) -> dict[int, str]:
     """The processes of a pod on this machine whose command line begins with these words, each with its state (T is stopped)."""
     found = {}
+    for entry, command in _processes(pod_uid):
+        if command.startswith(words):
+            with contextlib.suppress(FileNotFoundError, ProcessLookupError):
+                found[int(entry.name)] = (entry / "stat").read_text().rpartition(")")[2].split()[0]
+    return found
+
+
+def _processes(pod_uid: str) -> Iterator[tuple[Path, str]]:
+    """The folders in /proc of a pod's processes on this machine, with their command lines."""
     for entry in Path("/proc").iterdir():
         if not entry.name.isdigit():
             continue
         try:
             if pod_uid not in (entry / "cgroup").read_text():
                 continue
-            if not (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace").startswith(words):
-                continue
-            found[int(entry.name)] = (entry / "stat").read_text().rpartition(")")[2].split()[0]
+            command = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
         except (FileNotFoundError, ProcessLookupError):
             continue
-    return found
+        yield entry, command
 
 
 class Switch:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import subprocess
 import sys
 import threading
@@ -20,6 +19,7 @@ from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
 from rclpy.serialization import deserialize_message, serialize_message
 
+from tests.unit.dds import keep_to_itself
 from understudy.agent.carrying import composed
 from understudy.agent.restoring import Restorer
 from understudy.api.kept import KeptSample, KeptState, Motion, RestoreReport
@@ -73,12 +73,7 @@ class Wheels:
 
 @pytest.fixture
 def graph(monkeypatch: pytest.MonkeyPatch) -> Iterator[Graph]:
-    monkeypatch.setenv("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp")
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(10 + os.getpid() % 90))
-    monkeypatch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    for name in ("ROS_DISCOVERY_SERVER", "FASTRTPS_DEFAULT_PROFILES_FILE", "ROS_STATIC_PEERS"):
-        monkeypatch.delenv(name, raising=False)
+    keep_to_itself(monkeypatch)
     made = Graph("robot")
     yield made
     made.close()

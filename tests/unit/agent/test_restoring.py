@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 import time
@@ -17,6 +16,7 @@ pytest.importorskip("rclpy")
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.serialization import deserialize_message, serialize_message
 
+from tests.unit.dds import keep_to_itself
 from understudy.agent.restoring import Restorer, stamped
 from understudy.agent.sessions import Peer, Refused
 from understudy.api.kept import KeptSample, KeptState, LifecycleState, NotRestored, ParameterValues, RestoreReport
@@ -32,12 +32,7 @@ PEER = Peer("shop", "", "127.0.0.1")
 
 @pytest.fixture(autouse=True)
 def domain(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp")
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(10 + os.getpid() % 90))
-    monkeypatch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    for name in ("ROS_DISCOVERY_SERVER", "FASTRTPS_DEFAULT_PROFILES_FILE", "ROS_STATIC_PEERS"):
-        monkeypatch.delenv(name, raising=False)
+    keep_to_itself(monkeypatch)
 
 
 @pytest.fixture

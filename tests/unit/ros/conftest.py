@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
 
 import pytest
 
+from tests.unit.dds import keep_to_itself
 from tests.unit.ros.processes import Processes
 
 
 @pytest.fixture
 def dds(monkeypatch: pytest.MonkeyPatch) -> None:
     """The environment that all nodes of a test share."""
-    monkeypatch.setenv("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp")
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(10 + os.getpid() % 90))
-    monkeypatch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")  # heeded where the range isn't LOCALHOST
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    for name in ("ROS_DISCOVERY_SERVER", "FASTRTPS_DEFAULT_PROFILES_FILE", "ROS_STATIC_PEERS"):
-        monkeypatch.delenv(name, raising=False)
+    keep_to_itself(monkeypatch)
 
 
 @pytest.fixture
