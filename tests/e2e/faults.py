@@ -23,6 +23,10 @@ def cluster(*arguments: str) -> str:
     return done.stdout
 
 
+def _is_ready(node: Object) -> bool:
+    return any((c["type"], c["status"]) == ("Ready", "True") for c in node["status"].get("conditions") or [])
+
+
 class ApiServer:
     """The API server of the cluster under test."""
 
@@ -40,8 +44,7 @@ class ApiServer:
         cluster("api", "start")
 
         def ready() -> bool:
-            conditions = [n["status"].get("conditions") or [] for n in self._kubectl.list("nodes", "")]
-            return all(any((c["type"], c["status"]) == ("Ready", "True") for c in found) for found in conditions)
+            return all(_is_ready(node) for node in self._kubectl.list("nodes"))
 
         eventually(ready, within=90, what="every node is ready again")
         self.stopped = False
@@ -160,8 +163,7 @@ class Stage:
 
     def is_ready(self, node: str) -> bool:
         """Whether Kubernetes counts a node as ready."""
-        conditions = self._kubectl.get("node", node)["status"].get("conditions") or []
-        return any((c["type"], c["status"]) == ("Ready", "True") for c in conditions)
+        return _is_ready(self._kubectl.get("node", node))
 
     def restore(self) -> None:
         """Undo the faults, and wait until the nodes are ready."""

@@ -10,7 +10,7 @@ import sys
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import pytest
@@ -150,3 +150,21 @@ def robot(pod: Pod, ros: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> Pod
     pod.environment = {"UNDERSTUDY_HELD_CONTAINERS": "", "UNDERSTUDY_WORKLOAD": "robot"}
     pod.start_agent()
     return pod
+
+
+@pytest.fixture
+def localizer() -> Iterator[Callable[..., None]]:
+    """Starts the node that takes /initialpose, in the environment of that moment."""
+    started: list[subprocess.Popen[str]] = []
+
+    def start(*arguments: str) -> None:
+        command = [sys.executable, str(Path(__file__).parent / "nodes.py"), "localize", *arguments]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        started.append(process)
+        assert process.stdout is not None
+        assert process.stdout.readline().startswith("up")
+
+    yield start
+    for process in started:
+        process.kill()
+        process.wait()

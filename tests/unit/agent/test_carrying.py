@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import math
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
@@ -91,24 +88,6 @@ def caller(graph: Graph) -> Iterator[Caller]:
     made = Caller("restorer")
     yield made
     made.close()
-
-
-@pytest.fixture
-def localizer(graph: Graph) -> Iterator[Callable[[], None]]:
-    """Starts the node that takes /initialpose."""
-    started: list[subprocess.Popen[str]] = []
-
-    def start() -> None:
-        command = [sys.executable, str(Path(__file__).parent / "nodes.py"), "localize"]
-        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        started.append(process)
-        assert process.stdout is not None
-        assert process.stdout.readline().startswith("up")
-
-    yield start
-    for process in started:
-        process.kill()
-        process.wait()
 
 
 def kept(motion: Motion | None, *, stamp: str = "kept") -> KeptSample:

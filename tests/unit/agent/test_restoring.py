@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -45,24 +42,6 @@ def caller() -> Iterator[Caller]:
 @pytest.fixture
 def restorer(caller: Caller) -> Restorer:
     return Restorer(lambda: caller)
-
-
-@pytest.fixture
-def localizer() -> Iterator[Callable[..., None]]:
-    """Starts the node that takes /initialpose."""
-    started: list[subprocess.Popen[str]] = []
-
-    def start(*arguments: str) -> None:
-        command = [sys.executable, str(Path(__file__).parent / "nodes.py"), "localize", *arguments]
-        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        started.append(process)
-        assert process.stdout is not None
-        assert process.stdout.readline().startswith("up")
-
-    yield start
-    for process in started:
-        process.kill()
-        process.wait()
 
 
 def pose(x: float = 1.5, *, age: float = 10.0, **fields: Any) -> KeptSample:
