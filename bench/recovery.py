@@ -31,6 +31,9 @@ TIMEOUT = 0.5
 PERIOD = 0.05
 """Seconds between the quickstart's commands."""
 
+REST = 3.0
+"""Seconds between the last recovery's end and a failure: its pods are cleaned up first, on processors that the nodes share."""
+
 EXPECTED = {"executing": "Fallback/Executing", "uninitialized": "Fallback/Uninitialized", "restart": "Restart"}
 
 
@@ -80,7 +83,7 @@ def _strategy(report: Report, kubeconfig: Path, strategy: str, failures: int, ho
         kubectl.apply(robot.objects(policy=f"quickstart-{strategy}"))
         for number in range(1, failures + 1):
             pod = robot.wait_protected()
-            time.sleep(1.0)
+            time.sleep(REST)
             robot.fail(pod, how)
             recovery = robot.wait_recovered(number, within=120)
             if recovery.strategy != EXPECTED[strategy]:

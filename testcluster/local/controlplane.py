@@ -149,7 +149,10 @@ def up(layout: Layout, programs: Programs, pki: Path, holder: int) -> None:
     def start(arguments: list[str]) -> None:
         if not runs[arguments[0]]:
             processes.start(
-                group, [*network.inside(holder), programs.hyperkube, *arguments], layout.log / f"{arguments[0]}.log"
+                group,
+                [*network.inside(holder), programs.hyperkube, *arguments],
+                layout.log / f"{arguments[0]}.log",
+                prompt=arguments[0] in ("etcd", "kube-apiserver"),
             )
 
     start(_etcd(layout))

@@ -55,6 +55,10 @@ def _links(pid: int | None = None) -> dict[str, bool]:
     return {link["ifname"]: "UP" in link["flags"] for link in listed}
 
 
+# A control plane has machines of its own. Here it shares some processors with all that it controls.
+WEIGHT = 16
+
+
 def _node_link(node: int) -> str:
     return f"node{node}"
 
@@ -63,6 +67,7 @@ def up(layout: Layout) -> int:
     """Makes the bridge and the link to it, as far as they are missing; returns the process that holds the namespace."""
     group = control_plane_group(layout)
     cgroups.create(group)
+    cgroups.weigh(group, WEIGHT)
     pid = holder(layout)
     if pid is None:
         pid = processes.start(group, ["unshare", "--net", *HOLDER], layout.log / "network.log")

@@ -2,9 +2,9 @@
 # The first process of a node: in its own network, mount, host name and process-id namespaces it makes the mounts of a machine of its own
 # and starts the node's programs. When it is killed the kernel kills every process of the node, as a loss of power would.
 #
-# usage: node-init.sh NODE STATE CACHE API_READY HYPERKUBE NETPOL_KUBECONFIG
+# usage: node-init.sh NODE STATE CACHE API_READY HYPERKUBE NETPOL_KUBECONFIG NETPOL_PROCESSORS
 set -u
-node=$1 state=$2 cache=$3 api_ready=$4 hyperkube=$5 netpol_kubeconfig=$6
+node=$1 state=$2 cache=$3 api_ready=$4 hyperkube=$5 netpol_kubeconfig=$6 netpol_processors=$7
 log=$state/log
 
 # Sockets, pod logs and plugin folders have fixed paths, so each node needs its own /run, /var/log and /var/lib. The machine's own mounts
@@ -48,7 +48,9 @@ keep kubelet "$hyperkube" kubelet --config="$state/etc/kubelet.yaml" --kubeconfi
     --hostname-override="$node" --node-ip="$(<"$state/etc/ip")"
 keep kube-proxy "$hyperkube" kube-proxy --config="$state/etc/kube-proxy.yaml"
 # A link that is exchanged when the enforcer is built anew, so that a running node gets the new one.
-keep netpol "$state/etc/understudy-netpol" --kubeconfig "$netpol_kubeconfig" --node "$node"
+# Its share of the processors is apart from this node's, where the machine has a group for that.
+keep netpol bash -c '[ -z "$0" ] || echo $$ >"$0/cgroup.procs"; exec "$@"' "$netpol_processors" \
+    "$state/etc/understudy-netpol" --kubeconfig "$netpol_kubeconfig" --node "$node"
 
 trap 'exit 0' TERM
 # Orphans are handed to this process; waiting for them keeps them from staying as zombies.

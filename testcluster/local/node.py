@@ -201,6 +201,10 @@ def up(layout: Layout, node: int, programs: Programs) -> bool:
         golden.clone(programs, _container_store(layout, node))
         for part in ("system", "pods"):
             cgroups.create(f"{group(layout, node)}/{part}")
+        # Its node's pods must not keep it waiting: in a node of its own it would have another processor.
+        enforcers = f"{layout.cgroup}/enforcers"
+        cgroups.create(enforcers)
+        cgroups.weigh(enforcers, network.WEIGHT)
         pid = processes.start(
             f"{group(layout, node)}/system",
             [
@@ -214,6 +218,7 @@ def up(layout: Layout, node: int, programs: Programs) -> bool:
                 layout.api_ready,
                 programs.hyperkube,
                 layout.state / "pki" / "netpol.conf",
+                cgroups.processors(enforcers) or "",
             ],
             layout.node_state(node) / "log" / "init.log",
         )

@@ -9,7 +9,7 @@ import subprocess
 from collections.abc import Sequence
 from pathlib import Path
 
-from testcluster.local import cgroups
+from testcluster.local import cgroups, slices
 
 
 def command_line(pid: int) -> list[str]:
@@ -42,17 +42,25 @@ def init_of(group: str) -> int | None:
     return None
 
 
-def start(group: str, command: Sequence[str | Path], log: Path) -> int:
-    """Starts a program in a group, apart from this process, with its output added to a file; returns its process id."""
+def start(group: str, command: Sequence[str | Path], log: Path, *, prompt: bool = False) -> int:
+    """Starts a program in a group, apart from this process, with its output added to a file; returns its process id.
+
+    ``prompt`` programs run as soon as they are woken, even where every processor is busy.
+    """
     log.parent.mkdir(parents=True, exist_ok=True)
 
     def enter() -> None:
         cgroups.join(group)
+        if prompt:
+            slices.shorten()
         os.setsid()
 
     with log.open("ab") as out:
         # A proxy is for reaching the world, and these only reach each other.
         environment = {name: value for name, value in os.environ.items() if not name.lower().endswith("_proxy")}
+        if prompt:
+            # Rarer collections of garbage, for memory: one takes a processor for 50 ms.
+            environment.setdefault("GOGC", "400")
         return subprocess.Popen(
             [str(word) for word in command],
             stdin=subprocess.DEVNULL,

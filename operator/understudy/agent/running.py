@@ -15,7 +15,7 @@ from understudy.agent.identity import Identity
 from understudy.agent.sessions import Sessions
 from understudy.agent.sidecar import Sidecar
 from understudy.api import names
-from understudy.cluster import logs
+from understudy.cluster import logs, scheduling
 from understudy.cluster.pages import serve
 from understudy.cluster.probes import ProbeSender
 from understudy.ros.lean import rclpy_imported
@@ -43,6 +43,7 @@ def main(argv: list[str]) -> int:
     except ValueError as error:
         print(f"understudy agent: {error}", file=sys.stderr)
         return 2
+    scheduling.ask_for_short_slices()
     asyncio.run(_run(identity, probes))
     return 0
 

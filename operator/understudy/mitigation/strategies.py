@@ -7,6 +7,7 @@ understudy is brought up behind it, and the gate then opens for it (DESIGN: the 
 from __future__ import annotations
 
 import asyncio
+import logging
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
@@ -15,6 +16,8 @@ from understudy.api.kept import KeptState
 from understudy.mitigation.bringing import BringUp
 from understudy.mitigation.interfaces import Agents, ClaimLost, Gate, Instance, Instances, NotAvailable, Outputs
 from understudy.mitigation.progress import PodIdentity, Progress
+
+_logger = logging.getLogger(__name__)
 
 ENFORCED_WITHIN = 1.0
 """Seconds to wait for packets to prove that the gate is open, before going by what arrives at the gated readers."""
@@ -311,6 +314,12 @@ async def _bring_up(
     await _wait_enforced(target, progress, means)
 
 
+def _told(moments: dict[str, float], *steps: str) -> str:
+    """When steps were done, after the decision."""
+    decided = moments.get("decided", 0.0)
+    return ", ".join(f"{step} {(moments[step] - decided) * 1000:+.1f} ms" for step in steps if step in moments)
+
+
 def _now() -> float:
     return asyncio.get_running_loop().time()
 
@@ -349,6 +358,7 @@ async def _wait_enforced(target: Instance, progress: Progress, means: Means) -> 
             routed = means.clock()
     progress.moments["routed"] = routed
     progress.charge("cluster", routed)
+    _logger.info("gate for %s: %s", target.name, _told(progress.moments, "committing", "committed", "routed"))
     # In one commit the failed pod is fenced where the understudy is routed; its last packet says if it was later.
     fenced = progress.moments.setdefault("fenced", routed)
     for pod in progress.failed:
