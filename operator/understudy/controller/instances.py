@@ -34,6 +34,7 @@ LOST_SECONDS = 30
 
 _TOKEN_VOLUME = "understudy-agent-token"
 _DISTANCE = 100  # the greatest weight: an understudy on the node of the active pod dies with it
+_DISTANCE_OF_MONITOR = 50  # a monitor that dies with the active pod is started elsewhere first, which takes seconds
 
 
 @dataclass(frozen=True)
@@ -353,14 +354,22 @@ def _agent(recipe: Recipe, held: Sequence[str], fenced: Sequence[str], unfenced:
 
 
 def _keep_apart(spec: Object, recipe: Recipe) -> None:
-    """Prefer other nodes than those of the other instances (of the workload, or of the shared pool)."""
+    """Prefer other nodes than those of the other instances (of the workload, or of the shared pool), then than the monitor's."""
     labels = {names.WORKLOAD: recipe.workload} if recipe.workload else {names.POOL: recipe.pool}
+    terms = [away_from(labels, _DISTANCE)]
+    if recipe.workload:
+        terms.append(away_from({names.MONITORED: recipe.workload}, _DISTANCE_OF_MONITOR))
     affinity = dict(spec.get("affinity") or {})
     apart = dict(affinity.get("podAntiAffinity") or {})
-    term = {"topologyKey": "kubernetes.io/hostname", "labelSelector": {"matchLabels": labels}}
     key = "preferredDuringSchedulingIgnoredDuringExecution"
-    apart[key] = [*(apart.get(key) or []), {"weight": _DISTANCE, "podAffinityTerm": term}]
+    apart[key] = [*(apart.get(key) or []), *terms]
     spec["affinity"] = {**affinity, "podAntiAffinity": apart}
+
+
+def away_from(labels: Mapping[str, str], weight: int) -> Object:
+    """A preference for nodes without such pods, as strong as its weight (1 to 100) beside other preferences."""
+    term = {"topologyKey": "kubernetes.io/hostname", "labelSelector": {"matchLabels": dict(labels)}}
+    return {"weight": weight, "podAffinityTerm": term}
 
 
 def _leave_lost_nodes(spec: Object) -> None:

@@ -13,12 +13,13 @@ from understudy.cluster.client import Object
 from understudy.controller import robots
 from understudy.controller.desired import Images, pull_secrets
 from understudy.controller.discovery import TOLERATIONS
-from understudy.controller.instances import HARDENED
+from understudy.controller.instances import HARDENED, away_from
 
 STATE_DIR = "/var/lib/understudy"
 # Of a busy node's processors it gets its share by this, and in a recovery it needs more at once than what it uses (15m).
 _REQUESTS = {"cpu": "50m", "memory": "96Mi"}
 _TASKS_REQUESTS = {"cpu": "20m", "memory": "96Mi"}
+_DISTANCE = 100  # the loss of one node must not take both the pod in control and the one that replaces it
 _TASKS_MOUNT: Object = {"name": "tasks", "mountPath": names.TASKS_DIR}
 _RBAC = "rbac.authorization.k8s.io"
 
@@ -122,6 +123,13 @@ def deployment(
                     "enableServiceLinks": False,
                     "terminationGracePeriodSeconds": 5,
                     "tolerations": TOLERATIONS,
+                    "affinity": {
+                        "podAntiAffinity": {
+                            "preferredDuringSchedulingIgnoredDuringExecution": [
+                                away_from({names.WORKLOAD: workload}, _DISTANCE)
+                            ]
+                        }
+                    },
                     **owned,
                     **pull_secrets(images.pull_secrets),
                     "containers": containers,

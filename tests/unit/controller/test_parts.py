@@ -68,6 +68,8 @@ class TestInstances:
         preferred = affinity["podAntiAffinity"]["preferredDuringSchedulingIgnoredDuringExecution"]
         assert preferred[0] == own
         assert preferred[1]["podAffinityTerm"]["labelSelector"] == {"matchLabels": {names.WORKLOAD: "w"}}
+        assert preferred[2]["podAffinityTerm"]["labelSelector"] == {"matchLabels": {names.MONITORED: "w"}}
+        assert preferred[2]["weight"] < preferred[1]["weight"], "an understudy away from the active pod comes first"
         assert affinity["nodeAffinity"] == {"x": "y"}
 
     def test_a_lost_node_is_left_soon_unless_the_user_says_otherwise(self) -> None:

@@ -515,6 +515,12 @@ def test_the_monitor_starts_anew_when_the_gated_ports_change() -> None:
     assert applied(world.plan(), "deployments")["w-monitor"]["spec"]["template"] != before
 
 
+def test_the_monitor_prefers_another_node_than_the_pods_it_watches() -> None:
+    spec = applied(World(workload(), policy("Restart")).plan(), "deployments")["w-monitor"]["spec"]["template"]["spec"]
+    (preferred,) = spec["affinity"]["podAntiAffinity"]["preferredDuringSchedulingIgnoredDuringExecution"]
+    assert preferred["podAffinityTerm"]["labelSelector"] == {"matchLabels": {names.WORKLOAD: "w"}}
+
+
 def test_the_same_world_makes_the_same_plan() -> None:
     first = World(workload(), policy("hot", "spare"), hot(), spare()).plan()
     second = World(workload(), policy("hot", "spare"), hot(), spare()).plan()
