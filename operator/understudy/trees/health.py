@@ -188,6 +188,10 @@ def _decisive(node: Behaviour, *, inverted: bool = False) -> list[tuple[TopicLea
     if isinstance(node, TopicLeaf):
         reason = node.reason(STATE[node.status])
         return [(node, f"{reason}, which must not be" if inverted and node.status != Status.RUNNING else reason)]
+    if isinstance(node, While) and not node.counts():
+        # It holds by itself, whatever is in it, so that matters only under an inverter.
+        leaf = next(inner for inner in node.iterate() if isinstance(inner, TopicLeaf))
+        return [(leaf, f"no goal of {node.task.action} is active, which must not be")]
     if isinstance(node, Inverter):
         return _decisive(node.decorated, inverted=not inverted)
     return [found for child in _deciding(node) for found in _decisive(child, inverted=inverted)]

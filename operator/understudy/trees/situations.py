@@ -61,8 +61,13 @@ class While(Decorator):
 
     def __init__(self, name: str, child: Behaviour, task: TaskActive, glance: Glance) -> None:
         super().__init__(name, child)
-        self._task, self._glance = task, glance
+        self.task = task
+        self._glance = glance
+
+    def counts(self) -> bool:
+        """Whether its node is judged at the glance's moment."""
+        return self.task.since(self._glance) is not None
 
     def update(self) -> Status:
         """The node's own, where it counts."""
-        return self.decorated.status if self._task.since(self._glance) is not None else Status.SUCCESS
+        return self.decorated.status if self.counts() else Status.SUCCESS
