@@ -70,14 +70,16 @@ class Plan:
         from pydantic import ValidationError
 
         from understudy.api.workloads import Output
-        from understudy.trees.loading import TreeError, load
+        from understudy.trees.forms import load_health
+        from understudy.trees.problems import TreeError
 
         grace = body.get("grace", 30.0)
         if not isinstance(grace, int | float) or isinstance(grace, bool) or not 0 <= grace < float("inf"):
             raise ValueError(f"grace {grace!r}: expected a number of seconds")
         try:
             outputs = [Output.model_validate(output) for output in body.get("outputs", [])]
-            return cls(load(body.get("tree", {}), grace=float(grace)), outputs, bool(body.get("managed")))
+            tree = load_health(body.get("form", "yaml"), body.get("tree", {}), grace=float(grace))
+            return cls(tree, outputs, bool(body.get("managed")))
         except (TreeError, ValidationError, TypeError) as error:
             raise ValueError(str(error)) from error
 

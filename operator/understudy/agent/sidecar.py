@@ -192,6 +192,8 @@ class Sidecar:
     async def configure(self, body: Mapping[str, Any], peer: Peer) -> None:
         """Take a health tree, and where probes go. Nothing changes by the same again. Raises Refused."""
         configuration = {key: body.get(key) for key in ("tree", "outputs", "grace")}
+        if "form" in body:
+            configuration["form"] = body["form"]
         if body.get("managed"):
             configuration["managed"] = True
         async with self._configuring:

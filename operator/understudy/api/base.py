@@ -61,6 +61,10 @@ def seconds(duration: str) -> float:
     return sum(float(number) * _UNIT_SECONDS[unit] for number, unit in _DURATION_PART.findall(duration))
 
 
+LONGEST_TEXT = 65536
+"""Characters that a tree may have that is a text: some hundred nodes and what an editor adds, far below what etcd takes."""
+
+
 class Model(BaseModel):
     """Base of every object in the API; its fields are camelCase on the wire.
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from understudy.api.base import DURATION_PATTERN, Duration, LocalReference, Model, rules
+from understudy.api.base import DURATION_PATTERN, LONGEST_TEXT, Duration, LocalReference, Model, rules
 from understudy.api.conditions import Condition
 from understudy.api.procedures import Procedure
 from understudy.api.states import State
@@ -15,10 +15,32 @@ from understudy.api.states import State
 class Monitoring(Model):
     """What healthy means, as a behaviour tree, and when its verdict counts."""
 
-    yaml: dict[str, Any] = Field(
+    model_config = Model.model_config | {
+        "json_schema_extra": rules(
+            (
+                "has(self.yaml) || has(self.xml)",
+                "a health tree is required: give exactly one of yaml (the short form) and xml (BehaviorTree.CPP 4)",
+                ".yaml",
+            ),
+            (
+                "!has(self.yaml) || !has(self.xml)",
+                "the health tree is given as yaml already: give exactly one of yaml and xml",
+                ".xml",
+            ),
+        )
+    }
+
+    yaml: dict[str, Any] | None = Field(
+        default=None,
         min_length=1,
         description="The health tree in the short form: one node, such as parallel, sequence, selector or topic. See docs/trees.md.",
         json_schema_extra={"x-kubernetes-preserve-unknown-fields": True},
+    )
+    xml: str | None = Field(
+        default=None,
+        min_length=1,
+        max_length=LONGEST_TEXT,
+        description="The health tree instead as the text of a BehaviorTree.CPP 4 file, as Groot 2 writes it. See docs/trees.md.",
     )
     debounce: Duration = Field(
         default="0s",
@@ -27,6 +49,24 @@ class Monitoring(Model):
     startup_grace: Duration = Field(
         default="30s", description="A newly started instance has this long to become healthy for the first time."
     )
+
+    @model_validator(mode="after")
+    def _one_tree(self) -> Self:
+        if (self.yaml is None) == (self.xml is None):
+            raise ValueError("give exactly one of yaml and xml")
+        return self
+
+    @property
+    def form(self) -> Literal["yaml", "xml"]:
+        """What the health tree is written in: the field that it stands in."""
+        return "yaml" if self.yaml is not None else "xml"
+
+    @property
+    def tree(self) -> dict[str, Any] | str:
+        """The health tree as it was written."""
+        tree = self.yaml if self.yaml is not None else self.xml
+        assert tree is not None, "one of them is given"
+        return tree
 
 
 class Strategy(Model):

@@ -104,21 +104,25 @@ class AgentLink:
 
     async def configure(
         self,
-        tree: Mapping[str, Any],
+        tree: Mapping[str, Any] | str,
         outputs: Sequence[Mapping[str, Any]],
         grace: float,
         *,
+        form: str = "yaml",
         probe: tuple[str, int] | None = None,
         standby: Mapping[str, Any] | None = None,
         managed: bool = False,
     ) -> None:
-        """Give it the health tree (the policy's ``monitoring.yaml``) and the workload's outputs as on the wire.
+        """Give it the health tree (of the policy's ``monitoring``) and the workload's outputs as on the wire.
 
-        ``grace`` in seconds. ``probe`` is where its probe of every second goes; this side of the connection, at the
-        probe port, where none is given. ``standby`` is what it must be to be ready while it waits (agent/standing.py),
-        ``managed`` says that procedures bring its nodes up. Raises AgentRefused (a tree that doesn't load, say) and AgentGone.
+        ``form`` is what the tree is written in, ``grace`` in seconds. ``probe`` is where its probe of every second goes;
+        this side of the connection, at the probe port, where none is given. ``standby`` is what it must be to be ready
+        while it waits (agent/standing.py), ``managed`` says that procedures bring its nodes up. Raises AgentRefused (a
+        tree that doesn't load, say) and AgentGone.
         """
         body: dict[str, Any] = {"tree": tree, "outputs": list(outputs), "grace": grace}
+        if form != "yaml":
+            body["form"] = form
         if standby is not None:
             body["standby"] = standby
         if managed:

@@ -16,7 +16,7 @@ from understudy.api.procedures import Check, Procedure
 from understudy.cluster.client import Object
 from understudy.controller import objects
 from understudy.controller.desired import Problem
-from understudy.trees.loading import load
+from understudy.trees.forms import load_health
 from understudy.trees.problems import TreeError
 from understudy.trees.procedures import load_check, load_procedure
 
@@ -43,7 +43,7 @@ def problem(policy: Object) -> Problem | None:
     except ValidationError as error:
         return Problem("SpecInvalid", invalid(error))
     grace = seconds(parsed.monitoring.startup_grace)
-    if found := _tree_problem(json.dumps(parsed.monitoring.yaml), grace):
+    if found := _tree_problem(parsed.monitoring.form, json.dumps(parsed.monitoring.tree), grace):
         return Problem("TreeInvalid", found)
     recoveries = ((f"spec.strategies[{i}].recovery.yaml", s.recovery) for i, s in enumerate(parsed.strategies))
     if found := procedures_problem(*recoveries):
@@ -80,23 +80,17 @@ def _procedure_problem(tree: str, path: str, is_check: bool) -> str | None:
     try:
         (load_check if is_check else load_procedure)(json.loads(tree), path=path)
     except TreeError as error:
-        return _told(error)
+        return error.in_short()
     return None
 
 
 @functools.lru_cache(maxsize=512)
-def _tree_problem(tree: str, grace: float) -> str | None:
+def _tree_problem(form: str, tree: str, grace: float) -> str | None:
     try:
-        load(json.loads(tree), path="spec.monitoring.yaml", grace=grace)
+        load_health(form, json.loads(tree), grace=grace)
     except TreeError as error:
-        return _told(error)
+        return error.in_short()
     return None
-
-
-def _told(error: TreeError) -> str:
-    told = [str(found) for found in error.problems]
-    more = f"; and {len(told) - _MOST_PROBLEMS} more" if len(told) > _MOST_PROBLEMS else ""
-    return "; ".join(told[:_MOST_PROBLEMS]) + more
 
 
 def named_pools(policy: Object) -> list[str]:

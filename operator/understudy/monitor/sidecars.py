@@ -169,9 +169,10 @@ class Sidecars:
     async def _tell(self, link: AgentLink, wanted: tuple[Any, ...]) -> None:
         monitoring, outputs, standby, managed = wanted
         await link.configure(
-            monitoring.yaml,
+            monitoring.tree,
             [output.to_wire() for output in outputs],
             seconds(monitoring.startup_grace),
+            form=monitoring.form,
             probe=(self._address, names.PROBE_PORT),
             standby=standby,
             managed=managed,

@@ -8,7 +8,6 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 
-from understudy.api.base import seconds
 from understudy.api.policies import FailurePolicySpec, Monitoring
 from understudy.api.workloads import Output, RobotWorkloadSpec
 from understudy.mitigation.interfaces import Instance
@@ -17,9 +16,10 @@ from understudy.monitor.gating import PolicyGate
 from understudy.ros.graph import Graph
 from understudy.ros.types import TypeNotInstalled, interface_class
 from understudy.ros.watching import Watching
+from understudy.trees.forms import load_monitoring
 from understudy.trees.health import HealthTree, Verdict, WatchedTopic
-from understudy.trees.loading import TreeError, load
 from understudy.trees.observations import Observations
+from understudy.trees.problems import TreeError
 
 _logger = logging.getLogger(__name__)
 
@@ -53,10 +53,12 @@ class Sight:
         self._outputs = outputs
         self._problems = []
         try:
-            self._tree = load(policy.monitoring.yaml, grace=seconds(policy.monitoring.startup_grace))
+            self._tree = load_monitoring(policy.monitoring)
         except TreeError as error:
             _logger.error("the policy's tree doesn't load, the last one stays: %s", error)
-            self._problems.append(f"The policy's health tree doesn't load, the last good one stays in force: {error}.")
+            self._problems.append(
+                f"The policy's health tree doesn't load, the last good one stays in force: {error.in_short()}."
+            )
         for index, output in enumerate(outputs):
             try:
                 interface_class(output.type)

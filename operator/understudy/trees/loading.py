@@ -28,13 +28,20 @@ TASK_KEYS = ("action", "type")
 TOPIC_KEYS = ("name", "type", "gap", "rate", "window")
 
 
-def load(tree: Mapping[str, Any], *, path: str = "spec.monitoring.yaml", grace: float = 30.0) -> HealthTree:
+def load(
+    tree: Mapping[str, Any],
+    *,
+    path: str = "spec.monitoring.yaml",
+    grace: float = 30.0,
+    called: Callable[[str], str] = str,
+) -> HealthTree:
     """The health tree that a node of the short form stands for.
 
     ``path`` is what problems are named by, ``grace`` the seconds that an instance has to become healthy for the first
-    time. Raises TreeError with all problems.
+    time. ``called`` says how a message names another node of this path, for trees that weren't written in this form.
+    Raises TreeError with all problems.
     """
-    loader = _Loader(Glance(grace))
+    loader = _Loader(Glance(grace), called)
     build = loader.node(tree, path, [], 1)
     if loader.problems:
         raise TreeError(loader.problems)
@@ -45,9 +52,10 @@ def load(tree: Mapping[str, Any], *, path: str = "spec.monitoring.yaml", grace: 
 class _Loader(Reader):
     """Turns nodes into what builds their behaviours, and collects problems; one with a problem in it becomes None."""
 
-    def __init__(self, glance: Glance) -> None:
+    def __init__(self, glance: Glance, called: Callable[[str], str]) -> None:
         super().__init__()
         self.glance = glance
+        self._called = called
         self.topics: dict[str, WatchedTopic] = {}
         self._type_paths: dict[str, str] = {}
         self._leaf_paths: dict[str, str] = {}
@@ -172,7 +180,7 @@ class _Loader(Reader):
             return None
         leaf_path = "/".join([*above, name or topic.lstrip("/")])
         if leaf_path in self._leaf_paths:
-            where = self._leaf_paths[leaf_path]
+            where = self._called(self._leaf_paths[leaf_path])
             self.problem(path, f"{leaf_path!r} is already the name of {where}; give one of them another name")
             return None
         self._leaf_paths[leaf_path] = path
@@ -203,10 +211,13 @@ class _Loader(Reader):
         """Note that a topic is needed; False, with a problem, where two leaves differ about its type."""
         known = self.topics.get(topic, WatchedTopic(topic, None, 0.0, None))
         if known.task:
-            self.problem(path, f"{topic} is looked at by task_active already; it has no rate or gap of its own")
+            self.problem(
+                path,
+                f"{topic} says whether a task is active, which is looked at already; it has no rate or gap of its own",
+            )
             return False
         if type_ and known.type and type_ != known.type:
-            where = self._type_paths[topic]
+            where = self._called(self._type_paths[topic])
             self.problem(f"{path}.type", f"found {type_}, but {where} says {known.type} of the same topic {topic}")
             return False
         if type_:

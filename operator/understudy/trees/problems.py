@@ -3,8 +3,17 @@
 from __future__ import annotations
 
 import difflib
+import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+
+MOST_TOLD = 10
+"""Problems that are told of one tree where not all of them can be."""
+
+_LONGEST_TOLD = 1000
+_LONGEST_WORD = 64
+_MOST_WORDS = 50
+# To compare words takes the square of their length, and whoever wrote the tree chose many of them.
 
 
 @dataclass(frozen=True)
@@ -27,11 +36,17 @@ class TreeError(ValueError):
         self.problems = list(problems)
         super().__init__("; ".join(str(problem) for problem in problems))
 
+    def in_short(self) -> str:
+        """The first of them, in as much text as a condition can have among others."""
+        told = [f"{problem!s:.{_LONGEST_TOLD}}" for problem in self.problems]
+        more = f"; and {len(told) - MOST_TOLD} more" if len(told) > MOST_TOLD else ""
+        return "; ".join(told[:MOST_TOLD]) + more
+
 
 def did_you_mean(found: str, known: Iterable[str]) -> str:
     """``, did you mean X?`` where a known word is close, else the list of what is known."""
-    known = list(known)
-    close = difflib.get_close_matches(found, known, n=1, cutoff=0.6)
+    known = list(itertools.islice((word for word in known if len(word) <= _LONGEST_WORD), _MOST_WORDS))
+    close = difflib.get_close_matches(found, known, n=1, cutoff=0.6) if len(found) <= _LONGEST_WORD else []
     if close:
         return f", did you mean {close[0]!r}?"
     return f"; known are {', '.join(known)}"

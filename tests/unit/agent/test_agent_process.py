@@ -16,6 +16,7 @@ from understudy.cluster.agents import AgentGone, AgentRefused
 from understudy.cluster.probes import ProbeReceiver, ProbeSender
 
 SAY = ["sh", "-c", 'echo "domain $ROS_DOMAIN_ID, $GREETING"; exec sleep 60']
+XML = '<root BTCPP_format="4"><BehaviorTree ID="A"><Topic topic="/x" gap="1s"/></BehaviorTree></root>'
 ROS = {"ROS_DOMAIN_ID": "77", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}
 
 
@@ -149,6 +150,10 @@ async def test_nonsense_of_a_monitor_is_answered(pod: Pod, links):
         ("dance", {}),
         ("configure", {"tree": 5, "outputs": [], "grace": 1}),
         ("configure", {"tree": {"topic": {"nam": "/x"}}, "outputs": [], "grace": 1}),
+        ("configure", {"tree": XML, "outputs": [], "grace": 1}),
+        ("configure", {"tree": XML[1:], "form": "xml", "outputs": [], "grace": 1}),
+        ("configure", {"tree": XML, "form": "toml", "outputs": [], "grace": 1}),
+        ("configure", {"tree": XML, "form": ["xml"], "outputs": [], "grace": 1}),
         ("configure", {"tree": {"topic": {"name": "/x", "gap": "1s"}}, "outputs": 3, "grace": 1}),
         ("configure", {"tree": {"topic": {"name": "/x", "gap": "1s"}}, "outputs": [{}], "grace": 1}),
         ("configure", {"tree": {"topic": {"name": "/x", "gap": "1s"}}, "outputs": [], "grace": "long"}),
@@ -167,6 +172,20 @@ async def test_nonsense_of_a_monitor_is_answered(pod: Pod, links):
     status = await link.ask()
     assert (status.phase, status.configured) == ("Held", False)
     assert not (pod.volume / "env-app").exists()
+
+
+async def test_a_tree_in_xml_is_taken_and_known_after_a_restart(pod: Pod, links):
+    first = pod.start_agent()
+    links.append(link := pod.link())
+    await link.wait_connected(10)
+    await link.configure(XML, [], 1.0, form="xml")
+    assert (await link.ask()).configured
+    pod.kill(first)
+    pod.start_agent()
+    links.append(again := pod.link())
+    await again.wait_connected(20)
+    assert (await again.ask()).configured
+    assert json.loads((pod.volume / "agent.json").read_text())["configuration"]["form"] == "xml"
 
 
 async def test_only_who_started_it_commands_it(pod: Pod, links):

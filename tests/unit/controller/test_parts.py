@@ -179,6 +179,26 @@ class TestPolicies:
         assert (accepted.status, accepted.reason) == ("False", "TreeInvalid")
         assert "spec.monitoring.yaml.parallel[0].topic" in accepted.message
 
+    def test_a_bad_tree_in_xml_is_refused_with_its_line(self) -> None:
+        found = policy("Restart")
+        tree = '<root BTCPP_format="4">\n<BehaviorTree ID="A">\n  <Topic topic="/scan" gap="500 parsecs"/></BehaviorTree></root>'
+        found["spec"]["monitoring"] = {"xml": tree}
+        (accepted,) = policies.conditions(found, {})
+        assert (accepted.status, accepted.reason) == ("False", "TreeInvalid")
+        assert accepted.message.startswith(
+            "spec.monitoring.xml, line 3, column 3: <Topic> gap: '500 parsecs' is not a duration"
+        )
+        found["spec"]["monitoring"] = {"xml": tree.replace("500 parsecs", "500ms")}
+        assert policies.problem(found) is None
+
+    @pytest.mark.parametrize("monitoring", [{}, {"yaml": {"topic": {}}, "xml": "<root/>"}])
+    def test_no_tree_and_two_trees_are_refused(self, monitoring: Object) -> None:
+        found = policy("Restart")
+        found["spec"]["monitoring"] = monitoring
+        (accepted,) = policies.conditions(found, {})
+        assert (accepted.status, accepted.reason) == ("False", "SpecInvalid")
+        assert "give exactly one of yaml and xml" in accepted.message
+
     def test_a_missing_pool_is_told_with_what_was_meant(self) -> None:
         (accepted,) = policies.conditions(policy("hott"), {"hot": hot()})
         assert (accepted.status, accepted.reason) == ("False", "PoolNotFound")

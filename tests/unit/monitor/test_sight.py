@@ -63,6 +63,22 @@ def test_an_output_of_a_task_is_expected_only_while_that_is_active(sight) -> Non
     assert sight.expected == ["/beat", "/cmd_vel"]
 
 
+def test_a_tree_in_xml_takes_the_place_of_one_in_yaml_and_stays_when_the_next_is_broken(sight) -> None:
+    def follow(text: str) -> None:
+        spec = {"monitoring": {"xml": text}, "strategies": [{"type": "Restart"}]}
+        sight.follow(FailurePolicySpec.model_validate(spec), None)
+
+    good = '<root BTCPP_format="4"><BehaviorTree ID="A"><Topic topic="/beat" gap="1s"/></BehaviorTree></root>'
+    follow(good)
+    assert sight.gated == ["/beat"]
+    follow(good.replace("<Topic", "<Topik"))
+    assert sight.gated == ["/beat"]
+    (problem,) = (problem for problem in sight.problems if "health tree" in problem)
+    assert "spec.monitoring.xml, line 1, column 45: <Topik>: unknown node, did you mean 'Topic'?" in problem
+    follow(good)
+    assert not any("health tree" in problem for problem in sight.problems)
+
+
 def test_the_last_output_of_an_earlier_task_is_not_when_all_was_well_last(sight) -> None:
     from understudy.ros.sources import VENDOR, host_id
     from understudy.ros.watching import SourceRecord

@@ -17,7 +17,7 @@ from understudy.api import names
 from understudy.api.policies import FailurePolicySpec
 from understudy.api.pools import FallbackPoolSpec
 from understudy.api.workloads import RobotWorkloadSpec
-from understudy.trees.loading import load as load_health
+from understudy.trees.forms import load_monitoring
 from understudy.trees.procedures import load_check, load_procedure
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "navigation"
@@ -91,7 +91,7 @@ def test_trees_can_be_followed(manifest: dict[str, Any]) -> None:
     for path, tree in procedures(manifest):
         load_procedure(tree, path=path)
     if "monitoring" in manifest["spec"]:
-        load_health(manifest["spec"]["monitoring"]["yaml"], path="spec.monitoring.yaml")
+        load_monitoring(FailurePolicySpec.model_validate(manifest["spec"]).monitoring)
     if "readinessCheck" in manifest["spec"]:
         load_check(manifest["spec"]["readinessCheck"]["yaml"], path="spec.readinessCheck.yaml")
 

@@ -224,7 +224,7 @@ def test_tree_too_large_is_refused_once():
         ({"parallel": [LEAF], "do": LEAF}, "spec.monitoring.yaml.do: unknown key; do belongs beside while"),
         (
             {"while": {"task_active": {"action": "/go"}}, "do": {"topic": {"name": "/go/_action/status", "gap": "1s"}}},
-            "/go/_action/status is looked at by task_active already",
+            "/go/_action/status says whether a task is active, which is looked at already",
         ),
     ],
 )

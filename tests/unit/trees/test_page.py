@@ -6,6 +6,9 @@ from pathlib import Path
 import pytest
 import yaml
 
+from understudy.trees.btcpp.library import NODES, REFUSED
+from understudy.trees.btcpp.markup import parse
+from understudy.trees.btcpp.trees import load_xml
 from understudy.trees.loading import TreeError, load
 from understudy.trees.procedures import COMPOSITES, CONDITIONS, DECORATORS, STEPS, load_check, load_procedure
 
@@ -20,11 +23,44 @@ def test_the_example_loads_and_its_leaves_are_called_as_it_says():
 
 
 def test_the_mistakes_are_named_as_it_says():
-    (shown,) = re.findall(r"```text\n(.*?)```", PAGE, re.DOTALL)
+    shown, _ = re.findall(r"```text\n(.*?)```", PAGE, re.DOTALL)
     tree = {"parallel": [{"topic": {"name": "/cmd_vel", "gap": 500}}, {"paralel": []}]}
     with pytest.raises(TreeError) as caught:
         load(tree)
     assert [str(problem) for problem in caught.value.problems] == shown.splitlines()
+
+
+def test_the_mistakes_in_xml_are_named_as_it_says():
+    _, shown = re.findall(r"```text\n(.*?)```", PAGE, re.DOTALL)
+    text = """<root BTCPP_format="4">
+  <BehaviorTree ID="Healthy"><Parallel>
+    <Parralel>
+      <Topic topic="/scan" gap="1s"/>
+    </Parralel>
+    <Topic topic="/cmd_vel" gap="500"/>
+  </Parallel></BehaviorTree>
+</root>"""
+    with pytest.raises(TreeError) as caught:
+        load_xml(text)
+    assert [str(problem) for problem in caught.value.problems] == shown.splitlines()
+
+
+def test_every_node_and_port_of_xml_is_in_its_table():
+    rows = [line.split("|") for line in PAGE.splitlines() if line.startswith("| `<")]
+    for tag, node in NODES.items():
+        ((_, _, _, ports, _),) = (row for row in rows if f"`<{tag}>`" in row[1])
+        assert set(node.ports) <= set(re.findall(r"`([a-z_]+)`", ports))
+    assert not NODES.keys() & REFUSED.keys()
+
+
+def test_the_models_that_are_shown_are_those_of_the_nodes():
+    (shown,) = re.findall(r"```xml\n(.*?)```", PAGE, re.DOTALL)
+    tree = '<BehaviorTree ID="Healthy"><Topic topic="/scan" gap="1s"/></BehaviorTree>'
+    load_xml(f'<root BTCPP_format="4">{tree}{shown}</root>')
+    told = {
+        model.attributes["ID"]: [port.attributes["name"] for port in model.children] for model in parse(shown).children
+    }
+    assert told == {tag: list(NODES[tag].ports) for tag in ("Topic", "WhileTaskActive")}
 
 
 PROCEDURES = (Path(__file__).parents[3] / "docs" / "procedures.md").read_text()

@@ -1,0 +1,116 @@
+"""The nodes that a health tree in XML can have, and why it can't have the others of BehaviorTree.CPP 4."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+Category = Literal["Control", "Decorator", "Condition"]
+
+
+@dataclass(frozen=True)
+class Node:
+    """A node that can be written."""
+
+    category: Category
+    key: str
+    """What it is in the short form; a Parallel says by its thresholds which."""
+    ports: Mapping[str, str] = field(default_factory=dict)
+    """Where the value of each of its ports goes in the short form, as a path from the node; empty where it goes nowhere."""
+
+
+NODES: Mapping[str, Node] = {
+    "Sequence": Node("Control", "sequence"),
+    "ReactiveSequence": Node("Control", "sequence"),
+    "Fallback": Node("Control", "selector"),
+    "ReactiveFallback": Node("Control", "selector"),
+    "Parallel": Node("Control", "parallel", {"success_count": "", "failure_count": ""}),
+    "ParallelAll": Node("Control", "parallel", {"max_failures": ""}),
+    "Inverter": Node("Decorator", "inverter"),
+    "WhileTaskActive": Node(
+        "Decorator",
+        "while",
+        {"action": "while.task_active.action", "type": "while.task_active.type", "settle": "settle"},
+    ),
+    "Topic": Node(
+        "Condition",
+        "topic",
+        # `name` is the node's own name in BehaviorTree.CPP, so the topic's can't be.
+        {
+            "topic": "topic.name",
+            "type": "topic.type",
+            "gap": "topic.gap",
+            "rate": "topic.rate",
+            "window": "topic.window",
+        },
+    ),
+}
+
+EXPLICIT = ("Action", "Condition", "Control", "Decorator")
+"""Tags of the explicit notation, ``<Condition ID="Topic"/>`` for ``<Topic/>``."""
+
+IGNORED = frozenset({"_description", "_collapsed", "_fullpath", "_uid"})
+"""What Groot 2, and BehaviorTree.CPP when it writes a running tree, add to nodes for themselves."""
+
+SCRIPTS = frozenset({"_skipIf", "_successIf", "_failureIf", "_while", "_onSuccess", "_onFailure", "_onHalted", "_post"})
+"""Pre- and postconditions, which are scripts."""
+
+NO_SCRIPTS = (
+    "scripts aren't run; what only counts while the robot works on a task goes into "
+    '<WhileTaskActive action="/navigate_to_pose">'
+)
+
+_ANEW = "a health tree is asked anew at every look and remembers nothing; write"
+_ONCE = "a health tree is asked again and again anyway; leave it out, and give the leaf in it a longer gap or window"
+_LATER = (
+    "how long something may be missing is said by gap, window and settle, and by debounce of the policy; leave it out"
+)
+_TASK = 'what decides can only be a task; write <WhileTaskActive action="/navigate_to_pose">'
+_STORE = 'nothing is written while a tree is judged; give constants as attributes of <SubTree>, such as scan="/scan"'
+_CERTAIN = "a verdict that is certain says nothing about the robot; leave it out"
+_RECOVERY = "a health tree only judges; what is done after a failure belongs into spec.strategies of the policy"
+
+REFUSED: Mapping[str, str] = {
+    "SequenceWithMemory": f"{_ANEW} <Sequence>",
+    "SequenceStar": f"{_ANEW} <Sequence>",
+    "AsyncSequence": f"{_ANEW} <Sequence>",
+    "FallbackStar": f"{_ANEW} <Fallback>",
+    "AsyncFallback": f"{_ANEW} <Fallback>",
+    "IfThenElse": _TASK,
+    "WhileDoElse": _TASK,
+    **{f"Switch{cases}": _TASK for cases in range(2, 7)},
+    "ManualSelector": "nobody is there to choose; write <Fallback>",
+    "TryCatch": _RECOVERY,
+    "RetryUntilSuccessful": _ONCE,
+    "RetryUntilSuccesful": _ONCE,
+    "KeepRunningUntilFailure": _ONCE,
+    "Repeat": _ONCE,
+    "RunOnce": f"{_ANEW} what is in it alone",
+    "LoopInt": _ONCE,
+    "LoopDouble": _ONCE,
+    "LoopString": _ONCE,
+    "LoopBool": _ONCE,
+    "Delay": _LATER,
+    "Timeout": _LATER,
+    "Sleep": _LATER,
+    "ForceSuccess": _CERTAIN,
+    "ForceFailure": _CERTAIN,
+    "AlwaysSuccess": _CERTAIN,
+    "AlwaysFailure": _CERTAIN,
+    "TestNode": _CERTAIN,
+    "Script": NO_SCRIPTS,
+    "ScriptCondition": NO_SCRIPTS,
+    "Precondition": NO_SCRIPTS,
+    "SetBlackboard": _STORE,
+    "UnsetBlackboard": _STORE,
+    "SkipUnlessUpdated": _STORE,
+    "WaitValueUpdate": _STORE,
+    "WasEntryUpdated": _STORE,
+    "SubTreePlus": 'it is of version 3; write <SubTree ID="..." _autoremap="true"/>',
+    "RecoveryNode": _RECOVERY,
+    "PipelineSequence": f"{_ANEW} <Sequence>",
+    "RoundRobin": f"{_ANEW} <Fallback>",
+    "RateController": _ONCE,
+}
+"""Why other nodes of BehaviorTree.CPP (and the control nodes that Nav2 adds) are not for health trees, and what is."""

@@ -1,0 +1,42 @@
+"""Whatever form a health tree is written in, it is loaded by one function, and what is wrong with it can be told in short."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from understudy.api.policies import Monitoring
+from understudy.trees.forms import load_health, load_monitoring
+from understudy.trees.problems import Problem, TreeError
+
+YAML: dict[str, Any] = {"topic": {"name": "/scan", "gap": "1s"}}
+XML = '<root BTCPP_format="4"><BehaviorTree ID="A"><Topic topic="/scan" gap="1s"/></BehaviorTree></root>'
+
+
+@pytest.mark.parametrize("written", [{"yaml": YAML}, {"xml": XML}])
+def test_either_form_of_a_policy_is_loaded_with_its_grace(written: dict[str, Any]) -> None:
+    tree = load_monitoring(Monitoring.model_validate({**written, "startupGrace": "7s"}))
+    assert [topic.name for topic in tree.topics] == ["/scan"]
+    assert tree.grace == 7.0
+
+
+@pytest.mark.parametrize(
+    ("form", "tree", "expected"),
+    [
+        ("yaml", {}, "spec.monitoring.yaml: the node says nothing"),
+        ("yaml", XML, "spec.monitoring.yaml: found '<root"),
+        ("xml", YAML, "spec.monitoring.xml: found a mapping; give the text"),
+        ("toml", YAML, "form: found 'toml'; known are yaml, xml"),
+    ],
+)
+def test_a_tree_of_another_form_is_refused(form: str, tree: Any, expected: str) -> None:
+    with pytest.raises(TreeError) as caught:
+        load_health(form, tree, grace=1.0)
+    assert str(caught.value).startswith(expected)
+
+
+def test_many_problems_are_told_in_short() -> None:
+    error = TreeError([Problem(f"spec[{i}]", "x" * 100_000) for i in range(12)])
+    assert error.in_short().endswith("; and 2 more")
+    assert len(error.in_short()) < 32768 / 2, "a condition has room for more than this"
