@@ -36,6 +36,7 @@ def kernel() -> tuple[int, int]:
 
 
 @pytest.mark.skipif(platform.machine() not in scheduling._NUMBERS, reason="another processor")
+@pytest.mark.skipif(os.sched_getscheduler(0) != os.SCHED_OTHER, reason="somebody chose another policy for the tests")
 @pytest.mark.skipif(kernel() < (6, 12), reason="this kernel takes no notice of slices")
 def test_a_process_and_its_later_threads_get_short_slices() -> None:
     number = scheduling._NUMBERS[platform.machine()][1]
