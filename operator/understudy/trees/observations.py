@@ -1,4 +1,4 @@
-"""What a health tree looks at: which topics were received when.
+"""What a health tree looks at: which topics were received when, and what they said last.
 
 The tree knows the protocol only. :class:`TopicRecord` and :class:`Recorded` are the plain implementation that the
 drained subscriptions of ``understudy.ros`` fill, and that tests fill by hand.
@@ -6,6 +6,7 @@ drained subscriptions of ``understudy.ros`` fill, and that tests fill by hand.
 
 from __future__ import annotations
 
+import math
 from bisect import insort
 from collections import deque
 from collections.abc import Mapping
@@ -13,12 +14,32 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 
+class Content(Protocol):
+    """A message that was received."""
+
+    received: float
+    """When it was, in Unix seconds; moved where the clock was set."""
+
+    def message(self) -> object:
+        """The message with its fields as attributes. Raises Unreadable."""
+        ...
+
+    def age(self) -> float | None:
+        """How old its header's stamp was when it was received, in seconds; None where it has none."""
+        ...
+
+
+class Unreadable(ValueError):
+    """A message that isn't of the type that it should be of; the text says why."""
+
+
 class TopicRecord:
     """When a topic was received. Times are Unix seconds."""
 
-    __slots__ = ("arrivals", "count", "last", "window")
+    __slots__ = ("arrivals", "contents", "count", "last", "window")
 
-    def __init__(self, window: float = 0.0) -> None:
+    def __init__(self, window: float = 0.0, contents: int = 0) -> None:
+        """``contents`` is how many of the last messages are kept to be looked into."""
         self.window = window
         """How far back arrivals are needed, in seconds; 0 where only the last one is."""
         self.last: float | None = None
@@ -27,6 +48,8 @@ class TopicRecord:
         """Samples received in all."""
         self.arrivals: deque[float] = deque()
         """Times within the window, oldest first, and one before it, which tells that the window has been full."""
+        self.contents: deque[Content] = deque(maxlen=contents)
+        """The last messages, oldest first."""
 
     def add(self, received: float) -> None:
         """Note a sample that was received at this time; late ones find their place."""
@@ -45,6 +68,8 @@ class TopicRecord:
         if self.last is not None:
             self.last += seconds
         self.arrivals = deque(time + seconds for time in self.arrivals)
+        for content in self.contents:
+            content.received += seconds
 
 
 class Observations(Protocol):
@@ -87,5 +112,12 @@ class Glance:
     """Unix seconds."""
     since: float = 0.0
     """Unix seconds: when the instance that is judged took control. What was received earlier isn't its own."""
+    begun: float = -math.inf
+    """Unix seconds: since when the tree is judged by. What it names anew may not have been watched before."""
     real: bool = True
     """False while a later moment is tried out, which must leave no trace."""
+
+    @property
+    def in_time(self) -> float:
+        """Until when the instance may become healthy for the first time, in Unix seconds."""
+        return max(self.since, self.begun) + self.grace

@@ -1,0 +1,70 @@
+"""Messages without ROS: objects that say their fields as rosidl's classes do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from understudy.trees.observations import Unreadable
+
+TYPES: dict[str, dict[str, str]] = {
+    "t/msg/Battery": {
+        "header": "std_msgs/Header",
+        "percentage": "float",
+        "charging": "boolean",
+        "level": "octet",
+        "name": "string",
+        "cells": "sequence<float>",
+        "covariance": "double[4]",
+        "packs": "sequence<t/Pack>",
+    },
+    "t/msg/Pack": {"name": "string", "temperature": "double"},
+    "std_msgs/msg/Header": {"frame_id": "string"},
+}
+
+
+def fields(type_name: str) -> dict[str, str] | None:
+    return TYPES.get(type_name)
+
+
+class Message:
+    """A message with the fields of its type; what is beside them is no field."""
+
+    secret = 7
+    _type = ""
+
+    def __init__(self, **values: Any) -> None:
+        self.__dict__.update(values)
+
+    @classmethod
+    def get_fields_and_field_types(cls) -> dict[str, str]:
+        return dict(TYPES[cls._type])
+
+
+class Pack(Message):
+    _type = "t/msg/Pack"
+
+
+class Header(Message):
+    _type = "std_msgs/msg/Header"
+
+
+class Battery(Message):
+    _type = "t/msg/Battery"
+
+
+@dataclass
+class Heard:
+    """A received message; what isn't one can't be read."""
+
+    received: float
+    said: object = None
+    late: float | None = None
+
+    def message(self) -> object:
+        if isinstance(self.said, str):
+            raise Unreadable(self.said)
+        return self.said
+
+    def age(self) -> float | None:
+        return self.late
