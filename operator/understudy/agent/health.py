@@ -198,14 +198,8 @@ class Health:
         found: dict[str, WatchedTopic] = {}
         types = {output.topic: output.type for output in self._plan.outputs if output.topic}
         for topic in [*self._plan.topics(), *(topic for topics in self._also.values() for topic in topics)]:
-            known = found.get(topic.name, topic)
-            rates = [rate for rate in (known.rate, topic.rate) if rate is not None]
-            found[topic.name] = dataclasses.replace(
-                known,
-                type=known.type or topic.type or types.get(topic.name),
-                window=max(known.window, topic.window),
-                rate=max(rates, default=None),
-            )
+            joined = found.get(topic.name, topic).joined(topic)
+            found[topic.name] = dataclasses.replace(joined, type=joined.type or types.get(topic.name))
         watching.follow(found.values())
 
     def resume(self, process_up_at: float | None, ready_at: float | None) -> None:

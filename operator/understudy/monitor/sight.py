@@ -14,7 +14,7 @@ from understudy.mitigation.interfaces import Instance
 from understudy.monitor.fleet import Fleet
 from understudy.monitor.gating import PolicyGate
 from understudy.ros.graph import Graph
-from understudy.ros.types import TypeNotInstalled, interface_class
+from understudy.ros.types import TypeNotInstalled, interface_class, message_fields
 from understudy.ros.watching import Watching
 from understudy.trees.forms import load_monitoring
 from understudy.trees.health import HealthTree, Verdict, WatchedTopic
@@ -53,7 +53,8 @@ class Sight:
         self._outputs = outputs
         self._problems = []
         try:
-            self._tree = load_monitoring(policy.monitoring)
+            self._tree = load_monitoring(policy.monitoring, fields=message_fields)
+            self._tree.begin(time.time())
         except TreeError as error:
             _logger.error("the policy's tree doesn't load, the last one stays: %s", error)
             self._problems.append(

@@ -112,6 +112,7 @@ class Taker:
         sent, received, sequence, _, _, gid, _ = _INFO.unpack_from(self._info)
         return Sample(received * 1e-9, sent * 1e-9, gid, sequence, self.data() if with_data else b"")
 
-    def data(self) -> bytes:
-        """What the sample that was taken last says; for where that depends on who sent it."""
-        return ctypes.string_at(self._bytes.buffer, self._bytes.length)
+    def data(self, most: int | None = None) -> bytes:
+        """What the sample that was taken last says, up to ``most`` bytes; for where that depends on who sent it."""
+        length = self._bytes.length
+        return ctypes.string_at(self._bytes.buffer, length if most is None else min(most, length))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import importlib
+from collections.abc import Mapping
 from typing import Any
 
 from understudy.ros.lean import leave_out_generator
@@ -68,3 +69,12 @@ def message_class(type_name: str) -> Any:
             f"{type_name!r} is not a message type: write package/msg/Name, such as geometry_msgs/msg/Twist"
         )
     return interface_class(type_name)
+
+
+def message_fields(type_name: str) -> Mapping[str, str] | None:
+    """The fields of ``package/msg/Name`` with their types, as rosidl names them; None where the image doesn't have it."""
+    try:
+        found: Mapping[str, str] = message_class(type_name).get_fields_and_field_types()
+    except TypeNotInstalled:
+        return None
+    return found

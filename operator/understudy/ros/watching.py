@@ -11,10 +11,12 @@ import logging
 import math
 import time
 from bisect import bisect_left
+from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from understudy.ros.contents import HEAD, Received, begins_with_header
 from understudy.ros.graph import Graph
 from understudy.ros.sources import HOST, Sources
 from understudy.ros.taking import Taker
@@ -61,8 +63,8 @@ class SourceRecord(TopicRecord):
 
     __slots__ = ("accepted", "lost", "sequences")
 
-    def __init__(self, window: float) -> None:
-        super().__init__(window)
+    def __init__(self, window: float, contents: int = 0) -> None:
+        super().__init__(window, contents)
         self.accepted = True
         """Whether it counts for the instance in control."""
         self.lost = 0
@@ -87,6 +89,10 @@ class _Topic:
 
     want: WatchedTopic
     subscription: Any = None
+    message: Any = None
+    """The class of what the subscription receives."""
+    stamped: bool = False
+    """Whether its messages begin with a header."""
     problem: str = ""
     waiting: str = ""
     sources: dict[bytes, SourceRecord] = field(default_factory=dict)
@@ -124,7 +130,7 @@ class Watching:
         for name, want in wanted.items():
             known = self._topics.get(name)
             if known is None:
-                self._topics[name] = known = _Topic(want, counted=TopicRecord(want.window))
+                self._topics[name] = known = _Topic(want, counted=TopicRecord(want.window, want.contents))
                 self._subscribe(known)
             elif known.want != want:
                 self._change(known, want)
@@ -145,10 +151,13 @@ class Watching:
         return [topic.waiting for topic in self._topics.values() if topic.waiting]
 
     def _change(self, topic: _Topic, want: WatchedTopic) -> None:
+        looks_into = (want.contents, want.whole) != (topic.want.contents, topic.want.whole)
         again = topic.subscription is None or want.type != topic.want.type or depth(want) > depth(topic.want)
         topic.want = want
         for source in topic.sources.values():
             source.window = max(want.window, HISTORY)
+            if looks_into:  # What was kept may lack what is needed now.
+                source.contents = deque(maxlen=want.contents)
         self._count_again(topic)
         if again:
             self._end(topic)
@@ -170,6 +179,8 @@ class Watching:
                 )
             return
         try:
+            topic.message = message_class(type_name)
+            topic.stamped = begins_with_header(topic.message)
             topic.subscription = self._graph.subscribe(want.name, type_name, depth=depth(want), latched=want.task)
         except TypeNotInstalled as error:
             topic.problem = f"{want.name}: {error}"
@@ -228,10 +239,12 @@ class Watching:
         if len(accepted) == 1:
             topic.counted = accepted[0]
             return
-        counted = topic.counted = TopicRecord(topic.want.window)
+        counted = topic.counted = TopicRecord(topic.want.window, topic.want.contents)
         for arrival in sorted(arrival for source in accepted for arrival in source.arrivals):
             counted.add(arrival)
         counted.count = sum(source.count for source in accepted)
+        kept = (content for source in accepted for content in source.contents)
+        counted.contents.extend(sorted(kept, key=lambda content: content.received))
 
     # -- receiving --------------------------------------------------------------------------------------------------
 
@@ -256,19 +269,24 @@ class Watching:
         taken = 0
         # A writer that is faster than we are must not keep us here.
         most = 4 * depth(topic.want)
-        task = topic.want.task
+        task, wanted = topic.want.task, topic.want.contents
+        needed = None if topic.want.whole else HEAD
         with handle:
             pointer = handle.pointer
             while taken < most and (sample := take(pointer, with_data=task)) is not None:
                 taken += 1
-                received, _, gid, sequence, data = sample
-                if bounded:
-                    received = min(max(received, low), high)
+                stamped, _, gid, sequence, data = sample
+                received = min(max(stamped, low), high) if bounded else stamped
                 source = sources.get(gid[HOST]) or self._new_source(topic, gid[HOST])
                 source.add(received)
                 source.number(gid, sequence)
                 if source.accepted and topic.counted is not source:
                     topic.counted.add(received)
+                if wanted:
+                    content = Received(received, stamped, self._taker.data(needed), topic.message, topic.stamped)
+                    source.contents.append(content)
+                    if source.accepted and topic.counted is not source:
+                        topic.counted.contents.append(content)
                 if task:
                     _note_goals(topic.active, gid, received, data)
         return taken
@@ -276,7 +294,7 @@ class Watching:
     def _new_source(self, topic: _Topic, host: bytes) -> SourceRecord:
         for old in [host for host, record in topic.sources.items() if (record.last or 0.0) < time.time() - FORGET]:
             del topic.sources[old]
-        source = topic.sources[host] = SourceRecord(max(topic.want.window, HISTORY))
+        source = topic.sources[host] = SourceRecord(max(topic.want.window, HISTORY), topic.want.contents)
         source.accepted = self._accepted(host)
         self._count_again(topic)
         return source

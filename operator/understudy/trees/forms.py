@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from understudy.api.base import seconds
 from understudy.trees.btcpp.trees import load_xml
+from understudy.trees.expressions import Fields
 from understudy.trees.health import HealthTree
 from understudy.trees.loading import load
 from understudy.trees.problems import Problem, TreeError, did_you_mean
@@ -17,16 +18,17 @@ if TYPE_CHECKING:  # an agent has no use for it, and is to be there soon
 _LOADERS: dict[str, Callable[..., HealthTree]] = {"yaml": load, "xml": load_xml}
 
 
-def load_health(form: str, tree: Any, *, grace: float) -> HealthTree:
+def load_health(form: str, tree: Any, *, grace: float, fields: Fields | None = None) -> HealthTree:
     """A health tree of a form, which is the field of ``spec.monitoring`` that it stands in. ``grace`` in seconds.
+    Conditions over messages are checked by their types' ``fields``, where these are known.
 
     Raises TreeError with all problems.
     """
     if form not in _LOADERS:
         raise TreeError([Problem("form", f"found {form!r:.60}{did_you_mean(str(form), _LOADERS)}")])
-    return _LOADERS[form](tree, path=f"spec.monitoring.{form}", grace=grace)
+    return _LOADERS[form](tree, path=f"spec.monitoring.{form}", grace=grace, fields=fields)
 
 
-def load_monitoring(monitoring: Monitoring) -> HealthTree:
-    """The health tree of a policy. Raises TreeError with all problems."""
-    return load_health(monitoring.form, monitoring.tree, grace=seconds(monitoring.startup_grace))
+def load_monitoring(monitoring: Monitoring, *, fields: Fields | None = None) -> HealthTree:
+    """The health tree of a policy; ``fields`` as of :func:`load_health`. Raises TreeError with all problems."""
+    return load_health(monitoring.form, monitoring.tree, grace=seconds(monitoring.startup_grace), fields=fields)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
@@ -16,7 +16,7 @@ from py_trees.composites import Parallel, Sequence
 from py_trees.decorators import Inverter
 
 from understudy.trees.composites import AnyOf
-from understudy.trees.leaves import STATE, State, TopicLeaf
+from understudy.trees.leaves import STATE, Leaf, State
 from understudy.trees.observations import Glance, Observations
 from understudy.trees.situations import While
 
@@ -40,6 +40,22 @@ class WatchedTopic:
     """Messages per second to be ready for; None where the tree doesn't say."""
     task: bool = False
     """Whether it is the status of an action, of which it matters whether a goal is active."""
+    contents: int = 0
+    """How many of the last messages are looked into."""
+    whole: bool = False
+    """Whether more of them is looked at than the header at their start."""
+
+    def joined(self, other: WatchedTopic) -> WatchedTopic:
+        """What serves this and another need of the same topic."""
+        rates = [rate for rate in (self.rate, other.rate) if rate is not None]
+        return replace(
+            self,
+            type=self.type or other.type,
+            window=max(self.window, other.window),
+            rate=max(rates, default=None),
+            contents=max(self.contents, other.contents),
+            whole=self.whole or other.whole,
+        )
 
 
 @dataclass(frozen=True)
@@ -77,6 +93,10 @@ class HealthTree:
         """The behaviours, with the states of the last evaluation; None where nothing can be judged."""
         self.leave_out(())
 
+    def begin(self, now: float) -> None:
+        """Judge from now on (Unix seconds): what the tree names anew has the grace to come, though the instance isn't new."""
+        self._glance.begun = now
+
     def leave_out(self, topics: Collection[str]) -> None:
         """Judge without the leaves of these topics, since they can't be watched: being blind is no failure.
 
@@ -87,7 +107,7 @@ class HealthTree:
         self._left_out = frozenset(topics)
         self.root = self._build(self._left_out)
         nodes = list(self.root.iterate()) if self.root is not None else []
-        self._leaves = [node for node in nodes if isinstance(node, TopicLeaf)]
+        self._leaves = [node for node in nodes if isinstance(node, Leaf)]
         # Without an inverter a tree is healthy when all its leaves are, which is nearly always so, and is told without
         # a tick of all its nodes.
         self._upright = not any(isinstance(node, Inverter) for node in nodes)
@@ -177,20 +197,20 @@ class HealthTree:
 
 def _first_loss(node: Behaviour, until: dict[str, float]) -> float:
     """When a node over healthy leaves stops being healthy: alternatives with their last, all else with the first."""
-    if isinstance(node, TopicLeaf):
+    if isinstance(node, Leaf):
         return until[node.name]
     losses = [_first_loss(child, until) for child in node.children]
     return max(losses) if isinstance(node, AnyOf) else min(losses)
 
 
-def _decisive(node: Behaviour, *, inverted: bool = False) -> list[tuple[TopicLeaf, str]]:
+def _decisive(node: Behaviour, *, inverted: bool = False) -> list[tuple[Leaf, str]]:
     """The leaves that gave a node its status, with their reasons, in the tree's order."""
-    if isinstance(node, TopicLeaf):
+    if isinstance(node, Leaf):
         reason = node.reason(STATE[node.status])
         return [(node, f"{reason}, which must not be" if inverted and node.status != Status.RUNNING else reason)]
     if isinstance(node, While) and not node.counts():
         # It holds by itself, whatever is in it, so that matters only under an inverter.
-        leaf = next(inner for inner in node.iterate() if isinstance(inner, TopicLeaf))
+        leaf = next(inner for inner in node.iterate() if isinstance(inner, Leaf))
         return [(leaf, f"no goal of {node.task.action} is active, which must not be")]
     if isinstance(node, Inverter):
         return _decisive(node.decorated, inverted=not inverted)
@@ -203,7 +223,7 @@ def _deciding(node: Behaviour) -> list[Behaviour]:
 
 def _onset(node: Behaviour) -> float | None:
     """When a failed node was last seen to be good."""
-    if isinstance(node, TopicLeaf):
+    if isinstance(node, Leaf):
         return node.last()
     if isinstance(node, While):
         return _onset(node.decorated)

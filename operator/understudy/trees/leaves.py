@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from bisect import bisect_left
 from collections.abc import Sequence
 from typing import Literal
@@ -23,7 +24,84 @@ STATE: dict[Status, State] = {status: state for state, status in STATUS.items()}
 """How a status of py_trees is said here."""
 
 
-class TopicLeaf(Behaviour):
+class Leaf(Behaviour, ABC):
+    """What must hold of one topic, of the instance that the glance is for.
+
+    One that is for a task isn't judged while that isn't active. Its clocks begin when it becomes active at the earliest,
+    and it has some time to start then.
+    """
+
+    def __init__(self, path: str, topic: str, glance: Glance, tasks: Sequence[TaskActive]) -> None:
+        super().__init__(path)
+        self.topic = topic
+        self.tasks = tasks
+        self._glance = glance
+
+    def update(self) -> Status:
+        """The state at the glance's moment, as py_trees says it."""
+        state = self.state()
+        if self._glance.real:
+            if state == "Healthy":
+                self.remember()
+            if STATUS[state] != self.status or state == "Failed":
+                self.feedback_message = self.reason(state)
+        return STATUS[state]
+
+    def counts(self) -> bool:
+        """Whether it is judged at the glance's moment: unless it is for a task that isn't active."""
+        return not self.tasks or situation(self.tasks, self._glance) is not None
+
+    def reason(self, state: State) -> str:
+        """Why it is in this state, in plain words. Says the same for as long as nothing changes."""
+        if self.tasks and state == "Failed":
+            return f"{self._plain_reason(state)} while a goal of {' and of '.join(task.action for task in self.tasks)} is active"
+        return self._plain_reason(state)
+
+    def remember(self) -> None:
+        """Note that the instance has been healthy here."""
+
+    @abstractmethod
+    def state(self) -> State:
+        """The state at the glance's moment."""
+
+    @abstractmethod
+    def healthy_until(self) -> float | None:
+        """When it is no longer healthy if nothing more arrives; None where it isn't healthy at the glance's moment.
+
+        The same as :meth:`state` says, by less work: this is what is asked of every leaf at every tick.
+        """
+
+    @abstractmethod
+    def changes(self) -> list[float]:
+        """The moments after the glance's at which the state may be another with no further message."""
+
+    @abstractmethod
+    def last(self) -> float | None:
+        """When all was last well, in Unix seconds: a message was received that says so, or its task became active."""
+
+    @abstractmethod
+    def _plain_reason(self, state: State) -> str:
+        """The reason without the task that it is for."""
+
+    def _last_with_task(self, last: float | None) -> float | None:
+        """When all was last well by the messages, or by the task's start, which is later."""
+        if not self.tasks or (found := situation(self.tasks, self._glance)) is None:
+            return last
+        known = [time for time in (last, found.active) if time is not None and time >= self._glance.since]
+        return max(known, default=None)
+
+    def _unheard(self, state: State, what: str) -> str:
+        """The reason where the instance hasn't sent what is waited for, such as the topic."""
+        if state == "Starting":
+            return f"waiting for the first {what}, for up to {duration(self._glance.grace)}"
+        if state == "Failed" and self.tasks:
+            return f"no {what}"
+        if state == "Failed":
+            return f"no {what} within {duration(self._glance.grace)} of the start"
+        return f"{what} is silent"
+
+
+class TopicLeaf(Leaf):
     """Holds while a topic is received often enough.
 
     - Gap: failed from the moment at which the last sample is that old.
@@ -31,9 +109,6 @@ class TopicLeaf(Behaviour):
 
     Before the first sample, and for a rate until the band has held for the first time, it is starting, for as long as
     the grace lasts; and in any case until a window has passed since the first sample.
-
-    One that is for a task isn't judged while that isn't active. Its clocks begin when it becomes active at the earliest,
-    and it has some time to start then.
     """
 
     def __init__(
@@ -47,24 +122,11 @@ class TopicLeaf(Behaviour):
         tasks: Sequence[TaskActive] = (),
     ) -> None:
         """A leaf over a topic; ``gap`` in seconds. At least one of gap and window is given."""
-        super().__init__(path)
-        self.topic = topic
+        super().__init__(path, topic, glance, tasks)
         self.gap = gap
         self.window = window
-        self.tasks = tasks
-        self._glance = glance
         self._held: float | None = None
         """The instance (its ``since``) whose rate has been in the band once."""
-
-    def update(self) -> Status:
-        """The state at the glance's moment, as py_trees says it."""
-        state = self.state()
-        if self._glance.real:
-            if state == "Healthy":
-                self.remember()
-            if STATUS[state] != self.status or state == "Failed":
-                self.feedback_message = self.reason(state)
-        return STATUS[state]
 
     def state(self) -> State:
         """The state at the glance's moment."""
@@ -77,19 +139,12 @@ class TopicLeaf(Behaviour):
             return "Failed"
         return "Starting" if "Starting" in states else "Healthy"
 
-    def counts(self) -> bool:
-        """Whether it is judged at the glance's moment: unless it is for a task that isn't active."""
-        return not self.tasks or situation(self.tasks, self._glance) is not None
-
     def remember(self) -> None:
         """Note that the instance has been healthy here: a rate has no more grace then."""
         self._held = self._glance.since
 
     def healthy_until(self) -> float | None:
-        """When it is no longer healthy if nothing more arrives; None where it isn't healthy at the glance's moment.
-
-        The same as :meth:`state` says, by less work: this is what is asked of every leaf at every tick.
-        """
+        """When it is no longer healthy; None where it isn't healthy."""
         if self.tasks:
             return self._task_healthy_until()
         record, now, since = self._glance.observations.topic(self.topic), self._glance.now, self._glance.since
@@ -105,8 +160,8 @@ class TopicLeaf(Behaviour):
 
     def changes(self) -> list[float]:
         """The moments after the glance's at which the state may be another with no further message."""
-        record, since = self._record(), self._glance.since
-        moments = [since + self._glance.grace]
+        record = self._record()
+        moments = [self._glance.in_time]
         if self.tasks and (found := situation(self.tasks, self._glance)) is not None:
             moments += [found.settled]
             moments += [self._gap_limit(found, record)] if self.gap is not None else []
@@ -123,28 +178,12 @@ class TopicLeaf(Behaviour):
     def last(self) -> float | None:
         """When all was last well: when the instance's last sample was received, or its task became active, in Unix seconds."""
         record = self._record()
-        last = record.last if record is not None else None
-        if not self.tasks or (found := situation(self.tasks, self._glance)) is None:
-            return last
-        known = [time for time in (last, found.active) if time is not None and time >= self._glance.since]
-        return max(known, default=None)
-
-    def reason(self, state: State) -> str:
-        """Why it is in this state, in plain words. Says the same for as long as nothing changes."""
-        if self.tasks and state == "Failed":
-            return f"{self._plain_reason(state)} while a goal of {' and of '.join(task.action for task in self.tasks)} is active"
-        return self._plain_reason(state)
+        return self._last_with_task(record.last if record is not None else None)
 
     def _plain_reason(self, state: State) -> str:
         record = self._record()
         if record is None:
-            if state == "Starting":
-                return f"waiting for the first {self.topic}, for up to {duration(self._glance.grace)}"
-            if state == "Failed" and self.tasks:
-                return f"no {self.topic}"
-            if state == "Failed":
-                return f"no {self.topic} within {duration(self._glance.grace)} of the start"
-            return f"{self.topic} is silent"
+            return self._unheard(state, self.topic)
         if state == "Healthy":
             return f"{self.topic} is received"
         gap_failed = (
@@ -160,7 +199,7 @@ class TopicLeaf(Behaviour):
     def _gap_state(self) -> State:
         record, glance = self._record(), self._glance
         if record is None or record.last is None:
-            return "Starting" if glance.now < glance.since + glance.grace else "Failed"
+            return "Starting" if glance.now < glance.in_time else "Failed"
         assert self.gap is not None
         return "Healthy" if glance.now < record.last + self.gap else "Failed"
 
@@ -171,7 +210,7 @@ class TopicLeaf(Behaviour):
         if found is None:
             return "Healthy"
         record = self._record()
-        in_grace = glance.now < glance.since + glance.grace
+        in_grace = glance.now < glance.in_time
         failed: list[bool] = []
         if self.gap is not None:
             failed.append(glance.now >= self._gap_limit(found, record))
@@ -225,7 +264,7 @@ class TopicLeaf(Behaviour):
 
     def _rate_state(self, window: Window) -> State:
         record, glance = self._record(), self._glance
-        in_grace = glance.now < glance.since + glance.grace
+        in_grace = glance.now < glance.in_time
         if record is None:
             if in_grace:
                 return "Starting"

@@ -12,9 +12,12 @@ from py_trees.decorators import Inverter
 
 from understudy.api.rosnames import ROS_NAME_PATTERN, ROS_TYPE_PATTERN
 from understudy.trees.composites import AnyOf
+from understudy.trees.expressions import Fields
 from understudy.trees.health import Build, HealthTree, WatchedTopic
+from understudy.trees.kinds import LEAVES
 from understudy.trees.leaves import TopicLeaf, duration
 from understudy.trees.observations import Glance
+from understudy.trees.plans import LeafPlan
 from understudy.trees.problems import Problem, TreeError, did_you_mean
 from understudy.trees.rates import Band, Window
 from understudy.trees.reading import Reader, duration_of, found_text
@@ -22,7 +25,7 @@ from understudy.trees.situations import SETTLE, STATUS_TYPE, TaskActive, While
 
 __all__ = ["Problem", "TreeError", "load"]
 
-KINDS = ("parallel", "sequence", "selector", "inverter", "while", "topic")
+KINDS = ("parallel", "sequence", "selector", "inverter", "while", "topic", *LEAVES)
 WHILE_KEYS = ("do", "settle")
 TASK_KEYS = ("action", "type")
 TOPIC_KEYS = ("name", "type", "gap", "rate", "window")
@@ -33,15 +36,16 @@ def load(
     *,
     path: str = "spec.monitoring.yaml",
     grace: float = 30.0,
+    fields: Fields | None = None,
     called: Callable[[str], str] = str,
 ) -> HealthTree:
     """The health tree that a node of the short form stands for.
 
     ``path`` is what problems are named by, ``grace`` the seconds that an instance has to become healthy for the first
-    time. ``called`` says how a message names another node of this path, for trees that weren't written in this form.
-    Raises TreeError with all problems.
+    time. Conditions over messages are checked by their types' ``fields``, where these are known. ``called`` says how a
+    message names another node of this path, for trees that weren't written in this form. Raises TreeError with all problems.
     """
-    loader = _Loader(Glance(grace), called)
+    loader = _Loader(Glance(grace), fields, called)
     build = loader.node(tree, path, [], 1)
     if loader.problems:
         raise TreeError(loader.problems)
@@ -52,9 +56,10 @@ def load(
 class _Loader(Reader):
     """Turns nodes into what builds their behaviours, and collects problems; one with a problem in it becomes None."""
 
-    def __init__(self, glance: Glance, called: Callable[[str], str]) -> None:
+    def __init__(self, glance: Glance, fields: Fields | None, called: Callable[[str], str]) -> None:
         super().__init__()
         self.glance = glance
+        self._fields = fields
         self._called = called
         self.topics: dict[str, WatchedTopic] = {}
         self._type_paths: dict[str, str] = {}
@@ -75,6 +80,8 @@ class _Loader(Reader):
         below = [*above, name] if name else above
         if kind == "topic":
             return self._topic(value["topic"], f"{path}.topic", above, name)
+        if kind in LEAVES:
+            return self._leaf(kind, value[kind], f"{path}.{kind}", above, name)
         if kind == "while":
             return self._while(value, path, name or kind, below, depth)
         if kind == "inverter":
@@ -136,8 +143,8 @@ class _Loader(Reader):
         if key in WHILE_KEYS:
             self.problem(f"{path}.{key}", f"unknown key; {key} belongs beside while")
             return
-        if key in TOPIC_KEYS:
-            self.problem(f"{path}.{key}", f"unknown key; {key} belongs inside topic")
+        if inside := [kind for kind, keys in _LEAF_KEYS.items() if key in keys]:
+            self.problem(f"{path}.{key}", f"unknown key; {key} belongs inside {' or '.join(inside)}")
         else:
             self.problem(f"{path}.{key}", f"unknown key {key!r}{did_you_mean(key, (*KINDS, 'name'))}")
 
@@ -178,21 +185,42 @@ class _Loader(Reader):
         window = self._window(band, length, path) if band is not None else None
         if topic is None or len(self.problems) > before:
             return None
-        leaf_path = "/".join([*above, name or topic.lstrip("/")])
+        rate = window.band.expected if window else None
+        watched = WatchedTopic(topic, type_, window.length if window else 0.0, rate)
+        plan = LeafPlan(
+            topic.lstrip("/"),
+            watched,
+            lambda place, glance, tasks: TopicLeaf(place, topic, glance, gap=gap, window=window, tasks=tasks),
+        )
+        return self._placed(plan, path, above, name)
+
+    def _leaf(self, kind: str, value: object, path: str, above: list[str], name: str | None) -> Build | None:
+        """A leaf that looks into messages."""
+        before, known = len(self.problems), LEAVES[kind]
+        if not isinstance(value, Mapping):
+            self.problem(path, f"found {found_text(value)}; {kind} is a mapping such as {known.example}")
+            return None
+        self.known(value, known.keys, path)
+        plan = known.read(self, value, path, self._fields)
+        if plan is None or len(self.problems) > before:
+            return None
+        return self._placed(plan, path, above, name)
+
+    def _placed(self, plan: LeafPlan, path: str, above: list[str], name: str | None) -> Build | None:
+        """What builds a leaf at its place, under the nodes ``above`` and with the name that it was given, if it was."""
+        leaf_path = "/".join([*above, name or plan.name])
         if leaf_path in self._leaf_paths:
             where = self._called(self._leaf_paths[leaf_path])
             self.problem(path, f"{leaf_path!r} is already the name of {where}; give one of them another name")
             return None
         self._leaf_paths[leaf_path] = path
-        if not self._watch(topic, type_, window, path):
+        if not self._watch(plan.watched, path):
             return None
 
         tasks = tuple(self._tasks)
 
         def build(left_out: Collection[str]) -> Behaviour | None:
-            if topic in left_out:
-                return None
-            return TopicLeaf(leaf_path, topic, self.glance, gap=gap, window=window, tasks=tasks)
+            return plan.make(leaf_path, self.glance, tasks) if plan.watched.name not in left_out else None
 
         return build
 
@@ -207,30 +235,28 @@ class _Loader(Reader):
             return None
         return Window(band, length if length is not None else band.default_window())
 
-    def _watch(self, topic: str, type_: str | None, window: Window | None, path: str) -> bool:
+    def _watch(self, wanted: WatchedTopic, path: str) -> bool:
         """Note that a topic is needed; False, with a problem, where two leaves differ about its type."""
-        known = self.topics.get(topic, WatchedTopic(topic, None, 0.0, None))
+        topic, known = wanted.name, self.topics.get(wanted.name, wanted)
         if known.task:
             self.problem(
                 path,
                 f"{topic} says whether a task is active, which is looked at already; it has no rate or gap of its own",
             )
             return False
-        if type_ and known.type and type_ != known.type:
+        if wanted.type and known.type and wanted.type != known.type:
             where = self._called(self._type_paths[topic])
-            self.problem(f"{path}.type", f"found {type_}, but {where} says {known.type} of the same topic {topic}")
+            self.problem(
+                f"{path}.type", f"found {wanted.type}, but {where} says {known.type} of the same topic {topic}"
+            )
             return False
-        if type_:
+        if wanted.type:
             self._type_paths.setdefault(topic, f"{path}.type")
-        rates = [rate for rate in (known.rate, window.band.expected if window else None) if rate is not None]
-        self.topics[topic] = WatchedTopic(
-            topic,
-            type_ or known.type,
-            max(known.window, window.length if window else 0.0),
-            max(rates) if rates else None,
-        )
+        self.topics[topic] = known.joined(wanted)
         return True
 
+
+_LEAF_KEYS = {"topic": TOPIC_KEYS, **{kind: leaf.keys for kind, leaf in LEAVES.items()}}
 
 _WHILE = "{task_active: {action: /navigate_to_pose}}"
 

@@ -147,6 +147,20 @@ async def test_a_new_tree_keeps_a_healthy_instance_ready(pod: Pod, links, ros):
     assert failed.reason.startswith("/cmd_vel at ")
 
 
+async def test_an_instance_is_ready_by_what_its_messages_say(pod: Pod, links, ros):
+    pod.start_agent()
+    pod.start_container(TALK)
+    links.append(link := pod.link())
+    await link.wait_for(lambda s: s.ready, 10)
+    leaf = {"topic": "/cmd_vel", "type": "std_msgs/msg/String", "holds": "data == 'x'"}
+    await link.configure({"value": leaf}, OUTPUTS, 20.0)
+    await link.start({}, ros)
+    await link.wait_for(runs, 30)
+    await link.configure({"value": {**leaf, "holds": "data == 'y'"}}, OUTPUTS, 1.0)
+    status = await link.wait_for(lambda s: not s.ready, 20)
+    assert status.reason == "data == 'y' of /cmd_vel has not held within 1 s of the start (data was 'x')"
+
+
 async def test_a_served_output_counts_as_up(pod: Pod, links, ros):
     pod.start_agent()
     pod.start_container([sys.executable, NODES, "serve", "/snap"])

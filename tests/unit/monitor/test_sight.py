@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import time
 
 import pytest
 
@@ -85,9 +86,9 @@ def test_the_last_output_of_an_earlier_task_is_not_when_all_was_well_last(sight)
 
     sight._watching.attribute({"w-1": "192.0.2.1"}, "w-1")
     host = VENDOR + host_id("192.0.2.1")
-    for topic, time in (("/cmd_vel", 50.0), ("/beat", 100.0)):
+    for topic, received in (("/cmd_vel", 50.0), ("/beat", 100.0)):
         record = sight._watching._topics[topic].sources[host] = SourceRecord(10.0)
-        record.add(time)
+        record.add(received)
     assert sight.last_well("w-1") == 100.0
     del sight._watching._topics["/beat"].sources[host]
     assert sight.last_well("w-1") is None
@@ -125,3 +126,35 @@ async def test_nothing_more_is_waited_for_when_the_task_ends_before_the_first_ou
     seen.expected = ()
     async with asyncio.timeout(20):
         assert await waiting is None
+
+
+def _policy(tree: dict[str, object]) -> FailurePolicySpec:
+    return FailurePolicySpec.model_validate({"monitoring": {"yaml": tree}, "strategies": [{"type": "Restart"}]})
+
+
+def test_a_condition_over_a_field_that_is_not_there_leaves_the_last_tree_in_force(sight) -> None:
+    leaf = {"topic": "/battery", "type": "sensor_msgs/msg/BatteryState", "holds": "percent > 0.15"}
+    sight.follow(_policy({"value": leaf}), None)
+    (problem,) = sight.problems
+    assert problem.startswith("The policy's health tree doesn't load, the last good one stays in force")
+    assert "spec.monitoring.yaml.value.holds: found 'percent > 0.15': sensor_msgs/msg/BatteryState has no" in problem
+    assert sight.gated == ["/beat", "/cmd_vel"]
+
+
+def test_what_a_new_tree_names_has_the_grace_to_come(sight) -> None:
+    now = time.time()
+    assert sight.verdict(now=now, since=now - 3600).state == "Starting"
+    leaf = {"topic": "/battery", "type": "sensor_msgs/msg/BatteryState", "holds": "percentage > 0.15"}
+    sight.follow(_policy({"value": leaf}), None)
+    now = time.time()
+    assert sight.verdict(now=now, since=now - 3600).state == "Starting"
+    assert sight.verdict(now=now + 60, since=now - 3600).reason == "no /battery within 30 s of the start"
+
+
+def test_a_type_that_is_not_installed_leaves_its_conditions_out(sight) -> None:
+    leaf = {"topic": "/battery", "type": "nobodys_msgs/msg/Battery", "holds": "charge > 0.15"}
+    tree = {"parallel": [{"value": leaf}, {"topic": {"name": "/beat", "gap": "1s"}}]}
+    sight.follow(_policy(tree), None)
+    sight.drain([], "")
+    assert any("nobodys_msgs/msg/Battery is not installed" in problem for problem in sight.problems)
+    assert sight.summary == "Watching /beat."

@@ -5,6 +5,7 @@ robot TOPIC SERVICE ACTION    subscribes, serves, and calls: every reader that a
 work ACTION                   test_msgs/Fibonacci action server, with a goal from a client of its own that is worked on
                               until a line is read: "succeed" ends the goal, any other one the server
 look TOPIC SERVICE            what a node sees of them that neither publishes, nor subscribes, nor calls; prints it as JSON
+say TOPIC TYPE                messages of any type, 20 a second, with the fields of the last line of JSON that was read
 pose TOPIC X RATE [latched]   geometry_msgs/PoseWithCovarianceStamped at x = X; a rate of 0 says it once
 capture JSON                  Capturing, told by JSON what to take, who the instances are, and which are in control in
                               turn, as soon as all that is published was seen; prints the poses that it took as JSON
@@ -36,6 +37,27 @@ def publish(topic: str, rate: str, size: str = "1") -> None:
         publisher.publish(message)
         due += 1 / float(rate)
         time.sleep(max(0.0, due - time.monotonic()))
+
+
+def say(topic: str, type_name: str) -> None:
+    import threading
+
+    import rclpy
+    from rclpy.node import Node
+
+    from understudy.ros.messages import to_message
+    from understudy.ros.types import message_class
+
+    rclpy.init()
+    node, cls = Node(f"say{time.time_ns()}"), message_class(type_name)
+    publisher = node.create_publisher(cls, topic, 10)
+    told: list[str] = []
+    threading.Thread(target=lambda: told.extend(sys.stdin), daemon=True).start()
+    print("ready", flush=True)
+    while True:
+        if told:
+            publisher.publish(to_message(cls, json.loads(told[-1])))
+        time.sleep(0.05)
 
 
 def pose(topic: str, x: str, rate: str, latched: str = "") -> None:
@@ -244,6 +266,7 @@ if __name__ == "__main__":
         "pose": pose,
         "publish": publish,
         "robot": robot,
+        "say": say,
         "watch": watch,
         "work": work,
     }[sys.argv[1]](*sys.argv[2:])

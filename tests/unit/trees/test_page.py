@@ -9,7 +9,8 @@ import yaml
 from understudy.trees.btcpp.library import NODES, REFUSED
 from understudy.trees.btcpp.markup import parse
 from understudy.trees.btcpp.trees import load_xml
-from understudy.trees.loading import TreeError, load
+from understudy.trees.expressions import Expression
+from understudy.trees.loading import KINDS, TreeError, load
 from understudy.trees.procedures import COMPOSITES, CONDITIONS, DECORATORS, STEPS, load_check, load_procedure
 
 PAGE = (Path(__file__).parents[3] / "docs" / "trees.md").read_text()
@@ -86,3 +87,24 @@ def test_the_mistakes_in_procedures_are_named_as_it_says():
     with pytest.raises(TreeError) as looked:
         load_check({"set_lifecycle": {}}, path="spec.readinessCheck.yaml")
     assert [str(problem) for problem in [*caught.value.problems, *looked.value.problems]] == shown
+
+
+def test_the_leaves_that_are_shown_load():
+    nodes = [yaml.safe_load(shown) for shown in re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)]
+    kinds = [next(iter(node)) for node in nodes if "spec" not in node and load(node).topics]
+    assert kinds == ["parallel", "value", "age", "diagnostics", "parallel"]
+
+
+def test_every_kind_of_node_is_on_the_page():
+    for kind in KINDS:
+        assert f"| `{kind}` |" in PAGE.replace("`parallel`, `sequence`", "`parallel`")
+
+
+def test_every_form_of_a_condition_that_is_shown_can_be_read():
+    (table,) = re.findall(r"\| fields \|(.*?)\n\n", PAGE, re.DOTALL)
+    shown = [text for text in re.findall(r"`([^`]+)`", table) if re.search(r"[a-z]\w* (<|>)|any|all", text)]
+    assert len(shown) == 3
+    for text in shown:
+        assert Expression.parse(text).text == text
+    for text in re.findall(r"`(len\([^`]+|min\([^`]+|max\([^`]+|abs\([^`]+|sqrt\([^`]+|\w+\.[^`]+\])`", table):
+        assert Expression.parse(f"{text} > 1")

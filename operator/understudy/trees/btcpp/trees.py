@@ -8,17 +8,21 @@ from understudy.trees.btcpp.document import Document
 from understudy.trees.btcpp.markup import Malformed, parse
 from understudy.trees.btcpp.nodes import ENOUGH, Nodes
 from understudy.trees.btcpp.writing import Found, SourceMap
+from understudy.trees.expressions import Fields
 from understudy.trees.health import HealthTree
 from understudy.trees.loading import load
 from understudy.trees.problems import Problem, TreeError
 from understudy.trees.reading import found_text
 
 
-def load_xml(text: object, *, path: str = "spec.monitoring.xml", grace: float = 30.0) -> HealthTree:
+def load_xml(
+    text: object, *, path: str = "spec.monitoring.xml", grace: float = 30.0, fields: Fields | None = None
+) -> HealthTree:
     """The health tree that a text stands for: that of the short form which says the same.
 
     ``path`` is what problems are named by, ``grace`` the seconds that an instance has to become healthy for the first
-    time. Raises TreeError with all problems.
+    time. Conditions over messages are checked by their types' ``fields``, where these are known. Raises TreeError with all
+    problems.
     """
     if not isinstance(text, str):
         raise TreeError([Problem(path, f"found {found_text(text)}; give the text of a BehaviorTree.CPP 4 file")])
@@ -35,7 +39,7 @@ def load_xml(text: object, *, path: str = "spec.monitoring.xml", grace: float = 
     if written is not None:
         source = SourceMap(path)
         try:
-            tree = load(source.short_form(written), path=path, grace=grace, called=source.called)
+            tree = load(source.short_form(written), path=path, grace=grace, fields=fields, called=source.called)
         except TreeError as error:
             found += [source.problem(problem) for problem in error.problems]
         else:

@@ -1,0 +1,53 @@
+"""Received messages that are looked into: kept as bytes, and read when they are looked at first."""
+
+from __future__ import annotations
+
+import struct
+from typing import Any
+
+from understudy.trees.observations import Unreadable
+
+HEAD = 12
+"""Bytes of a serialized message that hold a header's stamp: CDR's own header, seconds, nanoseconds."""
+
+_LITTLE, _BIG = struct.Struct("<iI"), struct.Struct(">iI")
+
+
+def begins_with_header(message: Any) -> bool:
+    """Whether messages of a class begin with a std_msgs/Header, as by convention they do where they have one."""
+    return next(iter(message.get_fields_and_field_types().values()), None) == "std_msgs/Header"
+
+
+class Received:
+    """Implements :class:`understudy.trees.observations.Content`. Several leaves may look at one; it is read once."""
+
+    __slots__ = ("_class", "_data", "_failure", "_message", "_stamped", "_taken", "received")
+
+    def __init__(self, received: float, taken: float, data: bytes, message: Any, stamped: bool) -> None:
+        """``received`` is when it was, ``taken`` the same by the clock at that time, ``data`` CDR with its header, of a
+        message of this class, which is ``stamped`` if it begins with a header. Times are Unix seconds.
+        """
+        self.received = received
+        self._taken, self._data, self._class, self._stamped = taken, data, message, stamped
+        self._message: Any = None
+        self._failure = ""
+
+    def message(self) -> object:
+        """The message. Raises Unreadable."""
+        if self._message is None and not self._failure:
+            from rclpy.serialization import deserialize_message
+
+            try:
+                self._message = deserialize_message(self._data, self._class)
+            except Exception as error:  # what the middleware raises for bytes of another type isn't said
+                self._failure = f"it is no {self._class.__name__}: {error}"
+        if self._failure:
+            raise Unreadable(self._failure)
+        return self._message
+
+    def age(self) -> float | None:
+        """How old its stamp was when it was received, in seconds. A stamp of 0 is none: nobody set it."""
+        if not self._stamped or len(self._data) < HEAD:
+            return None
+        seconds, nanoseconds = (_LITTLE if self._data[1] & 1 else _BIG).unpack_from(self._data, 4)
+        return self._taken - seconds - nanoseconds * 1e-9 if seconds or nanoseconds else None

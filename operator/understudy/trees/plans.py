@@ -1,0 +1,56 @@
+"""What a leaf of the short form stands for, before it has its place in a tree, and the keys that most of them share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from understudy.api.rosnames import ROS_NAME_PATTERN, ROS_TYPE_PATTERN
+from understudy.trees.expressions import Fields
+from understudy.trees.health import WatchedTopic
+from understudy.trees.leaves import Leaf
+from understudy.trees.observations import Glance
+from understudy.trees.reading import Reader, duration_of
+from understudy.trees.situations import TaskActive
+
+Make = Callable[[str, Glance, Sequence[TaskActive]], Leaf]
+"""Makes a leaf by its path, the glance it looks through, and the tasks that it is for."""
+
+
+@dataclass(frozen=True)
+class LeafPlan:
+    """A leaf that was read."""
+
+    name: str
+    """What it is called where the tree gives it no name."""
+    watched: WatchedTopic
+    """What it needs of its topic."""
+    make: Make
+
+
+@dataclass(frozen=True)
+class LeafKind:
+    """A kind of leaf of the short form."""
+
+    keys: tuple[str, ...]
+    example: str
+    read: Callable[[Reader, Mapping[str, Any], str, Fields | None], LeafPlan | None]
+    """Reads its mapping, whose place is given, by the fields of message types; notes problems, and is None then."""
+
+
+def topic_of(reader: Reader, value: Mapping[str, Any], path: str, example: str, key: str = "topic") -> str | None:
+    """The topic that a leaf is about."""
+    if key not in value:
+        reader.problem(f"{path}.{key}", f"missing; give the topic's fully qualified name, such as {example}")
+    return reader.matching(value, key, path, ROS_NAME_PATTERN, f"a fully qualified topic name such as {example}")
+
+
+def type_of(reader: Reader, value: Mapping[str, Any], path: str) -> str | None:
+    """The type of the topic's messages."""
+    return reader.matching(value, "type", path, ROS_TYPE_PATTERN.replace("(msg|srv|action)", "msg"), "package/msg/Name")
+
+
+def hold_off_of(reader: Reader, value: Mapping[str, Any], path: str) -> float:
+    """``for``: how long a condition must not hold to be a failure, in seconds; 0 where it isn't given."""
+    return reader.given(value, "for", path, duration_of) or 0.0

@@ -1,0 +1,221 @@
+"""Real messages are looked into by the leaves of a health tree: their fields, their stamps, their levels."""
+
+import json
+import struct
+import time
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from understudy.ros import watching as module
+from understudy.ros.contents import Received, begins_with_header
+from understudy.ros.types import message_class, message_fields
+from understudy.ros.watching import Watching
+from understudy.trees.health import HealthTree, Verdict
+from understudy.trees.loading import load
+from understudy.trees.observations import Unreadable
+
+pytestmark = pytest.mark.ros
+
+BATTERY, SCAN = "sensor_msgs/msg/BatteryState", "sensor_msgs/msg/LaserScan"
+DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
+
+
+@pytest.fixture
+def watching(graph):
+    made = Watching(graph)
+    yield made
+    made.close()
+
+
+def tell(node, **fields):
+    node.stdin.write(json.dumps(fields) + "\n")
+    node.stdin.flush()
+
+
+class Judged:
+    """A tree over what is really received."""
+
+    def __init__(self, watching: Watching, tree: dict) -> None:
+        self.tree: HealthTree = load(tree, fields=message_fields)
+        self.since, self._watching = time.time(), watching
+        watching.follow(self.tree.topics)
+
+    def now(self) -> Verdict:
+        self._watching.drain()
+        return self.tree.evaluate(self._watching, now=time.time(), since=self.since)
+
+    def deadline(self) -> float | None:
+        return self.tree.deadline(self._watching, now=time.time(), since=self.since)
+
+
+def test_a_value_of_a_real_message_fails_and_recovers(watching, processes, eventually):
+    leaf = {"topic": "/battery", "type": BATTERY, "holds": "percentage > 0.15", "recovers": "percentage > 0.3"}
+    judged = Judged(watching, {"value": {**leaf, "for": "300ms"}})
+    node = processes.node("say", "/battery", BATTERY)
+    tell(node, percentage=0.5)
+    eventually(lambda: judged.now().state == "Healthy")
+    tell(node, percentage=0.125)
+    due = None
+    end = time.time() + 20
+    while (verdict := judged.now()).state == "Healthy":
+        assert time.time() < end
+        due = judged.deadline() or due
+        time.sleep(0.005)
+    assert verdict.reason == "percentage > 0.15 of /battery has not held for 300 ms (percentage was 0.125)"
+    assert due is None or due <= time.time(), "it fails at the deadline, not before"
+    assert verdict.onset is not None
+    assert verdict.onset < time.time() - 0.3
+    tell(node, percentage=0.2)
+    eventually(lambda: _last(watching, "/battery").percentage == pytest.approx(0.2))
+    assert judged.now().state == "Failed"
+    tell(node, percentage=0.4)
+    eventually(lambda: judged.now().state == "Healthy")
+
+
+def _last(watching, topic):
+    watching.drain()
+    return watching.topic(topic).contents[-1].message()
+
+
+def test_arrays_numbers_and_strings_of_real_messages(watching, processes, eventually):
+    conditions = [
+        "len(ranges) == 3 and all(r > 0.2 for r in ranges if isfinite(r)) and ranges[2] == 4",
+        "header.frame_id == 'laser' and header.stamp.sec > 0 and angle_max - angle_min == 1",
+        "max(ranges) == 4 and min(ranges) == 0.5",
+    ]
+    leaves = [
+        {"value": {"topic": "/scan", "type": SCAN, "holds": text}, "name": f"leaf{i}"}
+        for i, text in enumerate(conditions)
+    ]
+    pose = {
+        "topic": "/pose",
+        "type": "geometry_msgs/msg/PoseWithCovarianceStamped",
+        "holds": "pose.covariance[35] < 0.5 and sqrt(pose.pose.position.x) == 2",
+    }
+    judged = Judged(watching, {"parallel": [*leaves, {"value": pose}]})
+    scan, located = processes.node("say", "/scan", SCAN), processes.node("say", "/pose", pose["type"])
+    header = {"stamp": "now", "frame_id": "laser"}
+    tell(scan, header=header, angle_min=-0.5, angle_max=0.5, ranges=[0.5, 1.0, 4.0])
+    tell(located, pose={"pose": {"position": {"x": 4.0}}})
+    eventually(lambda: judged.now().state == "Healthy")
+    tell(located, pose={"pose": {"position": {"x": 4.0}}, "covariance": [0.0] * 35 + [0.75]})
+    eventually(lambda: judged.now().state == "Failed")
+    assert judged.now().reason.endswith("(pose.covariance[35] was 0.75, pose.pose.position.x was 4)")
+
+
+def test_fields_are_checked_where_the_type_is_installed():
+    tree = {"value": {"topic": "/battery", "type": BATTERY, "holds": "percent > 0.15"}}
+    with pytest.raises(ValueError, match="has no field 'percent', did you mean 'percentage'"):
+        load(tree, fields=message_fields)
+    tree["value"]["type"] = "nobodys_msgs/msg/Battery"
+    assert load(tree, fields=message_fields)
+    with pytest.raises(ValueError, match="doesn't begin with a header"):
+        load({"age": {"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist", "most": "1s"}}, fields=message_fields)
+
+
+def test_the_age_of_a_real_message_is_by_its_stamp(watching, processes, eventually):
+    judged = Judged(watching, {"age": {"topic": "/scan", "most": "5s"}})
+    node = processes.node("say", "/scan", SCAN)
+    tell(node, header={"stamp": "now"})
+    eventually(lambda: judged.now().state == "Healthy")
+    tell(node, header={"stamp": {"sec": int(time.time()) - 3600}}, ranges=[1.0] * 1000)
+    eventually(lambda: judged.now().state == "Failed")
+    assert judged.now().reason.startswith("an age of at most 5 s of /scan does not hold (it was 3.6e+03 s")
+    tell(node, header={"frame_id": "laser"})
+    eventually(lambda: _last_age(watching, "/scan") is None)
+    tell(node, header={"stamp": "now"})
+    eventually(lambda: judged.now().state == "Healthy")
+
+
+def _last_age(watching, topic):
+    watching.drain()
+    return watching.topic(topic).contents[-1].age()
+
+
+def test_levels_of_two_nodes_are_told_apart(watching, processes, eventually):
+    judged = Judged(watching, {"diagnostics": {"prefix": "camera", "worst": "WARN"}})
+    camera, lidar = (processes.node("say", "/diagnostics", DIAGNOSTICS) for _ in range(2))
+    tell(lidar, status=[{"name": "lidar", "level": 2, "message": "dead"}])
+    tell(camera, status=[{"name": "camera: a", "level": 0}, {"name": "camera: b", "level": 1}])
+    eventually(lambda: judged.now().state == "Healthy")
+    tell(camera, status=[{"name": "camera: a", "level": 2, "message": "no frames"}])
+    eventually(lambda: judged.now().state == "Failed")
+    assert judged.now().reason.endswith("(camera: a says ERROR: no frames)")
+
+
+def test_messages_of_an_instance_that_is_not_in_control_are_not_looked_into(watching, processes, eventually):
+    judged = Judged(watching, {"value": {"topic": "/battery", "type": BATTERY, "holds": "percentage > 0.15"}})
+    node = processes.node("say", "/battery", BATTERY)
+    tell(node, percentage=0.5)
+    eventually(lambda: judged.now().state == "Healthy")
+    (host,) = watching.records("/battery")
+    watching.attribute({"elsewhere": "192.0.2.1"}, "elsewhere")
+    assert judged.now().state == "Healthy", "the robot's own, as nobody's who is an instance"
+    watching._sources._pods[host] = ("standby",)
+    record = watching.records("/battery")[host]
+    record.accepted = False
+    watching._count_again(watching._topics["/battery"])
+    before = record.count
+    eventually(lambda: watching.drain() and record.count > before + 3)
+    assert not watching.topic("/battery").contents
+    assert record.contents, "the agent of that instance looks into them"
+
+
+def test_what_is_kept_of_messages_is_what_the_tree_needs(watching, processes, eventually):
+    judged = Judged(watching, {"age": {"topic": "/scan", "most": "1h"}})
+    node = processes.node("say", "/scan", SCAN)
+    tell(node, header={"stamp": "now"}, ranges=[1.0] * 100)
+    eventually(lambda: judged.now().state == "Healthy")
+    (content,) = watching.topic("/scan").contents
+    assert len(content._data) == 12
+    with pytest.raises(Unreadable):
+        content.message()
+    whole = {"value": {"topic": "/scan", "type": SCAN, "holds": "ranges[99] == 1"}}
+    both = Judged(watching, {"parallel": [{"age": {"topic": "/scan", "most": "1h"}}, whole]})
+    both.since = judged.since
+    eventually(lambda: both.now().state == "Healthy")
+    Judged(watching, {"topic": {"name": "/scan", "gap": "1s"}})
+    assert not watching.topic("/scan").contents
+
+
+@pytest.mark.parametrize(("order", "mark"), [("<", 1), (">", 0)])
+def test_a_stamp_is_read_in_either_order_of_bytes_and_the_clock_may_be_set(order, mark):
+    head = bytes([0, mark, 0, 0]) + struct.pack(f"{order}iI", 1_700_000_000, 250_000_000)
+    message = message_class(SCAN)
+    content = Received(1_700_000_001.0, 1_700_000_001.0, head, message, begins_with_header(message))
+    assert content.age() == pytest.approx(0.75, abs=1e-6)
+    content.received += 3600
+    assert content.age() == pytest.approx(0.75, abs=1e-6)
+    assert Received(1.0, 1.0, bytes(12), message, True).age() is None
+    assert Received(1.0, 1.0, head[:8], message, True).age() is None
+    assert Received(1.0, 1.0, head, message_class("std_msgs/msg/String"), False).age() is None
+    assert not begins_with_header(message_class("std_msgs/msg/String"))
+
+
+def test_bytes_of_another_type_cannot_be_read():
+    content = Received(1.0, 1.0, b"\x00\x01\x00\x00\xff\xff\xff\x7f", message_class("std_msgs/msg/String"), False)
+    for _ in range(2):
+        with pytest.raises(Unreadable, match="it is no String"):
+            content.message()
+
+
+def test_a_step_of_the_clock_moves_contents(watching, processes, eventually, monkeypatch):
+    judged = Judged(watching, {"age": {"topic": "/scan", "most": "20s"}})
+    node = processes.node("say", "/scan", SCAN)
+    tell(node, header={"stamp": "now"})
+    eventually(lambda: judged.now().state == "Healthy")
+
+    class Stepped:
+        monotonic = staticmethod(time.monotonic)
+
+        @staticmethod
+        def time():
+            return time.time() + 3600.0
+
+    monkeypatch.setattr(module, "time", Stepped)
+    watching.drain()
+    (content,) = watching.topic("/scan").contents
+    assert content.received == pytest.approx(Stepped.time(), abs=20)
+    assert content.age() < 20
