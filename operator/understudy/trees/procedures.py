@@ -20,6 +20,7 @@ from py_trees.decorators import Inverter
 from understudy.api.rosnames import ROS_NAME_PATTERN, ROS_TYPE_PATTERN
 from understudy.trees.composites import FirstOf
 from understudy.trees.health import HealthTree, WatchedTopic
+from understudy.trees.kinds import LEAVES
 from understudy.trees.loading import load
 from understudy.trees.matching import mismatch
 from understudy.trees.problems import TreeError, did_you_mean
@@ -28,7 +29,10 @@ from understudy.trees.steps import OVERTIME, Actions, Limit, Retry, Run, Step, W
 
 COMPOSITES = ("sequence", "parallel", "selector")
 DECORATORS = ("timeout", "retry", "inverter")
-CONDITIONS = ("lifecycle_is", "topic", "node_present", "service_present", "parameter_is")
+HEALTH = ("topic", *LEAVES)
+"""Conditions that are leaves of a health tree."""
+
+CONDITIONS = ("lifecycle_is", *HEALTH, "node_present", "service_present", "parameter_is")
 STEPS = (
     "set_lifecycle",
     "call_service",
@@ -155,7 +159,8 @@ class _Loader(Reader):
         if not isinstance(fields, Mapping):
             self.problem(place, f"found {found_text(fields)}; {kind} is a mapping of {_FIELDS[kind]}")
             return None
-        work: Work | None = getattr(self, f"_{kind}")(fields, place)
+        work: Work | None
+        work = self._health(kind, fields, path) if kind in HEALTH else getattr(self, f"_{kind}")(fields, place)
         if work is None or len(self.problems) > before:
             return None
         return lambda run, limits: Step(place, work, run, limits)
@@ -337,9 +342,9 @@ class _Loader(Reader):
 
         return work
 
-    def _topic(self, fields: Mapping[str, Any], path: str) -> Work | None:
+    def _health(self, kind: str, fields: Mapping[str, Any], path: str) -> Work | None:
         try:
-            tree: HealthTree = load({"topic": fields}, path=path.removesuffix(".topic"))
+            tree: HealthTree = load({kind: fields}, path=path)
         except TreeError as error:
             self.problems += error.problems
             return None
@@ -434,6 +439,9 @@ _FIELDS = {
     "resend_goals": "nothing ({})",
     "lifecycle_is": "node and state",
     "topic": "name and gap or rate",
+    "value": "topic, type and holds",
+    "age": "topic and most",
+    "diagnostics": "name or prefix, and worst",
     "node_present": "node",
     "service_present": "service",
     "parameter_is": "node, name and value",

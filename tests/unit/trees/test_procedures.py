@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from tests.unit.trees.messages import Battery, Heard
 from understudy.trees.health import HealthTree, Verdict
 from understudy.trees.observations import Recorded, TopicRecord
 from understudy.trees.problems import TreeError
@@ -289,6 +290,23 @@ async def test_a_topic_is_waited_for_in_a_procedure_and_looked_at_in_a_check() -
     await running
     await load_check(leaf, path="check").run(instance, LONG)
     assert [topic.name for topic in procedure(leaf).topics] == ["/scan"]
+
+
+async def test_a_value_is_waited_for_in_a_procedure() -> None:
+    instance = Instance()
+    leaf = {"value": {"topic": "/scan", "type": "t/msg/Battery", "holds": "percentage > 0.5"}}
+    with pytest.raises(TreeError, match=r"bringUp\.value\.holds: found 'percentage >'"):
+        procedure({"value": {**leaf["value"], "holds": "percentage >"}})
+    instance.record = TopicRecord(contents=1)
+    instance.record.contents.append(Heard(asyncio.get_running_loop().time(), Battery(percentage=0.4)))
+    running = asyncio.create_task(procedure(leaf).run(instance, LONG))
+    await asyncio.sleep(0.1)
+    assert not running.done()
+    with pytest.raises(ProcedureFailed, match=r"percentage > 0.5 of /scan has not held yet \(percentage was 0.4\)"):
+        await load_check(leaf, path="check").run(instance, LONG)
+    instance.record.contents.append(Heard(asyncio.get_running_loop().time(), Battery(percentage=0.6)))
+    await running
+    await load_check(leaf, path="check").run(instance, LONG)
 
 
 async def test_an_inverter_needs_its_node_to_fail() -> None:
