@@ -8,6 +8,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from tests.unit.trees.messages import Battery, Heard, fields
+from understudy.trees.btcpp.trees import load_xml
 from understudy.trees.health import BADNESS, HealthTree, Verdict
 from understudy.trees.loading import TreeError, load
 from understudy.trees.observations import Recorded, TopicRecord
@@ -513,3 +514,40 @@ def test_whatever_a_leaf_is_given_it_loads_or_says_what_is_wrong(kind, found, be
         assert all(problem.path.startswith(ROOT) and problem.message for problem in error.problems)  # noqa: PT017
     else:
         assert tree.topics
+
+
+def written(leaves: str) -> str:
+    return f'<root BTCPP_format="4"><BehaviorTree ID="Healthy"><Parallel>{leaves}</Parallel></BehaviorTree></root>'
+
+
+def test_the_leaves_in_xml_are_those_of_the_short_form():
+    text = written(
+        '<Value topic="/battery" type="t/msg/Battery" holds="0.15 &lt; percentage" recovers="percentage &gt; 0.5" for="1s"/>'
+        '<Age topic="/scan" most="300ms"/><Diagnostics name="camera" status="camera: driver" worst="WARN"/>'
+    )
+    short = [
+        value("0.15 < percentage", recovers="percentage > 0.5", **{"for": "1s"}),
+        age(),
+        {**levels(name="camera: driver"), "name": "camera"},
+    ]
+    read, same = load_xml(text, fields=fields), load({"parallel": short}, fields=fields)
+    assert read.topics == same.topics
+    trace = []
+    for tree in (read, same):
+        world = World({"parallel": short}, grace=5)
+        world.tree = tree
+        world.hear("/scan", 1.0, late=0.1).hear("/diagnostics", 1.0, Array(Status("camera: driver", 0)))
+        found = [world.battery(time, percentage).at(time + 0.1) for time, percentage in enumerate((0.2, 0.1, 0.3, 0.6))]
+        found.append(world.hear("/diagnostics", 6.0, Array(Status("camera: driver", 2))).at(6.0))
+        trace.append(found)
+    assert trace[0] == trace[1]
+    assert [verdict.state for verdict in trace[0]][-3:] == ["Failed", "Healthy", "Failed"]
+
+
+def test_a_condition_that_is_wrong_in_xml_is_named_by_its_line():
+    with pytest.raises(TreeError) as caught:
+        load_xml(written('\n<Value topic="/battery" type="t/msg/Battery" holds="percent > 1"/>'), fields=fields)
+    assert [str(problem) for problem in caught.value.problems] == [
+        "spec.monitoring.xml, line 2, column 1: <Value> holds: found 'percent > 1': t/msg/Battery has no field "
+        "'percent', did you mean 'percentage'?"
+    ]

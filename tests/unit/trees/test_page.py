@@ -61,7 +61,7 @@ def test_the_models_that_are_shown_are_those_of_the_nodes():
     told = {
         model.attributes["ID"]: [port.attributes["name"] for port in model.children] for model in parse(shown).children
     }
-    assert told == {tag: list(NODES[tag].ports) for tag in ("Topic", "WhileTaskActive")}
+    assert told == {tag: list(NODES[tag].ports) for tag in ("Topic", "Value", "Age", "Diagnostics", "WhileTaskActive")}
 
 
 PROCEDURES = (Path(__file__).parents[3] / "docs" / "procedures.md").read_text()

@@ -351,7 +351,10 @@ def test_the_policies_of_the_examples_are_the_same_in_xml(policy: dict[str, Any]
 
 # -- mistakes -------------------------------------------------------------------------------------------------------
 
-KNOWN = "Sequence, ReactiveSequence, Fallback, ReactiveFallback, Parallel, ParallelAll, Inverter, WhileTaskActive, Topic, SubTree"
+KNOWN = (
+    "Sequence, ReactiveSequence, Fallback, ReactiveFallback, Parallel, ParallelAll, Inverter, WhileTaskActive, "
+    "Topic, Value, Age, Diagnostics, SubTree"
+)
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from understudy.trees.ages import AGE
+from understudy.trees.diagnostics import DIAGNOSTICS
+from understudy.trees.values import VALUE
+
 Category = Literal["Control", "Decorator", "Condition"]
 
 
@@ -44,6 +48,13 @@ NODES: Mapping[str, Node] = {
             "rate": "topic.rate",
             "window": "topic.window",
         },
+    ),
+    "Value": Node("Condition", "value", {key: f"value.{key}" for key in VALUE.keys}),
+    "Age": Node("Condition", "age", {key: f"age.{key}" for key in AGE.keys}),
+    "Diagnostics": Node(
+        "Condition",
+        "diagnostics",
+        {"status" if key == "name" else key: f"diagnostics.{key}" for key in DIAGNOSTICS.keys},
     ),
 }
 
