@@ -46,7 +46,8 @@ class ApiServer:
         def ready() -> bool:
             return all(_is_ready(node) for node in self._kubectl.list("nodes"))
 
-        eventually(ready, within=90, what="every node is ready again")
+        # A kubelet looks for what it missed less and less often, up to once in a minute, where outages follow each other.
+        eventually(ready, within=240, what="every node is ready again")
         self.stopped = False
 
 
