@@ -17,7 +17,7 @@ from understudy.trees.health import Build, HealthTree, WatchedTopic
 from understudy.trees.kinds import LEAVES
 from understudy.trees.leaves import TopicLeaf, duration
 from understudy.trees.observations import Glance
-from understudy.trees.plans import LeafPlan
+from understudy.trees.plans import LeafPlan, topic_of, type_of
 from understudy.trees.problems import Problem, TreeError, did_you_mean
 from understudy.trees.rates import Band, Window
 from understudy.trees.reading import Reader, duration_of, found_text
@@ -166,15 +166,9 @@ class _Loader(Reader):
         if not isinstance(value, Mapping):
             self.problem(path, f"found {found_text(value)}; topic is a mapping with name and with gap or rate")
             return None
-        for key in value:
-            if key not in TOPIC_KEYS:
-                self.problem(f"{path}.{key}", f"unknown key {str(key)!r}{did_you_mean(str(key), TOPIC_KEYS)}")
-        topic = self.matching(value, "name", path, ROS_NAME_PATTERN, "a fully qualified topic name such as /cmd_vel")
-        if "name" not in value:
-            self.problem(f"{path}.name", "missing; give the topic's fully qualified name, such as /cmd_vel")
-        type_ = self.matching(
-            value, "type", path, ROS_TYPE_PATTERN.replace("(msg|srv|action)", "msg"), "package/msg/Name"
-        )
+        self.known(value, TOPIC_KEYS, path)
+        topic = topic_of(self, value, path, "/cmd_vel", key="name")
+        type_ = type_of(self, value, path)
         gap = self.given(value, "gap", path, duration_of)
         band = self.given(value, "rate", path, _band)
         length = self.given(value, "window", path, duration_of)

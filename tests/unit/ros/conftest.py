@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import pytest
 
@@ -46,3 +47,13 @@ def eventually() -> Callable[..., None]:
             time.sleep(0.02)
 
     return wait
+
+
+@pytest.fixture
+def watching(graph: Any) -> Iterator[object]:
+    """Watches topics on the graph."""
+    from understudy.ros.watching import Watching
+
+    made = Watching(graph)
+    yield made
+    made.close()

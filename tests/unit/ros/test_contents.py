@@ -22,13 +22,6 @@ BATTERY, SCAN = "sensor_msgs/msg/BatteryState", "sensor_msgs/msg/LaserScan"
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 
 
-@pytest.fixture
-def watching(graph):
-    made = Watching(graph)
-    yield made
-    made.close()
-
-
 def tell(node, **fields):
     node.stdin.write(json.dumps(fields) + "\n")
     node.stdin.flush()

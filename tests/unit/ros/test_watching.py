@@ -17,13 +17,6 @@ pytestmark = pytest.mark.ros
 STRING = "std_msgs/msg/String"
 
 
-@pytest.fixture
-def watching(graph):
-    made = Watching(graph)
-    yield made
-    made.close()
-
-
 def watch(watching, seconds, tick=0.05):
     end = time.time() + seconds
     while time.time() < end:
