@@ -91,6 +91,7 @@ class Report:
         """``name`` is the bench's, and of its file of results."""
         self.name = name
         self._date = datetime.now(UTC)
+        self._begun = processor_seconds()
         self._figures: list[Figure] = []
         self._baselines: list[Figure] = []
         self._notes: dict[str, str] = {}
@@ -135,7 +136,10 @@ class Report:
             ]
             lines.append("  ".join(cells).rstrip())
         lines.insert(1, "-" * max(len(line) for line in lines))
-        notes = [f"{name}: {text}" for name, text in {**_machine_notes(), "commit": commit(), **self._notes}.items()]
+        machine = {
+            "machine": f"{_machine_note()}, {self._stolen():.1f} % of the processor time needed went to other machines"
+        }
+        notes = [f"{name}: {text}" for name, text in {**machine, "commit": commit(), **self._notes}.items()]
         return "\n".join([f"bench {self.name}", *lines, "", *notes])
 
     def json(self) -> dict[str, Any]:
@@ -144,11 +148,16 @@ class Report:
             "bench": self.name,
             "date": self._date.isoformat(timespec="seconds"),
             "commit": commit(),
-            "machine": machine(),
+            "machine": {**machine(), "stolen_percent": round(self._stolen(), 2)},
             "notes": self._notes,
             "figures": {figure.name: figure.json() for figure in self._figures},
             "baselines": {f"{figure.name} ({figure.of})": figure.json() for figure in self._baselines},
         }
+
+    def _stolen(self) -> float:
+        """Percent of the processor time needed since the start that the host gave to other machines."""
+        used, stolen = (now - then for now, then in zip(processor_seconds(), self._begun, strict=True))
+        return 100 * stolen / (used + stolen) if stolen else 0.0
 
     def write(self, folder: Path = HERE / "results") -> Path:
         """Write ``NAME.json``; where it is, relative to where one is if it's below."""
@@ -179,19 +188,29 @@ def machine() -> dict[str, Any]:
     }
 
 
-def _machine_notes() -> dict[str, str]:
+def _machine_note() -> str:
     found = machine()
-    return {
-        "machine": f"{found['processor']}, {found['cores']} cores, {found['memory_gib']} GiB, {found['system']}, "
+    return (
+        f"{found['processor']}, {found['cores']} cores, {found['memory_gib']} GiB, {found['system']}, "
         f"kernel {found['kernel']}, Python {found['python']}, load {found['load_1_min']}"
-    }
+    )
 
 
-def _line(file: str, key: str) -> str | None:
+def processor_seconds() -> tuple[float, float]:
+    """Processor time used and stolen since the machine's start, in seconds of one core (proc_stat(5)); 0 where unknown."""
+    fields = [int(word) for word in (_line("/proc/stat", "cpu ", separator=" ") or "").split()]
+    if len(fields) < 8:
+        return 0.0, 0.0
+    user, nice, system, _idle, _waiting, hard, soft, stolen, *_ = fields
+    ticks = os.sysconf("SC_CLK_TCK")
+    return (user + nice + system + hard + soft) / ticks, stolen / ticks
+
+
+def _line(file: str, key: str, *, separator: str = ":") -> str | None:
     """What a ``key : value`` file of /proc says of a key."""
     try:
         with open(file) as lines:
-            return next((line.split(":", 1)[1].strip() for line in lines if line.startswith(key)), None)
+            return next((line.split(separator, 1)[1].strip() for line in lines if line.startswith(key)), None)
     except OSError:
         return None
 

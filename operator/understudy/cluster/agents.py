@@ -143,7 +143,7 @@ class AgentLink:
         await self.request("start", {"environment": environment, "ros": ros, "profiles": profiles})
 
     async def probe(self, host: str, port: int, interval: float, duration: float) -> None:
-        """Have it send a gate probe every ``interval`` seconds for ``duration`` seconds.
+        """Have it send gate probes for ``duration`` seconds: one every ``interval`` seconds, later less often.
 
         Raises AgentRefused and AgentGone.
         """

@@ -33,6 +33,15 @@ SHORTEST_INTERVAL = 0.0005
 LONGEST_BURST = 30.0
 """Bounds of a burst in seconds, so that no request makes an agent a burden."""
 
+COARSER = 0.05
+"""How much coarser a burst gets, of the time that it has lasted: what it's asked to see is seen within five percent."""
+
+COARSEST = 10
+"""Times its first interval that a burst's intervals get at most."""
+
+REST = 0.02
+"""Seconds between two looks for arrivals while nobody waits for one: the kernel notes when each came."""
+
 _SO_TIMESTAMPNS = getattr(socket, "SO_TIMESTAMPNS", 35)
 _TIMESPEC = struct.Struct("qq")
 
@@ -81,7 +90,7 @@ class ProbeSender:
         self._sockets: dict[int, socket.socket] = {}
         self._lock = threading.Lock()
         self._target: tuple[str, int] | None = None
-        self._burst_until = 0.0  # monotonic seconds
+        self._burst_begun = self._burst_until = 0.0  # monotonic seconds
         self._burst_interval = 0.001
         self._bursting = False
         self._stopped = threading.Event()
@@ -109,7 +118,9 @@ class ProbeSender:
         self._timer = asyncio.get_running_loop().call_later(PERIOD, self.run)
 
     def burst(self, interval: float, duration: float) -> None:
-        """Send one every ``interval`` seconds for ``duration`` seconds; a burst that is under way goes on for as long.
+        """Send one every ``interval`` seconds, later less often, for ``duration`` seconds; one under way begins anew.
+
+        Sending takes from the processors that the switch needs, so the rate falls as a switch takes long (COARSER).
 
         Raises ValueError when they are out of bounds, RuntimeError when it isn't aimed.
         """
@@ -120,8 +131,8 @@ class ProbeSender:
         if self._target is None:
             raise RuntimeError("no address to send probes to is known")
         with self._lock:
-            self._burst_interval = interval
-            self._burst_until = max(self._burst_until, time.monotonic() + duration)
+            self._burst_interval, self._burst_begun = interval, time.monotonic()
+            self._burst_until = max(self._burst_until, self._burst_begun + duration)
             if self._bursting:
                 return
             self._bursting = True
@@ -145,6 +156,7 @@ class ProbeSender:
                     self._bursting = False
                     return
                 interval = self._burst_interval
+                interval = min(max(interval, COARSER * (due - self._burst_begun)), COARSEST * interval)
             self._send()
             now = time.monotonic()
             # After a stall, go on at the pace instead of making up for it in a flood.
@@ -185,6 +197,8 @@ class ProbeReceiver:
         self._arrivals: OrderedDict[str, deque[float]] = OrderedDict()
         self._socket: socket.socket | None = None
         self._changed = asyncio.Event()
+        self._waiting = 0
+        self._resting: asyncio.TimerHandle | None = None
 
     async def listen(self, *, port: int = names.PROBE_PORT, host: str = "0.0.0.0") -> int:
         """Receive from now on; the port, which is the kernel's choice where 0 is given. Raises OSError."""
@@ -198,33 +212,37 @@ class ProbeReceiver:
             sock.close()
             raise
         self._socket = sock
-        asyncio.get_running_loop().add_reader(sock.fileno(), self._receive)
+        self._look()
         bound: int = sock.getsockname()[1]
         return bound
 
     def close(self) -> None:
         """Receive no more."""
         if self._socket is not None:
-            asyncio.get_running_loop().remove_reader(self._socket.fileno())
+            self._look_away()
             self._socket.close()
             self._socket = None
 
     def pods(self) -> list[str]:
         """UIDs of the pods that a probe came from."""
+        self._take()
         return list(self._arrivals)
 
     def last(self, uid: str) -> float | None:
         """When a pod's last probe arrived, in Unix seconds; None when none did."""
+        self._take()
         arrivals = self._arrivals.get(uid)
         return arrivals[-1] if arrivals else None
 
     def count_since(self, uid: str, time: float) -> int:
         """Probes of a pod that arrived at or after a time, as far as they are remembered."""
+        self._take()
         arrivals = self._arrivals.get(uid, ())
         return len(arrivals) - bisect_left(arrivals, time)
 
     def first_since(self, uid: str, time: float) -> float | None:
         """When the first probe of a pod at or after a time arrived."""
+        self._take()
         arrivals = self._arrivals.get(uid)
         if not arrivals or arrivals[-1] < time:
             return None
@@ -235,14 +253,43 @@ class ProbeReceiver:
 
         Raises TimeoutError when none came within ``within`` seconds.
         """
-        async with asyncio.timeout(within):
-            while (first := self.first_since(uid, after)) is None:
-                await self._changed.wait()
+        self._waiting += 1
+        try:
+            async with asyncio.timeout(within):
+                while (first := self.first_since(uid, after)) is None:
+                    self._look()
+                    await self._changed.wait()
+        finally:
+            self._waiting -= 1
         return first
 
-    def _receive(self) -> None:
-        """Take what is there, but not more than a fair share of the event loop's time."""
-        for _ in range(64):
+    def _look(self) -> None:
+        """Be told of arrivals from now on."""
+        if self._resting is not None:
+            self._resting.cancel()
+            self._resting = None
+        if self._socket is not None:
+            asyncio.get_running_loop().add_reader(self._socket.fileno(), self._arrived)
+
+    def _look_away(self) -> None:
+        if self._resting is not None:
+            self._resting.cancel()
+            self._resting = None
+        if self._socket is not None:
+            asyncio.get_running_loop().remove_reader(self._socket.fileno())
+
+    def _arrived(self) -> None:
+        """Take what is there. While nobody waits, what comes next has time: a burst isn't to wake this process each time."""
+        self._take()
+        if not self._waiting:
+            self._look_away()
+            self._resting = asyncio.get_running_loop().call_later(REST, self._look)
+        self._changed.set()
+        self._changed = asyncio.Event()
+
+    def _take(self) -> None:
+        """Note what has arrived, but not more than a fair share of the event loop's time."""
+        for _ in range(256):
             if self._socket is None:
                 return
             try:
@@ -255,8 +302,6 @@ class ProbeReceiver:
             probe = decode(datagram)
             if probe is not None:
                 self._note(probe.uid, _timestamp(ancillary))
-        self._changed.set()
-        self._changed = asyncio.Event()
 
     def _note(self, uid: str, arrival: float) -> None:
         arrivals = self._arrivals.get(uid)

@@ -53,7 +53,8 @@ async def recover(progress: Progress, choices: Sequence[Choice], means: Means) -
         choice = choices[index]
         # A run that is taken up again was decided by the one before it.
         progress.charge("cluster", progress.moments.setdefault("decided", means.clock()))
-        means.save(progress)
+        if progress.attempts:
+            means.save(progress)  # else nothing was done yet, and the first commit is in a hurry
         result, message = await _attempt(progress, choice, means, last=index == len(choices) - 1)
         pod = progress.target.name if progress.target else ""
         progress.attempts.append(Attempt(strategy=choice.strategy.name, pod=pod, result=result, message=message))

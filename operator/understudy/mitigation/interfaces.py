@@ -135,7 +135,7 @@ class Agents(Protocol):
     """The sidecars of the instances."""
 
     async def probe(self, instance: Instance, duration: float) -> None:
-        """Have it send gate probes every millisecond for so many seconds; returns at once, and never fails."""
+        """Have it send gate probes, a millisecond apart at first, for so many seconds; returns at once, and never fails."""
 
     async def give_way(self, instance: Instance) -> None:
         """Have its restarted processes not be heard by a robot with the reflex; returns at once, and never fails."""

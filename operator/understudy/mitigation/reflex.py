@@ -17,7 +17,7 @@ from understudy.mitigation.progress import PodIdentity, Progress
 from understudy.mitigation.strategies import PROBE_SECONDS, Means, Strategy
 
 FENCE_QUIET = 0.03
-"""Seconds without a packet of the loser, whose agent sends one every millisecond, before it counts as fenced."""
+"""Seconds without a packet of the loser, whose agent sends one every ten milliseconds at least, before it counts as fenced."""
 
 FENCE_WITHIN = 1.0
 """Seconds to wait for that."""

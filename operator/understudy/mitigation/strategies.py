@@ -196,6 +196,7 @@ class UninitializedFallback(Strategy):
                 return instance
         if (reason := self.available(means, progress)) is not None:
             raise NotAvailable(reason)
+        means.save(progress)  # the claim bears its id: found again by whoever goes on
         _, target = await asyncio.gather(_close(progress, means), self._claim(claim, progress, means))
         return target
 
@@ -267,11 +268,19 @@ async def _close(progress: Progress, means: Means) -> None:
 async def _open(target: Instance, progress: Progress, means: Means) -> None:
     progress.target = PodIdentity(name=target.name, uid=target.uid)
     progress.moments["committing"] = means.clock()
-    means.save(progress)
-    for instance in means.instances.of_workload():
-        if instance.uid == target.uid or progress.has_failed(instance.uid):
-            await means.agents.probe(instance, PROBE_SECONDS)
-    await means.gate.commit(target, progress)
+    committing = asyncio.create_task(means.gate.commit(target, progress))
+    try:
+        # Everything else waits until the commit, which carries the progress, has left for the API server: its request is
+        # begun in one round of the event loop and written in the next.
+        for _ in range(2):
+            await asyncio.sleep(0)
+        means.save(progress)
+        for instance in means.instances.of_workload():
+            if instance.uid == target.uid or progress.has_failed(instance.uid):
+                await means.agents.probe(instance, PROBE_SECONDS)
+        await committing
+    finally:
+        committing.cancel()
     progress.moments["committed"] = means.clock()
 
 

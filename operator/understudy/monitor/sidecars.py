@@ -205,7 +205,7 @@ class Sidecars:
         return link.status if link else None
 
     async def probe(self, instance: Instance, duration: float) -> None:
-        """Have it send gate probes every millisecond for so many seconds; returns at once, and never fails."""
+        """Have it send gate probes, a millisecond apart at first, for so many seconds; returns at once, and never fails."""
         link = self._links.get(instance.uid)
         if link is None or not link.connected:
             return

@@ -29,6 +29,7 @@ def test_file_has_figures_raw_values_machine_date_and_commit(report, tmp_path):
     assert figure["p95"] == pytest.approx(2.9)
     assert found["baselines"]["late (callbacks, same run)"]["values"] == [10.0, 20.0]
     assert found["machine"]["cores"] >= 1
+    assert 0 <= found["machine"]["stolen_percent"] <= 100
     assert found["date"].endswith("+00:00")
     assert found["commit"]
     assert found["notes"] == {"load": "5 topics"}
