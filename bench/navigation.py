@@ -180,7 +180,7 @@ def _fail(navigator: Navigator, active: str, how: str, number: int) -> Recovered
             navigator.send_signal(active, "STOP")
         case "killed":
             navigator.send_signal(active, "KILL")
-    return navigator.wait_recovered(number, within=180)
+    return navigator.wait_unobserved(number, within=180)
 
 
 def _group(container: Container, namespace: str) -> str | None:

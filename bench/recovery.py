@@ -86,7 +86,7 @@ def _strategy(report: Report, kubeconfig: Path, strategy: str, failures: int, ho
             pod, earlier, by_itself = _rested(robot)
             unasked += by_itself
             robot.fail(pod, how)
-            recovery = robot.wait_recovered(earlier + 1, within=120)
+            recovery = robot.wait_unobserved(earlier + 1, within=120)
             if recovery.strategy != EXPECTED[strategy]:
                 raise SystemExit(f"failure {number} was recovered by {recovery.strategy}: {recovery.attempts}")
             time.sleep(1.0)

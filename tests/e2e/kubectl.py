@@ -39,10 +39,15 @@ class Kubectl:
         """The same for another namespace."""
         return Kubectl(self.kubeconfig, namespace)
 
+    def command(self, *arguments: str) -> list[str]:
+        """The command line."""
+        return [self._program, f"--kubeconfig={self.kubeconfig}", "-n", self.namespace, *arguments]
+
     def __call__(self, *arguments: str, given: str | None = None, timeout: float = TIMEOUT) -> str:
         """Run a command; its standard output. Raises Failed."""
-        command = [self._program, f"--kubeconfig={self.kubeconfig}", "-n", self.namespace, *arguments]
-        done = subprocess.run(command, input=given, capture_output=True, text=True, timeout=timeout, check=False)
+        done = subprocess.run(
+            self.command(*arguments), input=given, capture_output=True, text=True, timeout=timeout, check=False
+        )
         if done.returncode:
             raise Failed(
                 f"kubectl {' '.join(arguments)}: {done.stderr.strip() or done.stdout.strip()}", done.returncode

@@ -268,16 +268,17 @@ async def _close(progress: Progress, means: Means) -> None:
 async def _open(target: Instance, progress: Progress, means: Means) -> None:
     progress.target = PodIdentity(name=target.name, uid=target.uid)
     progress.moments["committing"] = means.clock()
+    await means.agents.probe(target, PROBE_SECONDS)
     committing = asyncio.create_task(means.gate.commit(target, progress))
     try:
-        # Everything else waits until the commit, which carries the progress, has left for the API server: its request is
-        # begun in one round of the event loop and written in the next.
+        # The rest waits until the commit, which carries the progress, has left for the API server: its request is begun in
+        # one round of the event loop and written in the next.
         for _ in range(2):
             await asyncio.sleep(0)
-        means.save(progress)
         for instance in means.instances.of_workload():
-            if instance.uid == target.uid or progress.has_failed(instance.uid):
+            if progress.has_failed(instance.uid):
                 await means.agents.probe(instance, PROBE_SECONDS)
+        means.save(progress)
         await committing
     finally:
         committing.cancel()
