@@ -22,6 +22,12 @@ from understudy.controller.stores import Sight, Store
 _logger = logging.getLogger(__name__)
 
 WORKERS = 8
+
+SOON = 0.2
+"""Seconds that a change waits for others. A failover by a monitor, which is several, is then over, on processors that this
+operator may share with it.
+"""
+
 _UNREACHABLE = (ApiError, aiohttp.ClientError, TimeoutError, OSError)
 
 
@@ -65,7 +71,7 @@ class Operator:
 
     def _add(self, key: Key) -> None:
         if self._leading:
-            self.queue.add(key)
+            self.queue.add_after(key, SOON)
             metrics.WAITING.set(len(self.queue))
 
     async def keep_listing(self) -> None:
