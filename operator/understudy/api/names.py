@@ -59,6 +59,9 @@ RECOVERY = f"{GROUP}/recovery"
 CLAIM = f"{GROUP}/claim"
 """Annotation of a pool's pod: ``<workload uid>/<recovery id>``, written once, by the claim."""
 
+CLAIMED_AT = f"{GROUP}/claimed-at"
+"""Annotation of a pool's pod: when it was claimed, in whole unix seconds."""
+
 GATE_CLOSED = "closed"
 """Value of INSTANCE in the gate's selector when no pod may send. No pod is called that: ours are NAME-xxxxx."""
 

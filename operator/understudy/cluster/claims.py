@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 from understudy.api import names
 from understudy.api.base import API_VERSION
 from understudy.cluster.client import PODS, ApiError, Client, Object
@@ -42,7 +44,7 @@ async def _write(client: Client, pod: Object, workload: str, workload_uid: str, 
                 "uid": metadata["uid"],
                 "resourceVersion": metadata["resourceVersion"],
                 "labels": {names.HELD: None, names.WORKLOAD: workload},
-                "annotations": {names.CLAIM: claim},
+                "annotations": {names.CLAIM: claim, names.CLAIMED_AT: str(int(time.time()))},
                 "ownerReferences": [
                     {
                         "apiVersion": API_VERSION,

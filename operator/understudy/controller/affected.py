@@ -103,9 +103,8 @@ def _after_policy(policy: Object, store: Store, namespace: str) -> Iterator[Key]
     if owner is not None and owner["kind"] == "FallbackPool":
         yield from _pool_users(owner["name"], store, namespace)
     elif owner is not None and owner["kind"] == "RobotWorkload":
-        for name, pool in store.in_namespace(POOLS, namespace).items():
-            if policies.readiness(pool) in ("Initialized", "Executing"):
-                yield Key(POOLS.plural, namespace, name)
+        for name in store.in_namespace(POOLS, namespace):  # which of their pods are in control
+            yield Key(POOLS.plural, namespace, name)
 
 
 def _pool_users(pool: str, store: Store, namespace: str) -> Iterator[Key]:

@@ -16,6 +16,11 @@ from understudy.controller.troubles import trouble
 
 _MOST_NAMED = 3
 
+FIRST_THE_CLAIMED = 5.0
+"""Seconds that a claimed pod has to get into control before the one in its place is started, which may be on its node: a
+robot waits for the one, nobody for the other.
+"""
+
 
 @dataclass(frozen=True)
 class Observed:
@@ -151,13 +156,29 @@ def plan(observed: Observed, understanding: Understanding, fresh: Fresh) -> Plan
         held, want=spec.replicas or 0, template_hash=present, expected=observed.expected, now=observed.now
     )
     namespace = pool["metadata"]["namespace"]
-    for _ in range(change.create):
+    wait = _until_driving(observed)
+    if change.create and wait > 0:
+        made.later(wait)
+    for _ in range(0 if wait > 0 else change.create):
         body = instances.pod(built, name=fresh.name(name), namespace=namespace, owner=owner)
         made.writes.append(Create(PODS, body, counted=True))
     made.writes += [Delete(PODS, pod) for pod in change.delete]
     if change.again_after is not None:
         made.later(change.again_after)
     return made
+
+
+def _until_driving(observed: Observed) -> float:
+    """Seconds to wait for the pods that were claimed just now; 0 when all of them drive, have ended or had their time."""
+    waits = [
+        float(claimed) + FIRST_THE_CLAIMED - observed.now
+        for pod in observed.pods
+        if (claimed := objects.notes(pod).get(names.CLAIMED_AT, "")).isdigit()
+        and objects.alive(pod)
+        and objects.uid(pod) not in observed.active
+    ]
+    # By another machine's clock a claim may seem to be of the future: no wait is longer than it can be.
+    return min(FIRST_THE_CLAIMED, max([0.0, *waits]))
 
 
 @dataclass(frozen=True)

@@ -104,6 +104,21 @@ def test_claimed_pods_neither_count_nor_are_touched() -> None:
     assert not deleted(made)
 
 
+@pytest.mark.parametrize(("ago", "drives", "made"), [(1, False, 0), (1, True, 1), (-3600, False, 0), (5, False, 1)])
+def test_a_claimed_pod_gets_into_control_before_another_is_started_in_its_place(
+    ago: float, drives: bool, made: int
+) -> None:
+    pool = spare(replicas=1)
+    claimed = claimed_pod("robot-1-claimed", of=pool, by=workload())
+    claimed["metadata"].setdefault("annotations", {})[names.CLAIMED_AT] = str(int(NOW - ago))
+    active = frozenset({objects.uid(claimed)}) if drives else frozenset()
+    found = plan(observe(pool, [claimed], active=active))
+    assert len(created(found, "pods")) == made
+    if not made:
+        assert found.again_after is not None
+        assert 0 < found.again_after <= pools.FIRST_THE_CLAIMED
+
+
 def test_a_pod_that_somebody_labelled_as_held_is_not_taken_for_ours() -> None:
     pool = spare(replicas=1)
     foreign = held_pod("spare-x", of=pool)
