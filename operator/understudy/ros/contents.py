@@ -51,3 +51,11 @@ class Received:
             return None
         seconds, nanoseconds = (_LITTLE if self._data[1] & 1 else _BIG).unpack_from(self._data, 4)
         return self._taken - seconds - nanoseconds * 1e-9 if seconds or nanoseconds else None
+
+    def older(self, stamp: float) -> float:
+        """How much earlier than its receipt a stamp is, in seconds. Both are by clocks as they were then."""
+        return self._taken - stamp
+
+    def mentions(self, text: str) -> bool:
+        """Whether its bytes have this text in them."""
+        return text.encode() in self._data

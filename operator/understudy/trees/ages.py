@@ -39,14 +39,14 @@ class AgeLeaf(ContentLeaf):
         age = content.age()
         if age is None:
             return Said(False, "it can't be told: there is no stamp")
-        return Said(True, "") if age <= self._most else Said(False, f"it was {_rounded(age)}")
+        return Said(True, "") if age <= self._most else Said(False, f"it was {rounded(age)}")
 
     def condition(self) -> str:
         """The condition in words."""
         return f"an age of at most {duration(self._most)} of {self.topic}"
 
 
-def _rounded(seconds: float) -> str:
+def rounded(seconds: float) -> str:
     """An age in words, such as ``412 ms`` or ``3.21 s``."""
     return f"{seconds * 1000:.3g} ms" if seconds < 0.9995 else f"{seconds:.3g} s" if seconds < 1e6 else "over 11 days"
 

@@ -25,7 +25,7 @@ class Said(NamedTuple):
 
 
 @dataclass
-class _Track:
+class Track:
     """What the messages of one instance have said. Times are Unix seconds."""
 
     since: float = math.nan
@@ -36,6 +36,8 @@ class _Track:
     """When that was received, by the clock at that time."""
     held: bool = False
     """Whether the condition has held once."""
+    heard: float | None = None
+    """When the last message that says anything of it was received."""
     good: float | None = None
     """When the last message with which it held was received."""
     bad: float | None = None
@@ -44,6 +46,8 @@ class _Track:
     """Why it doesn't, by that message: a text that stays while the failure does."""
 
     def note(self, said: Said, content: Content) -> None:
+        """Note what a message says."""
+        self.heard = content.received
         if said.holds:
             self.held, self.good, self.bad, self.why = True, content.received, None, ""
             return
@@ -58,6 +62,7 @@ class _Track:
             return
         step = self.seen.received - self.received
         self.received = self.seen.received
+        self.heard = self.heard + step if self.heard is not None else None
         self.good = self.good + step if self.good is not None else None
         self.bad = self.bad + step if self.bad is not None else None
 
@@ -75,7 +80,7 @@ class ContentLeaf(Leaf):
     def __init__(self, path: str, topic: str, glance: Glance, *, hold_off: float, tasks: Sequence[TaskActive]) -> None:
         super().__init__(path, topic, glance, tasks)
         self.hold_off = hold_off
-        self._track = _Track()
+        self._track = Track()
 
     @abstractmethod
     def said(self, content: Content, failed: bool) -> Said | None:
@@ -94,11 +99,11 @@ class ContentLeaf(Leaf):
 
     # -- what has been said -----------------------------------------------------------------------------------------
 
-    def _followed(self) -> _Track:
+    def followed(self) -> Track:
         """What has been said until the glance's moment; looks into each message once."""
         glance, track = self._glance, self._track
         if track.since != glance.since:
-            track = self._track = _Track(glance.since)
+            track = self._track = Track(glance.since)
             self.forget()
         track.shift()
         for content in self._fresh(track):
@@ -108,7 +113,7 @@ class ContentLeaf(Leaf):
             track.seen, track.received = content, content.received
         return track
 
-    def _fresh(self, track: _Track) -> list[Content]:
+    def _fresh(self, track: Track) -> list[Content]:
         """The instance's messages that haven't been looked into, oldest first."""
         record = self._glance.observations.topic(self.topic)
         if record is None or not record.contents or record.contents[-1] is track.seen:
@@ -124,47 +129,53 @@ class ContentLeaf(Leaf):
 
     # -- the state --------------------------------------------------------------------------------------------------
 
-    def _limits(self, track: _Track) -> tuple[float, float]:
+    def lost(self, track: Track) -> float:
+        """When the condition has failed if nothing more arrives, in Unix seconds."""
+        return max(track.bad, self.begun()) + self.hold_off if track.bad is not None else math.inf
+
+    def begun(self) -> float:
+        """When its clocks begin at the earliest: with the task that it is for, if the instance was in control by then."""
+        found = situation(self.tasks, self._glance) if self.tasks else None
+        return found.active if found is not None and found.active >= self._glance.since else -math.inf
+
+    def _limits(self, track: Track) -> tuple[float, float]:
         """Until when it is healthy, and when it fails, if nothing more arrives; between them it is starting."""
         glance = self._glance
         if not self.tasks:
             if not track.held:
                 return -math.inf, glance.in_time
-            healthy = track.bad + self.hold_off if track.bad is not None else math.inf
+            healthy = self.lost(track)
             return healthy, healthy
         found = situation(self.tasks, glance)
         if found is None:
             return math.inf, math.inf
-        begun = found.active if found.active >= glance.since else -math.inf
-        if track.bad is not None:
-            healthy = max(found.settled, max(track.bad, begun) + self.hold_off)
-        else:
-            healthy = math.inf if track.held else found.settled
+        lost = self.lost(track)
+        healthy = max(found.settled, lost) if track.held or lost < math.inf else found.settled
         # Grace is for an instance with which it hasn't held yet.
         return healthy, healthy if track.held else max(healthy, glance.in_time)
 
     def state(self) -> State:
         """The state at the glance's moment."""
-        healthy, fails = self._limits(self._followed())
+        healthy, fails = self._limits(self.followed())
         if self._glance.now < healthy:
             return "Healthy"
         return "Starting" if self._glance.now < fails else "Failed"
 
     def healthy_until(self) -> float | None:
         """When it is no longer healthy; None where it isn't healthy."""
-        healthy, _ = self._limits(self._followed())
+        healthy, _ = self._limits(self.followed())
         return healthy if self._glance.now < healthy else None
 
     def changes(self) -> list[float]:
         """The moments after the glance's at which the state may be another with no further message."""
-        return [m for m in self._limits(self._followed()) if self._glance.now < m < math.inf]
+        return [m for m in self._limits(self.followed()) if self._glance.now < m < math.inf]
 
     def last(self) -> float | None:
         """When all was last well: when a message with which it held was received, or its task became active."""
-        return self._last_with_task(self._followed().good)
+        return self._last_with_task(self.followed().good)
 
     def _plain_reason(self, state: State) -> str:
-        track, condition = self._followed(), self.condition()
+        track, condition = self.followed(), self.condition()
         if track.good is None and track.bad is None:
             return self._unheard(state, self.awaited())
         if state == "Healthy":

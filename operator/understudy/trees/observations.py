@@ -28,6 +28,14 @@ class Content(Protocol):
         """How old its header's stamp was when it was received, in seconds; None where it has none."""
         ...
 
+    def older(self, stamp: float) -> float:
+        """How much earlier than its receipt a stamp within it is, in seconds; ``stamp`` in Unix seconds."""
+        ...
+
+    def mentions(self, text: str) -> bool:
+        """Whether it may have this text in it: what hasn't need not be read."""
+        ...
+
 
 class Unreadable(ValueError):
     """A message that isn't of the type that it should be of; the text says why."""

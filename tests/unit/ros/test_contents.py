@@ -1,6 +1,5 @@
 """Real messages are looked into by the leaves of a health tree: their fields, their stamps, their levels."""
 
-import json
 import struct
 import time
 
@@ -8,11 +7,10 @@ import pytest
 
 pytest.importorskip("rclpy")
 
+from tests.unit.ros.judging import Judged, tell
 from understudy.ros import watching as module
 from understudy.ros.contents import Received, begins_with_header
 from understudy.ros.types import message_class, message_fields
-from understudy.ros.watching import Watching
-from understudy.trees.health import HealthTree, Verdict
 from understudy.trees.loading import load
 from understudy.trees.observations import Unreadable
 
@@ -20,27 +18,6 @@ pytestmark = pytest.mark.ros
 
 BATTERY, SCAN = "sensor_msgs/msg/BatteryState", "sensor_msgs/msg/LaserScan"
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
-
-
-def tell(node, **fields):
-    node.stdin.write(json.dumps(fields) + "\n")
-    node.stdin.flush()
-
-
-class Judged:
-    """A tree over what is really received."""
-
-    def __init__(self, watching: Watching, tree: dict) -> None:
-        self.tree: HealthTree = load(tree, fields=message_fields)
-        self.since, self._watching = time.time(), watching
-        watching.follow(self.tree.topics)
-
-    def now(self) -> Verdict:
-        self._watching.drain()
-        return self.tree.evaluate(self._watching, now=time.time(), since=self.since)
-
-    def deadline(self) -> float | None:
-        return self.tree.deadline(self._watching, now=time.time(), since=self.since)
 
 
 def test_a_value_of_a_real_message_fails_and_recovers(watching, processes, eventually):

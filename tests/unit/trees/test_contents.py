@@ -8,12 +8,11 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from tests.unit.trees.messages import Battery, Heard, fields
+from tests.unit.trees.world import START, World, written
 from understudy.trees.btcpp.trees import load_xml
-from understudy.trees.health import BADNESS, HealthTree, Verdict
+from understudy.trees.health import BADNESS, Verdict
+from understudy.trees.kinds import LEAVES
 from understudy.trees.loading import TreeError, load
-from understudy.trees.observations import Recorded, TopicRecord
-
-START = 1.7e9
 
 
 def value(holds: str = "percentage > 0.15", **more: Any) -> dict[str, Any]:
@@ -36,37 +35,6 @@ class Status:
 class Array:
     def __init__(self, *status: Status) -> None:
         self.status = status
-
-
-class World:
-    """A tree with messages that come when the test says; times are seconds since START."""
-
-    def __init__(self, tree: dict[str, Any], *, grace: float = 30.0, since: float = 0.0) -> None:
-        self.tree: HealthTree = load(tree, grace=grace, fields=fields)
-        self.since = START + since
-        self.task: float | None = None
-        self.records = {topic.name: TopicRecord(topic.window, topic.contents) for topic in self.tree.topics}
-
-    def hear(self, topic: str, time: float, said: object = None, late: float | None = None) -> "World":
-        self.records[topic].add(START + time)
-        self.records[topic].contents.append(Heard(START + time, said, late))
-        return self
-
-    def battery(self, time: float, percentage: float) -> "World":
-        return self.hear("/battery", time, Battery(percentage=percentage))
-
-    def _observed(self) -> Recorded:
-        return Recorded(self.records, {"/go/_action/status": START + self.task} if self.task is not None else {})
-
-    def at(self, now: float) -> Verdict:
-        return self.tree.evaluate(self._observed(), now=START + now, since=self.since)
-
-    def deadline(self, now: float) -> float | None:
-        moment = self.tree.deadline(self._observed(), now=START + now, since=self.since)
-        return None if moment is None else round(moment - START, 6)
-
-    def states(self, times: list[float]) -> list[str]:
-        return [self.at(time).state for time in times]
 
 
 # -- value ------------------------------------------------------------------------------------------------------------
@@ -497,16 +465,14 @@ ANYTHING = st.recursive(
     lambda inner: (
         st.lists(inner, max_size=3)
         | st.dictionaries(st.text(max_size=4) | st.integers(), inner, max_size=3)
-        | st.dictionaries(
-            st.sampled_from(["topic", "type", "holds", "recovers", "for", "most", "name", "worst"]), inner
-        )
+        | st.dictionaries(st.sampled_from(sorted({key for kind in LEAVES.values() for key in kind.keys})), inner)
     ),
     max_leaves=8,
 )
 
 
 @settings(max_examples=300, deadline=None)
-@given(kind=st.sampled_from(["value", "age", "diagnostics"]), found=ANYTHING, beside=ANYTHING)
+@given(kind=st.sampled_from(sorted(LEAVES)), found=ANYTHING, beside=ANYTHING)
 def test_whatever_a_leaf_is_given_it_loads_or_says_what_is_wrong(kind, found, beside):
     try:
         tree = load({kind: found, **(beside if isinstance(beside, dict) else {})}, fields=fields)
@@ -514,10 +480,6 @@ def test_whatever_a_leaf_is_given_it_loads_or_says_what_is_wrong(kind, found, be
         assert all(problem.path.startswith(ROOT) and problem.message for problem in error.problems)  # noqa: PT017
     else:
         assert tree.topics
-
-
-def written(leaves: str) -> str:
-    return f'<root BTCPP_format="4"><BehaviorTree ID="Healthy"><Parallel>{leaves}</Parallel></BehaviorTree></root>'
 
 
 def test_the_leaves_in_xml_are_those_of_the_short_form():

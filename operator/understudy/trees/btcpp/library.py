@@ -8,6 +8,7 @@ from typing import Literal
 
 from understudy.trees.ages import AGE
 from understudy.trees.diagnostics import DIAGNOSTICS
+from understudy.trees.transforms import TRANSFORM
 from understudy.trees.values import VALUE
 
 Category = Literal["Control", "Decorator", "Condition"]
@@ -56,6 +57,7 @@ NODES: Mapping[str, Node] = {
         "diagnostics",
         {"status" if key == "name" else key: f"diagnostics.{key}" for key in DIAGNOSTICS.keys},
     ),
+    "Transform": Node("Condition", "transform", {key: f"transform.{key}" for key in TRANSFORM.keys}),
 }
 
 EXPLICIT = ("Action", "Condition", "Control", "Decorator")

@@ -1,0 +1,34 @@
+"""Health trees over what is really received."""
+
+from __future__ import annotations
+
+import json
+import time
+from typing import Any
+
+from understudy.ros.types import message_fields
+from understudy.ros.watching import Watching
+from understudy.trees.health import HealthTree, Verdict
+from understudy.trees.loading import load
+
+
+def tell(node: Any, **fields: Any) -> None:
+    """Have a node that says messages say these fields from now on."""
+    node.stdin.write(json.dumps(fields) + "\n")
+    node.stdin.flush()
+
+
+class Judged:
+    """A tree over what is really received."""
+
+    def __init__(self, watching: Watching, tree: dict[str, Any]) -> None:
+        self.tree: HealthTree = load(tree, fields=message_fields)
+        self.since, self._watching = time.time(), watching
+        watching.follow(self.tree.topics)
+
+    def now(self) -> Verdict:
+        self._watching.drain()
+        return self.tree.evaluate(self._watching, now=time.time(), since=self.since)
+
+    def deadline(self) -> float | None:
+        return self.tree.deadline(self._watching, now=time.time(), since=self.since)

@@ -1,0 +1,290 @@
+"""The leaf `transform`: what keeps it alive and what doesn't, when it fails, and that its deadline is exact."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from tests.unit.trees.world import START, World, written
+from understudy.trees.btcpp.trees import load_xml
+from understudy.trees.health import BADNESS, Verdict
+from understudy.trees.loading import TreeError, load
+
+ROOT = "spec.monitoring.yaml"
+TASK = {"while": {"task_active": {"action": "/go"}}, "settle": "1s"}
+
+
+def leaf(**more: Any) -> dict[str, Any]:
+    return {"transform": {"child": "base_link", "parent": "odom", "gap": "500ms", **more}}
+
+
+def transform(parent: str, child: str, stamp: float = START) -> SimpleNamespace:
+    """``stamp`` in Unix seconds, as whole milliseconds."""
+    second, milli = divmod(round(stamp * 1000), 1000)
+    header = SimpleNamespace(frame_id=parent, stamp=SimpleNamespace(sec=second, nanosec=milli * 1_000_000))
+    return SimpleNamespace(header=header, child_frame_id=child)
+
+
+def hear(world: World, time: float, *frames: tuple[str, str], late: float = 0.0, topic: str = "/tf") -> World:
+    """A message with transforms (parent and child) that are so old when it is received."""
+    transforms = [transform(parent, child, START + time - late) for parent, child in frames]
+    return world.hear(topic, time, SimpleNamespace(transforms=transforms))
+
+
+BASE, WHEEL = ("odom", "base_link"), ("base_link", "wheel")
+
+
+def test_it_fails_exactly_when_no_message_has_had_the_transform_for_the_gap():
+    world = hear(World(leaf()), 1.0, BASE)
+    assert world.at(1.1) == Verdict("Healthy", "", "", None)
+    assert world.deadline(1.1) == 1.5
+    assert world.at(1.49999).state == "Healthy"
+    assert world.at(1.5) == Verdict(
+        "Failed", "no transform odom -> base_link on /tf for 500 ms", "base_link.transform", START + 1.0
+    )
+    assert hear(world, 2.0, BASE).at(2.0).state == "Healthy"
+
+
+def test_other_transforms_on_the_topic_do_not_keep_it_alive_and_those_beside_it_do_no_harm():
+    world = hear(World(leaf()), 1.0, WHEEL, BASE, ("map", "odom"))
+    world.at(1.0)
+    for time in (1.1, 1.2, 1.3, 1.4):
+        hear(world, time, WHEEL, ("map", "base_link"), ("odom", "base_link_2")).at(time)
+    assert world.deadline(1.4) == 1.5
+    assert world.at(1.5).reason == "no transform odom -> base_link on /tf for 500 ms"
+    for step in range(20):
+        world = hear(world, 2.0 + step / 10, BASE)
+        assert world.at(2.0 + step / 10).state == "Healthy"
+        assert hear(world, 2.05 + step / 10, WHEEL, late=3600.0).at(2.05 + step / 10).state == "Healthy"
+
+
+def test_a_message_that_comes_between_two_looks_counts_whatever_came_after_it():
+    world = hear(World(leaf()), 1.0, BASE)
+    world.at(1.0)
+    hear(world, 1.4, BASE)
+    for step in range(100):
+        hear(world, 1.41 + step / 1000, WHEEL)
+    assert world.at(1.52).state == "Healthy"
+    assert world.deadline(1.52) == 1.9
+
+
+def test_without_a_parent_any_will_do_and_a_slash_in_front_is_none():
+    world = World({"transform": {"child": "base_link", "gap": "500ms"}})
+    assert hear(world, 1.0, ("/map", "/base_link")).at(1.4).state == "Healthy"
+    assert world.at(1.5).reason == "no transform to base_link on /tf for 500 ms"
+    assert hear(World(leaf()), 1.0, ("/odom", "/base_link")).at(1.0).state == "Healthy"
+
+
+def test_at_most_fails_by_a_stamp_that_is_older_at_its_receipt():
+    world = hear(World(leaf(at_most="300ms")), 1.0, BASE, late=0.3)
+    assert world.at(1.2).state == "Healthy", "how long ago it was received is for the gap"
+    hear(world, 1.3, WHEEL, late=10.0)
+    assert world.at(1.3).state == "Healthy"
+    assert hear(world, 1.4, BASE, late=0.4).at(1.4) == Verdict(
+        "Failed",
+        "an age of at most 300 ms of transform odom -> base_link on /tf does not hold (it was 400 ms)",
+        "base_link.transform",
+        START + 1.0,
+    )
+    assert hear(world, 1.5, BASE, late=-1.0).at(1.5).state == "Healthy"
+    world.hear("/tf", 1.6, SimpleNamespace(transforms=[transform(*BASE, stamp=0.0)]))
+    assert world.at(1.6).reason.endswith("(it can't be told: there is no stamp)")
+    world.hear("/tf", 1.7, SimpleNamespace(transforms=[transform(*BASE, START + at) for at in (1.69, 0.5)]))
+    assert world.at(1.7).state == "Healthy", "the newest in a message counts"
+
+
+def test_old_transforms_are_received_too_and_where_it_must_last_a_single_one_does_no_harm():
+    world = hear(World(leaf(at_most="300ms", **{"for": "1s"})), 1.0, BASE)
+    for time in (1.4, 1.8, 2.2):
+        assert hear(world, time, BASE, late=0.4).at(time).state == "Healthy"
+    assert world.deadline(2.2) == 2.4
+    assert world.at(2.4).reason.endswith("on /tf has not held for 1 s (it was 400 ms)")
+    assert hear(world, 2.5, BASE).at(2.5).state == "Healthy"
+    assert hear(world, 2.6, BASE, late=0.4).at(2.6).state == "Healthy"
+    assert world.deadline(2.6) == 3.1, "the gap comes first"
+    assert world.at(3.1).reason == "no transform odom -> base_link on /tf for 500 ms"
+
+
+def test_before_the_first_it_is_starting_until_the_grace_is_over():
+    world = hear(World(leaf(at_most="300ms"), grace=10), 1.0, WHEEL)
+    assert world.at(1.0).reason == "waiting for the first transform odom -> base_link on /tf, for up to 10 s"
+    assert world.deadline(1.0) == 10
+    assert world.at(10.0).reason == "no transform odom -> base_link on /tf within 10 s of the start"
+    hear(world, 2.0, BASE, late=1.0)
+    assert world.at(9.999).state == "Starting"
+    assert world.at(10.0).reason.endswith("has not held within 10 s of the start (it was 1 s)")
+    world.since = START + 20
+    assert world.at(29.0).state == "Starting"
+    assert hear(world, 30.5, BASE).at(30.5).state == "Healthy"
+
+
+def test_what_cannot_be_read_or_is_no_transform_says_nothing():
+    world = hear(World(leaf()), 1.0, BASE)
+    assert world.hear("/tf", 1.2, "it is no TFMessage").hear("/tf", 1.3, object()).at(1.4).state == "Healthy"
+    assert world.at(1.5).state == "Failed"
+
+
+def test_a_step_of_the_clock_moves_what_is_remembered():
+    world = hear(World(leaf()), 1.0, BASE)
+    world.at(1.0)
+    hear(world, 1.1, WHEEL).at(1.1)
+    world.records["/tf"].shift(3600.0)
+    assert world.at(3601.4).state == "Healthy"
+    assert world.deadline(3601.4) == 3601.5
+
+
+def test_for_a_task_its_clock_begins_with_that():
+    world = hear(World({**TASK, "do": leaf()}, grace=5), 1.0, BASE)
+    assert world.at(100.0).state == "Healthy"
+    world.task = 100.0
+    assert world.deadline(100.1) == 101, "it may settle"
+    assert world.at(101.0).reason == "no transform odom -> base_link on /tf for 500 ms while a goal of /go is active"
+    hear(world, 101.2, BASE)
+    assert world.at(101.3).state == "Healthy"
+    assert world.deadline(101.3) == 101.7
+
+
+def test_what_it_needs_of_its_topic_and_how_it_is_called():
+    tree = load({"parallel": [leaf(), {"transform": {"child": "odom", "gap": "1s", "topic": "/robot/tf"}}]})
+    assert [(t.name, t.type, t.contents, t.whole) for t in tree.topics] == [
+        ("/tf", "tf2_msgs/msg/TFMessage", 256, True),
+        ("/robot/tf", "tf2_msgs/msg/TFMessage", 256, True),
+    ]
+    assert [node.name for node in tree.root.iterate() if not node.children] == ["base_link.transform", "odom.transform"]
+
+
+@pytest.mark.parametrize(
+    ("found", "place", "expected"),
+    [
+        (
+            "base_link",
+            "",
+            "found 'base_link'; transform is a mapping such as {parent: odom, child: base_link, gap: 500ms}",
+        ),
+        ({"gap": "1s"}, ".child", "missing; give the frame that the transform leads to, such as base_link"),
+        ({"child": "b"}, ".gap", "missing; give how long it may be missing, such as 500ms"),
+        (
+            {"child": "/b", "gap": "1s"},
+            ".child",
+            "found '/b'; frames have no slash in front, did you mean 'b'?",
+        ),
+        (
+            {"child": "b", "parent": "a b", "gap": "1s"},
+            ".parent",
+            "found 'a b'; give a frame's name without spaces, such as base_link",
+        ),
+        ({"child": 7, "gap": "1s"}, ".child", "found 7; give a frame's name without spaces, such as base_link"),
+        (
+            {"child": "b", "parent": "b", "gap": "1s"},
+            ".parent",
+            "found 'b', which is the child too; give the frame above it, such as odom",
+        ),
+        (
+            {"child": "b", "gap": 1},
+            ".gap",
+            "found 1, which has no unit; write it with ms, s, m or h, such as 500ms",
+        ),
+        (
+            {"child": "b", "gap": "1s", "for": "1s"},
+            ".for",
+            "it is only for at_most; give at_most, or leave for out: how long the transform may be missing is the gap",
+        ),
+        (
+            {"child": "b", "gap": "1s", "topic": "/robot/tf_static"},
+            ".topic",
+            "found '/robot/tf_static': what is there is said once and stays, without a gap; give /tf",
+        ),
+        ({"child": "b", "gap": "1s", "atmost": "1s"}, ".atmost", "unknown key 'atmost', did you mean 'at_most'?"),
+    ],
+)
+def test_a_problem_says_where_and_what_would_be_right(found, place, expected):
+    with pytest.raises(TreeError) as caught:
+        load({"transform": found})
+    assert [str(problem) for problem in caught.value.problems] == [f"{ROOT}.transform{place}: {expected}"]
+
+
+def test_in_xml_it_is_that_of_the_short_form():
+    short = {"parallel": [leaf(at_most="300ms", **{"for": "200ms"}), {**leaf(topic="/robot/tf"), "name": "robot"}]}
+    text = written(
+        '<Transform parent="odom" child="base_link" gap="500ms" at_most="300ms" for="200ms"/>'
+        '<Transform name="robot" topic="/robot/tf" parent="odom" child="base_link" gap="500ms"/>'
+    )
+    read, same = load_xml(text), load(short)
+    assert read.topics == same.topics
+    trace = []
+    for tree in (read, same):
+        world = World(short, grace=5)
+        world.tree = tree
+        found = [world.at(0.5)]
+        for time, late in ((1.0, 0.0), (1.2, 0.4), (1.3, 0.4), (1.7, 0.0)):
+            hear(world, time, BASE, late=late)
+            found.append(hear(world, time, BASE, topic="/robot/tf").at(time + 0.15))
+            found.append(world.deadline(time + 0.15))
+        found.append(world.at(2.2))
+        trace.append(found)
+    assert trace[0] == trace[1]
+    assert [verdict.state for verdict in trace[0] if isinstance(verdict, Verdict)] == [
+        "Starting",
+        "Healthy",
+        "Healthy",
+        "Failed",
+        "Healthy",
+        "Failed",
+    ]
+
+
+def test_a_mistake_in_xml_is_named_by_its_line():
+    with pytest.raises(TreeError) as caught:
+        load_xml(written('\n<Transform child="/base_link" gap="1s"/>'))
+    assert [str(problem) for problem in caught.value.problems] == [
+        "spec.monitoring.xml, line 2, column 1: <Transform> child: found '/base_link'; frames have no slash in front, "
+        "did you mean 'base_link'?"
+    ]
+
+
+NODES = st.sampled_from(
+    [
+        leaf(),
+        leaf(at_most="300ms"),
+        leaf(at_most="300ms", gap="1s", **{"for": "700ms"}),
+        {"selector": [leaf(), {**leaf(gap="1s", at_most="300ms"), "name": "long"}]},
+        {"inverter": leaf(at_most="300ms")},
+    ]
+)
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    node=NODES,
+    messages=st.lists(
+        st.tuples(st.integers(0, 600), st.sampled_from([BASE, BASE, WHEEL]), st.sampled_from([0.0, 0.4])), max_size=12
+    ),
+    task=st.none() | st.integers(0, 600),
+    tasked=st.booleans(),
+    since=st.integers(0, 300),
+    now=st.integers(0, 600),
+)
+def test_the_deadline_is_the_first_moment_that_is_worse(node, messages, task, tasked, since, now):
+    """Times in hundredths of a second."""
+    assume(now >= since)
+    world = World({**TASK, "do": node} if tasked else node, grace=2.0, since=since / 100)
+    world.task = task / 100 if task is not None and task <= now else None
+    for time, frames, late in sorted(messages, key=lambda message: message[0]):
+        if time <= now:
+            hear(world, time / 100, frames, late=late).at(time / 100)
+    present = BADNESS[world.at(now / 100).state]
+    deadline = world.deadline(now / 100)
+    assert BADNESS[world.at(now / 100).state] == present
+    later = [now / 100 + step / 100 for step in range(1, 500)]
+    worse = next((time for time in later if BADNESS[world.at(time).state] > present), None)
+    if deadline is None:
+        assert worse is None
+    else:
+        assert math.isclose(worse, deadline, abs_tol=0.011)
+        assert BADNESS[world.at(deadline + 1e-5).state] > present
+        assert BADNESS[world.at(deadline - 1e-5).state] <= present
