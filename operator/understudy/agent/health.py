@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from understudy.ros.graph import Graph
     from understudy.ros.watching import Watching
     from understudy.trees.health import HealthTree, Verdict, WatchedTopic
-    from understudy.trees.observations import TopicRecord
+    from understudy.trees.observations import Publishers, TopicRecord
 
 _logger = logging.getLogger(__name__)
 
@@ -121,6 +121,10 @@ class _OwnOutputs:
 
         times = [since for gid, since in self._watching.active(name).items() if gid[HOST] == self._host]
         return min(times, default=None)
+
+    def publishers(self, name: str) -> Publishers | None:
+        """This instance's."""
+        return self._watching.publishers(name)
 
     def counts(self) -> dict[str, OutputCount]:
         """The outputs that are watched."""
@@ -332,12 +336,12 @@ def _join(node_name: str) -> tuple[Graph, Watching, bytes]:
 
     graph = Graph(node_name)
     try:
-        watching = Watching(graph)
         end = time.monotonic() + OWN_GID
         while time.monotonic() < end:
             for endpoint in graph.publishers("/parameter_events"):
                 if endpoint.node == f"/{node_name}":
-                    return graph, watching, endpoint.gid[HOST]
+                    host = endpoint.gid[HOST]
+                    return graph, Watching(graph, host), host
             time.sleep(0.01)
         raise TimeoutError(f"the node doesn't see its own publisher within {OWN_GID:g} s")
     except BaseException:

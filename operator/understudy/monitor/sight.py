@@ -70,7 +70,8 @@ class Sight:
         if spec is not None and spec.gate.reflex is not None:
             # Which instance they come from is watched, whether the tree judges them or not.
             for name, type_ in types.items():
-                wanted.setdefault(name, WatchedTopic(name, type_, 0.0, None))
+                need = WatchedTopic(name, type_, 0.0, None)
+                wanted[name] = wanted[name].joined(need) if name in wanted else need
         self._watching.follow(
             topic if topic.type else replace(topic, type=types.get(topic.name)) for topic in wanted.values()
         )
@@ -98,9 +99,10 @@ class Sight:
 
     @property
     def gated(self) -> list[str]:
-        """Gated topics that the tree watches, and can."""
+        """Gated topics whose messages the tree watches, and can."""
         outputs = {output.topic for output in self._outputs if output.topic}
-        return [topic.name for topic in self._tree.judged if topic.name in outputs] if self._tree else []
+        judged = self._tree.judged if self._tree else []
+        return [topic.name for topic in judged if topic.heard and topic.name in outputs]
 
     @property
     def expected(self) -> list[str]:

@@ -18,11 +18,12 @@ from typing import Any
 
 from understudy.ros.contents import HEAD, Received, begins_with_header
 from understudy.ros.graph import Graph
+from understudy.ros.presence import Presence
 from understudy.ros.sources import HOST, Sources
 from understudy.ros.taking import Taker
 from understudy.ros.types import TypeNotInstalled, message_class
 from understudy.trees.health import WatchedTopic
-from understudy.trees.observations import TopicRecord
+from understudy.trees.observations import Publishers, TopicRecord
 
 _logger = logging.getLogger(__name__)
 
@@ -110,8 +111,11 @@ class Watching:
     are moved with it, so that a step of the clock doesn't look like a gap.
     """
 
-    def __init__(self, graph: Graph) -> None:
+    def __init__(self, graph: Graph, own: bytes | None = None) -> None:
+        """``own`` is the HOST part of GIDs of the instance that is judged, where that is the one this process is in."""
         self._graph = graph
+        self._own = own
+        self._presence = Presence(graph, self._in_control)
         self._taker = Taker()
         self._topics: dict[str, _Topic] = {}
         self._sources = Sources({})
@@ -124,7 +128,9 @@ class Watching:
 
     def follow(self, topics: Iterable[WatchedTopic]) -> None:
         """Watch these topics and no others. Cheap where nothing changed; then what was received is kept."""
-        wanted = {topic.name: topic for topic in topics}
+        topics = list(topics)
+        self._presence.follow([topic.name for topic in topics if topic.publishers])
+        wanted = {topic.name: topic for topic in topics if topic.heard}
         for name in [name for name in self._topics if name not in wanted]:
             self._end(self._topics.pop(name))
         for name, want in wanted.items():
@@ -215,6 +221,7 @@ class Watching:
         if active == self._active and instances == self._sources.instances:
             return
         self._sources, self._active = Sources(instances), active
+        self._presence.forget()
         for topic in self._topics.values():
             for host, source in topic.sources.items():
                 source.accepted = self._accepted(host)
@@ -232,6 +239,14 @@ class Watching:
         """
         candidates = self._sources.candidates(host)
         return not candidates or self._active in candidates
+
+    def _in_control(self, gid: bytes) -> bool:
+        """Whether a writer is (or may be) of the instance in control; where no address tells that one, whether it is of no other."""
+        if self._own is not None:
+            return gid[HOST] == self._own
+        candidates = self._sources.candidates(gid)
+        told = self._active in self._sources.instances and self._active not in self._sources.unknown
+        return self._active in candidates if told else not candidates
 
     def _count_again(self, topic: _Topic) -> None:
         """Put together what counts: the record of the only source that does, where there is just one, as it is."""
@@ -256,6 +271,7 @@ class Watching:
             self._next_look_up = now + LOOK_UP
             self._look_up_types()
             self._forget_servers()
+        self._presence.look()
         taken = 0
         for topic in self._topics.values():
             if topic.subscription is not None:
@@ -310,6 +326,7 @@ class Watching:
             return -math.inf, math.inf
         _logger.warning("the clock was set by %+.3f s; the times of what was received are moved with it", step)
         self._drained += step
+        self._presence.shift(step)
         for topic in self._topics.values():
             for source in topic.sources.values():
                 source.shift(step)
@@ -336,6 +353,10 @@ class Watching:
             return None
         times = [since for gid, since in topic.active.items() if self._accepted(gid[HOST])]
         return min(times, default=None)
+
+    def publishers(self, name: str) -> Publishers | None:
+        """Who publishes a topic, of the instance in control; None where nobody has looked (yet)."""
+        return self._presence.of(name)
 
     def records(self, name: str) -> dict[bytes, SourceRecord]:
         """What was received on a topic, by the HOST part of the senders' GIDs."""

@@ -44,6 +44,10 @@ class WatchedTopic:
     """How many of the last messages are looked into."""
     whole: bool = False
     """Whether more of them is looked at than the header at their start."""
+    heard: bool = True
+    """Whether its messages are received at all."""
+    publishers: bool = False
+    """Whether it is looked at who publishes it."""
 
     def joined(self, other: WatchedTopic) -> WatchedTopic:
         """What serves this and another need of the same topic."""
@@ -54,7 +58,10 @@ class WatchedTopic:
             window=max(self.window, other.window),
             rate=max(rates, default=None),
             contents=max(self.contents, other.contents),
+            task=self.task or other.task,
             whole=self.whole or other.whole,
+            heard=self.heard or other.heard,
+            publishers=self.publishers or other.publishers,
         )
 
 
@@ -118,9 +125,9 @@ class HealthTree:
         return [topic for topic in self.topics if topic.name not in (self._left_out or ())]
 
     def counting(self, observations: Observations, *, now: float, since: float) -> set[str]:
-        """The topics that count now: all that are judged but those that are only for a task that isn't active."""
+        """The topics whose messages count now: all that are judged but those that are only for a task that isn't active."""
         self._look(observations, now, since, real=False)
-        return {leaf.topic for leaf in self._leaves if leaf.counts()}
+        return {leaf.topic for leaf in self._leaves if leaf.hears and leaf.counts()}
 
     @property
     def grace(self) -> float:

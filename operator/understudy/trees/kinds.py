@@ -1,11 +1,18 @@
-"""The kinds of leaves that look into messages, by their keys in the short form."""
+"""The kinds of leaves by their keys in the short form, but for the one that only counts messages."""
 
 from __future__ import annotations
 
 from understudy.trees.ages import AGE
 from understudy.trees.diagnostics import DIAGNOSTICS
 from understudy.trees.plans import LeafKind
+from understudy.trees.publishers import PUBLISHER
 from understudy.trees.transforms import TRANSFORM
 from understudy.trees.values import VALUE
 
-LEAVES: dict[str, LeafKind] = {"value": VALUE, "age": AGE, "diagnostics": DIAGNOSTICS, "transform": TRANSFORM}
+LEAVES: dict[str, LeafKind] = {
+    "value": VALUE,
+    "age": AGE,
+    "diagnostics": DIAGNOSTICS,
+    "transform": TRANSFORM,
+    "publisher": PUBLISHER,
+}

@@ -31,6 +31,9 @@ class Leaf(Behaviour, ABC):
     and it has some time to start then.
     """
 
+    hears = True
+    """Whether it judges by the topic's messages."""
+
     def __init__(self, path: str, topic: str, glance: Glance, tasks: Sequence[TaskActive]) -> None:
         super().__init__(path)
         self.topic = topic

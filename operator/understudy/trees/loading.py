@@ -136,7 +136,9 @@ class _Loader(Reader):
         if action is None or settle is None or len(self.problems) > before:
             return None
         task = TaskActive(action, settle)
-        self.topics[task.topic] = WatchedTopic(task.topic, STATUS_TYPE, 0.0, None, task=True)
+        known = self.topics.get(task.topic)
+        seen = known is not None and known.publishers
+        self.topics[task.topic] = WatchedTopic(task.topic, STATUS_TYPE, 0.0, None, task=True, publishers=seen)
         return task
 
     def _unknown_node_key(self, key: str, path: str) -> None:
@@ -214,7 +216,8 @@ class _Loader(Reader):
         tasks = tuple(self._tasks)
 
         def build(left_out: Collection[str]) -> Behaviour | None:
-            return plan.make(leaf_path, self.glance, tasks) if plan.watched.name not in left_out else None
+            blind = plan.watched.heard and plan.watched.name in left_out
+            return plan.make(leaf_path, self.glance, tasks) if not blind else None
 
         return build
 
@@ -232,7 +235,7 @@ class _Loader(Reader):
     def _watch(self, wanted: WatchedTopic, path: str) -> bool:
         """Note that a topic is needed; False, with a problem, where two leaves differ about its type."""
         topic, known = wanted.name, self.topics.get(wanted.name, wanted)
-        if known.task:
+        if known.task and wanted.heard:
             self.problem(
                 path,
                 f"{topic} says whether a task is active, which is looked at already; it has no rate or gap of its own",

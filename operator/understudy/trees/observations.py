@@ -9,16 +9,20 @@ from __future__ import annotations
 import math
 from bisect import insort
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
 
-class Content(Protocol):
-    """A message that was received."""
+class Evidence(Protocol):
+    """Something that was received, or seen."""
 
     received: float
     """When it was, in Unix seconds; moved where the clock was set."""
+
+
+class Content(Evidence, Protocol):
+    """A message that was received."""
 
     def message(self) -> object:
         """The message with its fields as attributes. Raises Unreadable."""
@@ -39,6 +43,16 @@ class Content(Protocol):
 
 class Unreadable(ValueError):
     """A message that isn't of the type that it should be of; the text says why."""
+
+
+@dataclass(eq=False)
+class Publishers:
+    """Who published a topic when the ROS graph was looked at."""
+
+    received: float
+    """When it was, in Unix seconds; moved where the clock was set."""
+    nodes: Sequence[str]
+    """The node of each publisher of the instance in control, fully qualified; empty where it isn't known yet."""
 
 
 class TopicRecord:
@@ -91,14 +105,24 @@ class Observations(Protocol):
         """Since when the action of this status topic has had an active goal (Unix seconds); None while it has none."""
         ...
 
+    def publishers(self, name: str) -> Publishers | None:
+        """Who published a topic at the last look; None where nobody has looked (yet)."""
+        ...
+
 
 class Recorded:
     """Observations out of a mapping of records."""
 
-    def __init__(self, topics: Mapping[str, TopicRecord], tasks: Mapping[str, float] | None = None) -> None:
+    def __init__(
+        self,
+        topics: Mapping[str, TopicRecord],
+        tasks: Mapping[str, float] | None = None,
+        publishers: Mapping[str, Publishers] | None = None,
+    ) -> None:
         """``tasks`` has when each active action became so, by its status topic."""
         self._topics = topics
         self._tasks = tasks if tasks is not None else {}
+        self._publishers = publishers if publishers is not None else {}
 
     def topic(self, name: str) -> TopicRecord | None:
         """The record of a topic, None where there is none."""
@@ -107,6 +131,10 @@ class Recorded:
     def task(self, name: str) -> float | None:
         """When the action became active, None while it isn't."""
         return self._tasks.get(name)
+
+    def publishers(self, name: str) -> Publishers | None:
+        """Who published the topic, None where nobody has looked."""
+        return self._publishers.get(name)
 
 
 @dataclass

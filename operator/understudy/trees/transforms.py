@@ -8,7 +8,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from understudy.trees.ages import rounded
-from understudy.trees.contents import ContentLeaf, Said, Track
+from understudy.trees.contents import ContentLeaf
+from understudy.trees.evidence import Said, Track
 from understudy.trees.expressions import Fields
 from understudy.trees.health import WatchedTopic
 from understudy.trees.leaves import State, duration
@@ -85,11 +86,11 @@ class TransformLeaf(ContentLeaf):
                 stamp = one.header.stamp
                 yield stamp.sec + stamp.nanosec * 1e-9
 
-    def lost(self, track: Track) -> float:
+    def lost(self, track: Track[Content]) -> float:
         """When it has failed if nothing more arrives: by the gap, or by its age."""
         return min(super().lost(track), self._silent(track))
 
-    def _silent(self, track: Track) -> float:
+    def _silent(self, track: Track[Content]) -> float:
         """When the gap has failed if nothing more arrives."""
         return max(track.heard if track.heard is not None else -math.inf, self.begun()) + self._gap
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from understudy.trees.contents import ContentLeaf, Said
+from understudy.trees.contents import ContentLeaf
+from understudy.trees.evidence import Said
 from understudy.trees.expressions import Expression, ExpressionError, Fields, Untold
 from understudy.trees.health import WatchedTopic
 from understudy.trees.observations import Content, Glance, Unreadable

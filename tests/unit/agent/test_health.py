@@ -161,6 +161,22 @@ async def test_an_instance_is_ready_by_what_its_messages_say(pod: Pod, links, ro
     assert status.reason == "data == 'y' of /cmd_vel has not held within 1 s of the start (data was 'x')"
 
 
+async def test_an_instance_is_ready_by_the_publishers_it_has_itself(pod: Pod, links, ros):
+    pod.start_agent()
+    pod.start_container(TALK)
+    links.append(link := pod.link())
+    await link.wait_for(lambda s: s.ready, 10)
+    await link.configure({"publisher": {"topic": "/cmd_vel"}}, OUTPUTS, 20.0)
+    await link.start({}, ros)
+    ready = await link.wait_for(runs, 30)
+    assert not ready.outputs, "its messages are not received for that"
+    await link.configure({"publisher": {"topic": "/cmd_vel", "node": "/nobody"}}, OUTPUTS, 1.0)
+    status = await link.wait_for(lambda s: not s.ready, 20)
+    assert status.reason == (
+        "a count of at least 1 publisher of /cmd_vel in node /nobody has not held within 1 s of the start (there is none)"
+    )
+
+
 async def test_a_served_output_counts_as_up(pod: Pod, links, ros):
     pod.start_agent()
     pod.start_container([sys.executable, NODES, "serve", "/snap"])

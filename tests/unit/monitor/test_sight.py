@@ -128,6 +128,27 @@ async def test_nothing_more_is_waited_for_when_the_task_ends_before_the_first_ou
         assert await waiting is None
 
 
+def test_an_output_of_which_only_the_publishers_are_looked_at_is_not_expected(sight) -> None:
+    gap = {"topic": {"name": "/beat", "type": "std_msgs/msg/String", "gap": "1s"}}
+    sight.follow(_policy({"parallel": [gap, {"publisher": {"topic": "/cmd_vel"}}]}), None)
+    assert sight.gated == sight.expected == ["/beat"]
+    assert sight.observations.topic("/cmd_vel") is None
+    sight.drain([], "")
+    assert sight.observations.publishers("/cmd_vel").nodes == ()
+
+
+def test_for_a_reflex_the_messages_of_such_an_output_are_received_too(sight) -> None:
+    spec = {
+        "template": {"spec": {}},
+        "outputs": [{"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist"}],
+        "failurePolicyRef": {"name": "p"},
+        "gate": {"reflex": {"deadline": "100ms"}},
+    }
+    sight.follow(_policy({"publisher": {"topic": "/cmd_vel"}}), RobotWorkloadSpec.model_validate(spec))
+    assert sight.observations.topic("/cmd_vel") is not None
+    assert sight.expected == []
+
+
 def _policy(tree: dict[str, object]) -> FailurePolicySpec:
     return FailurePolicySpec.model_validate({"monitoring": {"yaml": tree}, "strategies": [{"type": "Restart"}]})
 

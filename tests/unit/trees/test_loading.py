@@ -5,7 +5,7 @@ import pytest
 from understudy.trees.loading import Problem, TreeError, load
 
 ROOT = "spec.monitoring.yaml"
-KINDS = "parallel, sequence, selector, inverter, while, topic, value, age, diagnostics, transform"
+KINDS = "parallel, sequence, selector, inverter, while, topic, value, age, diagnostics, transform, publisher"
 RATES = "'> 8 Hz', '>= 8 Hz', '< 20 Hz', '<= 20 Hz' or '9 to 11 Hz'"
 
 SCAN = {"topic": {"name": "/scan", "rate": "> 8 Hz"}}

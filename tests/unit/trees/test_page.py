@@ -62,7 +62,8 @@ def test_the_models_that_are_shown_are_those_of_the_nodes():
         model.attributes["ID"]: [port.attributes["name"] for port in model.children] for model in parse(shown).children
     }
     assert told == {
-        tag: list(NODES[tag].ports) for tag in ("Topic", "Value", "Age", "Diagnostics", "Transform", "WhileTaskActive")
+        tag: list(NODES[tag].ports)
+        for tag in ("Topic", "Value", "Age", "Diagnostics", "Transform", "Publisher", "WhileTaskActive")
     }
 
 
@@ -94,7 +95,7 @@ def test_the_mistakes_in_procedures_are_named_as_it_says():
 def test_the_leaves_that_are_shown_load():
     nodes = [yaml.safe_load(shown) for shown in re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)]
     kinds = [next(iter(node)) for node in nodes if "spec" not in node and load(node).topics]
-    assert kinds == ["parallel", "value", "age", "diagnostics", "transform", "parallel"]
+    assert kinds == ["parallel", "value", "age", "diagnostics", "transform", "publisher", "parallel"]
 
 
 def test_every_kind_of_node_is_on_the_page():

@@ -353,7 +353,7 @@ def test_the_policies_of_the_examples_are_the_same_in_xml(policy: dict[str, Any]
 
 KNOWN = (
     "Sequence, ReactiveSequence, Fallback, ReactiveFallback, Parallel, ParallelAll, Inverter, WhileTaskActive, "
-    "Topic, Value, Age, Diagnostics, Transform, SubTree"
+    "Topic, Value, Age, Diagnostics, Transform, Publisher, SubTree"
 )
 
 

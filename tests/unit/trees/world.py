@@ -7,7 +7,7 @@ from typing import Any
 from tests.unit.trees.messages import Battery, Heard, fields
 from understudy.trees.health import HealthTree, Verdict
 from understudy.trees.loading import load
-from understudy.trees.observations import Recorded, TopicRecord
+from understudy.trees.observations import Publishers, Recorded, TopicRecord
 
 START = 1.7e9
 
@@ -19,6 +19,7 @@ class World:
         self.tree: HealthTree = load(tree, grace=grace, fields=fields)
         self.since = START + since
         self.task: float | None = None
+        self.published: dict[str, Publishers] = {}
         self.records = {topic.name: TopicRecord(topic.window, topic.contents) for topic in self.tree.topics}
 
     def hear(self, topic: str, time: float, said: object = None, late: float | None = None) -> World:
@@ -26,17 +27,24 @@ class World:
         self.records[topic].contents.append(Heard(START + time, said, late))
         return self
 
+    def look(self, topic: str, time: float, *nodes: str) -> World:
+        """A look at who publishes a topic."""
+        self.published[topic] = Publishers(START + time, nodes)
+        return self
+
     def battery(self, time: float, percentage: float) -> World:
         return self.hear("/battery", time, Battery(percentage=percentage))
 
-    def _observed(self) -> Recorded:
-        return Recorded(self.records, {"/go/_action/status": START + self.task} if self.task is not None else {})
+    def observed(self) -> Recorded:
+        """What has been received and seen so far."""
+        tasks = {"/go/_action/status": START + self.task} if self.task is not None else {}
+        return Recorded(self.records, tasks, self.published)
 
     def at(self, now: float) -> Verdict:
-        return self.tree.evaluate(self._observed(), now=START + now, since=self.since)
+        return self.tree.evaluate(self.observed(), now=START + now, since=self.since)
 
     def deadline(self, now: float) -> float | None:
-        moment = self.tree.deadline(self._observed(), now=START + now, since=self.since)
+        moment = self.tree.deadline(self.observed(), now=START + now, since=self.since)
         return None if moment is None else round(moment - START, 6)
 
     def states(self, times: list[float]) -> list[str]:

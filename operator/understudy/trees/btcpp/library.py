@@ -8,6 +8,7 @@ from typing import Literal
 
 from understudy.trees.ages import AGE
 from understudy.trees.diagnostics import DIAGNOSTICS
+from understudy.trees.publishers import PUBLISHER
 from understudy.trees.transforms import TRANSFORM
 from understudy.trees.values import VALUE
 
@@ -58,6 +59,7 @@ NODES: Mapping[str, Node] = {
         {"status" if key == "name" else key: f"diagnostics.{key}" for key in DIAGNOSTICS.keys},
     ),
     "Transform": Node("Condition", "transform", {key: f"transform.{key}" for key in TRANSFORM.keys}),
+    "Publisher": Node("Condition", "publisher", {key: f"publisher.{key}" for key in PUBLISHER.keys}),
 }
 
 EXPLICIT = ("Action", "Condition", "Control", "Decorator")

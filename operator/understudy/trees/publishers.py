@@ -1,0 +1,95 @@
+"""The leaf ``publisher``: whether somebody is there who would publish a topic, by the ROS graph."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from understudy.api.rosnames import ROS_NAME_PATTERN
+from understudy.trees.evidence import EvidenceLeaf, Said, Track
+from understudy.trees.expressions import Fields
+from understudy.trees.health import WatchedTopic
+from understudy.trees.observations import Glance, Publishers
+from understudy.trees.plans import LeafKind, LeafPlan, hold_off_of, topic_of
+from understudy.trees.reading import Reader, found_text
+from understudy.trees.situations import TaskActive
+
+MOST = 1000
+"""Publishers that may be asked for; topics have a few."""
+
+
+class PublisherLeaf(EvidenceLeaf[Publishers]):
+    """Holds while a topic has at least so many publishers of the instance, in a node of a name or in any."""
+
+    hears = False
+
+    def __init__(
+        self,
+        path: str,
+        topic: str,
+        glance: Glance,
+        count: int = 1,
+        node: str | None = None,
+        *,
+        hold_off: float = 0.0,
+        tasks: Sequence[TaskActive] = (),
+    ) -> None:
+        """A leaf over a topic; ``node`` is fully qualified, ``hold_off`` in seconds."""
+        super().__init__(path, topic, glance, hold_off=hold_off, tasks=tasks)
+        self._count, self._node = count, node
+
+    def fresh(self, track: Track[Publishers]) -> list[Publishers]:
+        """The last look at the ROS graph, once."""
+        found = self._glance.observations.publishers(self.topic)
+        if found is None or found is track.seen or found.received < self._glance.since:
+            return []
+        return [found]
+
+    def said(self, content: Publishers, failed: bool) -> Said:
+        """What the look says."""
+        count = sum(self._node in (None, node) for node in content.nodes)
+        if count >= self._count:
+            return Said(True, "")
+        return Said(False, f"there {'is' if count == 1 else 'are'} {count}" if count else "there is none")
+
+    def condition(self) -> str:
+        """The condition in words."""
+        return f"a count of at least {self._count} publisher{'s' if self._count > 1 else ''} of {self._asked()}"
+
+    def awaited(self) -> str:
+        """What must come first."""
+        return f"look at the publishers of {self._asked()}"
+
+    def _asked(self) -> str:
+        return f"{self.topic} in node {self._node}" if self._node is not None else self.topic
+
+
+_EXAMPLE = "{topic: /cmd_vel, node: /controller_server}"
+
+
+def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | None) -> LeafPlan | None:
+    before = len(reader.problems)
+    topic = topic_of(reader, value, path, "/cmd_vel")
+    count = reader.given(value, "count", path, _count) if "count" in value else 1
+    node = reader.matching(
+        value, "node", path, ROS_NAME_PATTERN, "a node's fully qualified name such as /controller_server"
+    )
+    hold_off = hold_off_of(reader, value, path)
+    if topic is None or count is None or len(reader.problems) > before:
+        return None
+    return LeafPlan(
+        f"{topic.lstrip('/')}.publisher",
+        WatchedTopic(topic, None, 0.0, None, heard=False, publishers=True),
+        lambda place, glance, tasks: PublisherLeaf(place, topic, glance, count, node, hold_off=hold_off, tasks=tasks),
+    )
+
+
+def _count(found: object) -> int:
+    # XML has no numbers: there it is written as text.
+    number = int(found) if isinstance(found, str) and found.isascii() and found.isdigit() and len(found) < 10 else found
+    if not isinstance(number, int) or isinstance(number, bool) or not 1 <= number <= MOST:
+        raise ValueError(f"found {found_text(found)}; give a whole number from 1 to {MOST}")
+    return number
+
+
+PUBLISHER = LeafKind(("topic", "count", "node", "for"), _EXAMPLE, _read)

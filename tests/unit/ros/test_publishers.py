@@ -1,0 +1,138 @@
+"""Who publishes a topic is told by the real ROS graph, and whose publishers count by where they are."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from tests.unit.ros.judging import Judged
+from understudy.ros import watching as module
+from understudy.ros.graph import Endpoint, Graph
+from understudy.ros.sources import HOST, VENDOR, host_id
+from understudy.ros.watching import Watching
+from understudy.trees.health import WatchedTopic
+
+pytestmark = pytest.mark.ros
+
+
+@pytest.fixture
+def others(dds: None) -> Iterator[tuple[Graph, Graph]]:
+    """Two nodes more."""
+    made = Graph("controller"), Graph("teleop")
+    yield made
+    for graph in made:
+        graph.close()
+
+
+def publisher(graph: Graph, topic: str) -> Any:
+    from std_msgs.msg import String
+
+    return graph.node.create_publisher(String, topic, 1)
+
+
+def test_a_publisher_that_is_gone_fails_whoever_else_publishes(watching, others, eventually):
+    controller, teleop = others
+    judged = Judged(watching, {"publisher": {"topic": "/chat", "node": "/controller", "for": "300ms"}})
+    publisher(teleop, "/chat")
+    eventually(lambda: judged.now() and "/teleop" in watching.publishers("/chat").nodes)
+    assert judged.now().state == "Starting", "others don't count"
+    own = publisher(controller, "/chat")
+    eventually(lambda: judged.now().state == "Healthy")
+    controller.node.destroy_publisher(own)
+    eventually(lambda: judged.now().state == "Failed")
+    assert judged.now().reason == (
+        "a count of at least 1 publisher of /chat in node /controller has not held for 300 ms (there is none)"
+    )
+    publisher(controller, "/chat")
+    eventually(lambda: judged.now().state == "Healthy")
+
+
+def test_what_becomes_of_other_publishers_subscribers_and_topics_does_it_no_harm(watching, others, eventually, graph):
+    controller, teleop = others
+    judged = Judged(watching, {"publisher": {"topic": "/chat", "count": 1}})
+    publisher(controller, "/chat")
+    passing, beside = publisher(teleop, "/chat"), publisher(controller, "/talk")
+    listener = teleop.subscribe("/chat", "std_msgs/msg/String", depth=1)
+    eventually(lambda: judged.now().state == "Healthy" and len(watching.publishers("/chat").nodes) == 2)
+    teleop.node.destroy_publisher(passing)
+    teleop.unsubscribe(listener)
+    controller.node.destroy_publisher(beside)
+    states = set()
+
+    def gone() -> bool:
+        states.add(judged.now().state)
+        return len(watching.publishers("/chat").nodes) == 1 and not graph.publishers("/talk")
+
+    eventually(gone)
+    assert states == {"Healthy"}
+
+
+def test_the_topic_is_not_subscribed_to_for_that(watching, others, eventually, graph):
+    judged = Judged(watching, {"publisher": {"topic": "/chat"}})
+    publisher(others[0], "/chat")
+    eventually(lambda: judged.now().state == "Healthy")
+    assert watching.topic("/chat") is None
+    assert not graph.subscribers("/chat")
+    assert watching.waiting == watching.problems == []
+    watching.follow([])
+    assert watching.publishers("/chat") is None
+
+
+def test_an_agent_counts_the_publishers_of_its_own_host(graph, others, eventually):
+    publisher(others[0], "/chat")
+    eventually(lambda: graph.publishers("/chat"))
+    (host,) = {endpoint.gid[HOST] for endpoint in graph.publishers("/chat")}
+    for own, expected in ((host, 1), (VENDOR + b"xx", 0)):
+        watching = Watching(graph, own)
+        watching.follow([WatchedTopic("/chat", None, 0.0, None, heard=False, publishers=True)])
+        watching.drain()
+        assert len(watching.publishers("/chat").nodes) == expected
+        watching.close()
+
+
+def test_the_monitor_counts_those_of_the_instance_in_control(watching, monkeypatch):
+    def gid(address: str) -> bytes:
+        return VENDOR + host_id(address) + bytes(12)
+
+    active, standby, robot = "192.0.2.1", "192.0.2.2", "192.0.2.3"
+    ends = [
+        Endpoint("std_msgs/msg/String", gid(address), node)
+        for address, node in ((active, "/a"), (standby, "/b"), (robot, "/c"))
+    ]
+    monkeypatch.setattr(watching._graph, "publishers", lambda topic: ends)
+    watching.follow([WatchedTopic("/chat", None, 0.0, None, heard=False, publishers=True)])
+
+    def counted(instances: dict[str, str], pod: str) -> tuple[str, ...]:
+        watching.attribute(instances, pod)
+        assert watching.publishers("/chat") is None, "what was seen was of others"
+        watching.drain()
+        return watching.publishers("/chat").nodes
+
+    assert counted({"w-1": active, "w-2": standby}, "w-1") == ("/a",)
+    assert counted({"w-1": active, "w-2": standby}, "w-2") == ("/b",)
+    assert counted({"w-1": active, "w-2": standby}, "") == ("/c",)
+    assert counted({"w-1": "2001:db8::1", "w-2": standby}, "w-1") == ("/a", "/c"), "that address tells nothing"
+
+
+def test_a_step_of_the_clock_moves_the_looks(watching, others, eventually, monkeypatch):
+    judged = Judged(watching, {"publisher": {"topic": "/chat"}})
+    publisher(others[0], "/chat")
+    eventually(lambda: judged.now().state == "Healthy")
+    seen = watching.publishers("/chat")
+    before = seen.received
+
+    class Stepped:
+        monotonic = staticmethod(time.monotonic)
+
+        @staticmethod
+        def time() -> float:
+            return time.time() + 3600.0
+
+    monkeypatch.setattr(module, "time", Stepped)
+    watching.drain()
+    assert seen.received - before == pytest.approx(3600.0, abs=1.0)

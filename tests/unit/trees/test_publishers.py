@@ -1,0 +1,234 @@
+"""The leaf `publisher`: whose publishers count, when it fails, and what is watched for it."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from tests.unit.trees.world import START, World, written
+from understudy.trees.btcpp.trees import load_xml
+from understudy.trees.health import BADNESS, Verdict
+from understudy.trees.loading import TreeError, load
+
+ROOT = "spec.monitoring.yaml"
+TASK = {"while": {"task_active": {"action": "/go"}}, "settle": "1s"}
+CMD, CONTROLLER, TELEOP = "/cmd_vel", "/controller", "/teleop"
+
+
+def leaf(**more: Any) -> dict[str, Any]:
+    return {"publisher": {"topic": CMD, **more}}
+
+
+def test_it_fails_by_the_look_that_finds_none():
+    world = World(leaf()).look(CMD, 1.0, CONTROLLER)
+    assert world.at(1.0) == Verdict("Healthy", "", "", None)
+    assert world.deadline(1.0) is None
+    assert world.look(CMD, 1.1).at(1.1) == Verdict(
+        "Failed",
+        "a count of at least 1 publisher of /cmd_vel does not hold (there is none)",
+        "cmd_vel.publisher",
+        START + 1.0,
+    )
+    assert world.look(CMD, 1.2, "").at(1.2).state == "Healthy", "whose node isn't known yet counts too"
+
+
+def test_it_fails_exactly_when_there_has_been_none_for_so_long():
+    world = World(leaf(**{"for": "2s"})).look(CMD, 1.0, CONTROLLER)
+    world.at(1.0)
+    for step in range(11, 30):
+        assert world.look(CMD, step / 10).at(step / 10).state == "Healthy"
+        assert world.deadline(step / 10) == 3.1
+    assert world.at(3.1).reason == ("a count of at least 1 publisher of /cmd_vel has not held for 2 s (there is none)")
+    world.look(CMD, 3.2, CONTROLLER).at(3.2)
+    world.look(CMD, 3.3).at(3.3)
+    world.look(CMD, 5.2, CONTROLLER).at(5.2)
+    assert world.look(CMD, 5.3).at(6.0).state == "Healthy"
+
+
+def test_other_nodes_and_other_topics_neither_keep_it_alive_nor_do_it_harm():
+    world = World(leaf(node=CONTROLLER)).look(CMD, 1.0, CONTROLLER, TELEOP)
+    assert world.at(1.0).state == "Healthy"
+    assert world.look(CMD, 1.1, CONTROLLER).look("/scan", 1.1).at(1.1).state == "Healthy"
+    assert world.look(CMD, 1.2, TELEOP, "").at(1.2).reason == (
+        "a count of at least 1 publisher of /cmd_vel in node /controller does not hold (there is none)"
+    )
+
+
+def test_fewer_than_asked_for_is_a_failure_and_more_is_not():
+    world = World(leaf(count=3)).look(CMD, 1.0, CONTROLLER, CONTROLLER, TELEOP, TELEOP)
+    assert world.at(1.0).state == "Healthy"
+    assert (
+        world.look(CMD, 1.1, CONTROLLER, TELEOP)
+        .at(1.1)
+        .reason.endswith("3 publishers of /cmd_vel does not hold (there are 2)")
+    )
+    world.look(CMD, 1.2, CONTROLLER, TELEOP, TELEOP).at(1.2)
+    assert world.look(CMD, 1.3, TELEOP).at(1.3).reason.endswith("(there is 1)")
+
+
+def test_while_it_is_discovered_it_is_starting_until_the_grace_is_over():
+    world = World(leaf(), grace=10)
+    assert world.at(1.0).reason == "waiting for the first look at the publishers of /cmd_vel, for up to 10 s"
+    assert world.look(CMD, 1.1).at(9.9).state == "Starting"
+    assert world.deadline(9.9) == 10
+    assert world.at(10.0).reason == (
+        "a count of at least 1 publisher of /cmd_vel has not held within 10 s of the start (there is none)"
+    )
+    assert world.look(CMD, 10.1, CONTROLLER).at(10.1).state == "Healthy"
+
+
+def test_the_next_instance_is_judged_by_looks_after_it_took_control():
+    world = World(leaf(), grace=10).look(CMD, 1.0, CONTROLLER)
+    world.at(1.0)
+    assert world.look(CMD, 2.0).at(2.0).state == "Failed"
+    world.since = START + 3.0
+    assert world.at(3.1).state == "Starting"
+    assert world.look(CMD, 3.2).at(3.2).state == "Starting"
+    assert world.look(CMD, 3.3, CONTROLLER).at(3.3).state == "Healthy"
+
+
+def test_a_step_of_the_clock_moves_what_is_remembered():
+    world = World(leaf(**{"for": "1s"})).look(CMD, 1.0, CONTROLLER)
+    world.at(1.0)
+    world.look(CMD, 2.0).at(2.0)
+    world.published[CMD].received += 3600.0
+    assert world.at(3602.9).state == "Healthy"
+    assert world.deadline(3602.9) == 3603
+
+
+def test_for_a_task_it_is_judged_only_while_that_is_active():
+    world = World({**TASK, "do": leaf()}, grace=5).look(CMD, 100.0)
+    assert world.at(100.0).state == "Healthy"
+    world.task = 100.0
+    assert world.deadline(100.1) == 101
+    assert world.at(101.0).reason.endswith("(there is none) while a goal of /go is active")
+    world.task = None
+    assert world.at(102.0).state == "Healthy"
+
+
+def test_its_topic_is_not_subscribed_to_unless_another_leaf_needs_its_messages():
+    (alone,) = load(leaf()).topics
+    assert (alone.heard, alone.publishers) == (False, True)
+    gap = {"topic": {"name": CMD, "gap": "1s"}}
+    for nodes in ([leaf(), gap], [gap, leaf()]):
+        (both,) = load({"parallel": nodes}).topics
+        assert (both.heard, both.publishers, both.type) == (True, True, None)
+
+
+def test_who_publishes_can_be_told_of_what_cannot_be_received_and_of_the_status_of_an_action():
+    world = World({"parallel": [{"topic": {"name": CMD, "gap": "1s"}}, leaf()]}).look(CMD, 1.0, CONTROLLER)
+    world.tree.leave_out({CMD})
+    assert world.at(1.0).state == "Healthy"
+    assert world.look(CMD, 1.1).at(1.1).state == "Failed"
+    status = {"publisher": {"topic": "/go/_action/status"}}
+    for nodes in ([status, {**TASK, "do": leaf()}], [{**TASK, "do": leaf()}, status]):
+        found = {topic.name: topic for topic in load({"parallel": nodes}).topics}
+        topic = found["/go/_action/status"]
+        assert (topic.task, topic.heard, topic.publishers) == (True, True, True)
+        for joined in (found[CMD].joined(topic), topic.joined(found[CMD])):
+            assert joined.task
+
+
+def test_an_output_whose_publishers_alone_are_looked_at_says_nothing_of_when_messages_must_come():
+    gap = {"topic": {"name": CMD, "gap": "1s"}}
+    world = World({"parallel": [leaf(), {**TASK, "do": gap}]}).look(CMD, 1.0, CONTROLLER)
+    observed = world.observed()
+    assert world.tree.counting(observed, now=START + 1.0, since=START) == set()
+    world.task = 0.5
+    assert world.tree.counting(world.observed(), now=START + 1.0, since=START) == {CMD}
+
+
+@pytest.mark.parametrize(
+    ("found", "place", "expected"),
+    [
+        (CMD, "", "found '/cmd_vel'; publisher is a mapping such as {topic: /cmd_vel, node: /controller_server}"),
+        ({}, ".topic", "missing; give the topic's fully qualified name, such as /cmd_vel"),
+        ({"topic": "cmd_vel"}, ".topic", "found 'cmd_vel'; did you mean '/cmd_vel'?"),
+        ({"topic": CMD, "node": "controller"}, ".node", "found 'controller'; did you mean '/controller'?"),
+        (
+            {"topic": CMD, "node": 3},
+            ".node",
+            "found 3; give a node's fully qualified name such as /controller_server",
+        ),
+        ({"topic": CMD, "count": 0}, ".count", "found 0; give a whole number from 1 to 1000"),
+        ({"topic": CMD, "count": True}, ".count", "found True; give a whole number from 1 to 1000"),
+        ({"topic": CMD, "count": "two"}, ".count", "found 'two'; give a whole number from 1 to 1000"),
+        ({"topic": CMD, "count": 1.5}, ".count", "found 1.5; give a whole number from 1 to 1000"),
+        ({"topic": CMD, "for": 2}, ".for", "found 2, which has no unit; write it with ms, s, m or h, such as 500ms"),
+        ({"topic": CMD, "nodes": "/a"}, ".nodes", "unknown key 'nodes', did you mean 'node'?"),
+    ],
+)
+def test_a_problem_says_where_and_what_would_be_right(found, place, expected):
+    with pytest.raises(TreeError) as caught:
+        load({"publisher": found})
+    assert [str(problem) for problem in caught.value.problems] == [f"{ROOT}.publisher{place}: {expected}"]
+
+
+def test_in_xml_it_is_that_of_the_short_form():
+    short = {"parallel": [leaf(count=2, **{"for": "1s"}), {**leaf(node=CONTROLLER), "name": "controller"}]}
+    text = written(
+        '<Publisher topic="/cmd_vel" count="2" for="1s"/>'
+        '<Publisher name="controller" topic="/cmd_vel" node="/controller"/>'
+    )
+    read, same = load_xml(text), load(short)
+    assert read.topics == same.topics
+    trace = []
+    for tree in (read, same):
+        world = World(short, grace=5)
+        world.tree = tree
+        found = [world.at(0.5)]
+        for time, nodes in ((1, (CONTROLLER, TELEOP)), (2, (CONTROLLER,)), (4, (TELEOP, TELEOP))):
+            found += [world.look(CMD, time, *nodes).at(time), world.deadline(time), world.at(time + 1.5)]
+        trace.append(found)
+    assert trace[0] == trace[1]
+    assert [verdict.state for verdict in trace[0] if isinstance(verdict, Verdict)] == [
+        "Starting",
+        "Healthy",
+        "Healthy",
+        "Healthy",
+        "Failed",
+        "Failed",
+        "Failed",
+    ]
+
+
+def test_a_mistake_in_xml_is_named_by_its_line():
+    with pytest.raises(TreeError) as caught:
+        load_xml(written('\n<Publisher topic="/cmd_vel" count="none"/>'))
+    assert [str(problem) for problem in caught.value.problems] == [
+        "spec.monitoring.xml, line 2, column 1: <Publisher> count: found 'none'; give a whole number from 1 to 1000"
+    ]
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    node=st.sampled_from([leaf(), leaf(**{"for": "1s"}), {"inverter": leaf(**{"for": "700ms"})}]),
+    looks=st.lists(st.tuples(st.integers(0, 600), st.booleans()), max_size=12),
+    task=st.none() | st.integers(0, 600),
+    tasked=st.booleans(),
+    since=st.integers(0, 300),
+    now=st.integers(0, 600),
+)
+def test_the_deadline_is_the_first_moment_that_is_worse(node, looks, task, tasked, since, now):
+    """Times in hundredths of a second."""
+    assume(now >= since)
+    world = World({**TASK, "do": node} if tasked else node, grace=2.0, since=since / 100)
+    world.task = task / 100 if task is not None and task <= now else None
+    for time, there in sorted(looks):
+        if time <= now:
+            world.look(CMD, time / 100, *([CONTROLLER] if there else [])).at(time / 100)
+    present = BADNESS[world.at(now / 100).state]
+    deadline = world.deadline(now / 100)
+    assert BADNESS[world.at(now / 100).state] == present
+    later = [now / 100 + step / 100 for step in range(1, 500)]
+    worse = next((time for time in later if BADNESS[world.at(time).state] > present), None)
+    if deadline is None:
+        assert worse is None
+    else:
+        assert math.isclose(worse, deadline, abs_tol=0.011)
+        assert BADNESS[world.at(deadline + 1e-5).state] > present
+        assert BADNESS[world.at(deadline - 1e-5).state] <= present
