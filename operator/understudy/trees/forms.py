@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from understudy.api.base import seconds
+from understudy.trees.btcpp.markup import ALONE, Beginning
 from understudy.trees.btcpp.trees import load_xml
 from understudy.trees.expressions import Fields
 from understudy.trees.health import HealthTree
@@ -17,16 +18,26 @@ if TYPE_CHECKING:  # an agent has no use for it, and is to be there soon
 
 _LOADERS: dict[str, Callable[..., HealthTree]] = {"yaml": load, "xml": load_xml}
 
+FORMS = tuple(_LOADERS)
+"""All forms, each the field of ``spec.monitoring`` that a tree of it stands in."""
 
-def load_health(form: str, tree: Any, *, grace: float, fields: Fields | None = None) -> HealthTree:
+TEXTS = ("xml",)
+"""The forms that are texts, with lines and columns of their own."""
+
+
+def load_health(
+    form: str, tree: Any, *, grace: float, fields: Fields | None = None, begins: Beginning = ALONE
+) -> HealthTree:
     """A health tree of a form, which is the field of ``spec.monitoring`` that it stands in. ``grace`` in seconds.
-    Conditions over messages are checked by their types' ``fields``, where these are known.
+    Conditions over messages are checked by their types' ``fields``, where these are known. The lines and columns of
+    problems with a text are those of the file in which it ``begins``.
 
     Raises TreeError with all problems.
     """
     if form not in _LOADERS:
         raise TreeError([Problem("form", f"found {form!r:.60}{did_you_mean(str(form), _LOADERS)}")])
-    return _LOADERS[form](tree, path=f"spec.monitoring.{form}", grace=grace, fields=fields)
+    placed = {"begins": begins} if form in TEXTS else {}
+    return _LOADERS[form](tree, path=f"spec.monitoring.{form}", grace=grace, fields=fields, **placed)
 
 
 def load_monitoring(monitoring: Monitoring, *, fields: Fields | None = None) -> HealthTree:

@@ -21,13 +21,26 @@ _DOCTYPE = "<!DOCTYPE"
 
 
 @dataclass(frozen=True)
+class Beginning:
+    """Where a text begins in the file that it is part of; its own first character, where it is a file by itself."""
+
+    lines: int = 0
+    """Lines of the file before it."""
+    columns: int = 0
+    """Characters before each of its lines."""
+
+
+ALONE = Beginning()
+
+
+@dataclass(frozen=True)
 class Element:
     """One element with what is in it."""
 
     tag: str
     attributes: dict[str, str]
     line: int
-    """Of its first character; the first line of the text is 1."""
+    """Of its first character; the first line of the file is 1."""
     column: int
     """Of its first character, in characters; the first one of a line is 1."""
     children: list[Element] = field(default_factory=list)
@@ -43,18 +56,28 @@ class Malformed(ValueError):
         self.message, self.line, self.column = message, line, column
 
 
-def parse(text: str) -> Element:
-    """The outermost element. Raises Malformed."""
+def parse(text: str, begins: Beginning = ALONE) -> Element:
+    """The outermost element, with the lines and columns of the file in which the text ``begins``. Raises Malformed."""
+    try:
+        return _parsed(text, begins)
+    except Malformed as error:
+        error.line += begins.lines
+        error.column += begins.columns
+        raise
+
+
+def _parsed(text: str, begins: Beginning) -> Element:
     if len(text) > LONGEST_TEXT:
         raise Malformed(f"the text has {len(text)} characters; it may have {LONGEST_TEXT}")
     if (start := text.find(_DOCTYPE)) >= 0:
         line, column = text.count("\n", 0, start) + 1, start - text.rfind("\n", 0, start)
         raise Malformed("a document type can have entities and name files to read; leave it out", line, column)
-    return _Builder().parse(text)
+    return _Builder(begins).parse(text)
 
 
 class _Builder:
-    def __init__(self) -> None:
+    def __init__(self, begins: Beginning) -> None:
+        self._begins = begins
         self._open: list[Element] = []
         self._outermost: Element | None = None
         self._count = 0
@@ -83,7 +106,7 @@ class _Builder:
             raise Malformed(f"the text has more than {MOST} elements", line, column)
         if len(self._open) >= DEEPEST:
             raise Malformed(f"more than {DEEPEST} elements in each other", line, column)
-        element = Element(tag, attributes, line, column)
+        element = Element(tag, attributes, line + self._begins.lines, column + self._begins.columns)
         if self._open:
             self._open[-1].children.append(element)
         else:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from understudy.trees.btcpp.document import Document
-from understudy.trees.btcpp.markup import Malformed, parse
+from understudy.trees.btcpp.markup import ALONE, Beginning, Malformed, parse
 from understudy.trees.btcpp.nodes import ENOUGH, Nodes
 from understudy.trees.btcpp.writing import Found, SourceMap
 from understudy.trees.expressions import Fields
@@ -16,18 +16,23 @@ from understudy.trees.reading import found_text
 
 
 def load_xml(
-    text: object, *, path: str = "spec.monitoring.xml", grace: float = 30.0, fields: Fields | None = None
+    text: object,
+    *,
+    path: str = "spec.monitoring.xml",
+    grace: float = 30.0,
+    fields: Fields | None = None,
+    begins: Beginning = ALONE,
 ) -> HealthTree:
     """The health tree that a text stands for: that of the short form which says the same.
 
     ``path`` is what problems are named by, ``grace`` the seconds that an instance has to become healthy for the first
-    time. Conditions over messages are checked by their types' ``fields``, where these are known. Raises TreeError with all
-    problems.
+    time. Conditions over messages are checked by their types' ``fields``, where these are known. Lines and
+    columns are those of the file in which the text ``begins``. Raises TreeError with all problems.
     """
     if not isinstance(text, str):
         raise TreeError([Problem(path, f"found {found_text(text)}; give the text of a BehaviorTree.CPP 4 file")])
     try:
-        root = parse(text)
+        root = parse(text, begins)
     except Malformed as error:
         raise TreeError([Problem(f"{path}, line {error.line}, column {error.column}", error.message)]) from error
     document = Document(root, path)
