@@ -1,4 +1,7 @@
-"""One command for the parts that run in pods: ``understudy operator | monitor | agent | tasks | prepare``."""
+"""One command: for the parts that run in pods, ``understudy operator | monitor | agent | tasks | prepare``, and for people.
+
+``understudy check`` validates manifests without a cluster.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +14,7 @@ _PARTS = {
     "agent": "understudy.agent.running",
     "tasks": "understudy.tasks.running",
     "prepare": "understudy.agent.preparing",
+    "check": "understudy.checking.running",
 }
 
 

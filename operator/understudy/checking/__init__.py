@@ -1,0 +1,1 @@
+"""Validates manifests without a cluster: ``understudy check``."""

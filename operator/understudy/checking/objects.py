@@ -1,0 +1,191 @@
+"""Checks one object: by its kind's schema, by the models, and by the loaders and rules of monitor and operator."""
+
+from __future__ import annotations
+
+import functools
+import re
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+from pydantic import ValidationError
+
+from understudy.api.base import API_VERSION, GROUP, OBJECT_NAME_MESSAGE, OBJECT_NAME_PATTERN, matching, seconds
+from understudy.api.crds import PRESERVE, VALIDATIONS, Schema, definition
+from understudy.api.kinds import KINDS, Kind
+from understudy.api.pools import FallbackPoolSpec
+from understudy.api.workloads import RobotWorkloadSpec
+from understudy.checking.documents import Manifest
+from understudy.checking.findings import Finding, Place
+from understudy.checking.schemas import validate
+from understudy.controller import instances, reflexes
+from understudy.trees.btcpp.markup import ALONE
+from understudy.trees.forms import FORMS, TEXTS, load_health
+from understudy.trees.problems import Problem, TreeError, did_you_mean
+from understudy.trees.procedures import load_check, load_procedure
+from understudy.trees.reading import found_text
+
+_BY_NAME = {kind.name: kind for kind in KINDS}
+
+_LABEL_PATTERN = r"^(([A-Za-z0-9][-A-Za-z0-9_.]*)?[A-Za-z0-9])?$"
+_LABEL_MESSAGE = "a label has letters, digits, '-', '_' and '.' only, and begins and ends with a letter or digit"
+
+_TEXT: Schema = {"type": "string"}
+_OPAQUE: Schema = {"type": "object", PRESERVE: True}
+_METADATA: Schema = {
+    "type": "object",
+    "description": "Its name, its namespace and its labels.",
+    "properties": {
+        "name": {"type": "string", "minLength": 1, "maxLength": 253, "description": "Name of the object."}
+        | matching(OBJECT_NAME_PATTERN, OBJECT_NAME_MESSAGE),
+        "namespace": _TEXT,
+        "labels": {
+            "type": "object",
+            "additionalProperties": {"type": "string", "maxLength": 63} | matching(_LABEL_PATTERN, _LABEL_MESSAGE),
+        },
+        "annotations": {"type": "object", "additionalProperties": _TEXT},
+        "generateName": _TEXT,
+        "finalizers": {"type": "array", "items": _TEXT},
+        "ownerReferences": {"type": "array", "items": _OPAQUE},
+        # What `kubectl get -o yaml` adds.
+        **dict.fromkeys(("uid", "resourceVersion", "selfLink", "creationTimestamp", "deletionTimestamp"), _TEXT),
+        **{name: {"type": "integer"} for name in ("generation", "deletionGracePeriodSeconds")},
+        "managedFields": {"type": "array", "items": _OPAQUE},
+    },
+}
+"""``metadata`` of every object (ObjectMeta), which no definition has."""
+
+_PLACE = re.compile(r", line (\d+), column (\d+)")
+"""How loaders of texts name the place of a problem, behind the path of the text."""
+
+
+def is_ours(manifest: Manifest) -> bool:
+    """Whether an object is of one of our kinds, or is meant to be."""
+    version = manifest.data.get("apiVersion")
+    ours = isinstance(version, str) and version.partition("/")[0] == GROUP
+    return ours or manifest.kind in _BY_NAME
+
+
+def check(manifest: Manifest) -> list[Finding]:
+    """Everything that is wrong with an object of ours, by itself."""
+    data, found = manifest.data, []
+    if data.get("apiVersion") != API_VERSION:
+        message = f"found {found_text(data.get('apiVersion'))}; give {API_VERSION}"
+        found.append(manifest.finding("apiVersion", message))
+    kind = _BY_NAME.get(manifest.kind)
+    if kind is None:
+        shown = found_text(data.get("kind"))
+        found.append(manifest.finding("kind", f"found {shown}{did_you_mean(manifest.kind, _BY_NAME)}"))
+        return found
+    problems = validate(data, _schema(kind))
+    found += (manifest.finding(problem.path, problem.message) for problem in problems)
+    spec = data.get("spec")
+    if not isinstance(spec, Mapping):
+        return found
+    found += _trees(manifest, kind, spec)
+    if not any(problem.path.startswith("spec") for problem in problems):
+        found += (manifest.finding(problem.path, problem.message) for problem in _followed(kind, spec))
+    return found
+
+
+@functools.cache
+def _schema(kind: Kind) -> Schema:
+    """The schema of a whole object, as the API server has it from the definition and from itself."""
+    served = definition(kind)["spec"]["versions"][0]["schema"]["openAPIV3Schema"]
+    identity = {"apiVersion": _TEXT, "kind": _TEXT, "metadata": _METADATA, "status": _OPAQUE}
+    schema: Schema = {
+        "type": "object",
+        "required": ["metadata", "spec"],
+        "properties": identity | {"spec": served["properties"]["spec"]},
+        VALIDATIONS: [
+            {"rule": "has(self.metadata.name) || has(self.metadata.generateName)", "fieldPath": ".metadata.name"}
+            | {"message": "missing; give a name of lower-case letters, digits and dashes"},
+            *served.get(VALIDATIONS, ()),
+        ],
+    }
+    return schema
+
+
+# -- trees ------------------------------------------------------------------------------------------------------------
+
+
+def _trees(manifest: Manifest, kind: Kind, spec: Mapping[str, Any]) -> Iterator[Finding]:
+    """What the loaders find in the trees of an object. What is no tree at all the schema has told."""
+    match kind.name:
+        case "RobotWorkload":
+            yield from _procedure(manifest, spec, "bringUp", load_procedure)
+        case "FallbackPool":
+            yield from _procedure(manifest, spec, "initialization", load_procedure)
+            yield from _procedure(manifest, spec, "readinessCheck", load_check)
+        case "FailurePolicy":
+            yield from _health(manifest, spec.get("monitoring"))
+            strategies = spec.get("strategies")
+            for index, strategy in enumerate(strategies if isinstance(strategies, list) else ()):
+                if isinstance(strategy, Mapping):
+                    yield from _procedure(manifest, strategy, "recovery", load_procedure, f"spec.strategies[{index}]")
+
+
+def _procedure(
+    manifest: Manifest, owner: Mapping[str, Any], field: str, load: Callable[..., object], path: str = "spec"
+) -> Iterator[Finding]:
+    procedure = owner.get(field)
+    tree = procedure.get("yaml") if isinstance(procedure, Mapping) else None
+    if isinstance(tree, Mapping) and tree:
+        yield from _loaded(manifest, lambda: load(tree, path=f"{path}.{field}.yaml"), placed=False)
+
+
+def _health(manifest: Manifest, monitoring: object) -> Iterator[Finding]:
+    if not isinstance(monitoring, Mapping):
+        return
+    try:
+        grace = seconds(monitoring.get("startupGrace", "30s"))
+    except (ValueError, TypeError):
+        grace = 30.0
+    for form in FORMS:
+        tree = monitoring.get(form)
+        if tree and isinstance(tree, str if form in TEXTS else Mapping):
+            begins = manifest.texts.get(f"spec.monitoring.{form}") if form in TEXTS else None
+            load = functools.partial(load_health, form, tree, grace=grace, begins=begins or ALONE)
+            yield from _loaded(manifest, load, placed=begins is not None)
+
+
+def _loaded(manifest: Manifest, load: Callable[[], object], *, placed: bool) -> Iterator[Finding]:
+    """The problems that a loader has; ``placed`` is whether lines and columns that it tells are the file's."""
+    try:
+        load()
+    except TreeError as error:
+        for problem in error.problems:
+            found = _PLACE.search(problem.path)
+            if found is None:
+                yield manifest.finding(problem.path, problem.message)
+                continue
+            field = problem.path[: found.start()]
+            if placed:
+                place = Place(int(found[1]), int(found[2]))
+                yield manifest.finding(field + problem.path[found.end() :], problem.message, place=place)
+            else:
+                yield manifest.finding(problem.path, problem.message, place=manifest.place(field))
+
+
+# -- what the operator asks for beyond the schema -----------------------------------------------------------------------
+
+
+def _followed(kind: Kind, spec: Mapping[str, Any]) -> Iterator[Problem]:
+    """Why the operator couldn't follow a spec that the API server takes, as far as that can be told without a cluster."""
+    try:
+        parsed = kind.spec.model_validate(spec)
+    except ValidationError as error:
+        for one in error.errors():
+            path = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in one["loc"])
+            yield Problem(f"spec{path}", one["msg"])
+        return
+    told: list[str | None] = []
+    if isinstance(parsed, RobotWorkloadSpec):
+        if parsed.template is not None:
+            told.append(instances.problem(parsed.template, held=False, path="spec.template"))
+        told.append(reflexes.problem(parsed, parsed.template or {}))
+    elif isinstance(parsed, FallbackPoolSpec) and parsed.template is not None:
+        told.append(instances.problem(parsed.template, held=True, path="spec.template"))
+    for words in told:
+        if words is not None:  # begins with the field
+            field, _, message = words.partition(" ")
+            yield Problem(field.rstrip(":"), message)

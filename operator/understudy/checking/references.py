@@ -1,0 +1,132 @@
+"""Checks what the objects of some files say of each other. What isn't in them may be in the cluster, so these are warnings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from understudy.checking.documents import Manifest
+from understudy.checking.findings import Finding
+from understudy.controller import objects, selectors
+
+_MOST_SHOWN = 5
+_IN_THE_CLUSTER = "If it is in the cluster already, all is well"
+
+
+def check(manifests: Sequence[Manifest]) -> Iterator[Finding]:
+    """The names and selectors with nothing behind them, and the workloads that no pool of their policy serves."""
+    workloads, policies, pools = (
+        [one for one in manifests if one.kind == kind] for kind in ("RobotWorkload", "FailurePolicy", "FallbackPool")
+    )
+    for workload in workloads:
+        yield from _names(workload, "spec.failurePolicyRef.name", "FailurePolicy", policies)
+        yield from _unserved(workload, policies, pools)
+    for policy in policies:
+        for index, _ in enumerate(_list(_at(policy.data, "spec", "strategies"))):
+            yield from _names(policy, f"spec.strategies[{index}].poolRef.name", "FallbackPool", pools)
+    for pool in pools:
+        yield from _names(pool, "spec.templateFrom.workload", "RobotWorkload", workloads)
+        yield from _selects(pool, workloads)
+
+
+def _names(manifest: Manifest, path: str, kind: str, known: Sequence[Manifest]) -> Iterator[Finding]:
+    """A name that a field gives must be one of these objects'."""
+    name = _field(manifest.data, path)
+    if not isinstance(name, str) or not name:
+        return
+    near = [other.name for other in known if _together(manifest, other)]
+    if name not in near:
+        hint = f" ({objects.hint(name, near)})" if near else ""
+        message = (
+            f'no {kind} "{name}" in the files that were given{hint}; correct the name, or give the file that it is in as well. '
+            f"{_IN_THE_CLUSTER}"
+        )
+        yield manifest.finding(path, message, warning=True)
+
+
+def _selects(pool: Manifest, workloads: Sequence[Manifest]) -> Iterator[Finding]:
+    """A pool's selector must match a workload."""
+    if _selector(pool) is None or any(_together(pool, one) and _serves(pool, one) for one in workloads):
+        return
+    shown = [f"{one.name} has {_labels(one)}" for one in workloads if _together(pool, one)][:_MOST_SHOWN]
+    if shown:
+        there = "; ".join(shown)
+        found = f"matches none of the RobotWorkloads in the files that were given ({there}); correct it or the workload's labels, or"
+    else:
+        found = "there is no RobotWorkload in the files that were given that it could match;"
+    message = f"{found} give the file of the workload that it is for as well. {_IN_THE_CLUSTER}"
+    yield pool.finding("spec.workloadSelector", message, warning=True)
+
+
+def _unserved(workload: Manifest, policies: Sequence[Manifest], pools: Sequence[Manifest]) -> Iterator[Finding]:
+    """One of the pools that the workload's policy counts on must serve the workload too; told where all of them are given."""
+    name = _field(workload.data, "spec.failurePolicyRef.name")
+    for policy in policies:
+        if policy.name != name or not _together(workload, policy):
+            continue
+        strategies = _list(_at(policy.data, "spec", "strategies"))
+        named = {pool for one in strategies if isinstance(pool := _at(one, "poolRef", "name"), str)}
+        given = [pool for pool in pools if pool.name in named and _together(workload, pool)]
+        known = {pool.name for pool in given} == named and all(_selector(pool) is not None for pool in given)
+        if named and known and not any(_serves(pool, workload) for pool in given):
+            message = (
+                f"found {_labels(workload)}, which no pool of FailurePolicy {policy.name} has in its workloadSelector "
+                f"({', '.join(sorted(named))}), so this workload has no standby; give it the labels that one of them selects"
+            )
+            yield workload.finding("metadata.labels", message, warning=True)
+
+
+def _together(one: Manifest, other: Manifest) -> bool:
+    """Whether two objects may be in one namespace: without one they come to where they are applied."""
+    return not one.namespace or not other.namespace or one.namespace == other.namespace
+
+
+def _serves(pool: Manifest, workload: Manifest) -> bool:
+    selector = _selector(pool)
+    return selector is not None and selectors.matches(selector, workload.labels)
+
+
+def _selector(pool: Manifest) -> Mapping[str, Any] | None:
+    """A pool's selector; None where it can't be understood, which is told elsewhere."""
+    found = _at(pool.data, "spec", "workloadSelector")
+    if not isinstance(found, Mapping):
+        return None
+    labels, expressions = found.get("matchLabels") or {}, found.get("matchExpressions") or []
+    if not isinstance(labels, Mapping) or not isinstance(expressions, list):
+        return None
+    for one in expressions:
+        if (
+            not isinstance(one, Mapping)
+            or not isinstance(one.get("key"), str)
+            or not isinstance(one.get("operator"), str)
+        ):
+            return None
+        if not isinstance(one.get("values") or [], list):
+            return None
+    return found
+
+
+def _labels(workload: Manifest) -> str:
+    told = ", ".join(f"{key}={value}" for key, value in list(workload.labels.items())[:_MOST_SHOWN])
+    return f"labels {told}" if told else "no labels"
+
+
+def _field(data: Any, path: str) -> Any:
+    """The value of a field by its path; None where there is none."""
+    for part in path.replace("[", ".[").split("."):
+        if part.startswith("["):
+            index = int(part[1:-1])
+            data = data[index] if isinstance(data, list) and index < len(data) else None
+        else:
+            data = _at(data, part)
+    return data
+
+
+def _at(data: Any, *keys: str) -> Any:
+    for key in keys:
+        data = data.get(key) if isinstance(data, Mapping) else None
+    return data
+
+
+def _list(data: Any) -> list[Any]:
+    return data if isinstance(data, list) else []

@@ -1,0 +1,62 @@
+"""What the objects of several files say of each other."""
+
+from __future__ import annotations
+
+from tests.unit.checking.given import POLICY, POOL, WORKLOAD, found, only
+
+FALLBACK = POLICY.replace("{type: Restart}", "{type: Fallback, poolRef: {name: hot}}")
+
+
+def test_a_policy_that_is_not_among_the_files() -> None:
+    finding = only(WORKLOAD, POLICY.replace("name: navigation}", "name: navigating}"))
+    assert str(finding) == (
+        'a.yaml:8:22: warning: RobotWorkload robot-17: spec.failurePolicyRef.name: no FailurePolicy "navigation" in the files '
+        'that were given (did you mean "navigating"?); correct the name, or give the file that it is in as well. If it is in '
+        "the cluster already, all is well"
+    )
+
+
+def test_a_pool_that_is_not_among_the_files() -> None:
+    finding = only(FALLBACK)
+    assert (finding.severity, finding.field) == ("warning", "spec.strategies[0].poolRef.name")
+    assert tuple(finding.place) == (8, 34)
+
+
+def test_a_pool_that_selects_nobody() -> None:
+    workload, pool = found(FALLBACK, WORKLOAD, POOL.replace("app: navigation", "app: nav"))
+    assert (pool.severity, pool.field) == ("warning", "spec.workloadSelector")
+    assert "robot-17 has labels app=navigation" in pool.message
+    assert (workload.severity, workload.field) == ("warning", "metadata.labels")
+    assert "no standby" in workload.message
+
+
+def test_a_pool_without_any_workload() -> None:
+    finding = only(POOL)
+    assert (finding.severity, finding.field) == ("warning", "spec.workloadSelector")
+    assert finding.message.startswith(
+        "there is no RobotWorkload in the files that were given that it could match; give"
+    )
+
+
+def test_a_workload_that_another_pool_of_its_policy_serves_has_no_warning() -> None:
+    policy = FALLBACK.replace("hot}}", "hot}}\n    - {type: Fallback, poolRef: {name: warm}}")
+    hot = POOL.replace("app: navigation", "app: navigation, task: critical")
+    critical = WORKLOAD.replace("robot-17", "robot-18").replace("app: navigation", "app: navigation, task: critical")
+    assert found(policy, WORKLOAD, critical, hot, POOL.replace("hot", "warm")) == []
+
+
+def test_a_template_of_a_workload_that_is_not_there() -> None:
+    pool = POOL.replace("Executing", "Uninitialized").replace("perWorkload", "replicas")
+    pool += "  templateFrom: {workload: robot-71}\n"
+    finding = only(POLICY, WORKLOAD, pool)
+    assert finding.field == "spec.templateFrom.workload"
+    assert 'did you mean "robot-17"?' in finding.message
+
+
+def test_namespaces_are_kept_apart() -> None:
+    def within(manifest: str, namespace: str) -> str:
+        return manifest.replace("metadata: {", f"metadata: {{namespace: {namespace}, ", 1)
+
+    assert found(within(POLICY, "a"), within(WORKLOAD, "a")) == []
+    assert found(POLICY, within(WORKLOAD, "a")) == []
+    assert only(within(POLICY, "b"), within(WORKLOAD, "a")).field == "spec.failurePolicyRef.name"
