@@ -107,14 +107,24 @@ async def test_a_holder_whose_requests_hang_gives_up_too() -> None:
 
 
 async def test_a_short_outage_is_survived() -> None:
-    client = MemoryClient()
-    lease = candidate(client, "a")
+    client, now, refused = MemoryClient(), 0.0, 0
+    lease = Lease(client, "system", "operator", "a", timing=TIMING, clock=lambda: now)
     await lease.acquire()
+
+    def away(method: str, name: str) -> ApiError | None:
+        nonlocal now, refused
+        now += 0.06
+        if now > 0.25:
+            return None
+        refused += 1
+        return ApiError(503, "ServiceUnavailable", "away")
+
+    client.failing = away
     keeping = asyncio.create_task(lease.keep())
-    client.failing = lambda method, name: ApiError(503, "ServiceUnavailable", "away")
-    await asyncio.sleep(0.15)
-    client.failing = lambda method, name: None
-    await asyncio.sleep(0.5)
+    async with asyncio.timeout(20):
+        while now < 1.0 and not keeping.done():
+            await asyncio.sleep(0.01)
+    assert refused == 4
     assert lease.held
     assert not keeping.done()
     keeping.cancel()
