@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -67,7 +68,7 @@ class Pod:
     ) -> subprocess.Popen[bytes]:
         wrapped = holding.held_command(container, command, args, [], directory=str(self.volume))
         with (self.folder / f"{container}.log").open("ab") as log:
-            process = subprocess.Popen([*inside, *wrapped], stdout=log, stderr=log)
+            process = subprocess.Popen([*inside, *wrapped], stdout=log, stderr=log, start_new_session=True)
         self._processes.append(process)
         return process
 
@@ -75,6 +76,9 @@ class Pod:
         return (self.folder / f"{container}.log").read_text()
 
     def kill(self, process: subprocess.Popen[bytes]) -> None:
+        """End a process, of a container all that it has begun too, as with a container's first process."""
+        if process.poll() is None and os.getpgid(process.pid) == process.pid:
+            os.killpg(process.pid, signal.SIGKILL)
         process.kill()
         process.wait()
 
