@@ -254,10 +254,10 @@ class ProbeReceiver:
         Raises TimeoutError when none came within ``within`` seconds.
         """
         self._waiting += 1
+        self._look()
         try:
             async with asyncio.timeout(within):
                 while (first := self.first_since(uid, after)) is None:
-                    self._look()
                     await self._changed.wait()
         finally:
             self._waiting -= 1

@@ -30,5 +30,15 @@ class Judged:
         self._watching.drain()
         return self.tree.evaluate(self._watching, now=time.time(), since=self.since)
 
+    def until_failed(self) -> Verdict:
+        """The first verdict that isn't Healthy; it doesn't come before the deadline that was told."""
+        due, end = None, time.time() + 20
+        while (verdict := self.now()).state == "Healthy":
+            assert time.time() < end
+            due = self.deadline() or due
+            time.sleep(0.005)
+        assert due is None or due <= time.time(), "it fails at the deadline, not before"
+        return verdict
+
     def deadline(self) -> float | None:
         return self.tree.deadline(self._watching, now=time.time(), since=self.since)
