@@ -9,7 +9,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from tests.unit.trees.world import START, World, written
+from tests.unit.trees.world import START, World, states_in_both_forms, written
 from understudy.trees.btcpp.trees import load_xml
 from understudy.trees.health import BADNESS, Verdict
 from understudy.trees.loading import TreeError, load
@@ -174,18 +174,12 @@ def test_in_xml_it_is_that_of_the_short_form():
         '<Publisher topic="/cmd_vel" count="2" for="1s"/>'
         '<Publisher name="controller" topic="/cmd_vel" node="/controller"/>'
     )
-    read, same = load_xml(text), load(short)
-    assert read.topics == same.topics
-    trace = []
-    for tree in (read, same):
-        world = World(short, grace=5)
-        world.tree = tree
-        found = [world.at(0.5)]
+
+    def drive(world):
         for time, nodes in ((1, (CONTROLLER, TELEOP)), (2, (CONTROLLER,)), (4, (TELEOP, TELEOP))):
-            found += [world.look(CMD, time, *nodes).at(time), world.deadline(time), world.at(time + 1.5)]
-        trace.append(found)
-    assert trace[0] == trace[1]
-    assert [verdict.state for verdict in trace[0] if isinstance(verdict, Verdict)] == [
+            yield from (world.look(CMD, time, *nodes).at(time), world.deadline(time), world.at(time + 1.5))
+
+    assert states_in_both_forms(text, short, drive) == [
         "Starting",
         "Healthy",
         "Healthy",

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from tests.unit.trees.world import START, World, written
+from tests.unit.trees.world import START, World, states_in_both_forms, written
 from understudy.trees.btcpp.trees import load_xml
 from understudy.trees.health import BADNESS, Verdict
 from understudy.trees.loading import TreeError, load
@@ -214,21 +214,15 @@ def test_in_xml_it_is_that_of_the_short_form():
         '<Transform parent="odom" child="base_link" gap="500ms" at_most="300ms" for="200ms"/>'
         '<Transform name="robot" topic="/robot/tf" parent="odom" child="base_link" gap="500ms"/>'
     )
-    read, same = load_xml(text), load(short)
-    assert read.topics == same.topics
-    trace = []
-    for tree in (read, same):
-        world = World(short, grace=5)
-        world.tree = tree
-        found = [world.at(0.5)]
+
+    def drive(world):
         for time, late in ((1.0, 0.0), (1.2, 0.4), (1.3, 0.4), (1.7, 0.0)):
             hear(world, time, BASE, late=late)
-            found.append(hear(world, time, BASE, topic="/robot/tf").at(time + 0.15))
-            found.append(world.deadline(time + 0.15))
-        found.append(world.at(2.2))
-        trace.append(found)
-    assert trace[0] == trace[1]
-    assert [verdict.state for verdict in trace[0] if isinstance(verdict, Verdict)] == [
+            yield hear(world, time, BASE, topic="/robot/tf").at(time + 0.15)
+            yield world.deadline(time + 0.15)
+        yield world.at(2.2)
+
+    assert states_in_both_forms(text, short, drive) == [
         "Starting",
         "Healthy",
         "Healthy",

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from tests.unit.trees.messages import Battery, Heard, fields
+from understudy.trees.btcpp.trees import load_xml
 from understudy.trees.health import HealthTree, Verdict
 from understudy.trees.loading import load
 from understudy.trees.observations import Publishers, Recorded, TopicRecord
@@ -54,3 +56,18 @@ class World:
 def written(leaves: str) -> str:
     """A file with these leaves in a parallel."""
     return f'<root BTCPP_format="4"><BehaviorTree ID="Healthy"><Parallel>{leaves}</Parallel></BehaviorTree></root>'
+
+
+def states_in_both_forms(
+    text: str, short: dict[str, Any], drive: Callable[[World], Iterable[Verdict | float | None]]
+) -> list[str]:
+    """The states of a tree's verdicts, of which XML and the short form give the same, with the same deadlines."""
+    read, same = load_xml(text), load(short)
+    assert read.topics == same.topics
+    trace = []
+    for tree in (read, same):
+        world = World(short, grace=5)
+        world.tree = tree
+        trace.append([world.at(0.5), *drive(world)])
+    assert trace[0] == trace[1]
+    return [found.state for found in trace[0] if isinstance(found, Verdict)]
