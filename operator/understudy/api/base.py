@@ -31,6 +31,7 @@ def matching(pattern: str, message: str) -> dict[str, Any]:
 
     A schema's own ``pattern`` is refused with the bare expression; CRD generation leaves it out in favour of this rule.
     """
+    assert not set("'\\") & set(message), "it becomes a text of CEL"
     rule = {
         "rule": f"self.matches(r'{pattern}')",
         "message": message,

@@ -73,7 +73,7 @@ KINDS = (
         status=RobotWorkloadStatus,
         columns=(
             Column("Active", ".status.active", "The pod in control of the robot."),
-            Column("Health", ".status.health", "Unknown, Starting, Healthy, Failed or Recovering."),
+            Column("Health", ".status.health", "Unknown, Starting, Healthy, Degraded, Failed or Recovering."),
             Column("Standby", ".status.standby", "Readiness of the standby, and how many of how many are ready."),
             Column("Strategy", ".status.strategy", "The strategy that would be used if it failed now."),
             Column("Recoveries", ".status.recoveryCount", "Recoveries since it was created.", "integer"),

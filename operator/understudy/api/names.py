@@ -26,6 +26,10 @@ COMPONENT = f"{GROUP}/component"
 MONITORED = f"{GROUP}/monitored"
 """On monitor and discovery pods: the workload they serve. Not WORKLOAD, which would gate them."""
 
+HEALTH_TREE = f"{GROUP}/health-tree"
+"""On ConfigMaps (value ``true``): whoever owns it lets FailurePolicies read health trees from it. Without that, who may write
+policies could read ConfigMaps through them."""
+
 SOURCE = f"{GROUP}/source"
 """On pods of the ReplicaSet that a template becomes: ``workload``."""
 

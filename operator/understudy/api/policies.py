@@ -2,45 +2,96 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, Self
+from collections.abc import Mapping
+from typing import Any, Literal, Self, get_args
 
 from pydantic import Field, model_validator
 
-from understudy.api.base import DURATION_PATTERN, LONGEST_TEXT, Duration, LocalReference, Model, rules
+from understudy.api import names
+from understudy.api.base import (
+    DURATION_PATTERN,
+    Duration,
+    LocalReference,
+    Model,
+    ObjectName,
+    matching,
+    rules,
+)
 from understudy.api.conditions import Condition
+from understudy.api.degraded import Degraded
 from understudy.api.procedures import Procedure
+from understudy.api.rosnames import RosName
 from understudy.api.states import State
+from understudy.api.written import Form, Written, short_form, text
+
+_KEY_PATTERN = r"^[-._a-zA-Z0-9]+\.(yaml|yml|xml|osc)$"
+_KEY_MESSAGE = (
+    "give a key that says by its ending what the tree is written in: .yaml (the short form), .xml (BehaviorTree.CPP 4) or .osc "
+    "(OpenSCENARIO 2)"
+)
+
+_ENDINGS: dict[str, Form] = {"yaml": "yaml", "yml": "yaml", "xml": "xml", "osc": "osc"}
 
 
-class Monitoring(Model):
+class TreeReference(Model):
+    """A health tree that is a key of a ConfigMap."""
+
+    name: ObjectName = Field(
+        description=f"Name of the ConfigMap, in the policy's namespace, with the label {names.HEALTH_TREE}=true."
+    )
+    key: str = Field(
+        pattern=_KEY_PATTERN,
+        max_length=253,
+        description="The key, which says by its ending what the tree is written in: .yaml, .xml or .osc.",
+        json_schema_extra=matching(_KEY_PATTERN, _KEY_MESSAGE),
+    )
+
+    @property
+    def form(self) -> Form:
+        """What the tree is written in: the field of ``spec.monitoring`` that it could stand in."""
+        return _ENDINGS[self.key.rpartition(".")[2]]
+
+
+class Monitoring(Written):
     """What healthy means, as a behaviour tree, and when its verdict counts."""
 
-    model_config = Model.model_config | {
+    model_config = Written.model_config | {
         "json_schema_extra": rules(
             (
-                "has(self.yaml) || has(self.xml)",
-                "a health tree is required: give exactly one of yaml (the short form) and xml (BehaviorTree.CPP 4)",
+                "has(self.yaml) || has(self.xml) || has(self.osc) || has(self.configMapKeyRef)",
+                "a health tree is required: give exactly one of yaml (the short form), xml (BehaviorTree.CPP 4), osc (OpenSCENARIO 2) "
+                "and configMapKeyRef",
                 ".yaml",
             ),
             (
                 "!has(self.yaml) || !has(self.xml)",
-                "the health tree is given as yaml already: give exactly one of yaml and xml",
+                "the health tree is given as yaml already: give exactly one of yaml, xml, osc and configMapKeyRef",
                 ".xml",
+            ),
+            (
+                "!has(self.osc) || !has(self.yaml) && !has(self.xml)",
+                "the health tree is given as yaml or xml already: give exactly one of yaml, xml, osc and configMapKeyRef",
+                ".osc",
+            ),
+            (
+                "!has(self.configMapKeyRef) || !has(self.yaml) && !has(self.xml) && !has(self.osc)",
+                "the health tree is given in the policy already: give exactly one of yaml, xml, osc and configMapKeyRef",
+                ".configMapKeyRef",
             ),
         )
     }
 
-    yaml: dict[str, Any] | None = Field(
-        default=None,
-        min_length=1,
-        description="The health tree in the short form: one node, such as parallel, sequence, selector or topic. See docs/trees.md.",
-        json_schema_extra={"x-kubernetes-preserve-unknown-fields": True},
+    yaml: dict[str, Any] | None = short_form(
+        "The health tree in the short form: one node, such as parallel, sequence, selector or topic. See docs/trees.md."
     )
-    xml: str | None = Field(
-        default=None,
-        min_length=1,
-        max_length=LONGEST_TEXT,
-        description="The health tree instead as the text of a BehaviorTree.CPP 4 file, as Groot 2 writes it. See docs/trees.md.",
+    xml: str | None = text(
+        "The health tree instead as the text of a BehaviorTree.CPP 4 file, as Groot 2 writes it. See docs/trees.md."
+    )
+    osc: str | None = text(
+        "The health tree instead as the text of an OpenSCENARIO 2 file that imports osc.understudy. See docs/trees-osc.md."
+    )
+    config_map_key_ref: TreeReference | None = Field(
+        default=None, description="The health tree instead in a ConfigMap, where several policies may share it."
     )
     debounce: Duration = Field(
         default="0s",
@@ -52,21 +103,17 @@ class Monitoring(Model):
 
     @model_validator(mode="after")
     def _one_tree(self) -> Self:
-        if (self.yaml is None) == (self.xml is None):
-            raise ValueError("give exactly one of yaml and xml")
+        if self.given + (self.config_map_key_ref is not None) != 1:
+            raise ValueError("give exactly one of yaml, xml, osc and configMapKeyRef")
         return self
 
     @property
-    def form(self) -> Literal["yaml", "xml"]:
-        """What the health tree is written in: the field that it stands in."""
-        return "yaml" if self.yaml is not None else "xml"
+    def form(self) -> Form:
+        """What the health tree is written in: the field that it stands in, or would, of one in a ConfigMap.
 
-    @property
-    def tree(self) -> dict[str, Any] | str:
-        """The health tree as it was written."""
-        tree = self.yaml if self.yaml is not None else self.xml
-        assert tree is not None, "one of them is given"
-        return tree
+        That one's text has to be put in (:func:`in_force`) before there is a :attr:`tree`.
+        """
+        return self.config_map_key_ref.form if self.config_map_key_ref is not None else super().form
 
 
 class Strategy(Model):
@@ -117,8 +164,67 @@ class Limits(Model):
     )
 
 
+class SafeCommand(Model):
+    """What a robot is told while nobody drives it."""
+
+    model_config = Model.model_config | {
+        "json_schema_extra": rules(
+            (
+                f"!self.every.matches(r'{DURATION_PATTERN}') || duration(self.every) >= duration('10ms')",
+                "every is at least 10ms",
+                ".every",
+            ),
+        )
+    }
+
+    topic: RosName = Field(description="The topic, one of the workload's outputs.")
+    message: dict[str, Any] = Field(
+        default_factory=dict,
+        description="Fields of the message; the others keep their defaults. Without any, a Twist says to stand still. now is the "
+        "present time where a field is a time.",
+        json_schema_extra={"x-kubernetes-preserve-unknown-fields": True},
+    )
+    every: Duration = Field(default="100ms", description="How often it is sent.")
+
+
+class Safety(Model):
+    """What is done for the robot's safety while no instance is verified to be in control."""
+
+    model_config = Model.model_config | {
+        "json_schema_extra": rules(
+            (
+                "self.commands.all(a, self.commands.exists_one(b, b.topic == a.topic))",
+                "commands has the same topic twice",
+                ".commands",
+            ),
+        )
+    }
+
+    commands: list[SafeCommand] = Field(
+        min_length=1,
+        max_length=8,
+        description="What the robot is told meanwhile.",
+    )
+    after: Duration = Field(
+        default="100ms",
+        description="How long nobody has to be in control before it is told. An executing standby is faster, so that the robot "
+        "doesn't brake for it.",
+    )
+
+
 class FailurePolicySpec(Model):
     """What healthy means, and what is done when it isn't."""
+
+    model_config = Model.model_config | {
+        "json_schema_extra": rules(
+            (
+                "!has(self.degraded) || !has(self.degraded.actions) || self.degraded.actions.all(a, !has(a.prewarm) || "
+                "self.strategies.exists(s, has(s.poolRef) && s.poolRef.name == a.prewarm.poolRef.name))",
+                "prewarm names a pool that no strategy takes an instance from: name one that a Fallback strategy names",
+                ".degraded.actions",
+            ),
+        )
+    }
 
     monitoring: Monitoring = Field(description="What healthy means.")
     strategies: list[Strategy] = Field(
@@ -126,10 +232,36 @@ class FailurePolicySpec(Model):
         max_length=8,
         description="Tried in order; the next one when one isn't available or doesn't verify in its time.",
     )
+    degraded: Degraded | None = Field(
+        default=None,
+        description="What well means beyond healthy, and what is done while it isn't so. Absent: nothing is. See docs/degraded.md.",
+    )
     state: State = Field(
         default_factory=State, description="State of a healthy instance that is kept for the one that takes over."
     )
     limits: Limits = Field(default_factory=Limits, description="Bounds on what is done automatically.")
+    priority: Literal["Normal", "Safety"] = Field(
+        default="Normal",
+        description="Safety: limits don't delay a recovery. After none of the strategies verified, they are tried again in 2 s, however "
+        "often that was so.",
+    )
+    safety: Safety | None = Field(
+        default=None, description="What the robot is told while no instance is verified to be in control."
+    )
+
+
+class TreeInForce(Model):
+    """The last health tree of the ConfigMap that loaded: monitors go by it, whatever becomes of the ConfigMap."""
+
+    name: str = Field(description="Name of the ConfigMap that it was read from.")
+    key: str = Field(description="The key that it was read from.")
+    yaml: dict[str, Any] | None = Field(
+        default=None,
+        description="The tree, where it is written in the short form.",
+        json_schema_extra={"x-kubernetes-preserve-unknown-fields": True},
+    )
+    xml: str | None = Field(default=None, description="The tree, where it is written as BehaviorTree.CPP 4 XML.")
+    osc: str | None = Field(default=None, description="The tree, where it is written in OpenSCENARIO 2.")
 
 
 class FailurePolicyStatus(Model):
@@ -138,8 +270,26 @@ class FailurePolicyStatus(Model):
     observed_generation: int | None = Field(default=None, description="Generation of the spec that was checked last.")
     workloads: int | None = Field(default=None, description="How many RobotWorkloads use it.")
     strategies: str | None = Field(default=None, description="The strategies in short, in order.")
+    tree: TreeInForce | None = Field(
+        default=None, description="The health tree in force, where spec.monitoring refers to a ConfigMap."
+    )
     conditions: list[Condition] | None = Field(
         default=None,
         description="Accepted: the tree and the strategies can be followed.",
         json_schema_extra={"x-kubernetes-list-type": "map", "x-kubernetes-list-map-keys": ["type"]},
     )
+
+
+def in_force(spec: FailurePolicySpec, status: Mapping[str, Any] | None) -> FailurePolicySpec | None:
+    """The policy with its health tree: that of a ConfigMap as the operator has last put it into the policy's status.
+
+    None where there is none yet.
+    """
+    if spec.monitoring.config_map_key_ref is None:
+        return spec
+    tree = (status or {}).get("tree") or {}
+    found = {form: tree[form] for form in get_args(Form) if tree.get(form)}
+    if len(found) != 1:
+        return None
+    monitoring = spec.monitoring.model_copy(update={"config_map_key_ref": None, **found})
+    return spec.model_copy(update={"monitoring": monitoring})

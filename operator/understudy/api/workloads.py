@@ -22,7 +22,7 @@ from understudy.api.states import KeptStatus, RestoredState
 from understudy.api.tasks import Task, TaskStatus
 from understudy.api.templates import pod_template
 
-Health = Literal["Unknown", "Starting", "Healthy", "Failed", "Recovering"]
+Health = Literal["Unknown", "Starting", "Healthy", "Degraded", "Failed", "Recovering"]
 
 _BYTE = r"(25[0-5]|2[0-4][0-9]|1[0-9][0-9]|[1-9]?[0-9])"
 CIDR_PATTERN = rf"^(({_BYTE}\.){{3}}{_BYTE}/([1-9]|[12][0-9]|3[0-2])|[0-9a-fA-F:]*:[0-9a-fA-F:]*/([1-9]|[1-9][0-9]|1[01][0-9]|12[0-8]))$"
@@ -193,6 +193,16 @@ class MonitorSettings(Model):
         description="Resource requests and limits of the monitor, as in a pod.",
         json_schema_extra={"x-kubernetes-preserve-unknown-fields": True},
     )
+    diagnostics: bool = Field(
+        default=False,
+        description="Publish on /diagnostics how the workload is, every second and at once on a change of level, as ROS tools read it. "
+        "No health tree takes it for evidence. See docs/ros-tools.md.",
+    )
+    snapshots: bool = Field(
+        default=False,
+        description="Publish the live health tree below /understudy, as the tools of py_trees_ros read it. The monitor's image must have "
+        "py_trees_ros_interfaces. See docs/ros-tools.md.",
+    )
 
 
 class RobotWorkloadSpec(Model):
@@ -314,6 +324,10 @@ class Recovery(Model):
     parts: Parts | None = Field(default=None, description="The four parts of the recovery time.")
     moments: Moments = Field(default_factory=Moments, description="When each step happened.")
     attempts: list[Attempt] = Field(default_factory=list, description="The strategies tried, in order.")
+    planned: bool = Field(
+        default=False,
+        description="Whether it was no failure, but a hand-over at an idle moment (spec.degraded of the policy).",
+    )
     resumed: bool = Field(default=False, description="Whether a new monitor finished what an earlier one had begun.")
     state: list[RestoredState] = Field(
         default_factory=list,
@@ -335,7 +349,9 @@ class RobotWorkloadStatus(Model):
         default=None, description="Generation of the spec that was reconciled last."
     )
     active: str | None = Field(default=None, description="The pod in control of the robot.")
-    health: Health | None = Field(default=None, description="Unknown, Starting, Healthy, Failed or Recovering.")
+    health: Health | None = Field(
+        default=None, description="Unknown, Starting, Healthy, Degraded, Failed or Recovering."
+    )
     standby: str | None = Field(
         default=None, description="Readiness of the standby, and how many of how many are ready."
     )
@@ -365,7 +381,8 @@ class RobotWorkloadStatus(Model):
     conditions: list[Condition] | None = Field(
         default=None,
         description="Accepted: spec and policy can be followed. Reconciled: everything was built. Protected: the first strategy could "
-        "take over now. Monitored: every topic of the health tree is watched. Healthy: the tree holds. GateEnforced: packets show that "
+        "take over now. Monitored: every topic of the health tree is watched. Healthy: the tree holds. Degraded: it holds, and that of "
+        "spec.degraded doesn't. Resized: the pod in control has what the policy gives it then. GateEnforced: packets show that "
         "only the pod in control gets through. Recovering: a failure is being dealt with. BroughtUp: bringUp and initializations have "
         "succeeded on every instance. Reflex: a standby is let through, so that the "
         "robot's readers can fall over to it. StateKept: all that the policy keeps is kept. StateRestored: the last instance that took "
