@@ -10,7 +10,7 @@ from understudy.trees.evidence import Said
 from understudy.trees.expressions import Fields
 from understudy.trees.health import WatchedTopic
 from understudy.trees.observations import Content, Glance, Unreadable
-from understudy.trees.plans import LeafKind, LeafPlan, hold_off_of, topic_of
+from understudy.trees.plans import LeafKind, LeafPlan, at_once, hold_off_of, topic_of
 from understudy.trees.problems import did_you_mean
 from understudy.trees.reading import Reader, found_text
 from understudy.trees.situations import TaskActive
@@ -18,6 +18,10 @@ from understudy.trees.situations import TaskActive
 TYPE = "diagnostic_msgs/msg/DiagnosticArray"
 
 TOPIC = "/diagnostics"
+
+OWN = "understudy: "
+"""How the statuses begin that monitors publish there themselves (docs/ros-tools.md). They are judgements, not evidence: a tree that
+looked at them would judge itself, or another instance's failure, as its own."""
 
 LEVELS = ("OK", "WARN", "ERROR", "STALE")
 """By their numbers in diagnostic_msgs/msg/DiagnosticStatus."""
@@ -94,6 +98,8 @@ class DiagnosticsLeaf(ContentLeaf):
         return Said(False, _told(name, bad[name].level, bad[name].text) + more, starting)
 
     def _asked(self, name: str) -> bool:
+        if name.startswith(OWN) or f"/{OWN}" in name:  # the latter as diagnostic_aggregator repeats it
+            return False
         return name == self._name if self._name is not None else name.startswith(self._prefix)
 
     def condition(self) -> str:
@@ -133,6 +139,12 @@ def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | 
     before = len(reader.problems)
     topic = topic_of(reader, value, path, TOPIC) if "topic" in value else TOPIC
     name, prefix = (reader.given(value, key, path, _text) for key in ("name", "prefix"))
+    for key, text in (("name", name), ("prefix", prefix)):
+        if text is not None and text.startswith(OWN.rstrip()):
+            reader.problem(
+                f"{path}.{key}",
+                f"found {text!r}: what Understudy says itself is no evidence; give a status of the application or of the robot",
+            )
     if "name" in value and "prefix" in value:
         reader.problem(f"{path}.prefix", "found name and prefix; give the whole name, or what the names begin with")
     if "worst" not in value:
@@ -143,7 +155,7 @@ def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | 
         return None
     return LeafPlan(
         topic.lstrip("/"),
-        WatchedTopic(topic, TYPE, 0.0, BURST, contents=KEPT, whole=True),
+        WatchedTopic(topic, TYPE, 0.0, BURST, contents=KEPT, whole=True, prompt=at_once(hold_off)),
         lambda place, glance, tasks: DiagnosticsLeaf(
             place, topic, glance, name=name, prefix=prefix or "", worst=worst, hold_off=hold_off, tasks=tasks
         ),

@@ -106,20 +106,7 @@ class Expression:
         Raises ExpressionError.
         """
         text = text.strip()
-        if len(text) > LONGEST:
-            raise ExpressionError(f"it has {len(text)} characters; {LONGEST} are allowed")
-        if "\\" in text:
-            raise ExpressionError("found a backslash; write a string without one")
-        try:
-            tree = ast.parse(text, mode="eval").body
-        except SyntaxError as error:
-            place = f" at character {error.offset}" if error.offset else ""
-            raise ExpressionError(f"{text!r:.80} can't be read{place}; write a condition such as {_EXAMPLE}") from None
-        except (ValueError, MemoryError, RecursionError):
-            raise ExpressionError(f"{text!r:.80} can't be read; write a condition such as {_EXAMPLE}") from None
-        if sum(1 for _ in ast.walk(tree)) > 3 * MOST_NODES:  # operators and contexts are nodes of Python's too
-            raise ExpressionError(f"it has more than {MOST_NODES} names, numbers and operations")
-        compiler = _Compiler(text, _Kind(f"a {type_name}" if type_name else "the message", message=type_name), fields)
+        compiler, tree = _read(text, type_name, fields, _EXAMPLE)
         evaluate = compiler.truth(tree, 1)
         return cls(text, evaluate, compiler.shown[:SHOWN])
 
@@ -140,7 +127,50 @@ class Expression:
         return ", ".join(told)
 
 
-_EXAMPLE = "percentage > 0.15"
+class Quantity:
+    """A number that was asked for by an expression, such as ``distance_remaining``."""
+
+    def __init__(self, text: str, evaluate: _Evaluate) -> None:
+        self.text = text
+        self._evaluate = evaluate
+
+    @classmethod
+    def parse(cls, text: str, type_name: str = "", fields: Fields | None = None) -> Quantity:
+        """Read a number over messages of a type, whose fields are checked where they are known. Raises ExpressionError."""
+        text = text.strip()
+        compiler, tree = _read(text, type_name, fields, "a number such as distance_remaining")
+        return cls(text, compiler.number(tree, 1))
+
+    def value(self, message: object) -> float:
+        """What it is for a message, finite. Raises Untold."""
+        try:
+            value = float(self._evaluate(message, None))
+        except OverflowError:
+            raise Untold(f"{self.text:.80} is too large") from None
+        if not math.isfinite(value):
+            raise Untold(f"{self.text:.80} is {value:g}")
+        return value
+
+
+def _read(text: str, type_name: str, fields: Fields | None, example: str) -> tuple[_Compiler, ast.expr]:
+    """What is to be compiled, by what. Raises ExpressionError."""
+    if len(text) > LONGEST:
+        raise ExpressionError(f"it has {len(text)} characters; {LONGEST} are allowed")
+    if "\\" in text:
+        raise ExpressionError("found a backslash; write a string without one")
+    try:
+        tree = ast.parse(text, mode="eval").body
+    except SyntaxError as error:
+        place = f" at character {error.offset}" if error.offset else ""
+        raise ExpressionError(f"{text!r:.80} can't be read{place}; write {example}") from None
+    except (ValueError, MemoryError, RecursionError):
+        raise ExpressionError(f"{text!r:.80} can't be read; write {example}") from None
+    if sum(1 for _ in ast.walk(tree)) > 3 * MOST_NODES:  # operators and contexts are nodes of Python's too
+        raise ExpressionError(f"it has more than {MOST_NODES} names, numbers and operations")
+    return _Compiler(text, _Kind(f"a {type_name}" if type_name else "the message", message=type_name), fields), tree
+
+
+_EXAMPLE = "a condition such as percentage > 0.15"
 
 _OPERATIONS: dict[type[ast.operator], tuple[str, Callable[[Any, Any], Any]]] = {
     ast.Add: ("+", operator.add),
@@ -177,7 +207,8 @@ class _Compiler:
         """What is true or false."""
         return self._wanted(node, depth, _TRUTH, "compare it with something")
 
-    def _number(self, node: ast.expr, depth: int) -> _Evaluate:
+    def number(self, node: ast.expr, depth: int) -> _Evaluate:
+        """What is a number."""
         evaluate, text = self._wanted(node, depth, _NUMBER, "calculate with numbers"), self._source(node)
         return lambda message, element: _number(evaluate(message, element), text)
 
@@ -290,7 +321,7 @@ class _Compiler:
             truth, text = self.truth(node.operand, depth + 1), self._source(node.operand)
             return _TRUTH, lambda message, element: not _truth(truth(message, element), text)
         if isinstance(node.op, ast.USub | ast.UAdd):
-            number = self._number(node.operand, depth + 1)
+            number = self.number(node.operand, depth + 1)
             if isinstance(node.op, ast.UAdd):
                 return _NUMBER, number
             return _NUMBER, lambda message, element: -number(message, element)
@@ -301,7 +332,7 @@ class _Compiler:
             signs = " ".join(sign for sign, _ in _OPERATIONS.values())
             raise ExpressionError(f"{self._source(node)} is not allowed; there are {signs}")
         _, calculate = _OPERATIONS[type(node.op)]
-        left, right, text = self._number(node.left, depth + 1), self._number(node.right, depth + 1), self._source(node)
+        left, right, text = self.number(node.left, depth + 1), self.number(node.right, depth + 1), self._source(node)
 
         def evaluate(message: Any, element: Any) -> Any:
             try:
@@ -374,7 +405,7 @@ class _Compiler:
             found = _NUMBER, self._of_array(name, given[0], depth)
             self._show(node, found)
             return found
-        values = [self._number(value, depth + 1) for value in given]
+        values = [self.number(value, depth + 1) for value in given]
         if name == "isfinite":
             return _TRUTH, lambda message, element: _finite(values[0](message, element))
         if name == "abs":

@@ -48,6 +48,24 @@ class WatchedTopic:
     """Whether its messages are received at all."""
     publishers: bool = False
     """Whether it is looked at who publishes it."""
+    managed: bool = False
+    """Whether a managed node tells of its transitions there, whose state is to be known."""
+    node: bool = False
+    """Whether it is looked at if there is a node of this name."""
+    prompt: bool = False
+    """Whether a message can be a failure as it comes, so that it is looked at then. A silence, or a condition that must not
+    hold for a while, is foretold."""
+    parameters: frozenset[tuple[str, str]] = frozenset()
+    """The parameters whose changes are told of there and whose values are to be known, each by its node and its own name."""
+    pod: bool = False
+    """Whether it isn't a topic at all, but stands for the pod of the instance in control, at which is looked."""
+    usage: bool = False
+    """Whether it is asked for what that pod takes of its node."""
+
+    @property
+    def reliable(self) -> bool:
+        """Whether no message may be missed."""
+        return self.managed or bool(self.parameters)
 
     def joined(self, other: WatchedTopic) -> WatchedTopic:
         """What serves this and another need of the same topic."""
@@ -62,6 +80,12 @@ class WatchedTopic:
             whole=self.whole or other.whole,
             heard=self.heard or other.heard,
             publishers=self.publishers or other.publishers,
+            managed=self.managed or other.managed,
+            node=self.node or other.node,
+            prompt=self.prompt or other.prompt,
+            parameters=self.parameters | other.parameters,
+            pod=self.pod or other.pod,
+            usage=self.usage or other.usage,
         )
 
 
@@ -107,7 +131,8 @@ class HealthTree:
     def leave_out(self, topics: Collection[str]) -> None:
         """Judge without the leaves of these topics, since they can't be watched: being blind is no failure.
 
-        Composites are judged by what is left in them. Cheap where nothing changed.
+        A leaf's own path, such as ``sensors/scan``, stands for that one alone. Composites are judged by what is left in
+        them. Cheap where nothing changed.
         """
         if topics == self._left_out:
             return
@@ -128,6 +153,11 @@ class HealthTree:
         """The topics whose messages count now: all that are judged but those that are only for a task that isn't active."""
         self._look(observations, now, since, real=False)
         return {leaf.topic for leaf in self._leaves if leaf.hears and leaf.counts()}
+
+    @property
+    def leaves(self) -> list[Leaf]:
+        """The leaves that are judged, with their states at the last evaluation."""
+        return list(self._leaves)
 
     @property
     def grace(self) -> float:
@@ -176,6 +206,14 @@ class HealthTree:
                 break
         self._tick(observations, now, since)  # so that the nodes show what is, not what was tried out
         return found
+
+    def next_change(self, observations: Observations, *, now: float, since: float) -> float | None:
+        """The first moment after ``now`` at which any leaf may say something else if nothing more arrives; None for never.
+
+        Unlike :meth:`deadline` it is also asked while the tree is failed, and names moments at which it may get better.
+        """
+        self._look(observations, now, since, real=False)
+        return min((moment for leaf in self._leaves for moment in leaf.changes()), default=None)
 
     def _healthy_until(self, observations: Observations, now: float, since: float) -> dict[str, float] | None:
         """By path, when each leaf stops being healthy; None unless all of them are, and the tree by that."""

@@ -33,6 +33,10 @@ class Leaf(Behaviour, ABC):
 
     hears = True
     """Whether it judges by the topic's messages."""
+    kind = ""
+    """What it is called in the short form, where its class isn't."""
+    of_cluster = False
+    """Whether only who watches the cluster can tell it, and the ROS graph doesn't."""
 
     def __init__(self, path: str, topic: str, glance: Glance, tasks: Sequence[TaskActive]) -> None:
         super().__init__(path)
@@ -54,10 +58,16 @@ class Leaf(Behaviour, ABC):
         """Whether it is judged at the glance's moment: unless it is for a task that isn't active."""
         return not self.tasks or situation(self.tasks, self._glance) is not None
 
+    @property
+    def unrecorded(self) -> str:
+        """Why a recording of messages doesn't tell it, in words; empty where one does."""
+        return "" if self.hears else "it is told by the live ROS graph, which a bag doesn't have"
+
     def reason(self, state: State) -> str:
         """Why it is in this state, in plain words. Says the same for as long as nothing changes."""
         if self.tasks and state == "Failed":
-            return f"{self._plain_reason(state)} while a goal of {' and of '.join(task.action for task in self.tasks)} is active"
+            actions = " and of ".join(dict.fromkeys(task.action for task in self.tasks))
+            return f"{self._plain_reason(state)} while a goal of {actions} is active"
         return self._plain_reason(state)
 
     def remember(self) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
+from dataclasses import replace
 from typing import Any
 
 from py_trees.behaviour import Behaviour
@@ -136,17 +137,21 @@ class _Loader(Reader):
         if action is None or settle is None or len(self.problems) > before:
             return None
         task = TaskActive(action, settle)
-        known = self.topics.get(task.topic)
-        seen = known is not None and known.publishers
-        self.topics[task.topic] = WatchedTopic(task.topic, STATUS_TYPE, 0.0, None, task=True, publishers=seen)
+        self._watch_task(task)
         return task
+
+    def _watch_task(self, task: TaskActive) -> None:
+        known, wanted = self.topics.get(task.topic), WatchedTopic(task.topic, STATUS_TYPE, 0.0, None, task=True)
+        seen = replace(wanted, publishers=known.publishers, node=known.node) if known is not None else wanted
+        self.topics[task.topic] = seen
 
     def _unknown_node_key(self, key: str, path: str) -> None:
         if key in WHILE_KEYS:
             self.problem(f"{path}.{key}", f"unknown key; {key} belongs beside while")
             return
         if inside := [kind for kind, keys in _LEAF_KEYS.items() if key in keys]:
-            self.problem(f"{path}.{key}", f"unknown key; {key} belongs inside {' or '.join(inside)}")
+            kinds = " or ".join(filter(None, (", ".join(inside[:-1]), inside[-1])))
+            self.problem(f"{path}.{key}", f"unknown key; {key} belongs inside {kinds}")
         else:
             self.problem(f"{path}.{key}", f"unknown key {key!r}{did_you_mean(key, (*KINDS, 'name'))}")
 
@@ -210,16 +215,20 @@ class _Loader(Reader):
             self.problem(path, f"{leaf_path!r} is already the name of {where}; give one of them another name")
             return None
         self._leaf_paths[leaf_path] = path
-        if not self._watch(plan.watched, path):
+        if not all(self._watch(topic, path) for topic in (plan.watched, *plan.also)):
             return None
 
         tasks = tuple(self._tasks)
+        needed = {topic.name for topic in (plan.watched, *plan.also) if topic.heard}
+        if plan.task is not None:
+            self._watch_task(plan.task)
+            tasks, needed = (*tasks, plan.task), {*needed, plan.task.topic}
 
         def build(left_out: Collection[str]) -> Behaviour | None:
-            blind = plan.watched.heard and plan.watched.name in left_out
+            blind = not needed.isdisjoint(left_out)
             return plan.make(leaf_path, self.glance, tasks) if not blind else None
 
-        return build
+        return _unless(leaf_path, build)
 
     def _window(self, band: Band, length: float | None, path: str) -> Window | None:
         shortest = band.shortest_window()
@@ -272,6 +281,11 @@ def _composite(make: Callable[[list[Behaviour]], Behaviour], children: list[Buil
         return make(built) if built else None
 
     return build
+
+
+def _unless(path: str, build: Build) -> Build:
+    """Builds the leaf of a path, unless that one is left out."""
+    return lambda left_out: build(left_out) if path not in left_out else None
 
 
 def _band(value: object) -> Band:

@@ -11,7 +11,7 @@ from bisect import insort
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 
 class Evidence(Protocol):
@@ -32,12 +32,22 @@ class Content(Evidence, Protocol):
         """How old its header's stamp was when it was received, in seconds; None where it has none."""
         ...
 
+    def under_way(self) -> float | None:
+        """How long it was under way, in seconds: from when its writer's middleware says it was written to its receipt; None where
+        that says nothing.
+        """
+        ...
+
     def older(self, stamp: float) -> float:
         """How much earlier than its receipt a stamp within it is, in seconds; ``stamp`` in Unix seconds."""
         ...
 
     def mentions(self, text: str) -> bool:
         """Whether it may have this text in it: what hasn't need not be read."""
+        ...
+
+    def byte(self, place: int) -> int | None:
+        """A byte of it, serialized (CDR with its header of 4 bytes); None where that isn't known."""
         ...
 
 
@@ -53,6 +63,80 @@ class Publishers:
     """When it was, in Unix seconds; moved where the clock was set."""
     nodes: Sequence[str]
     """The node of each publisher of the instance in control, fully qualified; empty where it isn't known yet."""
+
+
+@dataclass(eq=False)
+class Present:
+    """Whether a node was there when the ROS graph was looked at."""
+
+    received: float
+    """When it was, in Unix seconds; moved where the clock was set."""
+    node: str
+    """Its name, fully qualified."""
+    there: bool
+    """Whether the instance in control had it."""
+    elsewhere: bool = False
+    """Whether anybody had one of that name."""
+
+
+@dataclass(eq=False)
+class NodeState:
+    """What is known of a managed node of the instance in control."""
+
+    received: float
+    """When it was so, in Unix seconds; moved where the clock was set."""
+    state: str | None
+    """Its state; empty where it isn't there, None where it can't be told."""
+
+
+class PodCondition(NamedTuple):
+    """A condition of a pod's status (Kubernetes' PodCondition)."""
+
+    type: str
+    status: str
+    """True, False or Unknown."""
+    reason: str = ""
+    """Why, as one word; empty where it isn't said."""
+
+
+class PodUsage(NamedTuple):
+    """What the containers of a pod take, all together, but for the agent."""
+
+    cpu: float
+    """Cores, on the average of some time."""
+    memory: float
+    """Bytes: the working set, by which the kubelet evicts."""
+
+
+@dataclass(eq=False)
+class PodState:
+    """What the cluster said of the pod of the instance in control when it was looked at."""
+
+    received: float
+    """When it was, in Unix seconds; moved where the clock was set."""
+    conditions: Sequence[PodCondition] = ()
+    restarts: int = 0
+    """How often its containers were started again, all together."""
+    usage: PodUsage | None = None
+    """What it takes; None where that can't be told, or nobody asked for it."""
+
+
+ParameterValue = bool | int | float | str
+"""What a parameter can be, but for arrays."""
+
+
+@dataclass(eq=False)
+class ParameterState:
+    """What is known of a parameter of a node of the instance in control."""
+
+    received: float
+    """When it was so, in Unix seconds; moved where the clock was set."""
+    value: ParameterValue | None
+    """Its value; None where it has none, or where that can't be told."""
+    lacks: str = ""
+    """Why it has no value, in words."""
+    told: bool = True
+    """Whether it can be told what it is."""
 
 
 class TopicRecord:
@@ -97,8 +181,17 @@ class TopicRecord:
 class Observations(Protocol):
     """What has been received so far."""
 
+    @property
+    def in_control(self) -> bool:
+        """Whether the instance that is judged is the one in control, so that what the robot does is its doing."""
+        ...
+
     def topic(self, name: str) -> TopicRecord | None:
         """The record of a topic, None where it isn't watched (yet)."""
+        ...
+
+    def own(self, name: str) -> TopicRecord | None:
+        """The record of what the instance in control sent on a topic, and nobody else; None where it sent nothing (yet)."""
         ...
 
     def task(self, name: str) -> float | None:
@@ -109,23 +202,53 @@ class Observations(Protocol):
         """Who published a topic at the last look; None where nobody has looked (yet)."""
         ...
 
+    def node(self, name: str) -> Present | None:
+        """Whether a node was there at the last look; None where nobody has looked (yet)."""
+        ...
+
+    def lifecycle(self, name: str) -> NodeState | None:
+        """The state of a managed node; None where nothing is known (yet)."""
+        ...
+
+    def parameter(self, node: str, name: str) -> ParameterState | None:
+        """The value of a node's parameter; None where nothing is known (yet)."""
+        ...
+
+    def pod(self) -> PodState | None:
+        """The pod of the instance in control at the last look; None where nobody has looked (yet), or can."""
+        ...
+
 
 class Recorded:
     """Observations out of a mapping of records."""
+
+    in_control = True
 
     def __init__(
         self,
         topics: Mapping[str, TopicRecord],
         tasks: Mapping[str, float] | None = None,
         publishers: Mapping[str, Publishers] | None = None,
+        nodes: Mapping[str, Present] | None = None,
+        states: Mapping[str, NodeState] | None = None,
+        parameters: Mapping[tuple[str, str], ParameterState] | None = None,
+        pod: PodState | None = None,
     ) -> None:
         """``tasks`` has when each active action became so, by its status topic."""
         self._topics = topics
         self._tasks = tasks if tasks is not None else {}
         self._publishers = publishers if publishers is not None else {}
+        self._nodes = nodes if nodes is not None else {}
+        self._states = states if states is not None else {}
+        self._parameters = parameters if parameters is not None else {}
+        self._pod = pod
 
     def topic(self, name: str) -> TopicRecord | None:
         """The record of a topic, None where there is none."""
+        return self._topics.get(name)
+
+    def own(self, name: str) -> TopicRecord | None:
+        """The same: everything recorded is the instance's."""
         return self._topics.get(name)
 
     def task(self, name: str) -> float | None:
@@ -135,6 +258,22 @@ class Recorded:
     def publishers(self, name: str) -> Publishers | None:
         """Who published the topic, None where nobody has looked."""
         return self._publishers.get(name)
+
+    def node(self, name: str) -> Present | None:
+        """Whether the node was there, None where nobody has looked."""
+        return self._nodes.get(name)
+
+    def lifecycle(self, name: str) -> NodeState | None:
+        """The state of the node, None where nothing is known."""
+        return self._states.get(name)
+
+    def parameter(self, node: str, name: str) -> ParameterState | None:
+        """The value of the parameter, None where nothing is known."""
+        return self._parameters.get((node, name))
+
+    def pod(self) -> PodState | None:
+        """The pod, None where nobody has looked."""
+        return self._pod
 
 
 @dataclass

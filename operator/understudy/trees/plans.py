@@ -14,6 +14,9 @@ from understudy.trees.observations import Glance
 from understudy.trees.reading import Reader, duration_of
 from understudy.trees.situations import TaskActive
 
+FORETOLD = 0.1
+"""Seconds that lie between two looks of the monitor at most: what takes as long to be a failure is known of in time."""
+
 Make = Callable[[str, Glance, Sequence[TaskActive]], Leaf]
 """Makes a leaf by its path, the glance it looks through, and the tasks that it is for."""
 
@@ -27,6 +30,10 @@ class LeafPlan:
     watched: WatchedTopic
     """What it needs of its topic."""
     make: Make
+    task: TaskActive | None = None
+    """What it is judged for wherever it stands, where it is about that task itself."""
+    also: tuple[WatchedTopic, ...] = ()
+    """What it needs of other topics. Where one of them can't be watched, it is left out too."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +44,9 @@ class LeafKind:
     example: str
     read: Callable[[Reader, Mapping[str, Any], str, Fields | None], LeafPlan | None]
     """Reads its mapping, whose place is given, by the fields of message types; notes problems, and is None then."""
+    of_control: bool = False
+    """Whether it says something of the instance in control alone: a procedure can't wait for it, since it is for one that is
+    to be."""
 
 
 def topic_of(reader: Reader, value: Mapping[str, Any], path: str, example: str, key: str = "topic") -> str | None:
@@ -54,3 +64,8 @@ def type_of(reader: Reader, value: Mapping[str, Any], path: str) -> str | None:
 def hold_off_of(reader: Reader, value: Mapping[str, Any], path: str) -> float:
     """``for``: how long a condition must not hold to be a failure, in seconds; 0 where it isn't given."""
     return reader.given(value, "for", path, duration_of) or 0.0
+
+
+def at_once(hold_off: float) -> bool:
+    """Whether a message may be a failure as it comes, or too soon after it for the next look."""
+    return hold_off < FORETOLD

@@ -1,7 +1,7 @@
-"""Procedures and checks: trees that bring one instance somewhere, and trees of what must hold of it (docs/trees.md).
+"""Procedures and checks: trees that bring one instance somewhere, and trees of what must hold of it (docs/procedures.md).
 
-Both are written in the short form of health trees and run from inside the instance's pod; what their leaves do and ask
-is behind :class:`understudy.trees.steps.Actions`.
+Both are loaded from the short form, whichever language they were written in (procedureforms.py), and run from inside the
+instance's pod; what their leaves do and ask is behind :class:`understudy.trees.steps.Actions`.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from py_trees.composites import Sequence as Ordered
 from py_trees.decorators import Inverter
 
 from understudy.api.rosnames import ROS_NAME_PATTERN, ROS_TYPE_PATTERN
+from understudy.trees import vocabulary
 from understudy.trees.composites import FirstOf
 from understudy.trees.health import HealthTree, WatchedTopic
 from understudy.trees.kinds import LEAVES
@@ -29,19 +30,11 @@ from understudy.trees.steps import OVERTIME, Actions, Limit, Retry, Run, Step, W
 
 COMPOSITES = ("sequence", "parallel", "selector")
 DECORATORS = ("timeout", "retry", "inverter")
-HEALTH = ("topic", *LEAVES)
+HEALTH = ("topic", *(kind for kind, leaf in LEAVES.items() if not leaf.of_control))
 """Conditions that are leaves of a health tree."""
 
 CONDITIONS = ("lifecycle_is", *HEALTH, "node_present", "service_present", "parameter_is")
-STEPS = (
-    "set_lifecycle",
-    "call_service",
-    "publish",
-    "set_parameters",
-    "wait_for",
-    "restore_state",
-    "resend_goals",
-)
+STEPS = tuple(vocabulary.STEPS)
 STATES = ("unconfigured", "inactive", "active", "finalized")
 """States in which a managed node rests."""
 
@@ -108,14 +101,29 @@ class ProcedureTree:
                 await asyncio.wait(run.tasks)
 
 
-def load_procedure(tree: object, *, path: str) -> ProcedureTree:
-    """The procedure that a node of the short form stands for. Raises TreeError with all its problems."""
-    return _load(_Loader(waits=True), tree, path)
+def load_procedure(tree: object, *, path: str, places: Mapping[str, str] | None = None) -> ProcedureTree:
+    """The procedure that a node of the short form stands for. Raises TreeError with all its problems.
+
+    ``places`` are those of its nodes in the text that it was written in, by their paths in the short form, where it was
+    written in another language: what fails is called by them.
+    """
+    return _load(_Loader(waits=True, called=_caller(path, places)), tree, path)
 
 
-def load_check(tree: object, *, path: str) -> ProcedureTree:
-    """The check that a node of the short form stands for: a tree of conditions only. Raises TreeError."""
-    return _load(_Loader(waits=False), tree, path)
+def load_check(tree: object, *, path: str, places: Mapping[str, str] | None = None) -> ProcedureTree:
+    """The check that a node of the short form stands for: a tree of conditions only. Raises TreeError.
+
+    ``places`` as of :func:`load_procedure`.
+    """
+    return _load(_Loader(waits=False, called=_caller(path, places)), tree, path)
+
+
+def _caller(path: str, places: Mapping[str, str] | None) -> Callable[[str], str]:
+    """What messages call a node by its path."""
+    if not places:
+        return str
+    known = {f"{path}.{inner}": f"{path}, {place}" for inner, place in places.items()}
+    return lambda node: known.get(node, node)
 
 
 def _load(loader: _Loader, tree: object, path: str) -> ProcedureTree:
@@ -129,9 +137,10 @@ def _load(loader: _Loader, tree: object, path: str) -> ProcedureTree:
 class _Loader(Reader):
     """Turns nodes into what makes their behaviours; one with a problem in it becomes None."""
 
-    def __init__(self, *, waits: bool) -> None:
-        """``waits`` for a procedure, which may act and wait; a check only looks."""
+    def __init__(self, *, waits: bool, called: Callable[[str], str]) -> None:
+        """``waits`` for a procedure, which may act and wait; a check only looks. ``called`` says what messages call a node."""
         super().__init__()
+        self._called = called
         self.topics: list[WatchedTopic] = []
         self.kinds: set[str] = set()
         self._waits = waits
@@ -157,13 +166,15 @@ class _Loader(Reader):
         before = len(self.problems)
         fields = value[kind]
         if not isinstance(fields, Mapping):
-            self.problem(place, f"found {found_text(fields)}; {kind} is a mapping of {_FIELDS[kind]}")
+            what = f"such as {LEAVES[kind].example}" if kind in LEAVES else f"of {_FIELDS[kind]}"
+            self.problem(place, f"found {found_text(fields)}; {kind} is a mapping {what}")
             return None
         work: Work | None
         work = self._health(kind, fields, path) if kind in HEALTH else getattr(self, f"_{kind}")(fields, place)
         if work is None or len(self.problems) > before:
             return None
-        return lambda run, limits: Step(place, work, run, limits)
+        called = self._called(place)
+        return lambda run, limits: Step(called, work, run, limits)
 
     def _unknown(self, value: Mapping[str, Any], path: str) -> None:
         for key in value:
@@ -221,16 +232,18 @@ class _Loader(Reader):
         if kind == "retry":
             return lambda run, limits: Retry(path, child(run, limits), run, times, wait)
 
+        called = self._called(path)
+
         def make(run: Run, limits: Sequence[Limit]) -> Behaviour:
             limit = Limit()
-            return Within(path, child(run, [*limits, limit]), run, within, limit, limits)
+            return Within(called, child(run, [*limits, limit]), run, within, limit, limits)
 
         return make
 
     # -- what is done -----------------------------------------------------------------------------------------------
 
     def _set_lifecycle(self, fields: Mapping[str, Any], path: str) -> Work | None:
-        self.known(fields, ("node", "state"), path)
+        self.known(fields, _KEYS["set_lifecycle"], path)
         node, state = self._ros(fields, "node", path), self._state(fields, path)
 
         async def work(actions: Actions, within: float) -> None:
@@ -239,7 +252,7 @@ class _Loader(Reader):
         return work
 
     def _call_service(self, fields: Mapping[str, Any], path: str) -> Work | None:
-        self.known(fields, ("service", "type", "request", "expect", "repeat"), path)
+        self.known(fields, _KEYS["call_service"], path)
         service, type_ = self._ros(fields, "service", path), self._type(fields, path, "srv")
         request, expect = self._mapping(fields, "request", path), self._mapping(fields, "expect", path)
         repeat = self.given(fields, "repeat", path, duration_of)
@@ -252,7 +265,7 @@ class _Loader(Reader):
         return work
 
     def _publish(self, fields: Mapping[str, Any], path: str) -> Work | None:
-        self.known(fields, ("topic", "type", "message"), path)
+        self.known(fields, _KEYS["publish"], path)
         topic, type_ = self._ros(fields, "topic", path), self._type(fields, path, "msg")
         message = self._mapping(fields, "message", path)
 
@@ -262,7 +275,7 @@ class _Loader(Reader):
         return work
 
     def _set_parameters(self, fields: Mapping[str, Any], path: str) -> Work | None:
-        self.known(fields, ("node", "values"), path)
+        self.known(fields, _KEYS["set_parameters"], path)
         node, values = self._ros(fields, "node", path), self._mapping(fields, "values", path)
         if not values:
             self.problem(f"{path}.values", "missing; give the parameters to set, such as {use_sim_time: true}")
@@ -278,7 +291,7 @@ class _Loader(Reader):
         return work
 
     def _wait_for(self, fields: Mapping[str, Any], path: str) -> Work | None:
-        self.known(fields, ("topic", "type", "service", "node", "within"), path)
+        self.known(fields, _KEYS["wait_for"], path)
         what = [key for key in ("topic", "service", "node") if key in fields]
         if len(what) != 1:
             self.problem(path, f"found {' and '.join(what) or 'none'} of topic, service and node; give exactly one")
@@ -306,7 +319,7 @@ class _Loader(Reader):
         return work
 
     def _restore_state(self, fields: Mapping[str, Any], path: str) -> Work | None:
-        self.known(fields, ("only",), path)
+        self.known(fields, _KEYS["restore_state"], path)
         only: list[str] | None = None
         if "only" in fields:
             only = fields["only"]
@@ -322,7 +335,7 @@ class _Loader(Reader):
         return work
 
     def _resend_goals(self, fields: Mapping[str, Any], path: str) -> Work | None:
-        self.known(fields, (), path)
+        self.known(fields, _KEYS["resend_goals"], path)
 
         async def work(actions: Actions, within: float) -> None:
             await actions.resend_goals(within)
@@ -332,7 +345,7 @@ class _Loader(Reader):
     # -- what must hold ---------------------------------------------------------------------------------------------
 
     def _lifecycle_is(self, fields: Mapping[str, Any], path: str) -> Work | None:
-        self.known(fields, ("node", "state"), path)
+        self.known(fields, _KEYS["lifecycle_is"], path)
         node, state = self._ros(fields, "node", path), self._state(fields, path)
 
         async def work(actions: Actions, within: float) -> None:
@@ -362,7 +375,7 @@ class _Loader(Reader):
         return work
 
     def _node_present(self, fields: Mapping[str, Any], path: str) -> Work | None:
-        self.known(fields, ("node",), path)
+        self.known(fields, _KEYS["node_present"], path)
         node = self._ros(fields, "node", path)
 
         async def work(actions: Actions, within: float) -> None:
@@ -372,7 +385,7 @@ class _Loader(Reader):
         return work
 
     def _service_present(self, fields: Mapping[str, Any], path: str) -> Work | None:
-        self.known(fields, ("service",), path)
+        self.known(fields, _KEYS["service_present"], path)
         service = self._ros(fields, "service", path)
 
         async def work(actions: Actions, within: float) -> None:
@@ -382,7 +395,7 @@ class _Loader(Reader):
         return work
 
     def _parameter_is(self, fields: Mapping[str, Any], path: str) -> Work | None:
-        self.known(fields, ("node", "name", "value"), path)
+        self.known(fields, _KEYS["parameter_is"], path)
         node, name = self._ros(fields, "node", path), fields.get("name")
         if not isinstance(name, str) or not name:
             self.problem(f"{path}.name", f"found {found_text(name)}; give the parameter's name")
@@ -439,13 +452,11 @@ _FIELDS = {
     "resend_goals": "nothing ({})",
     "lifecycle_is": "node and state",
     "topic": "name and gap or rate",
-    "value": "topic, type and holds",
-    "age": "topic and most",
-    "diagnostics": "name or prefix, and worst",
     "node_present": "node",
     "service_present": "service",
     "parameter_is": "node, name and value",
 }
+_KEYS = {**vocabulary.STEPS, **vocabulary.LOOKS}
 _EXAMPLES = {"node": "map_server", "service": "controller_server/get_state", "topic": "initialpose"}
 _TYPES = {"srv": "std_srvs/srv/Trigger", "msg": "geometry_msgs/msg/Twist"}
 

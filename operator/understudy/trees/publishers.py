@@ -11,7 +11,7 @@ from understudy.trees.expressions import Fields
 from understudy.trees.health import WatchedTopic
 from understudy.trees.observations import Glance, Publishers
 from understudy.trees.plans import LeafKind, LeafPlan, hold_off_of, topic_of
-from understudy.trees.reading import Reader, found_text
+from understudy.trees.reading import Reader, whole_number_of
 from understudy.trees.situations import TaskActive
 
 MOST = 1000
@@ -70,7 +70,7 @@ _EXAMPLE = "{topic: /cmd_vel, node: /controller_server}"
 def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | None) -> LeafPlan | None:
     before = len(reader.problems)
     topic = topic_of(reader, value, path, "/cmd_vel")
-    count = reader.given(value, "count", path, _count) if "count" in value else 1
+    count = reader.given(value, "count", path, whole_number_of(MOST)) if "count" in value else 1
     node = reader.matching(
         value, "node", path, ROS_NAME_PATTERN, "a node's fully qualified name such as /controller_server"
     )
@@ -82,14 +82,6 @@ def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | 
         WatchedTopic(topic, None, 0.0, None, heard=False, publishers=True),
         lambda place, glance, tasks: PublisherLeaf(place, topic, glance, count, node, hold_off=hold_off, tasks=tasks),
     )
-
-
-def _count(found: object) -> int:
-    # XML has no numbers: there it is written as text.
-    number = int(found) if isinstance(found, str) and found.isascii() and found.isdigit() and len(found) < 10 else found
-    if not isinstance(number, int) or isinstance(number, bool) or not 1 <= number <= MOST:
-        raise ValueError(f"found {found_text(found)}; give a whole number from 1 to {MOST}")
-    return number
 
 
 PUBLISHER = LeafKind(("topic", "count", "node", "for"), _EXAMPLE, _read)

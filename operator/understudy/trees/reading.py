@@ -114,6 +114,19 @@ def duration_of(value: object) -> float:
     return length
 
 
+def whole_number_of(most: int, *, least: int = 1) -> Callable[[object], int]:
+    """Reads a whole number from ``least`` to ``most``, also where it is written as text, as in XML. Raises ValueError."""
+
+    def read(found: object) -> int:
+        digits = isinstance(found, str) and found.isascii() and found.isdigit() and len(found) < 10
+        number = int(found) if digits and isinstance(found, str) else found
+        if not isinstance(number, int) or isinstance(number, bool) or not least <= number <= most:
+            raise ValueError(f"found {found_text(found)}; give a whole number from {least} to {most}")
+        return number
+
+    return read
+
+
 def found_text(value: object) -> str:
     """A value in words for a message."""
     if value is None:

@@ -13,6 +13,10 @@ from understudy.trees.observations import Glance
 
 STATUS_TYPE = "action_msgs/msg/GoalStatusArray"
 
+WORKED_ON = (2, 3)
+"""Statuses of a goal that make a task active (action_msgs/msg/GoalStatus): executing and canceling. One that is only accepted
+isn't: nobody works on it (yet), as on a goal of the task proxy between two instances."""
+
 SETTLE = 2.0
 """Seconds after a task has become active in which what it needs may start, where the tree doesn't say."""
 

@@ -14,7 +14,7 @@ from understudy.trees.expressions import Fields
 from understudy.trees.health import WatchedTopic
 from understudy.trees.leaves import State, duration
 from understudy.trees.observations import Content, Glance, Unreadable
-from understudy.trees.plans import LeafKind, LeafPlan, hold_off_of, topic_of
+from understudy.trees.plans import LeafKind, LeafPlan, at_once, hold_off_of, topic_of
 from understudy.trees.reading import Reader, duration_of, found_text
 from understudy.trees.situations import TaskActive
 
@@ -145,7 +145,7 @@ def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | 
         return None
     return LeafPlan(
         f"{child}.transform",
-        WatchedTopic(topic, TYPE, 0.0, BURST, contents=KEPT, whole=True),
+        WatchedTopic(topic, TYPE, 0.0, BURST, contents=KEPT, whole=True, prompt=most is not None and at_once(hold_off)),
         lambda place, glance, tasks: TransformLeaf(
             place, topic, glance, child, parent, gap, most=most, hold_off=hold_off, tasks=tasks
         ),

@@ -10,7 +10,7 @@ from understudy.trees.evidence import Said
 from understudy.trees.expressions import Expression, ExpressionError, Fields, Untold
 from understudy.trees.health import WatchedTopic
 from understudy.trees.observations import Content, Glance, Unreadable
-from understudy.trees.plans import LeafKind, LeafPlan, hold_off_of, topic_of, type_of
+from understudy.trees.plans import LeafKind, LeafPlan, at_once, hold_off_of, topic_of, type_of
 from understudy.trees.reading import Reader, found_text
 from understudy.trees.situations import TaskActive
 
@@ -84,7 +84,7 @@ def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | 
         return None
     return LeafPlan(
         f"{topic.lstrip('/')}.value",
-        WatchedTopic(topic, type_, 0.0, None, contents=1, whole=True),
+        WatchedTopic(topic, type_, 0.0, None, contents=1, whole=True, prompt=at_once(hold_off)),
         lambda place, glance, tasks: ValueLeaf(place, topic, glance, holds, recovers, hold_off=hold_off, tasks=tasks),
     )
 

@@ -1,1 +1,1 @@
-"""Health trees as BehaviorTree.CPP 4 writes them, turned into the short form: what that means is said there alone."""
+"""Trees as BehaviorTree.CPP 4 writes them, turned into the short form: what that means is said there alone."""

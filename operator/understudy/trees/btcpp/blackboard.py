@@ -11,6 +11,9 @@ from understudy.trees.reading import found_text
 Board = Mapping[str, str | None]
 """Values by entry; None where one couldn't be read, which was said already."""
 
+JSON = "json:"
+"""What stands before a value that is JSON (basic_types.h of BehaviorTree.CPP 4.6), which may have braces then."""
+
 SAME = "="
 """``{=}`` is the entry that is called like the port."""
 
@@ -18,12 +21,21 @@ SAME = "="
 def entry(value: str, port: str) -> str | None:
     """The entry that a port's value names, None where it is a plain value. Raises ValueError for a part of a value."""
     text = value.strip()
+    if text.startswith(JSON):
+        return None
     inner = text[1:-1].strip() if text.startswith("{") and text.endswith("}") else None
     if inner is not None and "{" not in inner and "}" not in inner:
         return port if inner == SAME else inner
+    if ("{" in value or "}" in value) and ":" in value:
+        raise ValueError(_mapping(value))
     if "{" in value or "}" in value:
         raise ValueError(f"found {found_text(value)}; a blackboard entry is a whole value, such as {{scan}}")
     return None
+
+
+def _mapping(value: str) -> str:
+    right = 'json:{"data": "hello"}'
+    return f"found {found_text(value)}; braces alone are a blackboard entry, and a mapping has json: in front, such as {right}"
 
 
 def resolve(value: str, port: str, board: Board) -> str | None:
@@ -33,6 +45,8 @@ def resolve(value: str, port: str, board: Board) -> str | None:
         return value
     if name in board:
         return board[name]
+    if ":" in name:
+        raise ValueError(_mapping(value))
     if not board:
         raise ValueError(
             f"there is no blackboard entry {name!r}: only attributes of a <SubTree> make some, in its tree"

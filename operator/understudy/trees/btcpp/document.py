@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from understudy.trees.btcpp import models
+from understudy.trees.btcpp.library import Library
 from understudy.trees.btcpp.markup import Element
 from understudy.trees.btcpp.models import SubTreeModel
-from understudy.trees.btcpp.writing import Found, Origin
+from understudy.trees.btcpp.origins import origin
 from understudy.trees.problems import did_you_mean
 from understudy.trees.reading import found_text
+from understudy.trees.writing import Found
 
 FORMAT = "4"
 """The version of BehaviorTree.CPP whose format this is."""
@@ -16,7 +18,7 @@ FORMAT = "4"
 class Document:
     """The parts of a file, and the problems with them."""
 
-    def __init__(self, root: Element, path: str) -> None:
+    def __init__(self, root: Element, path: str, library: Library) -> None:
         self.problems: list[Found] = []
         self.trees: dict[str, Element] = {}
         """By ID."""
@@ -24,6 +26,7 @@ class Document:
         """Of trees, by ID."""
         self.main: str | None = None
         """The tree that is to be executed; None where that can't be told. Others than those in it don't matter."""
+        self.library = library
         self._path = path
         if root.tag != "root":
             self._note(root, 'the outermost element is <root BTCPP_format="4">')
@@ -51,7 +54,7 @@ class Document:
             else:
                 self.trees[name] = element
         elif element.tag == "TreeNodesModel":
-            self.models.update(models.read(element, self._note))
+            self.models.update(models.read(element, self.library.nodes, self._note))
         elif element.tag == "include":
             self._note(element, "no files are read; write the <BehaviorTree> that is in that file here")
         else:
@@ -75,4 +78,4 @@ class Document:
         return None
 
     def _note(self, element: Element, message: str, attribute: str = "") -> None:
-        self.problems.append(Origin.of(element).problem(self._path, message, attribute))
+        self.problems.append(origin(element).problem(self._path, message, attribute))

@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
+from understudy.trees import subjects, vocabulary
 from understudy.trees.ages import AGE
+from understudy.trees.btcpp import thresholds
 from understudy.trees.diagnostics import DIAGNOSTICS
+from understudy.trees.lifecycles import LIFECYCLE
+from understudy.trees.logs import LOG
+from understudy.trees.motions import MOTION
+from understudy.trees.nodes import NODE
+from understudy.trees.parameters import PARAMETER
+from understudy.trees.pods import POD_LEAF
+from understudy.trees.progress import PROGRESS
 from understudy.trees.publishers import PUBLISHER
+from understudy.trees.subjects import Subject
 from understudy.trees.transforms import TRANSFORM
 from understudy.trees.values import VALUE
 
-Category = Literal["Control", "Decorator", "Condition"]
+Category = Literal["Action", "Condition", "Control", "Decorator"]
 
 
 @dataclass(frozen=True)
@@ -24,6 +34,13 @@ class Node:
     """What it is in the short form; a Parallel says by its thresholds which."""
     ports: Mapping[str, str] = field(default_factory=dict)
     """Where the value of each of its ports goes in the short form, as a path from the node; empty where it goes nowhere."""
+    reads: Mapping[str, Callable[[str], Any]] = field(default_factory=dict)
+    """What reads the values of ports that are no texts in the short form. Raises ValueError."""
+
+    @property
+    def a(self) -> str:
+        """Its category with an article."""
+        return f"an {self.category}" if self.category == "Action" else f"a {self.category}"
 
 
 NODES: Mapping[str, Node] = {
@@ -60,6 +77,17 @@ NODES: Mapping[str, Node] = {
     ),
     "Transform": Node("Condition", "transform", {key: f"transform.{key}" for key in TRANSFORM.keys}),
     "Publisher": Node("Condition", "publisher", {key: f"publisher.{key}" for key in PUBLISHER.keys}),
+    "Node": Node("Condition", "node", {"node" if key == "name" else key: f"node.{key}" for key in NODE.keys}),
+    "Log": Node("Condition", "log", {key: f"log.{key}" for key in LOG.keys}),
+    "Progress": Node("Condition", "progress", {key: f"progress.{key}" for key in PROGRESS.keys}),
+    "Lifecycle": Node("Condition", "lifecycle", {key: f"lifecycle.{key}" for key in LIFECYCLE.keys}),
+    "Motion": Node("Condition", "motion", {key: f"motion.{key}" for key in MOTION.keys}),
+    "Parameter": Node(
+        "Condition",
+        "parameter",
+        {"parameter" if key == "name" else key: f"parameter.{key}" for key in PARAMETER.keys},
+    ),
+    "Pod": Node("Condition", "pod", {key: f"pod.{key}" for key in POD_LEAF.keys}),
 }
 
 EXPLICIT = ("Action", "Condition", "Control", "Decorator")
@@ -85,6 +113,7 @@ _TASK = 'what decides can only be a task; write <WhileTaskActive action="/naviga
 _STORE = 'nothing is written while a tree is judged; give constants as attributes of <SubTree>, such as scan="/scan"'
 _CERTAIN = "a verdict that is certain says nothing about the robot; leave it out"
 _RECOVERY = "a health tree only judges; what is done after a failure belongs into spec.strategies of the policy"
+_LOOKS = "procedures and checks look once, a health tree watches; write what must hold, such as <Lifecycle> or <Node>"
 
 REFUSED: Mapping[str, str] = {
     "SequenceWithMemory": f"{_ANEW} <Sequence>",
@@ -129,3 +158,39 @@ REFUSED: Mapping[str, str] = {
     "RateController": _ONCE,
 }
 """Why other nodes of BehaviorTree.CPP (and the control nodes that Nav2 adds) are not for health trees, and what is."""
+
+
+def tag_of(key: str) -> str:
+    """What a leaf of procedures is called in XML, such as ``SetLifecycle`` for ``set_lifecycle``."""
+    return "".join(part.capitalize() for part in key.split("_"))
+
+
+@dataclass(frozen=True)
+class Library:
+    """What trees of one kind can have."""
+
+    subject: Subject
+    nodes: Mapping[str, Node]
+    refused: Mapping[str, str]
+    """Why they can't have other nodes, and what is right."""
+    no_scripts: str
+    """What is said of scripts."""
+    group: str
+    """The node that most often has others in it."""
+    parallel: Callable[[str, Mapping[str, str], int], str]
+    """What a <Parallel> is in the short form: its tag, its thresholds and how many nodes it has. Raises ValueError."""
+
+
+HEALTH = Library(
+    subjects.HEALTH,
+    NODES,
+    {
+        **REFUSED,
+        **{tag_of(key): _RECOVERY for key in vocabulary.STEPS},
+        **{tag_of(key): _LOOKS for key in vocabulary.LOOKS},
+    },
+    NO_SCRIPTS,
+    "Parallel",
+    thresholds.key_of,
+)
+"""Health trees."""

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from xml.parsers import expat
 
 from understudy.api.base import LONGEST_TEXT
+from understudy.trees.places import ALONE, Beginning, Malformed
 
 DEEPEST = 64
 """Elements that may be nested."""
@@ -18,19 +19,6 @@ MOST = 4096
 """Elements that a text may have: with the models that Groot 2 adds for nodes of other libraries, more than a tree has."""
 
 _DOCTYPE = "<!DOCTYPE"
-
-
-@dataclass(frozen=True)
-class Beginning:
-    """Where a text begins in the file that it is part of; its own first character, where it is a file by itself."""
-
-    lines: int = 0
-    """Lines of the file before it."""
-    columns: int = 0
-    """Characters before each of its lines."""
-
-
-ALONE = Beginning()
 
 
 @dataclass(frozen=True)
@@ -46,14 +34,6 @@ class Element:
     children: list[Element] = field(default_factory=list)
     texts: list[str] = field(default_factory=list)
     """What stands between its elements, without what is only white space."""
-
-
-class Malformed(ValueError):
-    """A text that can't be read as XML, or must not be."""
-
-    def __init__(self, message: str, line: int = 1, column: int = 1) -> None:
-        super().__init__(message)
-        self.message, self.line, self.column = message, line, column
 
 
 def parse(text: str, begins: Beginning = ALONE) -> Element:

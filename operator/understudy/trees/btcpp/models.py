@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from understudy.trees.btcpp.blackboard import entry
-from understudy.trees.btcpp.library import NODES
+from understudy.trees.btcpp.library import Node
 from understudy.trees.btcpp.markup import Element
 from understudy.trees.problems import did_you_mean
 
@@ -33,22 +33,23 @@ class SubTreeModel:
         return found
 
 
-def read(element: Element, note: Note) -> Mapping[str, SubTreeModel]:
-    """The subtrees with a model. Models of our nodes are compared with what these are; all others don't matter."""
+def read(element: Element, nodes: Mapping[str, Node], note: Note) -> Mapping[str, SubTreeModel]:
+    """The subtrees with a model. Models of known ``nodes`` are compared with what these are; all others
+    don't matter.
+    """
     subtrees: dict[str, SubTreeModel] = {}
     for model in element.children:
         name = model.attributes.get("ID", "")
         if model.tag == "SubTree":
             subtrees[name] = SubTreeModel({_name(port): port.attributes.get("default") for port in _ports(model)})
-        elif name in NODES:
-            _compare(model, name, note)
+        elif name in nodes:
+            _compare(model, name, nodes[name], note)
     return subtrees
 
 
-def _compare(model: Element, name: str, note: Note) -> None:
-    node = NODES[name]
+def _compare(model: Element, name: str, node: Node, note: Note) -> None:
     if model.tag != node.category:
-        note(model, f'{name} is a {node.category}; write <{node.category} ID="{name}">')
+        note(model, f'{name} is {node.a}; write <{node.category} ID="{name}">')
     for port in _ports(model):
         if _name(port) not in node.ports:
             note(port, f"{name} has no port {_name(port)!r}{_known(_name(port), node.ports)}")

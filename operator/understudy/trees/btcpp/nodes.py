@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from understudy.trees.btcpp import blackboard, thresholds
+from understudy.trees.btcpp import blackboard
 from understudy.trees.btcpp.blackboard import Board
 from understudy.trees.btcpp.document import Document
-from understudy.trees.btcpp.library import EXPLICIT, IGNORED, NO_SCRIPTS, NODES, REFUSED, SCRIPTS
+from understudy.trees.btcpp.library import EXPLICIT, IGNORED, SCRIPTS
 from understudy.trees.btcpp.markup import Element
-from understudy.trees.btcpp.writing import Found, Origin, Written
+from understudy.trees.btcpp.origins import origin
 from understudy.trees.problems import did_you_mean
 from understudy.trees.reading import DEEPEST, MOST, found_text
+from understudy.trees.writing import ENOUGH, Found, Written
 
 SUBTREE = "SubTree"
-
-ENOUGH = 100
-"""Mistakes after which no more are looked for: one in a subtree is found at each of its uses."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +38,7 @@ class Nodes:
     def __init__(self, document: Document, path: str) -> None:
         self.problems: list[Found] = []
         self._document, self._path = document, path
+        self._library = document.library
         self._count = 0
         self._read: dict[str, set[str] | None] = {}
 
@@ -51,7 +50,7 @@ class Nodes:
         element = self._document.trees[name]
         self._no_text(element)
         if len(element.children) != 1:
-            self._note(element, f"has {_nodes(element)} in it; give it one, such as a <Parallel> with the others in it")
+            self._note(element, f"has {_nodes(element)} in it; {self._one()}")
             return None
         return self._node(element.children[0], spot)
 
@@ -78,8 +77,10 @@ class Nodes:
         key = self._key(element, tag, values)
         if values is None or key is None or (element.children and not children):
             return None
-        ports = {port: where for port, where in NODES[tag].ports.items() if where}
-        return Written(Origin.of(element, spot.uses), key, _name(element, tag), ports, values, children)
+        node = self._library.nodes[tag]
+        ports = {port: where for port, where in node.ports.items() if where}
+        name = _name(element, tag) if self._library.subject.named else None
+        return Written(origin(element, spot.uses), key, name, ports, values, children, reads=node.reads)
 
     def _tag(self, element: Element) -> str | None:
         """Which of the known nodes it is, in the compact notation or the explicit one."""
@@ -89,27 +90,29 @@ class Nodes:
                 self._note(element, "missing; say which node it is", "ID")
                 return None
             tag = element.attributes["ID"]
-        if tag in NODES:
-            if element.tag in (tag, NODES[tag].category):
+        library = self._library
+        if tag in library.nodes:
+            node = library.nodes[tag]
+            if element.tag in (tag, node.category):
                 return tag
-            self._note(element, f"{tag} is a {NODES[tag].category}; write <{tag}>")
-        elif tag in REFUSED:
-            self._note(element, f"isn't for health trees: {REFUSED[tag]}")
+            self._note(element, f"{tag} is {node.a}; write <{tag}>")
+        elif tag in library.refused:
+            self._note(element, f"isn't for {library.subject.many}: {library.refused[tag]}")
         elif tag in self._document.trees:
             self._note(element, f'it is a tree; write <SubTree ID="{tag:.60}"/>')
         else:
-            self._note(element, f"unknown node{did_you_mean(tag, (*NODES, SUBTREE))}")
+            self._note(element, f"unknown node{did_you_mean(tag, (*library.nodes, SUBTREE))}")
         return None
 
     def _values(self, element: Element, tag: str, board: Board) -> dict[str, str] | None:
         """What its ports were given; None where one of them can't be told."""
-        ports, whole = NODES[tag].ports, True
+        ports, whole = self._library.nodes[tag].ports, True
         values: dict[str, str] = {}
         for attribute, value in element.attributes.items():
             if attribute == "name" or attribute in IGNORED or (attribute == "ID" and element.tag in EXPLICIT):
                 continue
             if attribute in SCRIPTS:
-                self._note(element, NO_SCRIPTS, attribute)
+                self._note(element, self._library.no_scripts, attribute)
             elif attribute not in ports:
                 known = (*ports, "name")
                 self._note(element, f"unknown port{did_you_mean(attribute, known)}", attribute)
@@ -128,18 +131,18 @@ class Nodes:
 
     def _key(self, element: Element, tag: str, values: dict[str, str] | None) -> str | None:
         """What it is in the short form; None where what is in it doesn't fit."""
-        count, category = len(element.children), NODES[tag].category
-        if category == "Condition" and count:
+        count, category = len(element.children), self._library.nodes[tag].category
+        if category in ("Action", "Condition") and count:
             self._note(element, f"has {_nodes(element)} in it; a leaf has none: put them beside it")
         elif category == "Decorator" and count != 1:
-            self._note(element, f"has {_nodes(element)} in it; give it one, such as a <Parallel> with the others in it")
+            self._note(element, f"has {_nodes(element)} in it; {self._one()}")
         elif category == "Control" and not count:
             self._note(element, "has no node in it; give it one at least")
         elif not tag.startswith("Parallel"):
-            return NODES[tag].key
+            return self._library.nodes[tag].key
         elif values is not None:
             try:
-                return thresholds.key_of(tag, values, count)
+                return self._library.parallel(tag, values, count)
             except ValueError as error:
                 self._note(element, str(error))
         return None
@@ -161,11 +164,11 @@ class Nodes:
         board = self._board(element, name, spot.board)
         uses = (*spot.uses, element.line)
         tree = self._tree(name, _Spot(board, (*spot.trees, name), uses, spot.depth + 1))
-        called = _name(element, name)
+        called = _name(element, name) if self._library.subject.named else None
         if tree is None or called is None:
             return tree
         # Its leaves are called by its name, as they are by that of any node that they are in.
-        return Written(Origin.of(element, spot.uses), "parallel", called, children=[tree])
+        return Written(origin(element, spot.uses), "parallel", called, children=[tree])
 
     def _board(self, element: Element, name: str, above: Board) -> Board:
         """The entries of a subtree: the attributes, what its model says of the others, and all of the tree above if asked for."""
@@ -181,7 +184,7 @@ class Nodes:
             if attribute in ("ID", "name", "_autoremap") or attribute in IGNORED:
                 continue
             if attribute in SCRIPTS:
-                self._note(element, NO_SCRIPTS, attribute)
+                self._note(element, self._library.no_scripts, attribute)
                 continue
             if known is not None and attribute not in known:
                 hint = did_you_mean(attribute, sorted(known)) if known else "; it reads none"
@@ -206,6 +209,9 @@ class Nodes:
             self._read[name] = read
         return self._read[name]
 
+    def _one(self) -> str:
+        return f"give it one, such as a <{self._library.group}> with the others in it"
+
     def _no_text(self, element: Element) -> None:
         if element.texts:
             self._note(
@@ -213,7 +219,7 @@ class Nodes:
             )
 
     def _note(self, element: Element, message: str, attribute: str = "") -> None:
-        self.problems.append(Origin.of(element).problem(self._path, message, attribute))
+        self.problems.append(origin(element).problem(self._path, message, attribute))
 
 
 def _name(element: Element, default: str) -> str | None:

@@ -1,4 +1,4 @@
-"""Which thresholds of <Parallel> and <ParallelAll> a health tree knows: all of them must hold, or one is enough."""
+"""Which thresholds of <Parallel> and <ParallelAll> trees know: all of them must hold, or, in a health tree, one is enough."""
 
 from __future__ import annotations
 
@@ -29,6 +29,18 @@ def key_of(tag: str, values: Mapping[str, str], count: int) -> str:
     raise ValueError(
         f"success_count={successes} and failure_count={failures} of {count}: leave both out where all must hold, or write "
         "<Fallback> where one is enough; a health tree knows nothing between"
+    )
+
+
+def all_of(tag: str, values: Mapping[str, str], count: int) -> str:
+    """``parallel``, for a <Parallel> of a procedure over ``count`` others. Raises ValueError where not all must succeed."""
+    successes = _threshold(values, "success_count", -1, count)
+    failures = _threshold(values, "failure_count", 1, count)
+    if successes == count:
+        return "parallel"
+    raise ValueError(
+        f"success_count={successes} and failure_count={failures} of {count}: leave both out: the first failure ends it. Where "
+        "one is enough, write <Fallback>, which tries one after the other"
     )
 
 

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 from understudy.trees.btcpp.document import Document
-from understudy.trees.btcpp.markup import ALONE, Beginning, Malformed, parse
-from understudy.trees.btcpp.nodes import ENOUGH, Nodes
-from understudy.trees.btcpp.writing import Found, SourceMap
+from understudy.trees.btcpp.library import HEALTH, Library
+from understudy.trees.btcpp.markup import parse
+from understudy.trees.btcpp.nodes import Nodes
 from understudy.trees.expressions import Fields
 from understudy.trees.health import HealthTree
-from understudy.trees.loading import load
-from understudy.trees.problems import Problem, TreeError
-from understudy.trees.reading import found_text
+from understudy.trees.languages import Read, load_language
+from understudy.trees.places import ALONE, Beginning
+from understudy.trees.writing import Found, Written
+
+CALLED = "a BehaviorTree.CPP 4 file"
+"""What such a text is."""
 
 
 def load_xml(
@@ -29,34 +30,18 @@ def load_xml(
     time. Conditions over messages are checked by their types' ``fields``, where these are known. Lines and
     columns are those of the file in which the text ``begins``. Raises TreeError with all problems.
     """
-    if not isinstance(text, str):
-        raise TreeError([Problem(path, f"found {found_text(text)}; give the text of a BehaviorTree.CPP 4 file")])
-    try:
-        root = parse(text, begins)
-    except Malformed as error:
-        raise TreeError([Problem(f"{path}, line {error.line}, column {error.column}", error.message)]) from error
-    document = Document(root, path)
-    if document.main is None:
-        raise _error(document.problems, path)
-    nodes = Nodes(document, path)
-    written = nodes.tree(document.main)
-    found = [*document.problems, *nodes.problems]
-    if written is not None:
-        source = SourceMap(path)
-        try:
-            tree = load(source.short_form(written), path=path, grace=grace, fields=fields, called=source.called)
-        except TreeError as error:
-            found += [source.problem(problem) for problem in error.problems]
-        else:
-            if not found:
-                return tree
-    raise _error(found, path)
+    return load_language(text, reader(HEALTH), called=CALLED, path=path, grace=grace, fields=fields, begins=begins)
 
 
-def _error(found: Iterable[Found], path: str) -> TreeError:
-    # A subtree that is used twice has its mistakes once.
-    listed = sorted(dict.fromkeys(found), key=lambda one: (one.line, one.column))
-    problems = [one.problem for one in listed[:ENOUGH]]
-    if len(listed) > ENOUGH:
-        problems.append(Problem(path, f"and {len(listed) - ENOUGH} more"))
-    return TreeError(problems)
+def reader(library: Library) -> Read:
+    """Reads trees that can have what is in a library."""
+
+    def read(text: str, path: str, begins: Beginning) -> tuple[Written | None, list[Found]]:
+        document = Document(parse(text, begins), path, library)
+        if document.main is None:
+            return None, document.problems
+        nodes = Nodes(document, path)
+        written = nodes.tree(document.main)
+        return written, [*document.problems, *nodes.problems]
+
+    return read

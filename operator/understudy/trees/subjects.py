@@ -1,0 +1,30 @@
+"""What a tree is, as messages call it: each of the languages is written for several kinds of trees."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A kind of tree."""
+
+    one: str
+    """Such as ``health tree``."""
+    named: bool
+    """Whether the names of its nodes say something; in others they are for people alone."""
+
+    @property
+    def a(self) -> str:
+        """Such as ``a health tree``."""
+        return f"a {self.one}"
+
+    @property
+    def many(self) -> str:
+        """Such as ``health trees``."""
+        return f"{self.one}s"
+
+
+HEALTH = Subject("health tree", named=True)
+PROCEDURE = Subject("procedure", named=False)
+CHECK = Subject("check", named=False)
