@@ -1,1 +1,1 @@
-"""How a body moves by its odometry: poses, their covariance, and what odometry has said. Nothing but Python."""
+"""How a body moves: poses and their covariance, what odometry has said, and whether it does as it is told. Nothing but Python."""

@@ -12,7 +12,7 @@ from typing import Any
 
 from rclpy.context import Context
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.node import Node
+from rclpy.node import Node, NodeNameNonExistentError
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
@@ -52,16 +52,19 @@ class Graph:
             parameter_overrides=[Parameter("start_type_description_service", value=False)],
         )
 
-    def subscribe(self, topic: str, type_name: str, *, depth: int, latched: bool = False) -> Any:
+    def subscribe(
+        self, topic: str, type_name: str, *, depth: int, latched: bool = False, reliable: bool = False
+    ) -> Any:
         """A subscription that matches every publisher: best effort, volatile, the last ``depth`` samples kept.
 
-        With ``latched`` it matches those that are reliable and transient local, and is given what they had said before.
+        With ``latched`` it matches those that are reliable and transient local, and is given what they had said before; with
+        ``reliable`` those that are, of which it misses nothing.
         Raises TypeNotInstalled.
         """
         qos = QoSProfile(
             history=HistoryPolicy.KEEP_LAST,
             depth=depth,
-            reliability=ReliabilityPolicy.RELIABLE if latched else ReliabilityPolicy.BEST_EFFORT,
+            reliability=ReliabilityPolicy.RELIABLE if latched or reliable else ReliabilityPolicy.BEST_EFFORT,
             durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
         )
         return self.node.create_subscription(
@@ -81,6 +84,25 @@ class Graph:
         """The publishers of a topic."""
         return _endpoints(self.node.get_publishers_info_by_topic(topic))
 
+    def publisher_count(self, topic: str) -> int:
+        """How many publishers a topic has: a hundredth of the work of looking at them."""
+        return int(self.node.count_publishers(topic))
+
+    def endpoints_of(self, node: str) -> list[Endpoint]:
+        """Publishers and subscribers of a node, or of several of that full name: those of one of its topics, if it has any."""
+        namespace, _, name = node.rpartition("/")
+        try:
+            published = self.node.get_publisher_names_and_types_by_node(name, namespace or "/")
+            read = self.node.get_subscriber_names_and_types_by_node(name, namespace or "/")
+        except NodeNameNonExistentError:
+            return []
+        topics = [
+            *((topic, self.publishers) for topic, _ in published),
+            *((topic, self.subscribers) for topic, _ in read),
+        ]
+        looks = ([end for end in ends(topic) if end.node == node] for topic, ends in topics)
+        return next((found for found in looks if found), [])
+
     def subscribers(self, topic: str) -> list[Endpoint]:
         """The subscribers of a topic, this process's own among them."""
         return _endpoints(self.node.get_subscriptions_info_by_topic(topic))
@@ -89,6 +111,10 @@ class Graph:
         """The type that a topic's publishers announce; None where there are none, or where they disagree."""
         types = {endpoint.type for endpoint in self.publishers(topic)}
         return types.pop() if len(types) == 1 else None
+
+    def servers(self, service: str) -> list[Endpoint]:
+        """What takes the requests of a service."""
+        return _endpoints(self.node.get_subscriptions_info_by_topic(f"rq{service}Request", no_mangle=True))
 
     def endpoints(self, output: Output) -> list[Endpoint]:
         """What workloads (and robots, for services and actions) have opened for an output.

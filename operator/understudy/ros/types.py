@@ -63,7 +63,17 @@ def interface_class(type_name: str) -> Any:
 
 
 def message_class(type_name: str) -> Any:
-    """The Python class of ``package/msg/Name``; errors as of :func:`interface_class`."""
+    """The Python class of ``package/msg/Name``; errors as of :func:`interface_class`.
+
+    Also of ``package/action/Name_FeedbackMessage``, as the graph calls what is sent on an action's feedback topic, and of
+    ``package/action/Name_Feedback``, which is in it beside the goal's id.
+    """
+    if "/action/" in type_name:
+        action, _, part = type_name.rpartition("_")
+        if part == "FeedbackMessage":
+            return interface_class(action).Impl.FeedbackMessage
+        if part == "Feedback":
+            return interface_class(action).Feedback
     if "/msg/" not in type_name:
         raise ValueError(
             f"{type_name!r} is not a message type: write package/msg/Name, such as geometry_msgs/msg/Twist"
@@ -72,7 +82,10 @@ def message_class(type_name: str) -> Any:
 
 
 def message_fields(type_name: str) -> Mapping[str, str] | None:
-    """The fields of ``package/msg/Name`` with their types, as rosidl names them; None where the image doesn't have it."""
+    """The fields of ``package/msg/Name``, or of an action's feedback, with their types, as rosidl names them.
+
+    None where the image doesn't have it.
+    """
     try:
         found: Mapping[str, str] = message_class(type_name).get_fields_and_field_types()
     except TypeNotInstalled:

@@ -16,14 +16,20 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from understudy.ros.contents import HEAD, Received, begins_with_header
+from understudy.ros.arrivals import Arrivals
+from understudy.ros.contents import HEAD, OURS, Received, begins_with_header, ours
 from understudy.ros.graph import Graph
+from understudy.ros.inhabitants import Inhabitants
+from understudy.ros.lifecycles import Lifecycles
+from understudy.ros.parameters import Parameters
 from understudy.ros.presence import Presence
 from understudy.ros.sources import HOST, Sources
 from understudy.ros.taking import Taker
 from understudy.ros.types import TypeNotInstalled, message_class
+from understudy.trees import diagnostics, situations
 from understudy.trees.health import WatchedTopic
-from understudy.trees.observations import Publishers, TopicRecord
+from understudy.trees.lifecycles import EVENTS
+from understudy.trees.observations import NodeState, ParameterState, PodState, Present, Publishers, TopicRecord
 
 _logger = logging.getLogger(__name__)
 
@@ -46,8 +52,6 @@ LOOK_UP = 1.0
 
 MOST_WRITERS = 64
 """Writers of one host that are told apart; a host that restarts its nodes for months has had many."""
-
-EXECUTING, CANCELING = 2, 3  # action_msgs/msg/GoalStatus
 
 CLOCK_STEP = 0.005
 """Seconds by which the clock must have moved against the monotonic one to count as having been set."""
@@ -94,6 +98,8 @@ class _Topic:
     """The class of what the subscription receives."""
     stamped: bool = False
     """Whether its messages begin with a header."""
+    mixed: bool = False
+    """Whether what Understudy says itself may be among them, which is no evidence."""
     problem: str = ""
     waiting: str = ""
     sources: dict[bytes, SourceRecord] = field(default_factory=dict)
@@ -111,12 +117,20 @@ class Watching:
     are moved with it, so that a step of the clock doesn't look like a gap.
     """
 
-    def __init__(self, graph: Graph, own: bytes | None = None) -> None:
-        """``own`` is the HOST part of GIDs of the instance that is judged, where that is the one this process is in."""
+    def __init__(self, graph: Graph, own: bytes | None = None, arrivals: Arrivals | None = None) -> None:
+        """``own`` is the HOST part of GIDs of the instance that is judged, where that is the one this process is in;
+        ``arrivals`` is to tell of messages that should be looked at as they come.
+        """
         self._graph = graph
         self._own = own
         self._presence = Presence(graph, self._in_control)
+        self._inhabitants = Inhabitants(graph, self._in_control)
+        self._lifecycles = Lifecycles(graph, self._in_control, self.own, alone=own is not None)
+        self._parameters = Parameters(graph, self._in_control, self.own, alone=own is not None)
+        self.pod_state: PodState | None = None
+        """What the cluster says of the pod of the instance in control, where somebody says it here."""
         self._taker = Taker()
+        self._arrivals = arrivals
         self._topics: dict[str, _Topic] = {}
         self._sources = Sources({})
         self._active = ""
@@ -130,6 +144,9 @@ class Watching:
         """Watch these topics and no others. Cheap where nothing changed; then what was received is kept."""
         topics = list(topics)
         self._presence.follow([topic.name for topic in topics if topic.publishers])
+        self._inhabitants.follow([topic.name for topic in topics if topic.node])
+        self._lifecycles.follow([topic.name.removesuffix(EVENTS) for topic in topics if topic.managed])
+        self._parameters.follow(parameter for topic in topics for parameter in topic.parameters)
         wanted = {topic.name: topic for topic in topics if topic.heard}
         for name in [name for name in self._topics if name not in wanted]:
             self._end(self._topics.pop(name))
@@ -144,7 +161,8 @@ class Watching:
     @property
     def problems(self) -> list[str]:
         """Why a topic is not watched, in plain words that say what to do."""
-        return [topic.problem for topic in self._topics.values() if topic.problem]
+        unwatched = [topic.problem for topic in self._topics.values() if topic.problem]
+        return [*unwatched, *self._lifecycles.problems, *self._parameters.problems]
 
     @property
     def unwatchable(self) -> frozenset[str]:
@@ -159,6 +177,8 @@ class Watching:
     def _change(self, topic: _Topic, want: WatchedTopic) -> None:
         looks_into = (want.contents, want.whole) != (topic.want.contents, topic.want.whole)
         again = topic.subscription is None or want.type != topic.want.type or depth(want) > depth(topic.want)
+        told = want.prompt != topic.want.prompt
+        again = again or want.reliable != topic.want.reliable
         topic.want = want
         for source in topic.sources.values():
             source.window = max(want.window, HISTORY)
@@ -168,6 +188,8 @@ class Watching:
         if again:
             self._end(topic)
             self._subscribe(topic)
+        elif told:
+            self._be_told(topic)
 
     def _subscribe(self, topic: _Topic) -> None:
         want = topic.want
@@ -187,12 +209,27 @@ class Watching:
         try:
             topic.message = message_class(type_name)
             topic.stamped = begins_with_header(topic.message)
-            topic.subscription = self._graph.subscribe(want.name, type_name, depth=depth(want), latched=want.task)
+            topic.mixed = type_name == diagnostics.TYPE
+            topic.subscription = self._graph.subscribe(
+                want.name, type_name, depth=depth(want), latched=want.task, reliable=want.reliable
+            )
         except TypeNotInstalled as error:
             topic.problem = f"{want.name}: {error}"
+            return
+        if want.prompt:
+            self._be_told(topic)
+
+    def _be_told(self, topic: _Topic) -> None:
+        """Be told of messages as they come, or no longer."""
+        if self._arrivals is None or topic.subscription is None:
+            return
+        tell = self._arrivals.tell_of if topic.want.prompt else self._arrivals.forget
+        tell(topic.subscription.handle)
 
     def _end(self, topic: _Topic) -> None:
         if topic.subscription is not None:
+            if self._arrivals is not None:
+                self._arrivals.forget(topic.subscription.handle)
             self._graph.unsubscribe(topic.subscription)
             topic.subscription = None
         topic.active.clear()
@@ -213,6 +250,11 @@ class Watching:
 
     # -- whose samples count ----------------------------------------------------------------------------------------
 
+    @property
+    def in_control(self) -> bool:
+        """It is the one in control that is judged by all that is received."""
+        return True
+
     def attribute(self, instances: Mapping[str, str], active: str) -> None:
         """Say which instances there are (IP by pod name) and which of them is in control (empty for none).
 
@@ -220,8 +262,13 @@ class Watching:
         """
         if active == self._active and instances == self._sources.instances:
             return
+        other = active != self._active or instances.get(active) != self._sources.instances.get(active)
         self._sources, self._active = Sources(instances), active
+        if other:
+            self._lifecycles.forget()
+            self._parameters.forget()
         self._presence.forget()
+        self._inhabitants.forget()
         for topic in self._topics.values():
             for host, source in topic.sources.items():
                 source.accepted = self._accepted(host)
@@ -241,7 +288,7 @@ class Watching:
         return not candidates or self._active in candidates
 
     def _in_control(self, gid: bytes) -> bool:
-        """Whether a writer is (or may be) of the instance in control; where no address tells that one, whether it is of no other."""
+        """Whether an endpoint is (or may be) of the instance in control; where no address tells that one, whether it is of no other."""
         if self._own is not None:
             return gid[HOST] == self._own
         candidates = self._sources.candidates(gid)
@@ -272,10 +319,13 @@ class Watching:
             self._look_up_types()
             self._forget_servers()
         self._presence.look()
+        self._inhabitants.look()
         taken = 0
         for topic in self._topics.values():
             if topic.subscription is not None:
                 taken += self._drain(topic, low, high)
+        self._lifecycles.look()
+        self._parameters.look()
         self._drained = time.time()
         return taken
 
@@ -286,12 +336,15 @@ class Watching:
         # A writer that is faster than we are must not keep us here.
         most = 4 * depth(topic.want)
         task, wanted = topic.want.task, topic.want.contents
+        mixed = topic.mixed
         needed = None if topic.want.whole else HEAD
         with handle:
             pointer = handle.pointer
             while taken < most and (sample := take(pointer, with_data=task)) is not None:
                 taken += 1
-                stamped, _, gid, sequence, data = sample
+                if mixed and ours(self._taker.data(OURS)):
+                    continue
+                stamped, sent, gid, sequence, data = sample
                 received = min(max(stamped, low), high) if bounded else stamped
                 source = sources.get(gid[HOST]) or self._new_source(topic, gid[HOST])
                 source.add(received)
@@ -299,7 +352,8 @@ class Watching:
                 if source.accepted and topic.counted is not source:
                     topic.counted.add(received)
                 if wanted:
-                    content = Received(received, stamped, self._taker.data(needed), topic.message, topic.stamped)
+                    kept = self._taker.data(needed)
+                    content = Received(received, stamped, kept, topic.message, topic.stamped, sent)
                     source.contents.append(content)
                     if source.accepted and topic.counted is not source:
                         topic.counted.contents.append(content)
@@ -327,6 +381,11 @@ class Watching:
         _logger.warning("the clock was set by %+.3f s; the times of what was received are moved with it", step)
         self._drained += step
         self._presence.shift(step)
+        self._inhabitants.shift(step)
+        self._lifecycles.shift(step)
+        self._parameters.shift(step)
+        if self.pod_state is not None:
+            self.pod_state.received += step
         for topic in self._topics.values():
             for source in topic.sources.values():
                 source.shift(step)
@@ -340,6 +399,17 @@ class Watching:
         """What counts for the instance in control; None where the topic isn't watched."""
         topic = self._topics.get(name)
         return topic.counted if topic is not None else None
+
+    def own(self, name: str) -> TopicRecord | None:
+        """What the instance in control itself sent on a topic; None where that is nothing (yet)."""
+        found = [source for host, source in self.records(name).items() if self._in_control(host)]
+        if len(found) < 2:
+            return found[0] if found else None
+        joined = TopicRecord(contents=sum(len(source.contents) for source in found))
+        for arrival in sorted(arrival for source in found for arrival in source.arrivals):
+            joined.add(arrival)
+        joined.contents.extend(sorted((c for source in found for c in source.contents), key=lambda c: c.received))
+        return joined
 
     def active(self, name: str) -> dict[bytes, float]:
         """When each server of an action got its active goal, by the GID of the writer of its status."""
@@ -357,6 +427,22 @@ class Watching:
     def publishers(self, name: str) -> Publishers | None:
         """Who publishes a topic, of the instance in control; None where nobody has looked (yet)."""
         return self._presence.of(name)
+
+    def node(self, name: str) -> Present | None:
+        """Whether the instance in control has a node; None where nobody has looked (yet)."""
+        return self._inhabitants.of(name)
+
+    def lifecycle(self, name: str) -> NodeState | None:
+        """The state of a managed node of the instance in control; None where nothing is known (yet)."""
+        return self._lifecycles.of(name)
+
+    def parameter(self, node: str, name: str) -> ParameterState | None:
+        """The value of a parameter of a node of the instance in control; None where nothing is known (yet)."""
+        return self._parameters.of((node, name))
+
+    def pod(self) -> PodState | None:
+        """The pod of the instance in control; None where nobody says anything of it (yet)."""
+        return self.pod_state
 
     def records(self, name: str) -> dict[bytes, SourceRecord]:
         """What was received on a topic, by the HOST part of the senders' GIDs."""
@@ -401,17 +487,16 @@ class Watching:
         for topic in self._topics.values():
             self._end(topic)
         self._topics.clear()
+        self._lifecycles.close()
+        self._parameters.close()
 
 
 def _note_goals(active: dict[bytes, float], gid: bytes, received: float, data: bytes) -> None:
-    """Note from an action's status (action_msgs/msg/GoalStatusArray) whether one of its goals is active.
-
-    One that is only accepted isn't: nobody works on it (yet), as on a goal of the task proxy between two instances.
-    """
+    """Note from an action's status (action_msgs/msg/GoalStatusArray) whether one of its goals is active."""
     from rclpy.serialization import deserialize_message
 
     status = deserialize_message(data, message_class("action_msgs/msg/GoalStatusArray"))
-    if any(goal.status in (EXECUTING, CANCELING) for goal in status.status_list):
+    if any(goal.status in situations.WORKED_ON for goal in status.status_list):
         active.setdefault(gid, received)
     else:
         active.pop(gid, None)
