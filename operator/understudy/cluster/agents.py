@@ -157,13 +157,17 @@ class AgentLink:
         name: str,
         state: Mapping[str, Any] | None = None,
         brought: str = "",
+        places: Mapping[str, str] | None = None,
     ) -> Mapping[str, Any]:
         """Run a procedure on its instance for at most so many seconds; it takes the place of one that runs.
 
-        ``state`` is kept state on the wire for its leaves, ``brought`` what its success is remembered by. What became of
-        the state is in the answer. Raises AgentRefused, which says why it failed, and AgentGone.
+        ``state`` is kept state on the wire for its leaves, ``brought`` what its success is remembered by, ``places`` where
+        its nodes were written, if not in the short form. What became of the state is in the answer. Raises AgentRefused,
+        which says why it failed, and AgentGone.
         """
-        body = {"tree": tree, "within": within, "name": name, "state": state, "as": brought}
+        body: dict[str, Any] = {"tree": tree, "within": within, "name": name, "state": state, "as": brought}
+        if places:
+            body["places"] = places
         answer = await self.request("procedure", body, within=within + ANSWER)
         found: Mapping[str, Any] = answer.get("report") or {}
         return found

@@ -75,6 +75,7 @@ class Resource:
 
 
 PODS = Resource("", "v1", "pods")
+POD_METRICS = Resource("metrics.k8s.io", "v1beta1", "pods")
 SERVICES = Resource("", "v1", "services")
 CONFIG_MAPS = Resource("", "v1", "configmaps")
 SECRETS = Resource("", "v1", "secrets")

@@ -5,14 +5,14 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
 
 from understudy.api.base import seconds
 from understudy.api.procedures import Procedure
 from understudy.trees.problems import TreeError
-from understudy.trees.procedures import load_procedure
+from understudy.trees.procedureforms import compose
 
 
 @dataclass(frozen=True)
@@ -22,27 +22,37 @@ class BringUp:
     name: str
     """Such as bringUp, recovery or initialization."""
     tree: Mapping[str, Any]
+    """In the short form."""
     within: float
     """Seconds."""
     digest: str
-    """Tells it from every other one."""
+    """Tells it from every other one, in whichever language it is written."""
     restores_state: bool
     """Whether the tree says itself where kept state is restored."""
+    places: Mapping[str, str] = field(default_factory=dict)
+    """Where in its text its nodes are, where it was written in another language."""
+    problem: str = ""
+    """Why it can't be run; empty where it can."""
 
     @classmethod
     def of(cls, name: str, procedure: Procedure | None) -> BringUp | None:
         """From a spec; None where there is none."""
         if procedure is None:
             return None
-        return _known(name, json.dumps(procedure.yaml, sort_keys=True), seconds(procedure.within))
+        tree = json.dumps(procedure.tree, sort_keys=True)
+        return _known(name, procedure.form, tree, seconds(procedure.within))
 
 
 @lru_cache(maxsize=64)
-def _known(name: str, tree: str, within: float) -> BringUp:
+def _known(name: str, form: str, tree: str, within: float) -> BringUp:
     """Asked for every second, and loading a tree takes a while."""
-    found: dict[str, Any] = json.loads(tree)
     try:
-        restores = load_procedure(found, path=name).restores_state
-    except TreeError:
-        restores = False  # the agent refuses it, and says why
-    return BringUp(name, found, within, hashlib.sha256(tree.encode()).hexdigest()[:12], restores)
+        found = compose(form, json.loads(tree), check=False, path=name)
+    except TreeError as error:
+        return BringUp(name, {}, within, _digest(tree), False, problem=str(error))
+    digest = _digest(json.dumps(found.node, sort_keys=True))
+    return BringUp(name, found.node, within, digest, found.tree.restores_state, found.places)
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:12]

@@ -153,7 +153,7 @@ async def _verify(target: Instance, progress: Progress, means: Means) -> None:
     since = progress.moments.get("committing", progress.cursor)
     first = await means.outputs.first_from(target, since=since)
     if first is not None:
-        progress.moments.setdefault("first_output", first)  # by the reflex it came before the commit
+        progress.note_first_output(first)
     fenced = progress.moments.get("fenced", since)
     last, pod = means.outputs.last_from_others(target)
     if last > fenced + IN_FLIGHT:

@@ -12,6 +12,7 @@ from typing import Protocol
 from understudy.api.kept import KeptState, RestoreReport
 from understudy.mitigation.bringing import BringUp
 from understudy.mitigation.progress import Progress
+from understudy.trees.observations import PodCondition
 
 
 class NotAvailable(Exception):
@@ -53,6 +54,8 @@ class Instance:
     """Whether a container of it has ended so often that the kubelet waits before it starts it again."""
     evicted: bool = False
     """Whether it is being deleted because its node is lost to Kubernetes. Nobody there can end its processes."""
+    conditions: tuple[PodCondition, ...] = field(default=(), compare=False)
+    """What its status says."""
 
     @property
     def from_source(self) -> bool:

@@ -43,6 +43,8 @@ class Progress(Model):
     attempts: list[Attempt] = Field(default_factory=list)
     epoch: int = 0
     resumed: bool = False
+    planned: bool = False
+    """Whether nothing failed: an instance that is degraded is replaced at an idle moment."""
     result: Literal["Running", "Recovered", "Failed"] = "Running"
     strategy: str = ""
     cursor: float = 0.0
@@ -54,10 +56,16 @@ class Progress(Model):
 
     @classmethod
     def begin(
-        cls, reason: str, *, last_healthy: float, detected: float, failed: Sequence[PodIdentity] = ()
+        cls,
+        reason: str,
+        *,
+        last_healthy: float,
+        detected: float,
+        failed: Sequence[PodIdentity] = (),
+        planned: bool = False,
     ) -> Progress:
-        """A recovery from a failure that has just been detected."""
-        progress = cls(reason=reason, failed=list(failed), cursor=last_healthy)
+        """A recovery from a failure that has just been detected, or a hand-over that is planned."""
+        progress = cls(reason=reason, failed=list(failed), planned=planned, cursor=last_healthy)
         progress.moments["last_healthy"] = last_healthy
         progress.moments["detected"] = detected
         progress.charge("detection", detected)
@@ -72,6 +80,25 @@ class Progress(Model):
             return
         self.parts[part] = self.parts.get(part, 0.0) + max(0.0, until - self.cursor)
         self.cursor = max(self.cursor, until)
+
+    def note_first_output(self, first: float) -> None:
+        """Note when the first output of the understudy was received at the gated readers.
+
+        It proves that the gate was open. Where it came before the probe that was waited for, whose sender may have had to wait for
+        a processor, the gate was enforced then at the latest.
+        """
+        moments = self.moments
+        moments.setdefault("first_output", first)  # by the reflex it came before the commit
+        routed = moments.get("routed")
+        if routed is None or not moments.get("committing", routed) <= first < routed:
+            return
+        if moments.get("fenced") == routed:  # in one commit with it
+            moments["fenced"] = first
+        moments["routed"] = first
+        if self.cursor == routed and "cluster" in self.parts:
+            back = min(routed - first, self.parts["cluster"])
+            self.parts["cluster"] -= back
+            self.cursor -= back
 
     def has_failed(self, uid: str) -> bool:
         """Whether a pod is one of those that failed in this recovery."""
@@ -127,6 +154,7 @@ class Progress(Model):
             moments=Moments(**{name: rfc3339(time) for name, time in self.moments.items()}),
             attempts=self.attempts,
             resumed=self.resumed,
+            planned=self.planned,
             state=self.state,
         )
 
