@@ -9,6 +9,7 @@ from understudy.api import names
 from understudy.api.base import API_VERSION
 from understudy.cluster.applying import controller_of
 from understudy.cluster.client import (
+    CONFIG_MAPS,
     DEPLOYMENTS,
     NETWORK_POLICIES,
     PODS,
@@ -19,7 +20,7 @@ from understudy.cluster.client import (
     Object,
     Resource,
 )
-from understudy.controller import objects, policies
+from understudy.controller import healthtrees, objects, policies
 from understudy.controller.stores import Sight, Store
 
 
@@ -56,6 +57,8 @@ def _keys(sight: Sight, store: Store) -> Iterator[Key]:
         yield from _after_pod(sight, store, namespace)
     elif plural == NETWORK_POLICIES.plural:
         yield from _after_policy(found, store, namespace)
+    elif plural == CONFIG_MAPS.plural:
+        yield from _after_trees(found, store, namespace)
 
 
 def _spec_changed(sight: Sight) -> bool:
@@ -105,6 +108,14 @@ def _after_policy(policy: Object, store: Store, namespace: str) -> Iterator[Key]
     elif owner is not None and owner["kind"] == "RobotWorkload":
         for name in store.in_namespace(POOLS, namespace):  # which of their pods are in control
             yield Key(POOLS.plural, namespace, name)
+
+
+def _after_trees(config_map: Object, store: Store, namespace: str) -> Iterator[Key]:
+    """The policies whose health tree is in a ConfigMap, and whom they protect."""
+    for name, policy in store.in_namespace(POLICIES, namespace).items():
+        if healthtrees.reference(policy) == objects.name(config_map):
+            yield Key(POLICIES.plural, namespace, name)
+            yield from users(name, store, namespace)
 
 
 def _pool_users(pool: str, store: Store, namespace: str) -> Iterator[Key]:

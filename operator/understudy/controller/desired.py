@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from understudy.cluster.client import Object, Resource
+from understudy.cluster.client import MERGE, Object, Resource
 
 
 @dataclass(frozen=True)
@@ -28,12 +28,14 @@ class Create:
 
 @dataclass(frozen=True)
 class Patch:
-    """A merge patch on exactly one object (by UID)."""
+    """A patch on exactly one object (by UID)."""
 
     resource: Resource
     item: Object
     body: Object
     subresource: str | None = None
+    kind: str = MERGE
+    """What sort of patch it is: its content type."""
 
 
 @dataclass(frozen=True)

@@ -43,14 +43,14 @@ def service(workload: str, address: str | None = None) -> Object:
     }
 
 
-def deployment(workload: str, images: Images) -> Object:
-    """The server."""
+def deployment(workload: str, images: Images, address: str) -> Object:
+    """The server, with the Service's address: it tells it as its own, which stays when its pod is another."""
     container = {
         "name": "discovery",
         "image": images.monitor,
         "imagePullPolicy": images.pull_policy,
         "command": ["understudy-discovery-server"],
-        "args": ["-i", "0", "-l", "0.0.0.0", "-p", str(names.DISCOVERY_PORT)],
+        "args": [address, str(names.DISCOVERY_PORT)],
         "env": [{"name": "HOME", "value": "/tmp"}],
         "ports": [{"name": "discovery", "containerPort": names.DISCOVERY_PORT, "protocol": "UDP"}],
         "resources": {"requests": dict(_REQUESTS)},

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from understudy.api import names
 from understudy.cluster import applying
 from understudy.cluster.applying import Taken
-from understudy.cluster.client import MERGE, PODS, REPLICA_SETS, ApiError, Client, Object, Resource
+from understudy.cluster.client import PODS, REPLICA_SETS, ApiError, Client, Object, Resource
 from understudy.cluster.leases import LeadershipLost
 from understudy.controller import metrics, objects
 from understudy.controller.affected import Key
@@ -19,6 +19,9 @@ from understudy.controller.stores import Store
 _logger = logging.getLogger(__name__)
 
 MANAGER = "understudy-operator"
+
+RESIZE = "resize"
+"""The subresource of pods by which they are resized in place (KEP-1287)."""
 
 
 class Stale(Exception):
@@ -55,7 +58,7 @@ class Executor:
             except ApiError as error:
                 if error.status == 403 and "being terminated" in error.message:
                     raise Ending from error
-                if error.status == 409 or (error.status == 404 and isinstance(write, Patch)):
+                if error.status == 409 or (error.status == 404 and _gone(write)):
                     stale = error
                     continue
                 if error.status == 429 or error.status >= 500:
@@ -76,8 +79,8 @@ class Executor:
                 await self._apply(key, resource, body)
             case Create(resource, body, counted):
                 await self._create(key, resource, body, counted)
-            case Patch(resource, item, body, subresource):
-                await self._patch(resource, item, body, subresource)
+            case Patch(resource, item, body, subresource, kind):
+                await self._patch(resource, item, body, subresource, kind)
             case Delete(resource, item):
                 metrics.WRITES.labels(resource.plural, "delete").inc()
                 await applying.delete_exactly(self._client, resource, item)
@@ -133,7 +136,7 @@ class Executor:
             self._expectations.settled(key, pool, name)
         _logger.info("created %s %s/%s", resource.plural, key.namespace, name)
 
-    async def _patch(self, resource: Resource, item: Object, body: Object, subresource: str | None) -> None:
+    async def _patch(self, resource: Resource, item: Object, body: Object, subresource: str | None, kind: str) -> None:
         metadata = item["metadata"]
         metrics.WRITES.labels(resource.plural, "patch").inc()
         if subresource is None:
@@ -142,11 +145,16 @@ class Executor:
                 guard["resourceVersion"] = metadata["resourceVersion"]
             body = {**body, "metadata": {**(body.get("metadata") or {}), **guard}}
         made = await self._client.patch(
-            resource, metadata["namespace"], metadata["name"], body, kind=MERGE, subresource=subresource
+            resource, metadata["namespace"], metadata["name"], body, kind=kind, subresource=subresource
         )
         if subresource is None:
             self._store.put(resource, made)
         _logger.info("patched %s %s/%s", resource.plural, metadata["namespace"], metadata["name"])
+
+
+def _gone(write: Write) -> bool:
+    """Whether what isn't found is the object: an older API server may lack the subresource, for good."""
+    return isinstance(write, Patch) and write.subresource != RESIZE
 
 
 def refused(write: Write, error: ApiError) -> Problem:

@@ -190,6 +190,7 @@ def access(workload: str, *, source: tuple[str, str], pools: Sequence[str]) -> l
     watch = ["get", "list", "watch"]
     rules = [
         _rule("", ["pods"], [*watch, "patch", "delete"]),
+        _rule("metrics.k8s.io", ["pods"], ["list"]),
         _rule("networking.k8s.io", ["networkpolicies"], [*watch, "patch"], [names.gate(workload)]),
         _rule(GROUP, ["robotworkloads"], watch, [workload]),
         _rule(GROUP, ["robotworkloads/status"], ["patch"], [workload]),

@@ -8,6 +8,7 @@ from typing import Any
 
 from understudy.api import names
 from understudy.cluster.client import (
+    CONFIG_MAPS,
     DEPLOYMENTS,
     NETWORK_POLICIES,
     PODS,
@@ -19,7 +20,7 @@ from understudy.cluster.client import (
     Client,
     Object,
 )
-from understudy.controller import affected, objects, pools, references, selectors, workloads
+from understudy.controller import affected, levels, objects, pools, references, selectors, workloads
 from understudy.controller.affected import Key
 from understudy.controller.expectations import Expectations
 from understudy.controller.stores import Store
@@ -42,6 +43,7 @@ class Observer:
             workload=item,
             now=time.time(),
             policies=store.in_namespace(POLICIES, namespace),
+            config_maps=store.in_namespace(CONFIG_MAPS, namespace),
             pools=found_pools,
             held_policies={
                 pool: policy
@@ -59,7 +61,18 @@ class Observer:
             reference=await self._referred(item),
             rivals=self._rivals(item),
             expected={pool: self._expectations.count(key, pool) for pool in serving},
+            resized=await self._resized(item),
         )
+
+    async def _resized(self, item: Object) -> Object | None:
+        """Read from the API, not from the store: of a pod's spec nothing is kept there."""
+        namespace = item["metadata"]["namespace"]
+        policy = self._store.get(POLICIES, namespace, affected.used_policy(item))
+        if not levels.degraded(item) or not any(action.resize for action in levels.actions(policy)):
+            return None
+        name, uid = objects.active(self._store.get(NETWORK_POLICIES, namespace, names.gate(objects.name(item))))
+        pod = await self._client.find(PODS, namespace, name) if name else None
+        return pod if pod is not None and objects.uid(pod) == uid and objects.alive(pod) else None
 
     def _serving(self, item: Object, component: str) -> list[Object]:
         """The pods of a workload's monitor or discovery server."""
@@ -117,6 +130,11 @@ class Observer:
             source_selector=selector,
             active=frozenset(uid for gate in gates if (uid := objects.active(gate)[1])),
             expected=self._expectations.count(Key(POOLS.plural, namespace, name), name),
+            prewarmed=sum(
+                pools.serves(item, workload)
+                and levels.prewarmed(workload, store.get(POLICIES, namespace, affected.used_policy(workload)), name)
+                for workload in found.values()
+            ),
         )
 
     async def _source(

@@ -4,21 +4,22 @@ from __future__ import annotations
 
 import functools
 import json
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 
 from pydantic import ValidationError
 
 from understudy.api.base import seconds
 from understudy.api.conditions import Condition, condition
+from understudy.api.degraded import InlineTree
 from understudy.api.policies import FailurePolicySpec
 from understudy.api.pools import FallbackPoolSpec
 from understudy.api.procedures import Check, Procedure
 from understudy.cluster.client import Object
-from understudy.controller import objects
+from understudy.controller import healthtrees, objects
 from understudy.controller.desired import Problem
 from understudy.trees.forms import load_health
 from understudy.trees.problems import TreeError
-from understudy.trees.procedures import load_check, load_procedure
+from understudy.trees.procedureforms import compose
 
 _MOST_PROBLEMS = 10
 
@@ -36,16 +37,25 @@ def invalid(error: ValidationError) -> str:
     )
 
 
-def problem(policy: Object) -> Problem | None:
-    """Why a policy can't be followed, or None. Missing pools don't count: the next strategy is used then."""
+def problem(policy: Object, config_maps: Mapping[str, Object]) -> Problem | None:
+    """Why a policy can't be followed, or None. Missing pools don't count: the next strategy is used then.
+
+    ``config_maps`` are those of its namespace.
+    """
     try:
         parsed = spec(policy)
     except ValidationError as error:
         return Problem("SpecInvalid", invalid(error))
+    tree = healthtrees.find(parsed.monitoring, config_maps, policy["metadata"]["namespace"])
+    if isinstance(tree, Problem):
+        return tree
     grace = seconds(parsed.monitoring.startup_grace)
-    if found := _tree_problem(parsed.monitoring.form, json.dumps(parsed.monitoring.tree), grace):
+    if tree is None and (found := _tree_problem(parsed.monitoring.form, json.dumps(parsed.monitoring.tree), grace)):
         return Problem("TreeInvalid", found)
-    recoveries = ((f"spec.strategies[{i}].recovery.yaml", s.recovery) for i, s in enumerate(parsed.strategies))
+    for path, inline in _inline_trees(parsed):
+        if found := _inline_problem(inline, path, grace):
+            return Problem("TreeInvalid", found)
+    recoveries = ((f"spec.strategies[{i}].recovery", s.recovery) for i, s in enumerate(parsed.strategies))
     if found := procedures_problem(*recoveries):
         return Problem("TreeInvalid", found)
     return None
@@ -58,39 +68,53 @@ def pool_problem(pool: Object) -> Problem | None:
     except ValidationError as error:
         return Problem("SpecInvalid", invalid(error))
     if found := procedures_problem(
-        ("spec.initialization.yaml", parsed.initialization), ("spec.readinessCheck.yaml", parsed.readiness_check)
+        ("spec.initialization", parsed.initialization), ("spec.readinessCheck", parsed.readiness_check)
     ):
         return Problem("TreeInvalid", found)
     return None
 
 
 def procedures_problem(*found: tuple[str, Procedure | Check | None]) -> str | None:
-    """What is wrong with procedures and checks, each with the path of its tree; None where nothing is."""
+    """What is wrong with procedures and checks, each with its path; None where nothing is."""
     problems = [
         problem
         for path, tree in found
         if tree is not None
-        and (problem := _procedure_problem(json.dumps(tree.yaml), path, isinstance(tree, Check))) is not None
+        and (problem := _procedure_problem(tree.form, json.dumps(tree.tree), path, isinstance(tree, Check))) is not None
     ]
     return "; ".join(problems) or None
 
 
 @functools.lru_cache(maxsize=512)
-def _procedure_problem(tree: str, path: str, is_check: bool) -> str | None:
+def _procedure_problem(form: str, tree: str, path: str, is_check: bool) -> str | None:
     try:
-        (load_check if is_check else load_procedure)(json.loads(tree), path=path)
+        compose(form, json.loads(tree), check=is_check, path=f"{path}.{form}")
     except TreeError as error:
         return error.in_short()
     return None
 
 
 @functools.lru_cache(maxsize=512)
-def _tree_problem(form: str, tree: str, grace: float) -> str | None:
+def _tree_problem(form: str, tree: str, grace: float, path: str | None = None) -> str | None:
     try:
-        load_health(form, json.loads(tree), grace=grace)
+        load_health(form, json.loads(tree), grace=grace, path=path)
     except TreeError as error:
         return error.in_short()
     return None
+
+
+def _inline_trees(parsed: FailurePolicySpec) -> Iterator[tuple[str, InlineTree]]:
+    """The trees of ``spec.degraded`` with their paths."""
+    if parsed.degraded is None:
+        return
+    yield "spec.degraded.monitoring", parsed.degraded.monitoring
+    for index, action in enumerate(parsed.degraded.actions):
+        if action.reschedule is not None and action.reschedule.idle is not None:
+            yield f"spec.degraded.actions[{index}].reschedule.idle", action.reschedule.idle
+
+
+def _inline_problem(tree: InlineTree, path: str, grace: float) -> str | None:
+    return _tree_problem(tree.form, json.dumps(tree.tree), grace, f"{path}.{tree.form}")
 
 
 def named_pools(policy: Object) -> list[str]:
@@ -122,10 +146,10 @@ def in_short(policy: Object, pools: Mapping[str, Object]) -> str:
     return ", ".join(told)
 
 
-def conditions(policy: Object, pools: Mapping[str, Object]) -> list[Condition]:
+def conditions(policy: Object, pools: Mapping[str, Object], config_maps: Mapping[str, Object]) -> list[Condition]:
     """The policy's Accepted condition."""
     generation = objects.generation(policy)
-    found = problem(policy)
+    found = problem(policy, config_maps)
     if found is None:
         for index, name in enumerate(named_pools(policy)):
             if name not in pools:
@@ -136,16 +160,51 @@ def conditions(policy: Object, pools: Mapping[str, Object]) -> list[Condition]:
                     f"has; until then that strategy is passed over",
                 )
                 break
+    if found is None:
+        found = _prewarm_problem(policy, pools)
     if found is not None:
         return [condition("Accepted", False, found.reason, found.message, generation=generation)]
     return [condition("Accepted", True, "Accepted", "It can be followed.", generation=generation)]
 
 
-def status(policy: Object, *, pools: Mapping[str, Object], users: Collection[str]) -> Object:
+def _prewarm_problem(policy: Object, pools: Mapping[str, Object]) -> Problem | None:
+    degraded = spec(policy).degraded
+    for index, action in enumerate(degraded.actions if degraded is not None else ()):
+        name = action.prewarm.pool_ref.name if action.prewarm is not None else ""
+        if name in pools and readiness(pools[name]) == "Uninitialized":
+            return Problem("PoolNotPrewarmed", f"spec.degraded.actions[{index}].prewarm.poolRef.name: {shared(name)}")
+    return None
+
+
+def shared(pool: str) -> str:
+    """Why a pool can't be pre-warmed for a workload."""
+    return (
+        f"FallbackPool {pool} is Uninitialized, so its pods are of no workload's own; name one that is Initialized or Executing "
+        f"(with perWorkload 0 it costs nothing until a workload is degraded)"
+    )
+
+
+def tree_in_force(policy: Object, config_maps: Mapping[str, Object]) -> Object | None:
+    """The health tree that monitors go by where it comes from a ConfigMap: while that has no good one, the last that was."""
+    try:
+        found = healthtrees.find(spec(policy).monitoring, config_maps, policy["metadata"]["namespace"])
+    except ValidationError:
+        found = Problem("SpecInvalid", "told elsewhere")
+    if isinstance(found, Problem):
+        last: Object | None = (policy.get("status") or {}).get("tree")
+        return last
+    return found.to_wire() if found is not None else None
+
+
+def status(
+    policy: Object, *, pools: Mapping[str, Object], config_maps: Mapping[str, Object], users: Collection[str]
+) -> Object:
     """The policy's status, but for the times of its conditions."""
+    tree = tree_in_force(policy, config_maps)
     return {
         "observedGeneration": objects.generation(policy),
         "workloads": len(users),
         "strategies": in_short(policy, pools),
-        "conditions": [c.to_wire() for c in conditions(policy, pools)],
+        **({"tree": tree} if tree is not None else {}),
+        "conditions": [c.to_wire() for c in conditions(policy, pools, config_maps)],
     }

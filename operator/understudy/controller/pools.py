@@ -42,6 +42,8 @@ class Observed:
     """UIDs of the pods in control of some robot."""
     expected: int = 0
     """Pods that were created and haven't been observed yet."""
+    prewarmed: int = 0
+    """Workloads that are to have a standby more, since they are degraded."""
 
 
 @dataclass(frozen=True)
@@ -208,7 +210,7 @@ def count(observed: Observed, spec: FallbackPoolSpec) -> Counts:
     served = sum(serves(observed.pool, workload) for workload in observed.workloads.values())
     return Counts(
         replicas=len(living),
-        desired=served * (spec.per_workload or 0),
+        desired=served * (spec.per_workload or 0) + observed.prewarmed,
         ready=sum(objects.ready(pod) for pod in waiting),
         claimed=len(driving),
     )

@@ -10,9 +10,9 @@ from collections.abc import Sequence
 
 from understudy.api import names
 from understudy.api.base import API_VERSION
-from understudy.cluster.client import PODS, POLICIES, POOLS, WORKLOADS, ApiError, Client, Object, Resource
+from understudy.cluster.client import CONFIG_MAPS, PODS, POLICIES, POOLS, WORKLOADS, ApiError, Client, Object, Resource
 from understudy.cluster.events import Recorder
-from understudy.controller import affected, metrics, objects, policies, pools, statuses, workloads
+from understudy.controller import affected, metrics, objects, policies, pools, resizing, statuses, workloads
 from understudy.controller.affected import Key
 from understudy.controller.desired import Images
 from understudy.controller.executing import MANAGER, Executor
@@ -37,6 +37,9 @@ ABSENT = frozenset(
 """Reasons that say that another object is missing."""
 TOGETHER_SECONDS = 3.0
 """For so long after an object was created, what it lacks isn't told yet."""
+
+WITHDRAWN = frozenset({resizing.CONDITION})
+"""Conditions of ours that are there only while there is something to be said."""
 
 _RESOURCES = {resource.plural: resource for resource in (WORKLOADS, POLICIES, POOLS)}
 
@@ -95,11 +98,23 @@ class Reconciler:
                 again = FORGET_REFUSAL
         plan = workloads.plan(observed, understanding, self._images, self._fresh)
         problems = await self._executor.run(key, plan.writes)
-        if problems:
+        raised = await self._resize(key, observed, understanding)
+        if problems or any(one.reason == "Refused" for one in raised):
             again = FORGET_REFUSAL
         observed = self._seen(observed)
-        status = statuses.status(observed, understanding, problems)
+        status = statuses.status(observed, understanding, problems, resizing.judged(observed, raised))
         return _earliest(plan.again_after, again, await self._tell(WORKLOADS, observed.workload, status))
+
+    async def _resize(
+        self, key: Key, observed: workloads.Observed, understanding: workloads.Understanding
+    ) -> list[resizing.Outcome]:
+        """Resize the pod in control as far as it is asked for; what the API server refuses concerns nothing else."""
+        found = []
+        for outcome in resizing.outcomes(observed, understanding):
+            writes = [outcome.write] if outcome.write is not None else []
+            problems = await self._executor.run(key, writes)
+            found.append(resizing.refused(outcome, problems[0]) if problems else outcome)
+        return found
 
     def _seen(self, observed: workloads.Observed) -> workloads.Observed:
         """With what was just written, so that the status isn't one step behind."""
@@ -132,7 +147,9 @@ class Reconciler:
         namespace, name = item["metadata"]["namespace"], objects.name(item)
         users = [key.name for key in affected.users(name, self._store, namespace)]
         found = self._store.in_namespace(POOLS, namespace)
-        return await self._tell(POLICIES, item, policies.status(item, pools=found, users=users))
+        config_maps = self._store.in_namespace(CONFIG_MAPS, namespace)
+        status = policies.status(item, pools=found, config_maps=config_maps, users=users)
+        return await self._tell(POLICIES, item, status)
 
     async def _tell(self, resource: Resource, item: Object, status: Object) -> float | None:
         """Write the status where it differs from the stored one, and tell transitions as Events.
@@ -178,6 +195,8 @@ def _says(item: Object, status: Object) -> bool:
     """Whether the stored status says the same already, whenever that became so."""
     live = item.get("status") or {}
     stored = {c["type"]: c for c in live.get("conditions") or []}
+    if WITHDRAWN & stored.keys() - {new["type"] for new in status["conditions"]}:
+        return False
     for new in status["conditions"]:
         old = stored.get(new["type"])
         if old is None or any(old.get(k) != v for k, v in new.items() if k != "lastTransitionTime"):

@@ -30,10 +30,13 @@ from understudy.cluster.client import (
     Object,
     Resource,
 )
-from understudy.controller import objects
+from understudy.controller import healthtrees, objects
 from understudy.controller.stores import Sight, Store
 
 _logger = logging.getLogger(__name__)
+
+TREES = f"{names.HEALTH_TREE}=true"
+"""Selects the ConfigMaps that policies may read."""
 
 _OURS = ",".join(f"{key}={value}" for key, value in objects.MANAGED_BY.items())
 
@@ -46,7 +49,7 @@ LISTED: tuple[tuple[Resource, tuple[str | None, ...]], ...] = (
     (DEPLOYMENTS, (_OURS,)),
     (SERVICES, (_OURS,)),
     (NETWORK_POLICIES, (_OURS,)),
-    (CONFIG_MAPS, (_OURS,)),
+    (CONFIG_MAPS, (_OURS, TREES)),
     (SECRETS, (_OURS,)),
     (SERVICE_ACCOUNTS, (_OURS,)),
     (ROLES, (_OURS,)),
@@ -67,6 +70,8 @@ def listed(resource: Resource, item: Object) -> bool:
         return True
     if resource.plural == PODS.plural:
         return names.COMPONENT in labels or names.WORKLOAD in labels
+    if resource.plural == CONFIG_MAPS.plural and healthtrees.lent(item):
+        return True
     return all(labels.get(key) == value for key, value in objects.MANAGED_BY.items())
 
 

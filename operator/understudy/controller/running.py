@@ -22,7 +22,7 @@ from understudy.cluster import logs
 from understudy.cluster.client import SERVICE_ACCOUNT, Access, Client
 from understudy.cluster.events import Recorder
 from understudy.cluster.leases import LeadershipLost, Lease, Timing
-from understudy.controller import handlers, metrics, serving
+from understudy.controller import handlers, lending, metrics, serving
 from understudy.controller.desired import Images
 from understudy.controller.executing import MANAGER, Executor
 from understudy.controller.expectations import Expectations
@@ -73,6 +73,7 @@ async def run(access: Access, options: Options, *, stop: asyncio.Event | None = 
         )
         tasks = {
             asyncio.create_task(handlers.watch(operator.see, access, options.namespaces), name="watches"),
+            asyncio.create_task(lending.watch(client, operator.see, options.namespaces), name="health trees"),
             asyncio.create_task(operator.keep_listing(), name="lists"),
             asyncio.create_task(_lead(lease, operator), name="leading"),
         }

@@ -9,7 +9,7 @@ from understudy.api import names
 from understudy.api.conditions import Condition, condition, merged
 from understudy.api.policies import Strategy
 from understudy.cluster.client import Object
-from understudy.controller import objects, policies, pools, workloads
+from understudy.controller import levels, objects, policies, pools, workloads
 from understudy.controller.desired import Problem
 from understudy.controller.troubles import Trouble, trouble
 from understudy.controller.workloads import Observed, Understanding
@@ -20,16 +20,19 @@ PROGRESSING = frozenset(
 """Reasons that are in order while something is being built: no Event when they come first."""
 
 
-def status(observed: Observed, understanding: Understanding, problems: Sequence[Problem]) -> Object:
+def status(
+    observed: Observed, understanding: Understanding, problems: Sequence[Problem], resized: Condition | None = None
+) -> Object:
     """The operator's part of a workload's status, but for the times of its conditions.
 
-    ``problems`` are what the API server refused of what was written.
+    ``problems`` are what the API server refused of what was written; ``resized`` says what became of the pod in control.
     """
     workload = observed.workload
     conditions = [
         _accepted(observed, understanding, problems),
         _reconciled(observed, understanding, problems),
         protected(observed, understanding),
+        *([resized] if resized is not None else []),
     ]
     return {
         "observedGeneration": objects.generation(workload),
@@ -144,7 +147,29 @@ def _outlook(means: Sequence[Means]) -> str:
 def _strategies(observed: Observed, understanding: Understanding) -> list[Strategy]:
     if understanding.spec is None or understanding.policy_problem is not None:
         return []
-    return policies.spec(observed.policies[understanding.spec.failure_policy_ref.name]).strategies
+    policy = observed.policies[understanding.spec.failure_policy_ref.name]
+    found = policies.spec(policy).strategies
+    on_demand = levels.prewarms(policy)
+    awake = [s for s in found if s.pool_ref is None or not _asleep(observed, s.pool_ref.name, on_demand)]
+    return awake or found
+
+
+def _asleep(observed: Observed, name: str, on_demand: Sequence[str]) -> bool:
+    """Whether a pool is one that has standbys only while a workload is degraded, and has none now: nobody counts on it."""
+    pool = observed.pools.get(name)
+    if name not in on_demand or pool is None or policies.readiness(pool) not in workloads.WAITING:
+        return False
+    if not pools.serves(pool, observed.workload):
+        return False  # which is told
+    if pool["spec"].get("perWorkload"):
+        return False
+    return not workloads.wanted(observed, name) or not any(objects.ready(pod) for pod in _made(observed, name))
+
+
+def _made(observed: Observed, pool: str) -> list[Object]:
+    """The standbys that a pool has made for the workload."""
+    found = [pod for pod in _instances(observed) if objects.labels(pod).get(names.POOL) == pool]
+    return [pod for pod in found if not objects.is_active(pod, observed.gate)]
 
 
 def _instances(observed: Observed) -> list[Object]:
@@ -232,7 +257,7 @@ def waiting(observed: Observed, pool: Object) -> list[Object]:
 
 def _standing(observed: Observed, label: str, pool: Object) -> Means:
     name = objects.name(pool)
-    if not (pool["spec"].get("perWorkload") or 0):
+    if not workloads.wanted(observed, name):
         return Means(label, False, "PoolEmpty", f"FallbackPool {name} has spec.perWorkload 0")
     found = waiting(observed, pool)
     ready = [pod for pod in found if objects.ready(pod)]
@@ -268,7 +293,7 @@ def standby(observed: Observed, understanding: Understanding) -> str:
             continue
         pool = served[name]
         if policies.readiness(pool) in workloads.WAITING:
-            want = pool["spec"].get("perWorkload") or 0
+            want = workloads.wanted(observed, name)
             have = sum(objects.ready(pod) for pod in waiting(observed, pool))
             return f"{policies.readiness(pool)} ({min(have, want)}/{want})"
         if policies.readiness(pool) == "Uninitialized":

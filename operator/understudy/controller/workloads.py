@@ -35,6 +35,7 @@ from understudy.controller import (
     fleets,
     gates,
     instances,
+    levels,
     monitors,
     objects,
     ownership,
@@ -47,6 +48,7 @@ from understudy.controller import (
 )
 from understudy.controller.desired import Apply, Create, Delete, Images, Patch, Plan, Problem
 from understudy.controller.pools import Fresh
+from understudy.trees.procedureforms import composed
 
 _BY_KIND: dict[str, Resource] = {"ServiceAccount": SERVICE_ACCOUNTS, "Role": ROLES, "RoleBinding": ROLE_BINDINGS}
 
@@ -62,6 +64,8 @@ class Observed:
     now: float
     policies: Mapping[str, Object] = field(default_factory=dict)
     """All FailurePolicies of the namespace."""
+    config_maps: Mapping[str, Object] = field(default_factory=dict)
+    """The ConfigMaps of the namespace that policies may read, and ours."""
     pools: Mapping[str, Object] = field(default_factory=dict)
     """All FallbackPools of the namespace."""
     held_policies: Mapping[str, Object] = field(default_factory=dict)
@@ -82,6 +86,8 @@ class Observed:
     """Older RobotWorkloads that refer to the same controller."""
     expected: Mapping[str, int] = field(default_factory=dict)
     """By pool, standbys that were created and haven't been observed yet."""
+    resized: Object | None = None
+    """The pod in control, whole, while the workload is degraded and its policy gives it more then."""
 
     @property
     def gate(self) -> Object | None:
@@ -136,6 +142,13 @@ def standby_pools(observed: Observed) -> dict[str, Object]:
     return {name: pool for name, pool in serving(observed).items() if policies.readiness(pool) in WAITING}
 
 
+def wanted(observed: Observed, pool: str) -> int:
+    """How many standbys of a pool the workload is to have now."""
+    name = ((observed.workload.get("spec") or {}).get("failurePolicyRef") or {}).get("name", "")
+    more = levels.prewarmed(observed.workload, observed.policies.get(name), pool)
+    return (observed.pools[pool]["spec"].get("perWorkload") or 0) + more
+
+
 def policy_problem(observed: Observed, spec: RobotWorkloadSpec) -> Problem | None:
     """Why the workload's policy can't be followed."""
     name = spec.failure_policy_ref.name
@@ -147,7 +160,7 @@ def policy_problem(observed: Observed, spec: RobotWorkloadSpec) -> Problem | Non
             f"{observed.workload['metadata']['namespace']} ({objects.hint(name, observed.policies)}). "
             f"Create it or correct the name",
         )
-    if found := policies.problem(policy):
+    if found := policies.problem(policy, observed.config_maps):
         return Problem("PolicyNotAccepted", f"FailurePolicy {name}: {found.message}")
     return None
 
@@ -161,7 +174,7 @@ def understand(observed: Observed, images: Images) -> Understanding:
     except ValidationError as error:
         return Understanding(problem=Problem("SpecInvalid", policies.invalid(error)))
     policy = policy_problem(observed, spec)
-    if words := policies.procedures_problem(("spec.bringUp.yaml", spec.bring_up)):
+    if words := policies.procedures_problem(("spec.bringUp", spec.bring_up)):
         return Understanding(spec=spec, problem=Problem("TreeInvalid", words), policy_problem=policy)
 
     def refuse(problem: Problem) -> Understanding:
@@ -213,12 +226,12 @@ def understand(observed: Observed, images: Images) -> Understanding:
 
 
 def _procedure(observed: Observed, spec: RobotWorkloadSpec, pool: str) -> str:
-    """The tree that brings a pool's standbys up, as text; empty where there is none, or the pool isn't accepted."""
+    """The tree that brings a pool's standbys up, in the short form as text; empty where there is none, or the pool isn't accepted."""
     if refused(observed, pool) is not None:
         return ""
     parsed = policies.pool_spec(observed.pools[pool])
     found = parsed.initialization or (spec.bring_up if parsed.readiness == "Executing" else None)
-    return json.dumps(found.yaml, sort_keys=True) if found is not None else ""
+    return json.dumps(composed(found, path=pool).node, sort_keys=True) if found is not None else ""
 
 
 def probe_template(observed: Observed, understanding: Understanding) -> Object | None:
@@ -285,7 +298,8 @@ def _discover(made: Plan, observed: Observed, spec: RobotWorkloadSpec, images: I
     remembered = None if service else _remembered_address(observed)
     own_images = replace(images, monitor=spec.monitor.image or images.monitor)
     made.writes.append(_ours(observed, SERVICES, discovery.service(name, remembered)))
-    made.writes.append(_ours(observed, DEPLOYMENTS, discovery.deployment(name, own_images)))
+    if (address := discovery.address(service) or remembered) is not None:
+        made.writes.append(_ours(observed, DEPLOYMENTS, discovery.deployment(name, own_images, address)))
 
 
 def _remembered_address(observed: Observed) -> str | None:
@@ -460,8 +474,8 @@ def _scale(made: Plan, observed: Observed) -> None:
         return
     driving = [p for p in observed.pods if objects.is_active(p, observed.gate) and objects.alive(p)]
     foreign = any(objects.labels(pod).get(names.SOURCE) != "workload" for pod in driving)
-    wanted = sum((pool["spec"].get("perWorkload") or 0) for pool in standby_pools(observed).values())
-    replicas = 0 if foreign and not wanted else 1
+    standing_by = sum(wanted(observed, pool) for pool in standby_pools(observed))
+    replicas = 0 if foreign and not standing_by else 1
     if (live.get("spec") or {}).get("replicas", 1) != replicas:
         made.writes.append(Patch(REPLICA_SETS, live, {"spec": {"replicas": replicas}}, subresource="scale"))
 
@@ -478,7 +492,7 @@ def _standbys(made: Plan, observed: Observed, pool: str, built: Object, fresh: F
         and names.CLAIM not in objects.notes(pod)
         and ownership.controls(objects.uid(workload), pod)
     ]
-    want = observed.pools[pool]["spec"].get("perWorkload") or 0
+    want = wanted(observed, pool)
     if observed.reference is not None:
         # what a referred controller makes instead of the failed pod has no agent, so it can't be the standby
         want += sum(objects.is_active(pod, gate) for pod in mine) if want else 0
