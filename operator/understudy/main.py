@@ -1,6 +1,8 @@
 """One command: for the parts that run in pods, ``understudy operator | monitor | agent | tasks | prepare``, and for people.
 
-``understudy check`` validates manifests without a cluster.
+``understudy check`` validates manifests without a cluster, ``understudy tree`` shows a workload's live health tree,
+``understudy tracker`` watches robots by a camera, ``understudy size`` says how many fallbacks a fleet needs. What tries a
+policy without a cluster is in ``understudy.trying``.
 """
 
 from __future__ import annotations
@@ -14,7 +16,13 @@ _PARTS = {
     "agent": "understudy.agent.running",
     "tasks": "understudy.tasks.running",
     "prepare": "understudy.agent.preparing",
+    "simulate": "understudy.trying.simulating",
+    "watch": "understudy.trying.watching",
+    "learn": "understudy.trying.learning",
     "check": "understudy.checking.running",
+    "tree": "understudy.console.tree",
+    "tracker": "understudy.tracker.running",
+    "size": "understudy.planning.size",
 }
 
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from understudy.ros.graph import Graph
     from understudy.ros.watching import Watching
     from understudy.trees.health import HealthTree, Verdict, WatchedTopic
-    from understudy.trees.observations import Publishers, TopicRecord
+    from understudy.trees.observations import NodeState, ParameterState, PodState, Present, Publishers, TopicRecord
 
 _logger = logging.getLogger(__name__)
 
@@ -106,6 +106,9 @@ class Judgement:
 class _OwnOutputs:
     """Observations in which an output counts only where it comes from this host."""
 
+    in_control = False
+    """Nobody here knows whether it is; as long as it isn't, the robot does what another instance says."""
+
     def __init__(self, watching: Watching, outputs: Sequence[Output], host: bytes) -> None:
         self._watching, self._host = watching, host
         self._topics = {output.topic for output in outputs if output.topic}
@@ -114,6 +117,10 @@ class _OwnOutputs:
         if name not in self._topics:
             return self._watching.topic(name)
         return self._watching.records(name).get(self._host)
+
+    def own(self, name: str) -> TopicRecord | None:
+        """This instance's."""
+        return self._watching.own(name)
 
     def task(self, name: str) -> float | None:
         """Only this instance's own goals make it work."""
@@ -125,6 +132,22 @@ class _OwnOutputs:
     def publishers(self, name: str) -> Publishers | None:
         """This instance's."""
         return self._watching.publishers(name)
+
+    def node(self, name: str) -> Present | None:
+        """This instance's."""
+        return self._watching.node(name)
+
+    def lifecycle(self, name: str) -> NodeState | None:
+        """This instance's."""
+        return self._watching.lifecycle(name)
+
+    def parameter(self, node: str, name: str) -> ParameterState | None:
+        """This instance's."""
+        return self._watching.parameter(node, name)
+
+    def pod(self) -> PodState | None:
+        """From within nobody sees what the cluster says of it."""
+        return None
 
     def counts(self) -> dict[str, OutputCount]:
         """The outputs that are watched."""

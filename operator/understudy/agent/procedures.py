@@ -30,6 +30,15 @@ Restore = Callable[..., Awaitable[RestoreReport]]
 """``(state, *, within, only)``, as of :class:`understudy.agent.restoring.Restorer`."""
 
 
+def places_of(data: object) -> Mapping[str, str]:
+    """Where the nodes of a tree were written, as a monitor says it; empty for the short form. Raises ValueError."""
+    if data is None:
+        return {}
+    if not isinstance(data, Mapping):
+        raise ValueError(f"places is a mapping, not {data!r:.100}")
+    return {str(inner): str(place) for inner, place in data.items()}
+
+
 @dataclass
 class InstanceActions:
     """Implements :class:`understudy.trees.steps.Actions` for this pod's instance."""
@@ -129,16 +138,16 @@ class Procedures:
         return {"procedure": self._on_procedure}
 
     async def _on_procedure(self, body: Mapping[str, Any], peer: Peer) -> Mapping[str, Any]:
-        from understudy.trees.problems import TreeError
         from understudy.trees.procedures import ProcedureFailed, load_procedure
 
         name, within, token = str(body.get("name") or "procedure"), body.get("within"), str(body.get("as") or "")
         if not isinstance(within, int | float) or isinstance(within, bool) or not 0 < within <= LONGEST:
             raise Refused(f"within {within!r}: expected a number of seconds, up to {LONGEST:g}")
         try:
-            tree = await asyncio.to_thread(load_procedure, body.get("tree"), path=name)
+            places = places_of(body.get("places"))
+            tree = await asyncio.to_thread(load_procedure, body.get("tree"), path=name, places=places)
             actions = self._actions(KeptState.from_wire(body.get("state") or {}))
-        except (TreeError, ProtocolError) as error:
+        except (ValueError, ProtocolError) as error:
             raise Refused(str(error)) from error
         before, this = self._running, asyncio.create_task(self._run(tree, actions, float(within), name, token))
         self._running = this

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from understudy.agent.procedures import Checking, InstanceActions
+from understudy.agent.procedures import Checking, InstanceActions, places_of
 
 if TYPE_CHECKING:
     from understudy.trees.health import WatchedTopic
@@ -25,6 +25,8 @@ class Standing:
     """Seconds between two looks of the check."""
     tree: bool = True
     """Whether the health tree must hold where there's no check."""
+    places: Mapping[str, str] = field(default_factory=dict)
+    """Where the check's nodes were written, where that was in another language."""
 
     @classmethod
     def from_wire(cls, data: object) -> Standing | None:
@@ -38,7 +40,8 @@ class Standing:
             raise ValueError(f"standby.check is a mapping, not {check!r:.100}")
         if not isinstance(period, int | float) or isinstance(period, bool) or not 0 < period < 86400:
             raise ValueError(f"standby.period {period!r}: expected a number of seconds")
-        return cls(str(data.get("brought") or ""), check, float(period), bool(data.get("tree", True)))
+        places = places_of(data.get("places"))
+        return cls(str(data.get("brought") or ""), check, float(period), bool(data.get("tree", True)), places)
 
 
 class Readiness:
@@ -68,7 +71,8 @@ class Readiness:
             return
         checking = None
         if standing is not None and standing.check is not None:
-            checking = Checking(load_check(standing.check, path="readinessCheck"), standing.period, self._actions)
+            tree = load_check(standing.check, path="readinessCheck", places=standing.places)
+            checking = Checking(tree, standing.period, self._actions)
         self._standing = standing
         if self._task is not None:
             self._task.cancel()

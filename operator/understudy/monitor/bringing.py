@@ -20,6 +20,7 @@ from understudy.api.agents import GAVE_WAY
 from understudy.api.base import seconds
 from understudy.api.kept import KeptState
 from understudy.api.policies import FailurePolicySpec
+from understudy.api.procedures import Check
 from understudy.api.settings import PoolChoice, WorkloadSettings
 from understudy.api.workloads import RobotWorkloadSpec
 from understudy.cluster.client import ApiError
@@ -28,6 +29,8 @@ from understudy.mitigation.interfaces import Instance, NotVerified
 from understudy.monitor.fleet import Fleet
 from understudy.monitor.reporting import Reporter
 from understudy.monitor.sidecars import Sidecars
+from understudy.trees.problems import TreeError
+from understudy.trees.procedureforms import composed
 
 _logger = logging.getLogger(__name__)
 
@@ -97,9 +100,18 @@ def expected(
         return Expected()
     standby: dict[str, Any] = {"brought": token, "tree": choice.readiness == "Executing"}
     if check is not None:
-        standby |= {"check": check.yaml, "period": seconds(check.period)}
+        standby |= {**_on_the_wire(check), "period": seconds(check.period)}
     origin = f"spec.initialization of FallbackPool {choice.name}" if initialization else BRING_UP
     return Expected(procedure, token, standby, origin, outdated)
+
+
+def _on_the_wire(check: Check) -> dict[str, Any]:
+    """A check in the short form, which is all that agents know."""
+    try:
+        found = composed(check, path="readinessCheck")
+    except TreeError:
+        return {"check": check.tree}  # the agent refuses it
+    return {"check": found.node, **({"places": found.places} if found.places else {})}
 
 
 def managed(spec: RobotWorkloadSpec, settings: WorkloadSettings, policy: FailurePolicySpec) -> bool:

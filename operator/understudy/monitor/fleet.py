@@ -13,6 +13,7 @@ from understudy.cluster.client import PODS, REPLICA_SETS, ApiError, Client, Obje
 from understudy.mitigation.interfaces import ClaimLost, Instance
 from understudy.monitor.faults import CrashPoints
 from understudy.monitor.view import View
+from understudy.trees.observations import PodCondition
 
 _logger = logging.getLogger(__name__)
 
@@ -50,6 +51,9 @@ def instance_of(pod: Object) -> Instance:
         restarts=sum(c.get("restartCount", 0) for c in containers),
         crashing=any(((c.get("state") or {}).get("waiting") or {}).get("reason") == CRASH_LOOP for c in containers),
         evicted=terminating and reasons.get("DisruptionTarget") == EVICTION,
+        conditions=tuple(
+            PodCondition(c["type"], c["status"], c.get("reason") or "") for c in status.get("conditions") or []
+        ),
     )
 
 

@@ -88,6 +88,8 @@ class StateKeeping:
         self._inspecting: asyncio.Task[None] | None = None
         self._next_inspect = 0.0
         self._unanswered: dict[Key, str] = {}
+        self.taken: dict[str, float] = {}
+        """When the state was taken that would be restored now, in Unix seconds, by what it is of."""
         self._told: tuple[object, ...] = ()
         self._next_told = 0.0
         self._upkeep: dict[str, _Upkeep] = {}
@@ -331,6 +333,7 @@ class StateKeeping:
         """Update status, condition and metrics: at once where something is wrong or right again, else seldom."""
         entries = self._troubles()
         metrics.kept({entry.key.label: (entry.taken_at, entry.bytes) for entry in entries})
+        self.taken = {entry.key.label: entry.taken_at for entry in entries if entry.taken_at is not None}
         shape = tuple((entry.key, entry.trouble, entry.taken_at is None) for entry in entries)
         if shape == self._told and now < self._next_told:
             return

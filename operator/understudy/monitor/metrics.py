@@ -23,6 +23,7 @@ _LATENESS = Histogram(
     "How long after its deadline a failure was detected.",
     buckets=(0.0005, 0.001, 0.002, 0.005, 0.01, 0.015, 0.05, 0.1, 0.5),
 )
+_DEGRADATIONS = Counter("understudy_degradations", "How often this workload became degraded.")
 _KEPT_AT = Gauge("understudy_kept_timestamp_seconds", "When the state was taken that would be restored now.", ["name"])
 _KEPT_BYTES = Gauge("understudy_kept_bytes", "Size of the state that would be restored now.", ["name"])
 
@@ -31,6 +32,11 @@ def health(value: Health) -> None:
     """Set the present health."""
     for each in get_args(Health):
         _HEALTH.labels(health=each).set(1.0 if each == value else 0.0)
+
+
+def degraded() -> None:
+    """Count that the workload became degraded."""
+    _DEGRADATIONS.inc()
 
 
 def epoch(value: int) -> None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from datetime import datetime
 
 import aiohttp
 
@@ -40,6 +41,8 @@ class Reporter:
     def __init__(self, client: Client, namespace: str, workload: str, recorder: Recorder) -> None:
         self._client, self._namespace, self._workload = client, namespace, workload
         self._recorder = recorder
+        self.on_change: Callable[[], None] = lambda: None
+        """Called at once when the health, or a condition, is another; also in the midst of a failover."""
         self._changed = asyncio.Event()
         self._applied = ""
         self._conditions: dict[str, Condition] = {}
@@ -48,6 +51,8 @@ class Reporter:
         self._recoveries: list[Recovery] = []
         self._count = 0
         self._last_time: str | None = None
+        self.adopted = ""
+        """The pod that was in control when this monitor began, by what an earlier one had said."""
         self.active = ""
         self.health: Health = "Unknown"
         self.strategy = ""
@@ -61,11 +66,13 @@ class Reporter:
         self._recoveries = list(status.recoveries or [])
         self._count = status.recovery_count or 0
         self._last_time = status.last_recovery_time
+        self.adopted = status.active or ""
         ours = {
             "Healthy",
             "Monitored",
             "GateEnforced",
             "Recovering",
+            "Degraded",
             "Reflex",
             "StateKept",
             "StateRestored",
@@ -82,6 +89,21 @@ class Reporter:
                 "resourceVersion": item["metadata"].get("resourceVersion", ""),
             },
         }
+
+    @property
+    def conditions(self) -> list[Condition]:
+        """What was said of each type."""
+        return list(self._conditions.values())
+
+    @property
+    def count(self) -> int:
+        """How many recoveries there were."""
+        return self._count
+
+    @property
+    def last(self) -> Recovery | None:
+        """The last recovery."""
+        return self._recoveries[0] if self._recoveries else None
 
     @property
     def recorded(self) -> set[str]:
@@ -106,6 +128,7 @@ class Reporter:
             metrics.health(self.health)
             metrics.epoch(self.gate.epoch)
             self._changed.set()
+            self.on_change()
 
     def condition(self, type_: str, status: str, reason: str, message: str = "") -> bool:
         """Say a condition; whether its status or reason changed."""
@@ -115,7 +138,12 @@ class Reporter:
         fresh = condition(type_, status, reason, message, generation=self.generation)  # type: ignore[arg-type]
         self._conditions[type_] = merged([old] if old else [], [fresh])[0]
         self._changed.set()
+        self.on_change()
         return old is None or (old.status, old.reason) != (status, reason)
+
+    def find(self, type_: str) -> Condition | None:
+        """A condition as it was said last; None where it never was."""
+        return self._conditions.get(type_)
 
     def reason(self, type_: str) -> str:
         """The reason of a condition as it was said last; empty where it never was."""
@@ -158,6 +186,18 @@ class Reporter:
         metrics.recovered(recovery)
         self._changed.set()
         return recovery
+
+    @property
+    def goals(self) -> list[str]:
+        """The tasks that have goals, worked on or not, by what the task proxy said last."""
+        return [task.action for task in self._tasks if task.active]
+
+    @property
+    def planned(self) -> float | None:
+        """When the last planned hand-over was begun, in unix seconds; None for never, of the recoveries that are kept."""
+        found = (r.moments.detected for r in self._recoveries if r.planned and r.moments.detected is not None)
+        times = [datetime.fromisoformat(moment).timestamp() for moment in found]
+        return max(times, default=None)
 
     def event(self, kind: str, reason: str, message: str) -> None:
         """An Event on the RobotWorkload, written in the background."""

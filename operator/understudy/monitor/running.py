@@ -18,7 +18,7 @@ from understudy.api import names
 from understudy.cluster import logs, scheduling
 from understudy.cluster.client import Access, Client
 from understudy.cluster.events import Recorder
-from understudy.cluster.pages import serve
+from understudy.cluster.pages import Page, serve
 from understudy.cluster.probes import ProbeReceiver
 from understudy.mitigation.journal import Journal
 from understudy.mitigation.shelf import Shelf
@@ -27,11 +27,14 @@ from understudy.monitor.fleet import Fleet
 from understudy.monitor.gating import PolicyGate
 from understudy.monitor.keeping import StateKeeping
 from understudy.monitor.leases import Leases
+from understudy.monitor.metering import Meter
 from understudy.monitor.reporting import Reporter
+from understudy.monitor.showing import Showing
 from understudy.monitor.sidecars import Sidecars
 from understudy.monitor.sight import Sight
 from understudy.monitor.supervising import Parts, Supervisor
 from understudy.monitor.tasks import TaskLink
+from understudy.monitor.telling import Telling
 from understudy.monitor.view import View
 
 _logger = logging.getLogger(__name__)
@@ -73,7 +76,7 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
                 watcher.wake.set()
 
         view = View(client, namespace, workload, on_pod=on_pod)
-        pages = {
+        pages: dict[str, Page] = {
             "/healthz": lambda: (200, "ok\n"),
             "/ready": lambda: (200, "ok\n") if alive["ready"] else (503, "starting\n"),
             "/metrics": lambda: (200, generate_latest(REGISTRY).decode()),
@@ -92,6 +95,7 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
             reporter.adopt(item)
         sidecars = Sidecars(client, view, os.environ.get("UNDERSTUDY_POD_IP", "127.0.0.1"), crash_points)
         sight = Sight()
+        sight.meter = Meter(client, namespace, workload)
         parts = Parts(
             view=view,
             fleet=fleet,
@@ -104,6 +108,9 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
             crash_points=crash_points,
             keeping=StateKeeping(sight.graph, Shelf(state / "kept"), sidecars, reporter),
         )
+        telling = Telling(view, sight, reporter, lambda: parts.keeping.taken)
+        showing = Showing(view, sight, reporter, lambda: telling.problems)
+        pages |= {"/": showing.page, "/tree": showing.tree}
         supervisor = Supervisor(parts)
         watchers.append(supervisor)
         leases = Leases(client, view, fleet, gate, sidecars, sight, reporter)
@@ -116,6 +123,8 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
         sidecars.on_status = on_status
         group.create_task(leases.run())
         group.create_task(reporter.run())
+        group.create_task(sight.meter.run())
+        group.create_task(telling.run())
         socket = Path(os.environ.get("UNDERSTUDY_TASKS_SOCKET", f"{names.TASKS_DIR}/{names.TASKS_SOCKET}"))
         group.create_task(TaskLink(socket, view, fleet, gate, sidecars, reporter).run())
         alive["ready"] = time.time()

@@ -302,6 +302,8 @@ class Sidecars:
 
         Raises NotVerified, which says why not.
         """
+        if procedure.problem:
+            raise NotVerified(procedure.problem)
         loop = asyncio.get_running_loop()
         end, problem = loop.time() + within, "its agent isn't connected"
         wire = await asyncio.to_thread(state.to_wire) if state or state.left_out else None
@@ -310,7 +312,9 @@ class Sidecars:
                 async with asyncio.timeout(rest):
                     link = await self._connected(instance)
                 rest = max(0.1, end - loop.time())
-                answer = await link.procedure(procedure.tree, rest, name=procedure.name, state=wire, brought=brought)
+                answer = await link.procedure(
+                    procedure.tree, rest, name=procedure.name, state=wire, brought=brought, places=procedure.places
+                )
                 return RestoreReport.from_wire(answer)
             except (AgentRefused, ProtocolError) as error:
                 raise NotVerified(str(error)) from error

@@ -13,13 +13,17 @@ from understudy.api.workloads import Output, RobotWorkloadSpec
 from understudy.mitigation.interfaces import Instance
 from understudy.monitor.fleet import Fleet
 from understudy.monitor.gating import PolicyGate
+from understudy.monitor.metering import Meter
+from understudy.monitor.wellness import Busy, Wellness
+from understudy.ros.arrivals import Arrivals
 from understudy.ros.graph import Graph
 from understudy.ros.types import TypeNotInstalled, interface_class, message_fields
 from understudy.ros.watching import Watching
 from understudy.trees.forms import load_monitoring
 from understudy.trees.health import HealthTree, Verdict, WatchedTopic
-from understudy.trees.observations import Observations
+from understudy.trees.observations import Observations, PodState
 from understudy.trees.problems import TreeError
+from understudy.trees.snapshots import Snapshot, snapshot
 
 _logger = logging.getLogger(__name__)
 
@@ -29,25 +33,41 @@ REMEMBERED = 60.0
 LOOK = 0.002
 """Seconds between looks while a switch is being verified."""
 
+POD_LOOK = 0.1
+"""Seconds after which what is known of the pod in control is said anew: it is as true of one that has just taken control."""
+
 
 class Sight:
     """The health tree over drained subscriptions."""
 
     def __init__(self) -> None:
         self.graph = Graph("understudy_monitor")
-        self._watching = Watching(self.graph)
+        self.coming = Arrivals()
+        """Tell of messages that are to be looked at as they come."""
+        self._watching = Watching(self.graph, arrivals=self.coming)
         self._tree: HealthTree | None = None
         self._loaded: tuple[Monitoring, list[Output]] | None = None
         self._outputs: list[Output] = []
         self._problems: list[str] = []
+        self._wellness = Wellness()
+        self._aside: set[str] = set()
+        """Topics that are received for that alone."""
         self._addresses: dict[str, tuple[str, float]] = {}
+        self._pod: Instance | None = None
+        self._asked: WatchedTopic | None = None
+        """What is asked of the pod in control."""
+        self.meter: Meter | None = None
+        """What tells what the pod in control takes of its node."""
         self.addresses: dict[str, str] = {}
         """The instances that there are, and were a moment ago: IP by pod name."""
 
     def follow(self, policy: FailurePolicySpec, spec: RobotWorkloadSpec | None) -> None:
         """Watch what this policy's tree and this workload need; one that doesn't load leaves the last in force."""
         outputs = spec.outputs if spec else self._outputs
+        again = self._wellness.follow(policy, spec)
         if self._loaded == (policy.monitoring, outputs):
+            if again:
+                self._watch(spec)
             return
         self._loaded = (policy.monitoring, outputs)
         self._outputs = outputs
@@ -65,8 +85,21 @@ class Sight:
                 interface_class(output.type)
             except TypeNotInstalled as error:
                 self._problems.append(f"outputs[{index}].type: {error}.")
-        types = {output.topic: output.type for output in outputs if output.topic}
+        self._watch(spec)
+
+    def _watch(self, spec: RobotWorkloadSpec | None) -> None:
+        """Watch what the trees need, and a reflex: each topic once."""
+        types = {output.topic: output.type for output in self._outputs if output.topic}
         wanted = {topic.name: topic for topic in (self._tree.topics if self._tree is not None else [])}
+        self._aside = set()
+        for need in self._wellness.topics:
+            known = wanted.get(need.name)
+            if need.heard and (known is None or not known.heard):
+                self._aside.add(need.name)
+            elif known is not None and known.heard:
+                need = replace(need, type=known.type)  # as the health tree has it, which must not go blind by this
+            wanted[need.name] = known.joined(need) if known is not None else need
+        self._asked = next((topic for topic in wanted.values() if topic.pod), None)
         if spec is not None and spec.gate.reflex is not None:
             # Which instance they come from is watched, whether the tree judges them or not.
             for name, type_ in types.items():
@@ -84,7 +117,9 @@ class Sight:
     @property
     def problems(self) -> list[str]:
         """What isn't watched and why, with what to do."""
-        return [*self._problems, *self._watching.problems, *self._watching.sources.problems()]
+        unmetered = self.meter.problems if self.meter is not None else []
+        watched = [*self._watching.problems, *self._watching.sources.problems()]
+        return [*self._problems, *self._wellness.problems, *watched, *unmetered]
 
     @property
     def waiting(self) -> list[str]:
@@ -96,6 +131,10 @@ class Sight:
         """What is watched."""
         topics = [topic.name for topic in self._tree.judged] if self._tree else []
         return f"Watching {', '.join(topics) or 'nothing'}."
+
+    def snapshot(self) -> Snapshot | None:
+        """The health tree as it was at its last evaluation."""
+        return snapshot(self._tree, self._watching, time.time()) if self._tree is not None else None
 
     @property
     def gated(self) -> list[str]:
@@ -124,14 +163,39 @@ class Sight:
         self.addresses = {name: ip for name, (ip, _) in self._addresses.items()}
         self._watching.attribute(self.addresses, active)
         self._watching.drain()
+        self._look_at_pod(instances, active)
+        unwatchable = self._watching.unwatchable
         if self._tree is not None:
-            self._tree.leave_out(self._watching.unwatchable)
+            self._tree.leave_out(unwatchable - self._aside)
+        self._wellness.leave_out(unwatchable)
+
+    def _look_at_pod(self, instances: Sequence[Instance], active: str) -> None:
+        """Have said of the pod in control what its object says, where a tree asks for it."""
+        watching, before, wanted = self._watching, self._pod, self._asked
+        self._pod = next((i for i in instances if i.name == active), None) if wanted is not None else None
+        if self.meter is not None:
+            self.meter.want(active if wanted is not None and wanted.usage else "")
+        if self._pod is None:
+            watching.pod_state = None
+            return
+        now, last = time.time(), watching.pod_state
+        if last is None or self._pod is not before or abs(now - last.received) >= POD_LOOK:
+            usage = self.meter.usage if self.meter is not None else None
+            watching.pod_state = PodState(now, self._pod.conditions, self._pod.restarts, usage)
 
     def verdict(self, *, now: float, since: float) -> Verdict:
         """The health tree's verdict on the instance in control. Times are unix seconds."""
         if self._tree is None:
             return Verdict("Starting", "the policy has no health tree that loads", "", None)
         return self._tree.evaluate(self._watching, now=now, since=since)
+
+    def wellness(self, *, now: float, since: float) -> Verdict:
+        """What the tree of ``spec.degraded`` says of the instance in control. Times are unix seconds."""
+        return self._wellness.verdict(self._watching, now=now, since=since)
+
+    def busy(self, *, now: float, since: float) -> Busy | None:
+        """Why the robot doesn't count as idle, to the policy's reschedule; None while it does. Times are unix seconds."""
+        return self._wellness.busy(self._watching, now=now, since=since)
 
     def deadline(self, *, now: float, since: float) -> float | None:
         """When the verdict could get worse with no further message."""

@@ -1,6 +1,6 @@
 """The monitor's loop: watch until the workload fails, recover, report, watch again.
 
-It wakes at deadlines, not at the next tick: a 500 ms gap is noticed 500 ms after the last sample was received.
+When it looks is decided in looking.py.
 """
 
 from __future__ import annotations
@@ -35,33 +35,24 @@ from understudy.monitor.faults import CrashPoints
 from understudy.monitor.fleet import Fleet
 from understudy.monitor.gating import PolicyGate
 from understudy.monitor.keeping import StateKeeping
+from understudy.monitor.levels import Levels
+from understudy.monitor.looking import TICK, WAKE_LATE, Looks
 from understudy.monitor.reflexes import Reflexes
 from understudy.monitor.reporting import Reporter, describe, in_vain
+from understudy.monitor.safety import SafeCommands, Unattended
 from understudy.monitor.sidecars import Sidecars
 from understudy.monitor.sight import Sight
 from understudy.monitor.view import View
+from understudy.trees.debounce import Debounce
 from understudy.trees.health import Verdict
 
 _logger = logging.getLogger(__name__)
-
-TICK = 0.1
-"""Longest time between two looks, in seconds; what arrives in between waits in the middleware's queue."""
-
-WAKE_LATE = 0.0005
-"""Seconds after a deadline at which it is looked at, so that the clock has surely passed it."""
 
 KNOWN_GRACE = 3.0
 """Seconds that a new monitor waits for the first samples of an instance that its agent knows was healthy before."""
 
 BACKOFF_FIRST, BACKOFF_MOST = 2.0, 60.0
 """Seconds before everything is tried again after no strategy verified."""
-
-STALLED = 0.03
-"""Seconds late at which this process counts as having been stalled. Then what the middleware received meanwhile may not
-be in its queues yet either, and silence is judged only after as long again."""
-
-STALL_MOST = 0.25
-"""Most seconds that a verdict is put off for a stall: a node that is starved for longer can't be waited for."""
 
 DEAD_AFTER = 0.1
 """Seconds without an output after which a pod whose object is gone counts as dead."""
@@ -85,6 +76,8 @@ class Failure:
     detected: float
     taken: reflex.TakenOver | None = None
     """The standby that the robot follows already, if one does."""
+    planned: bool = False
+    """Whether nothing failed, and an instance that is degraded is handed over."""
 
 
 @dataclass
@@ -111,11 +104,12 @@ class Supervisor:
         self._view, self._fleet, self._gate = parts.view, parts.fleet, parts.gate
         self._sidecars, self._sight, self._reporter = parts.sidecars, parts.sight, parts.reporter
         self._keeping = parts.keeping
-        self.wake = asyncio.Event()
+        self._looks = Looks(parts.sight.coming)
+        self.wake = self._looks.wake
         """Set to have it look at once, such as when a pod of the workload changed."""
         self._since = time.time()
         self._started = self._since
-        self._failing_since: float | None = None
+        self._debounce = Debounce()
         self._escalation = Escalation()
         self._not_before = 0.0
         self._backoff = BACKOFF_FIRST
@@ -124,10 +118,12 @@ class Supervisor:
         self._gate_changed = self._since
         self._let_through = ("", "")
         self._cooldown_told = False
-        self._trusted_from = 0.0
         self._labelling: asyncio.Task[None] | None = None
         self.recovering: Progress | None = None
         """The recovery under way."""
+        self._unattended = Unattended()
+        self._safety = SafeCommands(parts.sight.graph, self._waited_since)
+        self._levels = Levels(parts.sight, parts.reporter)
         self._bringing = Bringing(parts.fleet, parts.sidecars, parts.reporter)
         parts.sidecars.role = self._role
         self._reflexes = Reflexes(
@@ -146,13 +142,22 @@ class Supervisor:
             active = self._fleet.find(self._gate.state.active_uid)
             state = self._gate.state
             failed = [PodIdentity(name=state.active, uid=state.active_uid)] if not state.closed else []
-            metrics.lateness(time.time() - failure.detected)
-            _logger.warning("failure of %s: %s", active.name if active else state.active, failure.reason)
+            if failure.planned:
+                self._levels.handed_over()
+                self._reporter.event("Normal", "Rescheduling", failure.reason)
+            else:
+                metrics.lateness(time.time() - failure.detected)
+            what = "hand-over" if failure.planned else "failure"
+            _logger.warning("%s of %s: %s", what, active.name if active else state.active, failure.reason)
             if failure.taken is not None:
                 await self._carry_out(reflex.begin(failure.taken, failed[0], self._reflexes.deadline))
                 continue
             progress = Progress.begin(
-                failure.reason, last_healthy=failure.onset, detected=failure.detected, failed=failed
+                failure.reason,
+                last_healthy=failure.onset,
+                detected=failure.detected,
+                failed=failed,
+                planned=failure.planned,
             )
             if (first := self._first(failure, state.active_uid)) is not None:
                 progress.index = first
@@ -162,12 +167,9 @@ class Supervisor:
 
     async def _watch(self) -> Failure:
         """Look at every deadline until the workload has failed."""
-        next_look = time.time()
+        self._looks.restart()
         while True:
-            self.wake.clear()
-            now = time.time()
-            if (late := now - next_look) > STALLED:
-                self._trusted_from = now + min(late, STALL_MOST)
+            now = self._looks.begin()
             next_look = now + TICK
             policy = self._view.policy
             if policy is None or self._retired():
@@ -176,6 +178,7 @@ class Supervisor:
             else:
                 self._notice_correction(now)
                 self._sight.follow(policy, self._view.spec)
+                self._follow_safety(policy)
                 self._sight.drain(self._fleet.of_workload(), self._gate.state.active)
                 self._keeping.take(policy.state, self._sight.addresses, self._gate.state.active)
                 failure, deadline = await self._look(policy, now)
@@ -189,9 +192,7 @@ class Supervisor:
             if now >= self._next_slow:
                 self._next_slow = now + SLOW
                 self._housekeeping()
-            with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(max(0.0, next_look - time.time())):
-                    await self.wake.wait()
+            await self._looks.until(next_look)
 
     def _notice_correction(self, now: float) -> None:
         """Where no strategy verified, what was changed since may be the correction: trying it isn't put off."""
@@ -201,6 +202,18 @@ class Supervisor:
         before, self._given = self._given, given
         if self._backoff > BACKOFF_FIRST and before != given:
             self._backoff, self._not_before = BACKOFF_FIRST, now
+
+    def _follow_safety(self, policy: FailurePolicySpec) -> None:
+        if (spec := self._view.spec) is not None:
+            self._safety.follow(policy.safety, spec)
+
+    def _waited_since(self) -> float | None:
+        """Since when no instance has been verified to be in control; None while one is."""
+        if self._retired():
+            return None
+        if self.recovering is not None:
+            return self._unattended.recovering(self.recovering)
+        return self._unattended.since
 
     def _retired(self) -> bool:
         """Whether the workload is being deleted: then nothing is recovered."""
@@ -221,8 +234,8 @@ class Supervisor:
             return None, None
         active = self._fleet.find(state.active_uid)
         if (taken := self._reflexes.taken_over(now)) is not None:
-            if now < self._trusted_from:
-                return None, self._trusted_from
+            if now < self._looks.trusted_from:
+                return None, self._looks.trusted_from
             reason = f"{state.active} is silent and {taken.standby.name} has taken over"
             return Failure(reason, taken.last, taken.first, taken), None
         if (loss := self._lost(active, now)) is not None:
@@ -230,25 +243,42 @@ class Supervisor:
             return (self._counted(failure, now) if failure else None), look
         assert active is not None
         verdict = self._verdict(active, policy, now)
-        self._say(verdict)
+        degraded = self._levels.look(policy, verdict, active, now=now, since=self._since)
+        self._say(verdict, degraded=degraded)
         self._keeping.judge(verdict.state, now)
         if verdict.state != "Failed":
-            self._failing_since = None
+            self._debounce.clear()
+            if verdict.state == "Healthy":
+                self._unattended.driven()
             if verdict.state == "Healthy" and now - self._since >= SHORT_LIVED:
                 self._backoff = BACKOFF_FIRST
                 if self._reporter.reason("Recovering") not in ("", "Recovered", "HealthyAgain"):
                     self._reporter.condition("Recovering", "False", "HealthyAgain", f"{active.name} is healthy again.")
+            if verdict.state == "Healthy" and degraded and (planned := self._planned(policy, active, now)) is not None:
+                return planned, None
             return None, self._sight.deadline(now=now, since=self._since)
         detected = time.time()
-        if detected < self._trusted_from:
-            return None, self._trusted_from
-        if self._failing_since is None:
-            self._failing_since = detected
-        debounce = seconds(policy.monitoring.debounce)
-        if detected < self._failing_since + debounce:
-            return None, self._failing_since + debounce
+        if detected < self._looks.trusted_from:
+            return None, self._looks.trusted_from
+        counts = self._debounce.failed(detected, seconds(policy.monitoring.debounce))
+        if detected < counts:
+            return None, counts
         onset = verdict.onset if verdict.onset is not None else self._onset(active.name, now)
         return self._counted(Failure(verdict.reason, onset, detected), now), None
+
+    def _planned(self, policy: FailurePolicySpec, active: Instance, now: float) -> Failure | None:
+        """The hand-over of a degraded instance, if it is due. The policy's first strategy must be there: nobody waits for it."""
+        settings = self._view.settings
+        if (reason := self._levels.due) is None or settings is None:
+            return None
+        if now < self._not_before:
+            self._levels.wait("limits", "the policy's limits ask for a pause after the last recovery")
+            return None
+        first = choices(policy, settings, self._view.spec)[0].strategy
+        if (lacking := first.available(self._means())) is not None:
+            self._levels.wait("means", f"the first strategy can't be carried out ({lacking})")
+            return None
+        return Failure(reason, self._onset(active.name, now), time.time(), planned=True)
 
     def _lost(self, active: Instance | None, now: float) -> tuple[Failure | None, float | None] | None:
         """Whether the pod in control is lost, which needs no health tree: a failure, or when to look again.
@@ -296,11 +326,11 @@ class Supervisor:
             self._reporter.event("Warning", "RecoveryPostponed", f"{failure.reason}; tried again in {wait:.0f} s")
         return None
 
-    def _say(self, verdict: Verdict) -> None:
+    def _say(self, verdict: Verdict, *, degraded: bool = False) -> None:
         state = self._gate.state
         self._reporter.set(
             active=state.active,
-            health=verdict.state,
+            health="Degraded" if degraded and verdict.state == "Healthy" else verdict.state,
             gate=GateStatus(epoch=state.epoch, active=state.active),
         )
         status = {"Healthy": "True", "Failed": "False", "Starting": "Unknown"}[verdict.state]
@@ -403,7 +433,7 @@ class Supervisor:
                     await self._fleet.label(instance)
 
     def _say_watched(self) -> None:
-        if problems := self._sight.problems:
+        if problems := [*self._sight.problems, *self._safety.problems]:
             reason = "TypeNotInstalled" if any("not installed" in problem for problem in problems) else "NotWatched"
             if self._reporter.condition("Monitored", "False", reason, " ".join(problems)):
                 self._reporter.event("Warning", reason, " ".join(problems))
@@ -450,10 +480,12 @@ class Supervisor:
         if policy is None or settings is None or self._retired():
             return
         self._sight.follow(policy, self._view.spec)
+        self._follow_safety(policy)
         self._keeping.follow(policy.state)  # a recovery that an earlier monitor had begun comes before the first look
         self._sidecars.follow(self._fleet.of_workload())
-        self._reporter.set(health="Recovering")
-        self._reporter.condition("Recovering", "True", "FailureDetected", progress.reason)
+        began = "Rescheduling" if progress.planned else "FailureDetected"
+        self._reporter.condition("Recovering", "True", began, progress.reason)
+        self._reporter.set(health="Recovering")  # why, first: that it is so is told at once
         try:
             async with self._keeping.recovering():
                 done = await self._recovered(progress, choices(policy, settings, self._view.spec))
@@ -461,6 +493,7 @@ class Supervisor:
             _logger.warning("recovery %s given up: %s", progress.id, reason)
             self._reporter.condition("Recovering", "False", "Superseded", str(reason))
             self._reporter.event("Warning", "RecoverySuperseded", f"{progress.reason}: {reason}")
+            self._unattended.driven()
             self._after(0.0)
             return
         except (ApiError, aiohttp.ClientError, OSError) as error:
@@ -477,21 +510,24 @@ class Supervisor:
         self._keeping.tell(recovery)
         text = describe(recovery)
         _logger.warning("recovery %d: %s", recovery.number, text)
+        urgent = policy.priority == "Safety"
         if done.result == "Recovered":
+            self._unattended.driven()
             self._reporter.condition("Recovering", "False", "Recovered", text)
             self._reporter.event("Normal", "Recovered", text)
             for words in in_vain(recovery):
                 self._reporter.event("Warning", "StrategyNotVerified", f"{words}. The next strategy took over.")
             self._reporter.set(health="Healthy")
-            self._after(seconds(policy.limits.cooldown))
+            self._after(0.0 if urgent else seconds(policy.limits.cooldown))
             # Its samples count from the commit, so that an understudy that fails at once is noticed in the usual time.
             self._since = done.moments.get("committing", self._since)
         else:
+            self._unattended.nothing_verified(time.time())
             self._reporter.set(health="Failed")
             self._reporter.condition("Recovering", "False", "NothingVerified", text)
             self._reporter.event("Warning", "RecoveryFailed", text)
             self._after(self._backoff)
-            self._backoff = min(2 * self._backoff, BACKOFF_MOST)
+            self._backoff = BACKOFF_FIRST if urgent else min(2 * self._backoff, BACKOFF_MOST)
 
     def _first(self, failure: Failure, failed_uid: str) -> int | None:
         """The strategy to begin with. None where every one's instance failed at once: they are tried again after a pause."""
@@ -508,7 +544,7 @@ class Supervisor:
             self._reporter.condition("Recovering", "False", "EndsAgainAndAgain", f"{text}.")
             self._reporter.event("Warning", "EndsAgainAndAgain", text)
             self._not_before, self._cooldown_told = time.time() + self._backoff, True
-            self._backoff = min(2 * self._backoff, BACKOFF_MOST)
+            self._backoff = BACKOFF_FIRST if policy.priority == "Safety" else min(2 * self._backoff, BACKOFF_MOST)
         return first
 
     async def _recovered(self, progress: Progress, choices: list[Choice]) -> Progress:
@@ -524,6 +560,7 @@ class Supervisor:
 
     def _after(self, wait: float) -> None:
         now = time.time()
-        self._since, self._failing_since = now, None
+        self._since = now
+        self._debounce.clear()
         self._not_before = now + wait
         self._cooldown_told = False

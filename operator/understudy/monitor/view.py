@@ -9,14 +9,14 @@ from collections.abc import Callable
 from pydantic import ValidationError
 
 from understudy.api import names
-from understudy.api.policies import FailurePolicySpec
+from understudy.api.policies import FailurePolicySpec, in_force
 from understudy.api.procedures import Procedure
 from understudy.api.settings import WorkloadSettings
 from understudy.api.workloads import RobotWorkloadSpec
 from understudy.cluster.client import CONFIG_MAPS, NETWORK_POLICIES, PODS, POLICIES, WORKLOADS, Client, Object
 from understudy.cluster.watching import Reflector
 from understudy.trees.problems import TreeError
-from understudy.trees.procedures import load_procedure
+from understudy.trees.procedureforms import composed
 
 _logger = logging.getLogger(__name__)
 
@@ -26,7 +26,7 @@ def unloadable(*procedures: tuple[str, Procedure | None]) -> str | None:
     for name, procedure in procedures:
         if procedure is not None:
             try:
-                load_procedure(procedure.yaml, path=name)
+                composed(procedure, path=name)
             except TreeError as error:
                 return str(error)
     return None
@@ -124,7 +124,13 @@ class View:
         ):
             self._policy_version = version
             try:
-                given = FailurePolicySpec.model_validate(item["spec"])
+                given = in_force(FailurePolicySpec.model_validate(item["spec"]), item.get("status"))
+                if given is None:
+                    _logger.error(
+                        "FailurePolicy %s has no health tree yet, keeping the last one: see its Accepted condition",
+                        item["metadata"]["name"],
+                    )
+                    return self._policy
                 recoveries = ((f"strategies[{i}].recovery", s.recovery) for i, s in enumerate(given.strategies))
                 if self._policy is None or (problem := unloadable(*recoveries)) is None:
                     self._policy = given
