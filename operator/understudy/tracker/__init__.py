@@ -1,0 +1,1 @@
+"""The tracker: where robots with ArUco markers are, and how fast they move, as a camera sees them from outside."""

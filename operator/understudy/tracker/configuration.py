@@ -1,0 +1,310 @@
+"""What the tracker is told by its YAML file. Errors name the field, what was found and what would be right."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import yaml
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
+
+from understudy.api.base import seconds
+from understudy.api.rosnames import ROS_NAME_PATTERN
+from understudy.trees.problems import did_you_mean
+
+Dictionary = Literal[
+    "DICT_4X4_50",
+    "DICT_4X4_100",
+    "DICT_4X4_250",
+    "DICT_4X4_1000",
+    "DICT_5X5_50",
+    "DICT_5X5_100",
+    "DICT_5X5_250",
+    "DICT_5X5_1000",
+    "DICT_6X6_50",
+    "DICT_6X6_100",
+    "DICT_6X6_250",
+    "DICT_6X6_1000",
+    "DICT_7X7_50",
+    "DICT_7X7_100",
+    "DICT_7X7_250",
+    "DICT_7X7_1000",
+    "DICT_ARUCO_ORIGINAL",
+    "DICT_APRILTAG_16h5",
+    "DICT_APRILTAG_25h9",
+    "DICT_APRILTAG_36h10",
+    "DICT_APRILTAG_36h11",
+]
+"""OpenCV's names of sets of markers."""
+
+LONGEST = 10.0
+"""Seconds that the window of a velocity may have."""
+
+
+class ConfigurationError(ValueError):
+    """A configuration that can't be used; the text has a line for each problem."""
+
+
+def _duration(value: object) -> float:
+    if not isinstance(value, str):
+        raise ValueError("write it with ms or s, such as 500ms")
+    length = seconds(value)
+    if not 0 < length <= LONGEST:
+        raise ValueError(f"give more than 0 and at most {LONGEST:g}s")
+    return length
+
+
+def _ros_name(value: str) -> str:
+    if not re.fullmatch(ROS_NAME_PATTERN, value):
+        right = (
+            f"did you mean '/{value}'?" if re.fullmatch(ROS_NAME_PATTERN, f"/{value}") else "such as /camera/image_raw"
+        )
+        raise ValueError(f"it must be a fully qualified topic name; {right}")
+    return value
+
+
+def _frame(value: str) -> str:
+    if not re.fullmatch(r"[^\s/]\S{0,255}", value):
+        raise ValueError("give a frame's name without spaces and without a slash in front, such as map")
+    return value
+
+
+def _file(value: str) -> str:
+    if not value or "\0" in value:
+        raise ValueError("give a path, such as /dev/video0")
+    return value
+
+
+Window = Annotated[float, BeforeValidator(_duration)]
+Topic = Annotated[str, AfterValidator(_ros_name)]
+Frame = Annotated[str, AfterValidator(_frame)]
+File = Annotated[str, AfterValidator(_file)]
+Coordinate = Annotated[float, Field(ge=-10_000, le=10_000, allow_inf_nan=False)]
+Angle = Annotated[float, Field(ge=-math.tau, le=math.tau, allow_inf_nan=False)]
+Size = Annotated[float, Field(gt=0.001, le=10, allow_inf_nan=False)]
+Identity = Annotated[int, Field(ge=0, strict=True)]
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+
+class CameraPose(_Part):
+    """Where the camera is: metres and radians, roll, pitch and yaw about the fixed axes (REP 103).
+
+    Of the camera's body, which looks along its x axis, as of ``camera_link`` in REP 105's spirit: a pitch of 1.5708 looks down.
+    """
+
+    x: Coordinate
+    y: Coordinate
+    z: Coordinate
+    roll: Angle = 0.0
+    pitch: Angle
+    yaw: Angle = 0.0
+
+
+class Reference(_Part):
+    """A marker that lies on the floor at a place that is known, by which the camera's pose is found."""
+
+    id: Identity
+    size: Size
+    x: Coordinate
+    y: Coordinate
+    z: Coordinate = 0.0
+    yaw: Angle = 0.0
+
+
+class Device(_Part):
+    """A camera of this machine (V4L), which the tracker reads itself."""
+
+    path: File
+    """The device, such as ``/dev/video0``; a file that isn't one is played as a video, over and over."""
+    calibration: File
+    """The file with its calibration, as ROS' camera_calibration writes it. A relative path counts from the tracker's own file.
+    Images are asked for in the size that it is for."""
+    rate: Annotated[float, Field(ge=0.1, le=240, allow_inf_nan=False)] = 10.0
+    """Images a second that are looked at, at most."""
+    format: Annotated[str, Field(pattern=r"^[A-Z0-9]{4}$")] | None = None
+    """The device's own name of how it codes images (V4L2's four characters), such as MJPG; without it, what OpenCV chooses."""
+
+
+class Camera(_Part):
+    """The camera and where it is."""
+
+    image: Topic | None = None
+    """Its images in the ROS graph."""
+    device: Device | None = None
+    """Or the camera itself."""
+    info: Topic | None = None
+    """Where its calibration is; without it ``camera_info`` beside the images, as image_transport does."""
+    reliable: bool = False
+    """Whether images are asked for until they have come, as large ones over a network may have to be; the camera's publisher must
+    offer that."""
+    frame: Frame = "map"
+    """The frame that poses are given in; its x and y axes lie in the floor."""
+    pose: CameraPose | None = None
+    references: list[Reference] = []
+
+    @property
+    def source(self) -> str:
+        """Where its images come from: a topic, or a file."""
+        return self.device.path if self.device is not None else self.image or ""
+
+    @property
+    def calibration(self) -> str:
+        """Where its calibration is: a topic, or a file."""
+        if self.device is not None:
+            return self.device.calibration
+        return self.info or f"{(self.image or '').rpartition('/')[0]}/camera_info"
+
+    @model_validator(mode="after")
+    def _one_of(self) -> Camera:
+        if (self.image is None) == (self.device is None):
+            raise ValueError("give either image, the topic of its images, or device, a camera of this machine")
+        if self.device is not None and (self.info is not None or self.reliable):
+            raise ValueError("info and reliable are for images on a topic; a device has its calibration in a file")
+        if (self.pose is None) == (not self.references):
+            raise ValueError("give either pose, where the camera is, or references, markers on the floor that tell it")
+        return self
+
+
+class Mounting(_Part):
+    """Where a marker is on its robot: m and rad in the robot's own frame, the marker's upper edge to the robot's left
+    at a yaw of 0.
+    """
+
+    x: Coordinate = 0.0
+    y: Coordinate = 0.0
+    yaw: Angle = 0.0
+
+
+class Marker(_Part):
+    """A marker on a robot that drives on the floor: it lies flat at a height that is known."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,62}$")]
+    id: Identity
+    size: Size
+    """The length of its black square's edge, in m."""
+    height: Coordinate
+    """m above the floor."""
+    mounted: Mounting = Mounting()
+    topic: Topic | None = None
+    """Below which it is published; without it ``/tracker/NAME``."""
+    frame: Frame | None = None
+    """The robot's own frame; without it NAME."""
+
+    @property
+    def base(self) -> str:
+        """Below which topic it is published."""
+        return self.topic or f"/tracker/{self.name}"
+
+
+class Configuration(_Part):
+    """All of it."""
+
+    camera: Camera
+    dictionary: Dictionary = "DICT_4X4_50"
+    window: Window = 0.5
+    """Seconds over which a velocity is taken."""
+    noise: Annotated[float, Field(gt=0.001, le=10, allow_inf_nan=False)] = 0.2
+    """Standard deviation of a marker's corner in the image, in pixels, from which follows what is said of uncertainty."""
+    markers: Annotated[list[Marker], Field(min_length=1, max_length=100)]
+
+    @field_validator("markers")
+    @classmethod
+    def _different(cls, markers: list[Marker]) -> list[Marker]:
+        for field in ("name", "id", "base"):
+            values = [getattr(marker, field) for marker in markers]
+            for value in values:
+                if values.count(value) > 1:
+                    what = "topic" if field == "base" else field
+                    raise ValueError(f"two markers have the {what} {value!r}; give each its own")
+        return markers
+
+    @model_validator(mode="after")
+    def _in_dictionary(self) -> Configuration:
+        known = {
+            "DICT_ARUCO_ORIGINAL": 1024,
+            "DICT_APRILTAG_16h5": 30,
+            "DICT_APRILTAG_25h9": 35,
+            "DICT_APRILTAG_36h10": 2320,
+            "DICT_APRILTAG_36h11": 587,
+        }
+        size = known.get(self.dictionary) or int(self.dictionary.rpartition("_")[2])
+        named = {marker.id: f"markers ({marker.name})" for marker in self.markers}
+        for reference in self.camera.references:
+            if reference.id in named:
+                raise ValueError(f"camera.references: id {reference.id} is that of {named[reference.id]} too")
+            named[reference.id] = "camera.references"
+        for number, place in named.items():
+            if number >= size:
+                raise ValueError(f"{place}: id {number} is not in {self.dictionary}, which has 0 to {size - 1}")
+        return self
+
+
+def load(text: str, source: str = "the configuration") -> Configuration:
+    """A configuration out of YAML. Raises ConfigurationError with everything that is wrong."""
+    try:
+        found = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise ConfigurationError(f"{source} is no YAML: {error}") from error
+    if not isinstance(found, Mapping):
+        kind = "nothing" if found is None else type(found).__name__
+        raise ConfigurationError(f"{source}: found {kind}; give a mapping with camera and markers")
+    try:
+        return Configuration.model_validate(found)
+    except ValidationError as error:
+        raise ConfigurationError("\n".join(f"{source}: {_problem(entry)}" for entry in error.errors())) from error
+
+
+def read(file: Path) -> Configuration:
+    """A configuration out of a file. Raises ConfigurationError."""
+    try:
+        text = file.read_text()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigurationError(f"{file} can't be read: {error}") from error
+    found = load(text, str(file))
+    if (device := found.camera.device) is not None:
+        device.calibration = str(file.parent / device.calibration)
+    return found
+
+
+def _problem(entry: Any) -> str:
+    """A problem of pydantic's in one line: the field, what was found, what would be right."""
+    place = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in entry["loc"]).removeprefix(".")
+    message, found = entry["msg"].removeprefix("Value error, "), entry["input"]
+    if entry["type"] == "missing":
+        return f"{place}: missing"
+    if entry["type"] == "extra_forbidden":
+        return f"{place}: unknown field{did_you_mean(str(entry['loc'][-1]), _siblings(entry['loc'][:-1]))}"
+    if isinstance(found, Mapping | list | BaseModel):
+        return f"{place}: {message}" if place else message
+    return f"{place}: found {found!r}; {message}"
+
+
+def _siblings(place: tuple[int | str, ...]) -> list[str]:
+    """The fields of the part at a place."""
+    model: type[BaseModel] = Configuration
+    inner: dict[str, type[BaseModel]] = {
+        "camera": Camera,
+        "device": Device,
+        "markers": Marker,
+        "pose": CameraPose,
+        "references": Reference,
+        "mounted": Mounting,
+    }
+    for part in place:
+        model = inner.get(str(part), model)
+    return list(model.model_fields)
