@@ -16,7 +16,8 @@ from yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
 from understudy.checking.findings import Finding, Place
 from understudy.checking.schemas import join
-from understudy.trees.btcpp.markup import Beginning
+from understudy.trees.places import Beginning
+from understudy.trees.scalars import TAG, plain
 
 DEEPEST = 200
 """Levels that a manifest may have: pods and trees have a few dozen."""
@@ -24,7 +25,6 @@ DEEPEST = 200
 MOST = 200_000
 """Values that a file may have once its aliases are written out; some that are short stand for billions."""
 
-_TAG = "tag:yaml.org,2002:"
 _BREAK = re.compile("\r\n|[\n\r\x85\u2028\u2029]")
 _HINTS = {
     "\\t": "indent with spaces: YAML takes no tabs there",
@@ -81,6 +81,10 @@ class Manifest:
         metadata = self.data.get("metadata") if isinstance(self.data, dict) else None
         found = metadata.get("labels") if isinstance(metadata, dict) else None
         return {key: value for key, value in found.items() if isinstance(value, str)} if isinstance(found, dict) else {}
+
+    def together(self, other: Manifest) -> bool:
+        """Whether two objects may be in one namespace: without one they come to where they are applied."""
+        return not self.namespace or not other.namespace or self.namespace == other.namespace
 
     def _named(self, key: str) -> str:
         metadata = self.data.get("metadata") if isinstance(self.data, dict) else None
@@ -273,7 +277,7 @@ class _Values:
         first: dict[str, Place] = {}
         merged: list[Node] = []
         for key_node, value_node in node.value:
-            if key_node.tag == f"{_TAG}merge":
+            if key_node.tag == f"{TAG}merge":
                 merged += value_node.value if isinstance(value_node, SequenceNode) else [value_node]
                 continue
             key = self._key(key_node, path)
@@ -303,7 +307,7 @@ class _Values:
         return found if isinstance(found, dict) else {}
 
     def _key(self, node: Node, path: str) -> str | None:
-        key = _plain(node) if isinstance(node, ScalarNode) else None
+        key = plain(node) if isinstance(node, ScalarNode) else None
         if key is None:
             self._problem(path, "has a key that isn't a text; write a text before the ':'", _place(node))
             return None
@@ -320,7 +324,7 @@ class _Values:
 
     def _scalar(self, node: ScalarNode, path: str) -> Any:
         self._tagged(node, path, "str", "bool", "int", "float", "null", "timestamp", "merge", "value")
-        found = _plain(node)
+        found = plain(node)
         if isinstance(found, float) and not math.isfinite(found):
             self._problem(
                 path, f"found {node.value}, which JSON doesn't have; give a number", self._manifest.place(path)
@@ -331,8 +335,8 @@ class _Values:
         return found
 
     def _tagged(self, node: Node, path: str, *known: str) -> None:
-        if node.tag not in [f"{_TAG}{name}" for name in known]:
-            tag = node.tag.replace(_TAG, "!!")
+        if node.tag not in [f"{TAG}{name}" for name in known]:
+            tag = node.tag.replace(TAG, "!!")
             self._problem(path, f"found the tag {tag:.60}, which no manifest has; leave it out", _place(node))
 
     def _problem(self, path: str, message: str, place: Place, *, warning: bool = False) -> None:
@@ -344,7 +348,7 @@ def _place(node: Node) -> Place:
 
 
 def _is_nothing(node: Node) -> bool:
-    return isinstance(node, ScalarNode) and node.tag == f"{_TAG}null"
+    return isinstance(node, ScalarNode) and node.tag == f"{TAG}null"
 
 
 def _items(node: Node) -> list[Node] | None:
@@ -356,38 +360,3 @@ def _items(node: Node) -> list[Node] | None:
     if not isinstance(kind, ScalarNode) or not kind.value.endswith("List") or not isinstance(items, SequenceNode):
         return None
     return list(items.value)
-
-
-def _plain(node: ScalarNode) -> Any:
-    """A scalar as Kubernetes reads it: YAML 1.1, but times and numbers with colons are texts."""
-    text: str = node.value
-    match node.tag.removeprefix(_TAG):
-        case "null":
-            return None
-        case "bool":
-            return text.lower() in ("yes", "true", "on")
-        case "int":
-            return _whole(text)
-        case "float":
-            return _fraction(text)
-    return text
-
-
-def _whole(text: str) -> int | str:
-    plain = text.replace("_", "").lower()
-    sign, digits = (-1, plain[1:]) if plain.startswith("-") else (1, plain.removeprefix("+"))
-    bases = {"0x": 16, "0b": 2, "0o": 8}
-    try:
-        if digits[:2] in bases:
-            return sign * int(digits[2:], bases[digits[:2]])
-        return sign * int(digits, 8 if digits.startswith("0") and len(digits) > 1 else 10)
-    except ValueError:  # with colons, or longer than any number
-        return text
-
-
-def _fraction(text: str) -> float | str:
-    plain = text.replace("_", "").lower()
-    try:
-        return float(plain.replace(".inf", "inf").replace(".nan", "nan"))
-    except ValueError:
-        return text

@@ -18,16 +18,18 @@ from understudy.checking.documents import Manifest
 from understudy.checking.findings import Finding, Place
 from understudy.checking.schemas import validate
 from understudy.controller import instances, reflexes
-from understudy.trees.btcpp.markup import ALONE
 from understudy.trees.forms import FORMS, TEXTS, load_health
+from understudy.trees.places import ALONE, Beginning
 from understudy.trees.problems import Problem, TreeError, did_you_mean
-from understudy.trees.procedures import load_check, load_procedure
+from understudy.trees.procedureforms import compose
 from understudy.trees.reading import found_text
 
 _BY_NAME = {kind.name: kind for kind in KINDS}
 
 _LABEL_PATTERN = r"^(([A-Za-z0-9][-A-Za-z0-9_.]*)?[A-Za-z0-9])?$"
-_LABEL_MESSAGE = "a label has letters, digits, '-', '_' and '.' only, and begins and ends with a letter or digit"
+_LABEL_MESSAGE = (
+    "a label has letters, digits, dashes, underscores and dots only, and begins and ends with a letter or digit"
+)
 
 _TEXT: Schema = {"type": "string"}
 _OPAQUE: Schema = {"type": "object", PRESERVE: True}
@@ -112,44 +114,68 @@ def _trees(manifest: Manifest, kind: Kind, spec: Mapping[str, Any]) -> Iterator[
     """What the loaders find in the trees of an object. What is no tree at all the schema has told."""
     match kind.name:
         case "RobotWorkload":
-            yield from _procedure(manifest, spec, "bringUp", load_procedure)
+            yield from _procedure(manifest, spec, "bringUp")
         case "FallbackPool":
-            yield from _procedure(manifest, spec, "initialization", load_procedure)
-            yield from _procedure(manifest, spec, "readinessCheck", load_check)
+            yield from _procedure(manifest, spec, "initialization")
+            yield from _procedure(manifest, spec, "readinessCheck", check=True)
         case "FailurePolicy":
-            yield from _health(manifest, spec.get("monitoring"))
+            monitoring = spec.get("monitoring")
+            yield from _health(manifest, monitoring, "spec.monitoring", _grace(monitoring))
+            yield from _degraded(manifest, spec.get("degraded"), _grace(monitoring))
             strategies = spec.get("strategies")
             for index, strategy in enumerate(strategies if isinstance(strategies, list) else ()):
                 if isinstance(strategy, Mapping):
-                    yield from _procedure(manifest, strategy, "recovery", load_procedure, f"spec.strategies[{index}]")
+                    yield from _procedure(manifest, strategy, "recovery", f"spec.strategies[{index}]")
 
 
 def _procedure(
-    manifest: Manifest, owner: Mapping[str, Any], field: str, load: Callable[..., object], path: str = "spec"
+    manifest: Manifest, owner: Mapping[str, Any], field: str, path: str = "spec", *, check: bool = False
 ) -> Iterator[Finding]:
     procedure = owner.get(field)
-    tree = procedure.get("yaml") if isinstance(procedure, Mapping) else None
-    if isinstance(tree, Mapping) and tree:
-        yield from _loaded(manifest, lambda: load(tree, path=f"{path}.{field}.yaml"), placed=False)
+    for form, tree, where, begins in _forms(manifest, procedure, f"{path}.{field}"):
+        load = functools.partial(compose, form, tree, check=check, path=where, begins=begins or ALONE)
+        yield from placed(manifest, load, known=begins is not None)
 
 
-def _health(manifest: Manifest, monitoring: object) -> Iterator[Finding]:
-    if not isinstance(monitoring, Mapping):
-        return
+def _grace(monitoring: object) -> float:
     try:
-        grace = seconds(monitoring.get("startupGrace", "30s"))
+        return seconds(monitoring.get("startupGrace", "30s")) if isinstance(monitoring, Mapping) else 30.0
     except (ValueError, TypeError):
-        grace = 30.0
+        return 30.0
+
+
+def _health(manifest: Manifest, trees: object, path: str, grace: float) -> Iterator[Finding]:
+    """What is wrong with a tree in one of the forms, each a field of what stands at a path."""
+    for form, tree, where, begins in _forms(manifest, trees, path):
+        load = functools.partial(load_health, form, tree, grace=grace, path=where, begins=begins or ALONE)
+        yield from placed(manifest, load, known=begins is not None)
+
+
+def _forms(
+    manifest: Manifest, owner: object, path: str
+) -> Iterator[tuple[str, Mapping[str, Any] | str, str, Beginning | None]]:
+    """The trees of what may have one in any form: the form, the tree, its path, and where its text begins, if known."""
     for form in FORMS:
-        tree = monitoring.get(form)
+        tree = owner.get(form) if isinstance(owner, Mapping) else None
         if tree and isinstance(tree, str if form in TEXTS else Mapping):
-            begins = manifest.texts.get(f"spec.monitoring.{form}") if form in TEXTS else None
-            load = functools.partial(load_health, form, tree, grace=grace, begins=begins or ALONE)
-            yield from _loaded(manifest, load, placed=begins is not None)
+            where = f"{path}.{form}"
+            yield form, tree, where, manifest.texts.get(where) if form in TEXTS else None
 
 
-def _loaded(manifest: Manifest, load: Callable[[], object], *, placed: bool) -> Iterator[Finding]:
-    """The problems that a loader has; ``placed`` is whether lines and columns that it tells are the file's."""
+def _degraded(manifest: Manifest, degraded: object, grace: float) -> Iterator[Finding]:
+    if not isinstance(degraded, Mapping):
+        return
+    yield from _health(manifest, degraded.get("monitoring"), "spec.degraded.monitoring", grace)
+    actions = degraded.get("actions")
+    for index, action in enumerate(actions if isinstance(actions, list) else ()):
+        reschedule = action.get("reschedule") if isinstance(action, Mapping) else None
+        if isinstance(reschedule, Mapping):
+            path = f"spec.degraded.actions[{index}].reschedule.idle"
+            yield from _health(manifest, reschedule.get("idle"), path, grace)
+
+
+def placed(manifest: Manifest, load: Callable[[], object], *, known: bool) -> Iterator[Finding]:
+    """The problems that a loader has; ``known`` is whether lines and columns that it tells are the file's."""
     try:
         load()
     except TreeError as error:
@@ -159,7 +185,7 @@ def _loaded(manifest: Manifest, load: Callable[[], object], *, placed: bool) -> 
                 yield manifest.finding(problem.path, problem.message)
                 continue
             field = problem.path[: found.start()]
-            if placed:
+            if known:
                 place = Place(int(found[1]), int(found[2]))
                 yield manifest.finding(field + problem.path[found.end() :], problem.message, place=place)
             else:

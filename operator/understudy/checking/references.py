@@ -8,6 +8,7 @@ from typing import Any
 from understudy.checking.documents import Manifest
 from understudy.checking.findings import Finding
 from understudy.controller import objects, selectors
+from understudy.controller.policies import shared
 
 _MOST_SHOWN = 5
 _IN_THE_CLUSTER = "If it is in the cluster already, all is well"
@@ -21,9 +22,11 @@ def check(manifests: Sequence[Manifest]) -> Iterator[Finding]:
     for workload in workloads:
         yield from _names(workload, "spec.failurePolicyRef.name", "FailurePolicy", policies)
         yield from _unserved(workload, policies, pools)
+        yield from _never_idle(workload, policies)
     for policy in policies:
         for index, _ in enumerate(_list(_at(policy.data, "spec", "strategies"))):
             yield from _names(policy, f"spec.strategies[{index}].poolRef.name", "FallbackPool", pools)
+        yield from _not_prewarmed(policy, pools)
     for pool in pools:
         yield from _names(pool, "spec.templateFrom.workload", "RobotWorkload", workloads)
         yield from _selects(pool, workloads)
@@ -34,7 +37,7 @@ def _names(manifest: Manifest, path: str, kind: str, known: Sequence[Manifest]) 
     name = _field(manifest.data, path)
     if not isinstance(name, str) or not name:
         return
-    near = [other.name for other in known if _together(manifest, other)]
+    near = [other.name for other in known if manifest.together(other)]
     if name not in near:
         hint = f" ({objects.hint(name, near)})" if near else ""
         message = (
@@ -46,9 +49,9 @@ def _names(manifest: Manifest, path: str, kind: str, known: Sequence[Manifest]) 
 
 def _selects(pool: Manifest, workloads: Sequence[Manifest]) -> Iterator[Finding]:
     """A pool's selector must match a workload."""
-    if _selector(pool) is None or any(_together(pool, one) and _serves(pool, one) for one in workloads):
+    if _selector(pool) is None or any(pool.together(one) and _serves(pool, one) for one in workloads):
         return
-    shown = [f"{one.name} has {_labels(one)}" for one in workloads if _together(pool, one)][:_MOST_SHOWN]
+    shown = [f"{one.name} has {_labels(one)}" for one in workloads if pool.together(one)][:_MOST_SHOWN]
     if shown:
         there = "; ".join(shown)
         found = f"matches none of the RobotWorkloads in the files that were given ({there}); correct it or the workload's labels, or"
@@ -62,11 +65,11 @@ def _unserved(workload: Manifest, policies: Sequence[Manifest], pools: Sequence[
     """One of the pools that the workload's policy counts on must serve the workload too; told where all of them are given."""
     name = _field(workload.data, "spec.failurePolicyRef.name")
     for policy in policies:
-        if policy.name != name or not _together(workload, policy):
+        if policy.name != name or not workload.together(policy):
             continue
         strategies = _list(_at(policy.data, "spec", "strategies"))
         named = {pool for one in strategies if isinstance(pool := _at(one, "poolRef", "name"), str)}
-        given = [pool for pool in pools if pool.name in named and _together(workload, pool)]
+        given = [pool for pool in pools if pool.name in named and workload.together(pool)]
         known = {pool.name for pool in given} == named and all(_selector(pool) is not None for pool in given)
         if named and known and not any(_serves(pool, workload) for pool in given):
             message = (
@@ -76,9 +79,31 @@ def _unserved(workload: Manifest, policies: Sequence[Manifest], pools: Sequence[
             yield workload.finding("metadata.labels", message, warning=True)
 
 
-def _together(one: Manifest, other: Manifest) -> bool:
-    """Whether two objects may be in one namespace: without one they come to where they are applied."""
-    return not one.namespace or not other.namespace or one.namespace == other.namespace
+def _never_idle(workload: Manifest, policies: Sequence[Manifest]) -> Iterator[Finding]:
+    """A policy that hands over at idle moments needs to know of some."""
+    name = _field(workload.data, "spec.failurePolicyRef.name")
+    if _list(_at(workload.data, "spec", "tasks")):
+        return
+    for policy in policies:
+        if policy.name != name or not workload.together(policy):
+            continue
+        for index, action in enumerate(_list(_at(policy.data, "spec", "degraded", "actions"))):
+            if isinstance(found := _at(action, "reschedule"), Mapping) and not found.get("idle"):
+                message = (
+                    f"FailurePolicy {policy.name} reschedules at an idle moment, and nothing tells when this workload is idle, so it never "
+                    f"is: give it spec.tasks, or the policy spec.degraded.actions[{index}].reschedule.idle"
+                )
+                yield workload.finding("spec.tasks", message, warning=True)
+
+
+def _not_prewarmed(policy: Manifest, pools: Sequence[Manifest]) -> Iterator[Finding]:
+    """A pool that is pre-warmed must have standbys of the workload's own."""
+    kinds = {one.name: _at(one.data, "spec", "readiness") for one in pools if policy.together(one)}
+    for index, _ in enumerate(_list(_at(policy.data, "spec", "degraded", "actions"))):
+        path = f"spec.degraded.actions[{index}].prewarm.poolRef.name"
+        name = _field(policy.data, path)
+        if isinstance(name, str) and kinds.get(name) == "Uninitialized":
+            yield policy.finding(path, shared(name))
 
 
 def _serves(pool: Manifest, workload: Manifest) -> bool:

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from understudy.checking import documents, objects, references
+from understudy.checking import documents, lending, objects, references
 from understudy.checking.documents import Manifest
 from understudy.checking.findings import Finding
 
@@ -54,6 +54,7 @@ def check(files: Sequence[tuple[str, bytes]]) -> Result:
     """Check the contents of files, each with what findings call it."""
     result = Result(files=len(files))
     ours: list[Manifest] = []
+    config_maps: list[Manifest] = []
     for name, content in files:
         manifests, found = documents.read(name, content)
         result.findings += found
@@ -63,9 +64,12 @@ def check(files: Sequence[tuple[str, bytes]]) -> Result:
                 result.findings += objects.check(manifest)
             else:
                 result.passed_over += 1
+                if manifest.kind == "ConfigMap":
+                    config_maps.append(manifest)
                 result.findings += _other(manifest)
     result.checked = len(ours)
     result.findings += references.check(ours)
+    result.findings += lending.check([one for one in ours if one.kind == "FailurePolicy"], config_maps)
     order = {name: number for number, (name, _) in enumerate(files)}
     result.findings = sorted(dict.fromkeys(result.findings), key=lambda one: (order[one.file], one.place))
     return result

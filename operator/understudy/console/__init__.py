@@ -1,0 +1,1 @@
+"""Commands that ask a cluster, for people: ``understudy tree``, also as ``kubectl understudy tree``."""

@@ -1,0 +1,110 @@
+"""A live health tree as lines of text."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+WORDS = {"Healthy": "healthy", "Starting": "starting", "Failed": "FAILED", "Idle": "idle", "Unasked": "not asked"}
+_COLOURS = {"Healthy": "32", "Starting": "33", "Degraded": "33", "Recovering": "33", "Failed": "1;31"}
+_FAINT = "2"
+
+
+@dataclass
+class Rates:
+    """How often topics were received between looks, by counters that only the monitor has."""
+
+    _before: dict[str, tuple[int, float]] = field(default_factory=dict)
+    _rates: dict[str, float] = field(default_factory=dict)
+
+    def look(self, state: Mapping[str, Any]) -> None:
+        """Take in a state of the monitor."""
+        for path, node in _nodes(state.get("tree")):
+            if "received" not in node:
+                continue
+            count, now = node["received"], state["time"]
+            before = self._before.get(path)
+            if before is not None and now <= before[1]:
+                continue
+            if before is not None and count >= before[0]:
+                self._rates[path] = (count - before[0]) / (now - before[1])
+            else:
+                self._rates.pop(path, None)
+            self._before[path] = (count, now)
+
+    def of(self, path: str) -> float | None:
+        """Messages per second of a leaf's topic between the last two looks; None before there were two."""
+        return self._rates.get(path)
+
+
+def lines(state: Mapping[str, Any], rates: Rates, *, colours: bool) -> Iterator[str]:
+    """The state of a monitor, for a terminal."""
+
+    health = coloured(plain(state["health"]), state["health"], colours=colours)
+    yield f"{plain(state['namespace'])}/{plain(state['workload'])}  {health}"
+    yield (
+        f"in control: {plain(state['active']) or 'nobody'} (epoch {state['epoch']}); policy {plain(state['policy']) or 'none'}; "
+        f"if it failed now: {plain(state['strategy']) or 'unknown'}; recoveries: {state['recoveries']}"
+    )
+    for said in state.get("conditions", ()):
+        if said["type"] == "Degraded" and said["status"] == "True":
+            yield f"degraded: {plain(said['message'])}"
+    yield ""
+    yield from tree_lines(state.get("tree"), rates, colours=colours)
+    notes = [plain(note) for note in state["notes"]]
+    if notes:
+        yield ""
+        yield from notes
+
+
+def tree_lines(tree: Mapping[str, Any] | None, rates: Rates, *, colours: bool) -> Iterator[str]:
+    """A snapshot of a tree, a line for each node: how it is, how often its topic comes, and why it isn't healthy."""
+    nodes = list(_nodes(tree))
+    if not nodes:
+        yield "There is no health tree that could be judged."
+    width = max((2 * path.count("/") + len(_label(node)) for path, node in nodes), default=0)
+    for path, node in nodes:
+        label = f"{'  ' * path.count('/')}{_label(node)}".ljust(width)
+        word = coloured(WORDS[node["state"]].ljust(9), node["state"], colours=colours)
+        figures = _figures(node, rates.of(path))
+        yield f"{label}  {word}  {figures:22}  {plain(node['reason'])}".rstrip()
+
+
+def coloured(text: str, state: str, *, colours: bool) -> str:
+    """A text in the colour of a state."""
+    return f"\x1b[{_COLOURS.get(state, _FAINT)}m{text}\x1b[0m" if colours else text
+
+
+def plain(text: object) -> str:
+    """A text that can't move the cursor: topics and reasons are chosen by others."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in str(text))
+
+
+def rough(seconds: float) -> str:
+    """A length of time in as many figures as matter."""
+    if seconds < 1:
+        return f"{seconds * 1000:.0f} ms"
+    return f"{seconds:.1f} s" if seconds < 100 else f"{seconds:.0f} s"
+
+
+def _nodes(node: Mapping[str, Any] | None, path: str = "") -> Iterator[tuple[str, Mapping[str, Any]]]:
+    if node is None:
+        return
+    yield path, node
+    for index, child in enumerate(node.get("children", ())):
+        yield from _nodes(child, f"{path}/{index}")
+
+
+def _label(node: Mapping[str, Any]) -> str:
+    name, kind = plain(node["name"]), plain(node["kind"])
+    if node.get("task"):
+        return f"{name} (while {plain(node['task'])} is active)"
+    return name if kind in (name, "topic") else f"{name} ({kind})"
+
+
+def _figures(node: Mapping[str, Any], rate: float | None) -> str:
+    if node.get("age") is None:
+        return ""
+    often = f"{rate:.3g} Hz, " if rate is not None else ""
+    return f"{often}{rough(node['age'])} ago"

@@ -1,0 +1,135 @@
+"""``understudy size``: how many fallbacks robots that share a pool need, what that risks and what it costs."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from collections.abc import Callable
+
+from understudy.planning.sizes import Question, sized
+from understudy.planning.telling import told
+from understudy.sizing.risks import MEASURES, MOST
+from understudy.trying import pictures
+from understudy.trying.unusable import Unusable
+
+DONE, CANT = 0, 2
+"""Exit statuses."""
+
+
+def main(arguments: list[str]) -> int:
+    """Run the command; what came of it goes to standard output."""
+    given = _parser().parse_args(arguments)
+    question = Question(
+        robots=given.robots,
+        failures_per_robot_hour=given.failures_per_robot_hour,
+        recovery=given.recovery_seconds,
+        refill=given.refill_seconds if given.refill_seconds is not None else given.recovery_seconds,
+        restart=given.restart_seconds if given.restart_seconds is not None else 2 * given.recovery_seconds,
+        cpu=given.fallback_cpu,
+    )
+    try:
+        if given.plot is not None:
+            pictures.usable(given.plot)
+        size = sized(question, given.fallbacks, given.risk, given.risk_of)
+        print(json.dumps(size.data(), indent=2) if given.output == "json" else told(size))
+        if given.plot is not None:
+            from understudy.planning import plots
+
+            plots.draw(given.plot, size)
+    except Unusable as error:
+        print(f"understudy size: {error}", file=sys.stderr)
+        return CANT
+    return DONE
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="understudy size",
+        description="Says how likely it is that robots which share a FallbackPool find too few fallbacks, how long they then wait, what "
+        "the pool costs and what down-time it saves; with --risk how many fallbacks are needed. Failures are taken to come independently "
+        "of each other; each takes a fallback, and another waits in its place after the refill's time.",
+        epilog="Exit status: 0, or 2 where it can't be done as asked for. The models are described in docs/sizing.md.",
+    )
+    parser.add_argument("--robots", type=_count(1, 10_000_000), required=True, help="how many share the pool")
+    parser.add_argument(
+        "--failures-per-robot-hour",
+        type=_figure("failures per hour"),
+        required=True,
+        metavar="RATE",
+        help="as observed",
+    )
+    parser.add_argument(
+        "--recovery-seconds",
+        type=_figure("seconds"),
+        required=True,
+        metavar="SECONDS",
+        help="down-time of a robot that finds a fallback",
+    )
+    parser.add_argument(
+        "--refill-seconds",
+        type=_figure("seconds"),
+        metavar="SECONDS",
+        help="from a failure until another fallback is ready (default: as long as the recovery, as in the paper)",
+    )
+    parser.add_argument(
+        "--restart-seconds",
+        type=_figure("seconds"),
+        metavar="SECONDS",
+        help="down-time of a robot that is restarted instead (default: twice the recovery, as in the paper)",
+    )
+    parser.add_argument(
+        "--fallback-cpu",
+        type=_figure("a share", zero=True),
+        default=1.0,
+        metavar="SHARE",
+        help="CPU of a waiting fallback as a share of a working one's (default: 1, as the paper counts; it measured 0.6 for one that "
+        "waits uninitialized)",
+    )
+    asked = parser.add_mutually_exclusive_group(required=True)
+    asked.add_argument("--fallbacks", type=_count(0, MOST), metavar="N", help="the pool's size")
+    asked.add_argument(
+        "--risk",
+        type=_figure("a probability", 0.999999),
+        metavar="P",
+        help="the size for this risk instead, such as 0.01",
+    )
+    parser.add_argument(
+        "--risk-of",
+        choices=tuple(MEASURES),
+        default="loss",
+        help="what the risk is of: loss: a failure finds no fallback and goes without; waiting: it has to wait for one; window: more "
+        "failures than fallbacks fall into the time of a refill, as the paper asks (default: loss)",
+    )
+    parser.add_argument("--plot", metavar="FILE.png", help="draw risk against cost (needs the extra understudy[plots])")
+    parser.add_argument("-o", "--output", choices=("text", "json"), default="text", help="how it is printed")
+    return parser
+
+
+def _count(least: int, most: int) -> Callable[[str], int]:
+    def count(text: str) -> int:
+        try:
+            value = int(text)
+        except ValueError:
+            value = least - 1
+        if not least <= value <= most:
+            raise argparse.ArgumentTypeError(f"found {text!r:.50}; give a whole number from {least} to {most}")
+        return value
+
+    return count
+
+
+def _figure(what: str, most: float = math.inf, *, zero: bool = False) -> Callable[[str], float]:
+    def figure(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not (math.isfinite(value) and value <= most and (value > 0 or (zero and value == 0))):
+            least = "from 0 on" if zero else "above 0"
+            end = f" and up to {most:g}" if math.isfinite(most) else ""
+            raise argparse.ArgumentTypeError(f"found {text!r:.50}; give {what}, {least}{end}, such as 0.01")
+        return value
+
+    return figure
