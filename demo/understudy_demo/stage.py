@@ -16,6 +16,9 @@ RELEASE_NAMESPACE = "understudy-system"
 BUILT = "localhost"
 """The registry in the names of images that were built here, which no node would ever pull from."""
 
+IMAGES = ("operator", "monitor", "quickstart")
+"""Those that the play needs, by the names that scripts/images has for them; others take long to build."""
+
 Say = Callable[[str], None]
 
 
@@ -61,8 +64,8 @@ class Stage:
         if not self._build:
             self._say(f"images: those at {self._images}")
             return
-        self._say("images: scripts/images --load")
-        self._script("images", "--load", show=True)
+        self._say(f"images: scripts/images --load {' '.join(IMAGES)}")
+        self._script("images", "--load", *IMAGES, show=True)
 
     def chart(self) -> None:
         """The operator, by its chart and by nothing else."""
