@@ -1,0 +1,190 @@
+"""Watches a robot as the monitor does: its own view (understudy.monitor.sight) in a process with all that it imports,
+woken when it is (understudy.monitor.looking), and kept state (understudy.monitor.keeping) without an API server.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import sys
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from itertools import takewhile
+from pathlib import Path
+from typing import Any
+
+from bench.counting import least_count, most_count, worst_gap
+from bench.roles import answer, end_with_parent, tell
+
+EVIDENCE = 4.0
+"""Seconds of a topic's receipts that are told with a failure."""
+
+
+def judge(
+    monitoring: Mapping[str, Any],
+    topics: Sequence[str],
+    *,
+    outputs: Sequence[Mapping[str, str]] = (),
+    kept: Sequence[str] = (),
+    ip: str = "192.0.2.10",
+    leaves: Mapping[str, str] | None = None,
+) -> None:
+    """Judge until killed, tell of failures, and answer ``received`` and ``seen``.
+
+    Args:
+        monitoring: as of a FailurePolicy.
+        topics: those that it receives, of which it is asked.
+        outputs: the workload's gated outputs.
+        kept: topics whose state is kept.
+        ip: of the instance in control; empty where all processes are to count as its own.
+        leaves: the topic of each leaf by its path, whose receipts are told with a failure.
+    """
+    _Judge(monitoring, topics, outputs, kept, ip, leaves or {}).run()
+
+
+class _Judge:
+    def __init__(
+        self,
+        monitoring: Mapping[str, Any],
+        topics: Sequence[str],
+        outputs: Sequence[Mapping[str, str]],
+        kept: Sequence[str],
+        ip: str,
+        leaves: Mapping[str, str],
+    ) -> None:
+        import understudy.monitor.running  # noqa: F401  (what the monitor's process has in memory)
+        from understudy.api.policies import FailurePolicySpec
+        from understudy.api.workloads import RobotWorkloadSpec
+        from understudy.cluster import scheduling
+        from understudy.mitigation.interfaces import Instance
+        from understudy.mitigation.shelf import Shelf
+        from understudy.monitor.keeping import StateKeeping
+        from understudy.monitor.sight import Sight
+        from understudy.trees.forms import load_monitoring
+
+        end_with_parent()
+        scheduling.ask_for_short_slices()  # before any thread starts, as in the monitor
+        self.policy = FailurePolicySpec.model_validate(
+            {
+                "monitoring": monitoring,
+                "strategies": [{"type": "Restart"}],
+                "state": {"keep": [{"topic": topic} for topic in kept]},
+            }
+        )
+        self.spec = RobotWorkloadSpec.model_validate(
+            {"template": {}, "outputs": list(outputs), "failurePolicyRef": {"name": "bench"}}
+        )
+        self.instances = [Instance("active", "1", ip=ip), Instance("standby", "2", ip="192.0.2.11")]
+        self.sight = Sight()
+        self._folder = tempfile.TemporaryDirectory()
+        self.keeping = StateKeeping(self.sight.graph, Shelf(Path(self._folder.name)), _Nobody(), _Nobody())
+        self.topics, self.leaves = topics, leaves
+        self.verdicts = self.failed = self.doubted = 0
+        self.late = self.waited = 0.0
+        self._prompt = {topic.name: 0.0 for topic in load_monitoring(self.policy.monitoring).topics if topic.prompt}
+        self.asked = time.time()
+
+    def run(self) -> None:
+        asyncio.run(self._watch())
+
+    async def _watch(self) -> None:
+        """As understudy.monitor.supervising does, of which this leaves out all that isn't for noticing."""
+        from understudy.api.base import seconds
+        from understudy.monitor.looking import TICK, WAKE_LATE, Looks
+        from understudy.monitor.supervising import SLOW
+        from understudy.trees.debounce import Debounce
+
+        answers = {"received": self._received, "seen": self._seen}
+        asyncio.get_running_loop().add_reader(sys.stdin, lambda: answer(sys.stdin.readline(), answers))
+        looks, debounce = Looks(self.sight.coming), Debounce()
+        since, slow, state = time.time(), 0.0, "Starting"
+        gc.collect()
+        gc.freeze()
+        tell("ready")
+        while True:
+            now = looks.begin()
+            self.late = max(self.late, looks.late)
+            self.sight.follow(self.policy, self.spec)
+            self.sight.drain(self.instances, "active")
+            self.keeping.take(self.policy.state, self.sight.addresses, "active")
+            self._note_waiting(now)
+            verdict = self.sight.verdict(now=now, since=since)
+            self.keeping.judge(verdict.state, now)
+            detected, due = time.time(), None
+            self.verdicts += 1
+            if verdict.state != "Failed":
+                debounce.clear()
+                due = self.sight.deadline(now=now, since=since)
+                if verdict.state != state:
+                    state = verdict.state
+                    tell(state.lower(), at=detected, reason=verdict.reason)
+            elif detected < looks.trusted_from:
+                self.doubted += 1
+                due = looks.trusted_from
+            elif detected < (counts := debounce.failed(detected, seconds(self.policy.monitoring.debounce))):
+                due = counts
+            elif state != "Failed":
+                state = "Failed"
+                self.failed += 1
+                self._tell_failure(verdict, detected)
+            if now >= slow:
+                slow = now + SLOW
+                self.keeping.housekeeping(self.instances[0], [])
+            next_look = now + TICK
+            await looks.until(next_look if due is None else min(next_look, due + WAKE_LATE))
+
+    def _note_waiting(self, now: float) -> None:
+        """Note for how long messages have waited that are to be looked at as they come."""
+        for topic, seen in self._prompt.items():
+            record = self.sight.observations.topic(topic)
+            if record is None or record.last is None or record.last == seen:
+                continue
+            first = min(takewhile(lambda time, seen=seen: time > seen, reversed(record.arrivals)), default=now)
+            self.waited = max(self.waited, now - first) if seen else self.waited
+            self._prompt[topic] = record.last
+
+    def _tell_failure(self, verdict: Any, detected: float) -> None:
+        record = self.sight.observations.topic(self.leaves.get(verdict.leaf, ""))
+        arrivals = [time for time in record.arrivals if time > detected - EVIDENCE] if record is not None else []
+        tell(
+            "failed",
+            detected=detected,
+            leaf=verdict.leaf,
+            reason=verdict.reason,
+            onset=verdict.onset,
+            arrivals=arrivals,
+        )
+
+    def _received(self, asked: Mapping[str, Any]) -> dict[str, Any]:
+        records = [self.sight.observations.topic(topic) for topic in self.topics]
+        return {"received": sum(record.count for record in records if record is not None)}
+
+    def _seen(self, asked: Mapping[str, Any]) -> dict[str, Any]:
+        """What there was since the last such question: the worst gap of each topic, the fewest and most messages in a window.
+
+        ``windows`` has the length of each topic's window in seconds.
+        """
+        since, self.asked = self.asked, time.time()
+        found: dict[str, Any] = {"gaps": {}, "least": {}, "most": {}}
+        for topic in self.topics:
+            if (record := self.sight.observations.topic(topic)) is None:
+                continue
+            times = list(record.arrivals)
+            found["gaps"][topic] = worst_gap(times, since)
+            if window := asked["windows"].get(topic):
+                found["least"][topic] = least_count(times, window, since)
+                found["most"][topic] = most_count(times, window, since)
+        late, waited, self.late, self.waited = self.late, self.waited, 0.0, 0.0
+        counts = {"verdicts": self.verdicts, "failed": self.failed, "doubted": self.doubted}
+        return {**found, **counts, "late": late, "waited": waited}
+
+
+class _Nobody:
+    """Whom there is nothing to tell or to ask."""
+
+    def condition(self, *said: str) -> bool:
+        return False
+
+    def keep(self, kept: object) -> None:
+        pass

@@ -1,0 +1,166 @@
+"""Whether the monitor ever raises a false alarm while nothing fails and all cores are busy.
+
+    scripts/bench soak [--minutes 30]
+
+A robot at work (bench/leaves.py) is judged by 20 leaves as the monitor does, and nothing is done to it. Beside it a
+process for each core computes without a pause, at the priority of all others. The robot's processes get their share of the
+processor like others, and each remembers when it sent what: where an alarm is told of a message that was late by its
+sender's own clock, the sender was starved and the alarm is true. It is counted as such, with what the sender says.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from bench.leaves import LEAVES, at_work, await_grace, kinds, senders_fault, topics, traffic
+from bench.load import Load
+from bench.results import Report
+from bench.roles import Role
+
+LOOK = 5.0
+"""Seconds between two questions for what was received, of which the last 10 s are kept."""
+
+
+@dataclass
+class Soak:
+    """What was found, minute by minute."""
+
+    roles: Mapping[str, Role]
+    false: list[str] = field(default_factory=list)
+    true: list[str] = field(default_factory=list)
+    gaps: dict[str, list[float]] = field(default_factory=dict)
+    """Worst gap in ms, by topic."""
+    rates: dict[str, list[float]] = field(default_factory=dict)
+    """Least rate in Hz over the leaf's window, by topic."""
+    late: list[float] = field(default_factory=list)
+    """The most by which a look was later than it was due, in ms."""
+    waited: list[float] = field(default_factory=list)
+    """The longest that a message waited which is to be looked at as it comes, in ms."""
+    memory: list[float] = field(default_factory=list)
+    """Resident, in MB."""
+    cpu: list[float] = field(default_factory=list)
+    verdicts: int = 0
+    doubted: int = 0
+
+    def begin(self) -> None:
+        """Leave out what was before."""
+        seen = self.roles["ours"].ask("seen", windows=WINDOWS)
+        self.verdicts, self.doubted = -seen["verdicts"], -seen["doubted"]
+        self.memory.append(self.roles["ours"].rss())
+
+    def minute(self, length: float) -> None:
+        """Look for this many seconds."""
+        judge = self.roles["ours"]
+        gaps: dict[str, float] = {}
+        least: dict[str, float] = {}
+        late, waited, cpu, begun = 0.0, 0.0, judge.cpu(), time.monotonic()
+        while (rest := begun + length - time.monotonic()) > 0:
+            time.sleep(min(LOOK, rest))
+            for told in judge.told_so_far():
+                if told["told"] == "failed":
+                    self._judge_alarm(told)
+            seen = judge.ask("seen", windows=WINDOWS)
+            late, waited = max(late, seen["late"]), max(waited, seen["waited"])
+            for topic, gap in seen["gaps"].items():
+                gaps[topic] = max(gaps.get(topic, 0.0), gap)
+            for topic, count in seen["least"].items():
+                if count is not None:
+                    least[topic] = min(least.get(topic, math.inf), count / WINDOWS[topic])
+        self.cpu.append(1000 * (judge.cpu() - cpu) / (time.monotonic() - begun))
+        self.late.append(1000 * late)
+        self.waited.append(1000 * waited)
+        self.memory.append(judge.rss())
+        for topic, gap in gaps.items():
+            self.gaps.setdefault(topic, []).append(1000 * gap)
+        for topic, rate in least.items():
+            self.rates.setdefault(topic, []).append(rate)
+        self.seen = seen
+
+    def end(self) -> None:
+        """Take in how many verdicts there were."""
+        self.verdicts += self.seen["verdicts"]
+        self.doubted += self.seen["doubted"]
+
+    def _judge_alarm(self, told: Mapping[str, Any]) -> None:
+        text, fault = f"{told['leaf']}: {told['reason']}", senders_fault(told, self.roles)
+        print(f"{'true' if fault else 'FALSE'} alarm: {text}{f' ({fault})' if fault else ''}", flush=True)
+        if fault:
+            self.true.append(f"{text}; its sender: {fault}")
+        else:
+            self.false.append(text)
+
+
+WINDOWS = {leaf.topic: leaf.window.length for leaf in LEAVES if leaf.window is not None}
+"""Lengths of the windows of rates in seconds, by topic."""
+
+
+def limits(topic: str) -> str:
+    """What a topic's gap stands beside: the leaves that judge it by one."""
+    found = [
+        f"{leaf.path} fails at {1000 * leaf.gap:g}" for leaf in LEAVES if leaf.topic == topic and leaf.gap is not None
+    ]
+    return ", ".join(found)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--minutes", type=float, default=30.0)
+    options = parser.parse_args()
+    report = Report("soak")
+    with at_work() as roles, Load() as load:
+        await_grace(roles["ours"])
+        soak = Soak(roles)
+        soak.begin()
+        whole = math.ceil(options.minutes)
+        for number in range(whole):
+            soak.minute(60.0 * min(1.0, options.minutes - number))
+            gap = max(soak.gaps, key=lambda topic: soak.gaps[topic][-1])
+            print(
+                f"minute {number + 1}/{whole}: {len(soak.false)} false alarms, {len(soak.true)} true ones, looks late by "
+                f"{soak.late[-1]:.1f} ms at most and by {soak.waited[-1]:.1f} ms after a message, "
+                f"worst gap {soak.gaps[gap][-1]:.0f} ms of {gap}, {soak.memory[-1]:.1f} MB, "
+                f"cores {load.busy():.0f} % busy",
+                flush=True,
+            )
+        soak.end()
+        loaded = load.note()
+    report.figure("false alarms", [len(soak.false)], unit=f"in {options.minutes:g} min", must={"max": 0})
+    report.figure("true alarms: a sender was starved", [len(soak.true)], unit=f"in {options.minutes:g} min")
+    report.figure("verdicts", [soak.verdicts], unit="")
+    report.figure("failed verdicts put off after a stall of the monitor", [soak.doubted], unit="")
+    report.figure("looks after they were due, most of each minute", soak.late, unit="ms")
+    report.figure("looks after a message that calls for one, most of each minute", soak.waited, unit="ms")
+    for topic, found in soak.gaps.items():
+        if not any(found):
+            continue  # as of transitions, of which there were none
+        report.figure(f"worst gap of {topic}, each minute", found, unit="ms", limit=limits(topic))
+    for leaf in LEAVES:
+        if leaf.window is not None and leaf.topic in soak.rates:
+            name = f"slowest by which {leaf.topic} came, each minute"
+            limit = f"{leaf.path} fails unless {leaf.window.band} over {leaf.window.length:g} s"
+            report.figure(
+                name, [1000 / rate for rate in soak.rates[leaf.topic] if rate], unit="ms a message", limit=limit
+            )
+    report.figure("memory, each minute", soak.memory, unit="MB")
+    report.figure("memory grown", [soak.memory[-1] - soak.memory[0]], unit="MB")
+    report.figure("CPU of the monitor's process, each minute", soak.cpu, unit="milli-CPU")
+    report.note("load", loaded)
+    report.note("looks", f"the bench's own questions, every {LOOK:g} s, make one late by some ms")
+    report.note("tree", f"{kinds()}; on {len(topics())} topics")
+    report.note("traffic", traffic())
+    for name, alarms in (("false alarm", soak.false), ("true alarm", soak.true)):
+        for number, text in enumerate(alarms):
+            report.note(f"{name} {number + 1}", text)
+    print(report.table())
+    print(report.write())
+    sys.exit(0 if report.held else 1)
+
+
+if __name__ == "__main__":
+    main()
