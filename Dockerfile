@@ -1,6 +1,7 @@
-# Understudy's own images, two targets of one file:
+# Understudy's own images, three targets of one file:
 #   operator  the operator and the command line, without ROS
 #   monitor   the same with ROS 2 Jazzy from PyPI: monitor, agent and the managed discovery server
+#   tracker   the monitor's with OpenCV, which only who supervises robots by a camera needs
 #
 # What changes rarely (the system, the dependencies) comes in layers of its own, so that a change of the code makes one small layer anew.
 # pip's settings for a network (an index, a certificate) can be given as the secrets `pip` and `ca`; they leave nothing in the image.
@@ -24,6 +25,7 @@ COPY pyproject.toml constraints.txt docker/requirements.py /requirements/
 RUN cd /requirements && \
     python requirements.py pyproject.toml >operator.txt && \
     python requirements.py pyproject.toml ros >monitor.txt && \
+    python requirements.py pyproject.toml ros tracker >tracker.txt && \
     touch --date=@0 *.txt
 
 FROM base AS operator-dependencies
@@ -38,6 +40,11 @@ RUN --mount=type=secret,id=pip --mount=type=secret,id=ca \
 COPY docker/understudy-discovery-server /usr/local/bin/
 ENV RMW_IMPLEMENTATION=rmw_fastrtps_cpp
 
+FROM monitor-dependencies AS tracker-dependencies
+COPY --from=requirements /requirements/tracker.txt /tmp/build/
+RUN --mount=type=secret,id=pip --mount=type=secret,id=ca \
+    pip install --quiet --constraint /tmp/build/constraints.txt --requirement /tmp/build/tracker.txt
+
 FROM base AS tools
 RUN --mount=type=secret,id=pip --mount=type=secret,id=ca pip install --quiet 'setuptools>=69' wheel
 
@@ -45,6 +52,12 @@ FROM tools AS wheel
 COPY pyproject.toml README.md LICENSE /source/
 COPY operator /source/operator
 RUN pip wheel --quiet --no-deps --no-build-isolation --no-index --wheel-dir /wheel /source
+
+FROM tracker-dependencies AS tracker
+COPY --from=wheel /wheel /tmp/wheel
+RUN pip install --quiet --no-deps --no-index /tmp/wheel/*.whl && rm -r /tmp/wheel /tmp/build
+USER 65532:65532
+ENTRYPOINT ["understudy", "tracker"]
 
 FROM operator-dependencies AS operator
 COPY --from=wheel /wheel /tmp/wheel

@@ -68,6 +68,14 @@ debian_programs() {
     debian_packages "${missing[@]}"
 }
 
+# rendering_libraries: what images are rendered with where there is no display and no graphics card. Where they can't be installed, what
+# needs them says so itself.
+rendering_libraries() {
+    command -v apt-get >/dev/null || return 0
+    [ "$(id -u)" -eq 0 ] || command -v sudo >/dev/null || return 0
+    debian_packages libegl1 libgl1-mesa-dri libopengl0
+}
+
 # interface_wheels FOLDER: builds the ROS interface packages of the examples into a folder, once.
 interface_wheels() {
     [ -e "$1/.complete" ] && return

@@ -8,10 +8,13 @@ from typing import Any
 
 import yaml
 
-from scripts.generation import reference, values
+from scripts.generation import reference, scenarios, values
 from understudy.api.crds import definitions
 
 CHART = Path("charts/understudy")
+SCENARIOS = Path("docs/trees-osc.md")
+PROCEDURES = Path("docs/procedures.md")
+LIBRARY = Path("operator/understudy/trees/osc/lib_osc/understudy.osc")
 
 
 class _Dumper(yaml.SafeDumper):
@@ -43,7 +46,14 @@ def outputs(root: Path) -> dict[Path, str]:
         result[Path("crds") / name] = text
         result[CHART / "files" / "crds" / name] = text
     result[Path("docs/reference/api.md")] = reference.page()
+    result[LIBRARY] = scenarios.library((root / "docs/trees.md").read_text(), (root / PROCEDURES).read_text())
     readme = CHART / "README.md"
     table = values.table((root / CHART / "values.yaml").read_text())
     result[readme] = values.between_markers((root / readme).read_text(), table)
+    result[SCENARIOS] = values.between_markers(
+        (root / SCENARIOS).read_text(), scenarios.table(), scenarios.BEGIN, scenarios.END
+    )
+    result[PROCEDURES] = values.between_markers(
+        (root / PROCEDURES).read_text(), scenarios.languages(), scenarios.PROCEDURES_BEGIN, scenarios.PROCEDURES_END
+    )
     return result

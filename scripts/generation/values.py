@@ -65,16 +65,16 @@ def table(text: str) -> str:
     return "\n".join(["| value | what it does | default |", "| --- | --- | --- |", *rows])
 
 
-def between_markers(page: str, content: str) -> str:
+def between_markers(page: str, content: str, first: str = BEGIN, last: str = END) -> str:
     """The page with what stands between the two markers replaced.
 
     Raises ValueError where a marker is missing.
     """
-    before, begin, rest = page.partition(BEGIN)
-    _, end, after = rest.partition(END)
+    before, begin, rest = page.partition(first)
+    _, end, after = rest.partition(last)
     if not begin or not end:
-        raise ValueError(f"the chart's README.md must have the two lines {BEGIN!r} and {END!r}")
-    return f"{before}{BEGIN}\n{content}\n{END}{after}"
+        raise ValueError(f"the page must have the two lines {first!r} and {last!r}")
+    return f"{before}{first}\n{content}\n{last}{after}"
 
 
 def _at(data: Any, path: list[str]) -> Any:

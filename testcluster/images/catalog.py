@@ -67,21 +67,27 @@ _OWN = (
 )
 
 
+_TARGETS = ("operator", "monitor", "tracker")
+"""The stages of our own Dockerfile that are images."""
+
+
 def _name(short: str) -> str:
     return f"localhost/understudy-{short}:dev"
 
 
+def _example(folder: str) -> str:
+    """The name of an example's image: that of its folder, unless one of our own images has it."""
+    return _name(f"{folder}-example" if folder in _TARGETS else folder)
+
+
 def images() -> list[Image]:
     """All images, in the order in which they are best built."""
-    found = [
-        Image(_name(target), REPOSITORY, target, _OWN, ("tools", f"{target}-dependencies"))
-        for target in ("operator", "monitor")
-    ]
+    found = [Image(_name(target), REPOSITORY, target, _OWN, ("tools", f"{target}-dependencies")) for target in _TARGETS]
     for dockerfile in sorted((REPOSITORY / "examples").glob("*/Dockerfile")):
         parent = re.fullmatch(r"understudy/(.+)", base_argument(dockerfile))
         found.append(
             Image(
-                _name(dockerfile.parent.name),
+                _example(dockerfile.parent.name),
                 dockerfile.parent,
                 None,
                 (".",),
