@@ -24,8 +24,11 @@ from testcluster.progress import Progress
 from testcluster.providers.base import ClusterError
 from tests.support.cluster import Cluster
 
+# MuJoCo looks for what it renders with when it is imported first, by whichever test.
+os.environ.setdefault("MUJOCO_GL", "egl")
+
 REPOSITORY = Path(__file__).resolve().parent.parent
-_CLONE_NEWNET = 0x40000000
+_CLONE_NEWNS, _CLONE_NEWNET = 0x00020000, 0x40000000
 _CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "understudy"
 
 
@@ -50,15 +53,24 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ["PATH"] = f"{_CACHE / 'tools'}{os.pathsep}{os.environ['PATH']}"
     # None of several test processes is to hear what another one's robots say.
     if "PYTEST_XDIST_WORKER" in os.environ and os.geteuid() == 0:
-        _own_network()
+        _like_a_pod()
 
 
-def _own_network() -> None:
-    """Move this process into a network of its own."""
+def _like_a_pod() -> None:
+    """Give this process a network and a shared memory of its own: the middleware's transports.
+
+    By its shared memory two processes that listen on the same gate port would meet whatever their networks are, and
+    what a killed one leaves there would stay.
+    """
     libc = ctypes.CDLL(None, use_errno=True)
-    if libc.unshare(_CLONE_NEWNET):
+    if libc.unshare(_CLONE_NEWNET | _CLONE_NEWNS):
         raise pytest.UsageError(f"no network of its own for a test process: {os.strerror(ctypes.get_errno())}")
-    subprocess.run(["ip", "link", "set", "lo", "up"], check=True)
+    for command in (
+        "ip link set lo up",
+        "mount --make-rslave /",
+        "mount -t tmpfs -o mode=1777 understudy /dev/shm",
+    ):
+        subprocess.run(command.split(), check=True)
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

@@ -31,6 +31,7 @@ from understudy.cluster import claims, gates
 from understudy.cluster.client import Access, Client
 from understudy.controller import handlers, running
 from understudy.controller.desired import Images
+from understudy.controller.reconciling import TOGETHER_SECONDS
 
 APPS, CORE, NETWORK, RBAC = "apps/v1", "v1", "networking.k8s.io/v1", "rbac.authorization.k8s.io/v1"
 NOWHERE = "understudy.invalid/nowhere:1"
@@ -212,11 +213,11 @@ class Fleet:
         return found
 
     def settled(self) -> dict[str, str]:
-        """The versions, once they have stayed the same for two seconds."""
-        end = time.monotonic() + 30
+        """The versions, once they have stayed the same for longer than the operator waits before it says something."""
+        end = time.monotonic() + 40
         before = self.versions()
         while time.monotonic() < end:
-            time.sleep(2)
+            time.sleep(TOGETHER_SECONDS + 1)
             now = self.versions()
             if now == before:
                 return now
@@ -384,6 +385,44 @@ def test_what_somebody_deletes_or_changes_comes_back(fleet: Fleet, operator: Ope
         lambda: fleet.get("NetworkPolicy", "w-standby", NETWORK)["spec"]["egress"] == standby["spec"]["egress"],
         "the standby policy to be repaired",
     )
+
+
+def test_a_health_tree_of_a_config_map_is_in_force_while_a_broken_change_is_told(
+    fleet: Fleet, operator: Operator
+) -> None:
+    def tree(gap: str) -> str:
+        return f"topic:\n  name: /cmd_vel\n  gap: {gap}\n"
+
+    def in_force() -> str:
+        found = (fleet.get("FailurePolicy", "policy")["status"].get("tree") or {}).get("yaml") or {}
+        return str(found.get("topic", {}).get("gap"))
+
+    found = policy("Restart")
+    found["spec"]["monitoring"] = {"configMapKeyRef": {"name": "trees", "key": "health.yaml"}}
+    config_map = {
+        "apiVersion": CORE,
+        "kind": "ConfigMap",
+        "metadata": {"name": "trees"},
+        "data": {"health.yaml": tree("1s")},
+    }
+    fleet.create(config_map, found, workload())
+    told = fleet.wait_condition("FailurePolicy", "policy", "Accepted", "TreeNotFound")
+    assert f"kubectl label configmap -n {fleet.namespace} trees {names.HEALTH_TREE}=true" in told["message"]
+    config_map = fleet.get("ConfigMap", "trees", CORE)
+    begun = time.monotonic()
+    fleet.cluster.patch(config_map, {"metadata": {"labels": {names.HEALTH_TREE: "true"}}})
+    fleet.wait_condition("FailurePolicy", "policy", "Accepted", "Accepted", "True")
+    until(lambda: in_force() == "1s", "the tree to be in force")
+    assert time.monotonic() - begun < 20, "a list of everything comes only every half minute"
+    fleet.wait_built()
+    fleet.cluster.patch(config_map, {"data": {"health.yaml": tree("2s")}})
+    until(lambda: in_force() == "2s", "the changed tree to be in force")
+    fleet.cluster.patch(config_map, {"data": {"health.yaml": tree("2 moons")}})
+    told = fleet.wait_condition("FailurePolicy", "policy", "Accepted", "TreeInvalid")
+    assert "ConfigMap trees, health.yaml, line 3, column 3: topic.gap: '2 moons' is not a duration" in told["message"]
+    fleet.cluster.delete(config_map)
+    fleet.wait_condition("FailurePolicy", "policy", "Accepted", "TreeNotFound")
+    assert in_force() == "2s"
 
 
 def test_a_gate_that_was_committed_to_is_left_alone(fleet: Fleet, operator: Operator) -> None:
@@ -869,3 +908,96 @@ def test_an_operator_that_does_not_lead_writes_nothing(fleet: Fleet) -> None:
         assert "status" not in fleet.get("RobotWorkload", "w")
         with pytest.raises(Refused):
             fleet.gate()
+
+
+# -- degraded -----------------------------------------------------------------------------------------------------------
+
+
+def degrading(action: Object, *strategies: str) -> Object:
+    made = policy(*strategies)
+    well = {"yaml": {"topic": {"name": "/cmd_vel", "rate": "> 18 Hz"}}}
+    made["spec"]["degraded"] = {"monitoring": well, "actions": [action]}
+    return made
+
+
+def say_degraded(fleet: Fleet, so: bool) -> None:
+    """What the monitor says."""
+    said = {
+        "type": "Degraded",
+        "status": "True" if so else "False",
+        "reason": "NotWell" if so else "Well",
+        "message": "",
+        "lastTransitionTime": "2026-01-01T00:00:00Z",
+    }
+    status = {"health": "Degraded" if so else "Healthy", "conditions": [said]}
+    item = {"apiVersion": API_VERSION, "kind": "RobotWorkload", "metadata": {"name": "w"}, "status": status}
+    fleet.cluster.apply(item, fleet.namespace, subresource="status", manager="understudy-monitor")
+
+
+def in_control(fleet: Fleet) -> str:
+    """Put the workload's own pod in control; its name."""
+    fleet.wait_built()
+    fleet.make_parts_ready()
+    (pod,) = until(fleet.instances, "the workload's own pod")
+    fleet.make_ready(pod)
+    fleet.commit(pod)
+    name: str = pod["metadata"]["name"]
+    return name
+
+
+def cpu(fleet: Fleet, pod: str) -> tuple[str, str]:
+    """The request and the limit of a pod's first container."""
+    resources = fleet.get("Pod", pod, CORE)["spec"]["containers"][0]["resources"]
+    return resources["requests"]["cpu"], resources["limits"]["cpu"]
+
+
+def test_the_pod_in_control_gets_more_while_its_workload_is_degraded(fleet: Fleet, operator: Operator) -> None:
+    resources = {"requests": {"cpu": "50m"}, "limits": {"cpu": "200m"}}
+    asked = degrading({"resize": {"cpu": "300m"}}, "Restart")
+    fleet.create(asked, workload(template=template(resources=resources)))
+    pod = in_control(fleet)
+    uid = fleet.get("Pod", pod, CORE)["metadata"]["uid"]
+    say_degraded(fleet, False)
+    time.sleep(2)
+    assert cpu(fleet, pod) == ("50m", "200m"), "nothing is done while all is well"
+    say_degraded(fleet, True)
+    until(lambda: cpu(fleet, pod) == ("300m", "300m"), "it to have more")
+    fleet.wait_condition("RobotWorkload", "w", "Resized", "Resized", "True")
+    assert fleet.settled() == fleet.settled(), "and that is done once"
+    say_degraded(fleet, False)
+    until(lambda: not fleet.condition("RobotWorkload", "w", "Resized"), "nothing to be said of it any more")
+    assert cpu(fleet, pod) == ("300m", "300m"), "what it has it keeps"
+    assert fleet.get("Pod", pod, CORE)["metadata"]["uid"] == uid
+
+
+def test_what_the_api_server_does_not_take_is_told_and_leaves_all_else_as_it_is(
+    fleet: Fleet, operator: Operator
+) -> None:
+    """Request and limit would be the same then, of everything in the pod: another class of quality, which a pod can't change."""
+    referred = deployment()
+    resources = {"requests": {"cpu": "50m", "memory": "64Mi"}, "limits": {"cpu": "200m", "memory": "64Mi"}}
+    referred["spec"]["template"]["spec"]["containers"][0]["resources"] = resources
+    asked = degrading({"resize": {"cpu": "300m"}}, "Restart")
+    fleet.create(referred, asked, workload(workloadRef={"kind": "Deployment", "name": "nav2"}))
+    pod = in_control(fleet)
+    say_degraded(fleet, True)
+    said = fleet.wait_condition("RobotWorkload", "w", "Resized", "Refused")
+    assert "qos" in said["message"].lower()
+    assert cpu(fleet, pod) == ("50m", "200m")
+    assert fleet.condition("RobotWorkload", "w", "Reconciled")["status"] == "True"
+
+
+def test_a_pool_without_standbys_has_one_while_the_workload_is_degraded(fleet: Fleet, operator: Operator) -> None:
+    asked = degrading({"prewarm": {"poolRef": {"name": "hot"}}}, "hot", "Restart")
+    fleet.create(asked, hot(per_workload=0), workload())
+    in_control(fleet)
+    fleet.wait_condition("RobotWorkload", "w", "Protected", "FirstStrategyReady", "True")
+    assert len(fleet.instances()) == 1
+    say_degraded(fleet, True)
+    (standby,) = until(lambda: fleet.pods(f"{names.WORKLOAD}=w,{names.POOL}=hot"), "a standby")
+    assert fleet.condition("RobotWorkload", "w", "Protected")["status"] == "True"
+    fleet.make_ready(standby)
+    until(lambda: fleet.get("RobotWorkload", "w")["status"]["standby"] == "Executing (1/1)", "it to count")
+    say_degraded(fleet, False)
+    until(lambda: not fleet.pods(f"{names.WORKLOAD}=w,{names.POOL}=hot"), "it to go")
+    assert fleet.condition("RobotWorkload", "w", "Protected")["status"] == "True"

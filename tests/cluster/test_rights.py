@@ -8,6 +8,7 @@ import pytest
 
 from tests.cluster.conftest import Release
 from tests.support.cluster import Cluster, Object, Refused, account
+from understudy.api import names
 from understudy.controller import monitors
 
 
@@ -61,3 +62,29 @@ def test_the_lease_is_written_in_the_operator_s_namespace_only(
     cluster.create(lease, release.namespace, user=operator, dry_run=True)
     with pytest.raises(Refused, match='cannot create resource "leases"'):
         cluster.create(lease, namespace, user=operator, dry_run=True)
+
+
+def _running(name: str) -> Object:
+    resources = {"requests": {"cpu": "50m"}, "limits": {"cpu": "100m"}}
+    container = {"name": "app", "image": "understudy.invalid/nowhere:1", "resources": resources}
+    return {
+        "apiVersion": "v1",
+        "kind": "Pod",
+        "metadata": {"name": name},
+        "spec": {"schedulerName": "nobody", "terminationGracePeriodSeconds": 0, "containers": [container]},
+    }
+
+
+def test_the_operator_resizes_pods_and_monitors_do_not(cluster: Cluster, namespace: str, operator: str) -> None:
+    body: Object = {"spec": {"containers": [{"name": "app", "resources": {"limits": {"cpu": "200m"}}}]}}
+    made = cluster.create(_running("growing"), namespace)
+    path = cluster.path("v1", "Pod", namespace, "growing", "resize")
+    for item in _access("Deployment", namespace):
+        cluster.create(item, namespace)
+    monitor = account(namespace, names.monitor_account("robot-17"))
+    kind = "application/strategic-merge-patch+json"
+    with pytest.raises(Refused, match='cannot patch resource "pods/resize"'):
+        cluster.request("PATCH", path, body=body, content_type=kind, user=monitor)
+    changed = cluster.request("PATCH", path, body=body, content_type=kind, user=operator)
+    assert changed["spec"]["containers"][0]["resources"]["limits"] == {"cpu": "200m"}
+    assert changed["metadata"]["uid"] == made["metadata"]["uid"]

@@ -5,12 +5,14 @@ A state topic that never comes and a restore target without a subscriber are in 
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 
 import pytest
 
 from tests.e2e.kubectl import Failed, Kubectl, Object
 from tests.e2e.scenario import Robot, eventually, manifest
+from understudy.api import names
 
 WITHIN = 90.0
 """Seconds for what takes ten on a machine that is not busy."""
@@ -104,6 +106,22 @@ def _tree_broken(kubectl: Kubectl) -> None:
     )
 
 
+def _lent_tree_broken(kubectl: Kubectl) -> None:
+    """The policy's tree moves into a ConfigMap; once that is in force, somebody breaks it."""
+    name, key = "quickstart-executing", "health.yaml"
+    tree = kubectl.get("failurepolicy", name)["spec"]["monitoring"]["yaml"]
+    metadata = {"name": "trees", "labels": {names.HEALTH_TREE: "true"}}
+    kubectl.apply([{"apiVersion": "v1", "kind": "ConfigMap", "metadata": metadata, "data": {key: json.dumps(tree)}}])
+    reference = {"name": "trees", "key": key}
+    kubectl.patch("failurepolicy", name, {"spec": {"monitoring": {"yaml": None, "configMapKeyRef": reference}}})
+    eventually(
+        lambda: (kubectl.get("failurepolicy", name)["status"].get("tree") or {}).get("yaml") == tree,
+        within=30,
+        what="the ConfigMap's tree is in force",
+    )
+    kubectl.patch("configmap", "trees", {"data": {key: "parallel: []"}})
+
+
 def _reference_to_nothing(kubectl: Kubectl) -> None:
     kubectl.patch("robotworkload", "robot-1-drive", {"spec": {"failurePolicyRef": {"name": "no-such-policy"}}})
 
@@ -113,7 +131,9 @@ def _template_broken(kubectl: Kubectl) -> None:
     kubectl.patch("robotworkload", "robot-1-drive", body)
 
 
-@pytest.mark.parametrize("spoil", [_policy_deleted, _tree_broken, _reference_to_nothing, _template_broken])
+@pytest.mark.parametrize(
+    "spoil", [_policy_deleted, _tree_broken, _lent_tree_broken, _reference_to_nothing, _template_broken]
+)
 def test_what_is_protected_stays_protected(executing: Robot, spoil: Callable[[Kubectl], None]) -> None:
     old = executing.wait_protected()
     spoil(executing.kubectl)

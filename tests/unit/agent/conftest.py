@@ -104,7 +104,7 @@ class Pod:
         return await asyncio.to_thread(get)
 
 
-async def eventually(condition, within: float = 10.0):
+async def eventually(condition, within: float = 30.0):
     """Wait until it holds; what it returned."""
     end = time.monotonic() + within
     while True:

@@ -144,7 +144,7 @@ async def test_a_recovery_tree_asks_for_the_goals_and_waits_until_they_were_sent
     link, told = agent
     tree = {"resend_goals": {}}
     running = asyncio.create_task(link.request("procedure", {"tree": tree, "within": 20, "name": "p"}, within=30))
-    await eventually(lambda: told.resends, 20)
+    await eventually(lambda: told.resends, 60)
     assert not running.done()
     await link.request("resent", {"number": told.resends[0]})
     await running

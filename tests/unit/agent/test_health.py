@@ -39,44 +39,44 @@ async def test_a_held_talker_is_started_and_seen_to_be_up_and_ready(pod: Pod, li
     pod.start_agent()
     pod.start_container(TALK)
     links.append(link := pod.link())
-    await link.wait_for(lambda s: s.ready, 10)
+    await link.wait_for(lambda s: s.ready, 60)
     await link.configure(TREE, OUTPUTS, 20.0)
     assert (await link.ask()).configured
     begun = time.time()
     await link.start({}, ros)
-    up = await link.wait_for(lambda s: s.process_up_at is not None, 30)
-    ready = await link.wait_for(runs, 10)
+    up = await link.wait_for(lambda s: s.process_up_at is not None, 60)
+    ready = await link.wait_for(runs, 60)
     assert (await pod.page("/ready"))[0] == 200
     assert begun < ready.started_at < up.process_up_at <= ready.ready_at
     # Whichever of the two was in the graph last, the agent says so at once.
     assert up.process_up_at - ups(pod)[0] < 2.0
     assert ready.ready_at - up.process_up_at < 1.0
     assert (ready.phase, ready.reason) == ("Running", "")
-    counted = await link.wait_for(lambda s: s.outputs["/cmd_vel"].count > 20, 10)
+    counted = await link.wait_for(lambda s: s.outputs["/cmd_vel"].count > 20, 60)
     assert counted.outputs["/cmd_vel"].last == pytest.approx(time.time(), abs=1.5)
 
 
 async def test_a_held_agent_has_imported_ros_before_it_is_claimed(pod: Pod):
     pod.start_agent()
-    await eventually(lambda: "librcl.so" in Path(f"/proc/{pod.agent.pid}/maps").read_text(), 30)
+    await eventually(lambda: "librcl.so" in Path(f"/proc/{pod.agent.pid}/maps").read_text(), 60)
 
 
 async def test_an_application_that_dies_is_not_ready_until_it_is_back(pod: Pod, links, ros):
     pod.start_agent()
     container = pod.start_container(TALK)
     links.append(link := pod.link())
-    await link.wait_connected(10)
+    await link.wait_connected(60)
     await link.configure(TREE, OUTPUTS, 20.0)
     await link.start({}, ros)
     first = (await link.wait_for(runs, 30)).ready_at
     pod.kill(container)
     died = time.time()
-    failed = await link.wait_for(lambda s: not s.ready, 5)
+    failed = await link.wait_for(lambda s: not s.ready, 60)
     assert time.time() - died < 0.6
     assert failed.reason == "no /cmd_vel for 300 ms"
     assert (await pod.page("/ready")) == (503, "Running: no /cmd_vel for 300 ms\n")
     pod.start_container(TALK)
-    back = await link.wait_for(lambda s: s.ready, 30)
+    back = await link.wait_for(lambda s: s.ready, 60)
     assert back.ready_at == first
 
 
@@ -84,18 +84,18 @@ async def test_a_killed_agent_finds_the_running_instance(pod: Pod, links, ros):
     agent = pod.start_agent()
     pod.start_container(TALK)
     links.append(link := pod.link())
-    await link.wait_connected(10)
+    await link.wait_connected(60)
     await link.configure(TREE, OUTPUTS, 20.0)
     await link.start({}, ros)
-    before = await link.wait_for(runs, 30)
+    before = await link.wait_for(runs, 60)
     pod.kill(agent)
     await eventually(lambda: not link.connected)
     pod.start_agent()
     # With no monitor to configure it again, as while that one is down.
     await link.close()
-    await eventually(lambda: is_ready(pod), 30)
+    await eventually(lambda: is_ready(pod), 60)
     links.append(again := pod.link())
-    after = await again.wait_for(lambda s: s.ready, 10)
+    after = await again.wait_for(lambda s: s.ready, 60)
     assert (after.started_at, after.process_up_at, after.ready_at) == (
         before.started_at,
         before.process_up_at,
@@ -113,18 +113,18 @@ async def test_an_instance_that_is_not_held_is_judged_from_its_start(pod: Pod, l
     pod.environment = {"UNDERSTUDY_WORKLOAD": "robot"}
     pod.start_agent()
     links.append(link := pod.link(claim=""))
-    await link.wait_for(lambda s: s.reason == "waiting for the monitor to say what healthy is", 20)
+    await link.wait_for(lambda s: s.reason == "waiting for the monitor to say what healthy is", 60)
     await link.configure({"parallel": [TREE, {"topic": {"name": "/scan", "gap": "1s"}}]}, OUTPUTS, 0.5)
-    await link.wait_for(lambda s: s.reason == "nothing in this pod publishes or serves /cmd_vel", 5)
+    await link.wait_for(lambda s: s.reason == "nothing in this pod publishes or serves /cmd_vel", 60)
     (pod.volume / "env-app").touch()
     pod.start_container(TALK)
-    waiting = await link.wait_for(lambda s: s.process_up_at is not None, 20)
+    waiting = await link.wait_for(lambda s: s.process_up_at is not None, 60)
     assert not waiting.ready
-    status = await link.wait_for(lambda s: "/scan" in s.reason and "/cmd_vel" not in s.reason, 5)
+    status = await link.wait_for(lambda s: "/scan" in s.reason and "/cmd_vel" not in s.reason, 60)
     assert "type of /scan is not known" in status.reason
     (pod.volume / "env-robot").touch()
     pod.start_container([*TALK[:-2], "/scan", "20"], container="robot")
-    ready = await link.wait_for(lambda s: s.ready, 20)
+    ready = await link.wait_for(lambda s: s.ready, 60)
     assert list(ready.outputs) == ["/cmd_vel"]
 
 
@@ -133,17 +133,17 @@ async def test_a_new_tree_keeps_a_healthy_instance_ready(pod: Pod, links, ros):
     pod.start_container(TALK)
     seen = []
     links.append(link := pod.link(on_change=lambda link: seen.append(link.status and link.status.ready)))
-    await link.wait_connected(10)
+    await link.wait_connected(60)
     await link.configure(TREE, OUTPUTS, 20.0)
     await link.start({}, ros)
-    await link.wait_for(runs, 30)
+    await link.wait_for(runs, 60)
     seen.clear()
     await link.configure({"topic": {"name": "/cmd_vel", "rate": "> 10 Hz", "window": "1s"}}, OUTPUTS, 20.0)
     await asyncio.sleep(2.5)
     assert len(seen) >= 2
     assert all(seen)
     await link.configure({"topic": {"name": "/cmd_vel", "rate": "> 40 Hz", "window": "1s"}}, OUTPUTS, 1.0)
-    failed = await link.wait_for(lambda s: not s.ready, 5)
+    failed = await link.wait_for(lambda s: not s.ready, 60)
     assert failed.reason.startswith("/cmd_vel at ")
 
 
@@ -151,13 +151,13 @@ async def test_an_instance_is_ready_by_what_its_messages_say(pod: Pod, links, ro
     pod.start_agent()
     pod.start_container(TALK)
     links.append(link := pod.link())
-    await link.wait_for(lambda s: s.ready, 10)
+    await link.wait_for(lambda s: s.ready, 60)
     leaf = {"topic": "/cmd_vel", "type": "std_msgs/msg/String", "holds": "data == 'x'"}
     await link.configure({"value": leaf}, OUTPUTS, 20.0)
     await link.start({}, ros)
-    await link.wait_for(runs, 30)
+    await link.wait_for(runs, 60)
     await link.configure({"value": {**leaf, "holds": "data == 'y'"}}, OUTPUTS, 1.0)
-    status = await link.wait_for(lambda s: not s.ready, 20)
+    status = await link.wait_for(lambda s: not s.ready, 60)
     assert status.reason == "data == 'y' of /cmd_vel has not held within 1 s of the start (data was 'x')"
 
 
@@ -165,16 +165,44 @@ async def test_an_instance_is_ready_by_the_publishers_it_has_itself(pod: Pod, li
     pod.start_agent()
     pod.start_container(TALK)
     links.append(link := pod.link())
-    await link.wait_for(lambda s: s.ready, 10)
+    await link.wait_for(lambda s: s.ready, 60)
     await link.configure({"publisher": {"topic": "/cmd_vel"}}, OUTPUTS, 20.0)
     await link.start({}, ros)
-    ready = await link.wait_for(runs, 30)
+    ready = await link.wait_for(runs, 60)
     assert not ready.outputs, "its messages are not received for that"
     await link.configure({"publisher": {"topic": "/cmd_vel", "node": "/nobody"}}, OUTPUTS, 1.0)
-    status = await link.wait_for(lambda s: not s.ready, 20)
+    status = await link.wait_for(lambda s: not s.ready, 60)
     assert status.reason == (
         "a count of at least 1 publisher of /cmd_vel in node /nobody has not held within 1 s of the start (there is none)"
     )
+
+
+async def test_an_instance_is_ready_by_the_nodes_it_has_itself(pod: Pod, links, ros):
+    pod.start_agent()
+    pod.start_container(TALK)
+    links.append(link := pod.link())
+    await link.wait_for(lambda s: s.ready, 60)
+    await link.configure({"node": {"name": "/talker"}}, OUTPUTS, 20.0)
+    await link.start({}, ros)
+    await link.wait_for(runs, 60)
+    await link.configure({"node": {"name": "/nobody"}}, OUTPUTS, 1.0)
+    status = await link.wait_for(lambda s: not s.ready, 60)
+    assert status.reason == "node /nobody has not been there within 1 s of the start"
+
+
+async def test_an_instance_is_ready_by_the_state_of_its_managed_node(pod: Pod, links, ros):
+    service = "/localizer/get_state"
+    outputs = [{"service": service, "type": "lifecycle_msgs/srv/GetState"}]
+    pod.start_agent()
+    pod.start_container([sys.executable, NODES, "localize"])
+    links.append(link := pod.link())
+    await link.wait_for(lambda s: s.ready, 60)
+    await link.configure({"lifecycle": {"node": "/localizer", "state": "unconfigured"}}, outputs, 20.0)
+    await link.start({}, ros)
+    await link.wait_for(runs, 60)
+    await link.configure({"lifecycle": {"node": "/localizer"}}, outputs, 1.0)
+    status = await link.wait_for(lambda s: not s.ready, 60)
+    assert status.reason == "state active of node /localizer has not held within 1 s of the start (it is unconfigured)"
 
 
 async def test_a_served_output_counts_as_up(pod: Pod, links, ros):
@@ -182,12 +210,12 @@ async def test_a_served_output_counts_as_up(pod: Pod, links, ros):
     pod.start_container([sys.executable, NODES, "serve", "/snap"])
     pod.environment["UNDERSTUDY_HELD_CONTAINERS"] = "app"
     links.append(link := pod.link())
-    await link.wait_connected(10)
+    await link.wait_connected(60)
     await link.configure(
         {"topic": {"name": "/cmd_vel", "gap": "300ms"}}, [{"service": "/snap", "type": "std_srvs/srv/Trigger"}], 1.0
     )
     await link.start({}, ros)
-    status = await link.wait_for(lambda s: s.process_up_at is not None, 30)
+    status = await link.wait_for(lambda s: s.process_up_at is not None, 60)
     assert abs(status.process_up_at - ups(pod)[0]) < 2.0
     assert not status.ready
 
@@ -200,10 +228,10 @@ async def test_a_type_that_is_not_installed_is_said(pod: Pod, links, ros, monkey
     (pod.volume / "env-app").touch()
     pod.start_container(TALK)
     links.append(link := pod.link(claim=""))
-    await link.wait_connected(10)
+    await link.wait_connected(60)
     tree = {"parallel": [TREE, {"topic": {"name": "/bumper", "type": "robots_msgs/msg/Bumper", "gap": "1s"}}]}
     await link.configure(tree, OUTPUTS, 20.0)
-    status = await link.wait_for(lambda s: "robots_msgs" in s.reason, 20)
+    status = await link.wait_for(lambda s: "robots_msgs" in s.reason, 60)
     assert "is not installed" in status.reason
 
 
@@ -231,16 +259,16 @@ async def test_outputs_count_from_this_pod_and_inputs_from_the_robot(pod: Pod, r
         for host, topic, name in ((other, "/cmd_vel", "other"), (robot, "/scan", "robot")):
             (pod.volume / f"env-{name}").touch()
             pod.start_container([*TALK[:-2], topic, "20"], container=name, inside=host)
-        await eventually(lambda: pod.output("other").startswith("up") and pod.output("robot").startswith("up"), 20)
-        await eventually(lambda: says("nothing in this pod publishes or serves /cmd_vel"), 20)
+        await eventually(lambda: pod.output("other").startswith("up") and pod.output("robot").startswith("up"), 60)
+        await eventually(lambda: says("nothing in this pod publishes or serves /cmd_vel"), 60)
         await asyncio.sleep(2)
         assert await says("nothing in this pod publishes or serves /cmd_vel")
         (pod.volume / "env-app").touch()
         app = pod.start_container(TALK, inside=own)
-        await eventually(lambda: says("200 ready"), 20)
+        await eventually(lambda: says("200 ready"), 60)
         pod.kill(app)
         # The other instance's commands go on.
-        await eventually(lambda: says("503 Running: no /cmd_vel for 300 ms"), 5)
+        await eventually(lambda: says("503 Running: no /cmd_vel for 300 ms"), 60)
 
 
 SERVER = Path(sys.executable).parent / "fast-discovery-server"
@@ -265,7 +293,7 @@ async def test_behind_a_discovery_server_it_sees_its_instance(pod: Pod, links, r
     pod.start_agent()
     pod.start_container(TALK)
     links.append(link := pod.link())
-    await link.wait_connected(10)
+    await link.wait_connected(60)
     await link.configure(TREE, OUTPUTS, 20.0)
     await link.start({}, {**ros, "ROS_DISCOVERY_SERVER": discovery_server})
     await link.wait_for(runs, 120)

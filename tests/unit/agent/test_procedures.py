@@ -11,6 +11,7 @@ import pytest
 
 from tests.unit.agent.conftest import Pod, eventually
 from understudy.cluster.agents import AgentLink, AgentRefused
+from understudy.trees.procedureforms import compose
 
 pytestmark = pytest.mark.ros
 
@@ -81,6 +82,42 @@ async def test_a_failed_procedure_says_which_leaf_and_why(robot: Pod, links):
     assert not status.ready
     assert status.initialized == ""
     assert status.reason.startswith("not initialized: initialization.sequence[1].parameter_is")
+
+
+WRITTEN = {
+    "xml": """<root BTCPP_format="4"><BehaviorTree ID="Up"><Sequence>
+  <SetLifecycle node="/localizer" state="active"/>
+  <ParameterIs node="/localizer" parameter="speed" value="3.0"/>
+</Sequence></BehaviorTree></root>""",
+    "osc": """import osc.understudy
+scenario up:
+    do serial:
+        set_lifecycle("/localizer", lifecycle_state!active)
+        parameter_is("/localizer", "speed", "3.0")
+""",
+}
+FAILS = {"xml": "line 3, column 3: <ParameterIs>", "osc": "line 5, column 9: parameter_is\\(\\)"}
+
+
+@pytest.mark.parametrize("form", ["xml", "osc"])
+async def test_a_procedure_in_another_language_does_the_same_and_is_named_by_its_place(robot: Pod, links, form: str):
+    localize(robot)
+    link = await connected(robot, links, standby={"brought": "up:1", "tree": False})
+    found = compose(form, WRITTEN[form], check=False, path="bringUp")
+    with pytest.raises(AgentRefused, match=f"bringUp, {FAILS[form]}: parameter speed of node"):
+        await link.procedure(found.node, WITHIN, name="bringUp", places=found.places)
+    check = compose("xml", CHECK_XML, check=True, path="readinessCheck")
+    await link.configure(
+        TREE, OUTPUTS, 20.0, standby={"check": check.node, "places": check.places, "period": 0.1, "brought": ""}
+    )
+    status = await link.wait_for(lambda s: "is active, not inactive" in s.check, WITHIN)
+    assert status.check == "readinessCheck, line 1, column 49: <LifecycleIs>: node /localizer is active, not inactive"
+
+
+CHECK_XML = (
+    '<root BTCPP_format="4"><BehaviorTree ID="Ready"><LifecycleIs node="/localizer" state="inactive"/>'
+    "</BehaviorTree></root>"
+)
 
 
 async def test_a_tree_that_never_ends_fails_in_its_time(robot: Pod, links):

@@ -23,7 +23,7 @@ def _generate(*arguments: str) -> subprocess.CompletedProcess[str]:
 @pytest.fixture
 def copy(tmp_path: Path) -> Path:
     """A copy of the files that are generated, and of what is read for that."""
-    for path in [*outputs(REPOSITORY), Path("charts/understudy/values.yaml")]:
+    for path in [*outputs(REPOSITORY), Path("charts/understudy/values.yaml"), Path("docs/trees.md")]:
         (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(REPOSITORY / path, tmp_path / path)
     return tmp_path

@@ -8,8 +8,9 @@ from typing import Any
 import pytest
 
 from tests.unit.chart.conftest import Render, one
-from understudy.cluster.client import EVENTS, LEASES, POLICIES, POOLS, WORKLOADS, Resource
+from understudy.cluster.client import EVENTS, LEASES, PODS, POLICIES, POOLS, WORKLOADS, Resource
 from understudy.controller import handlers, monitors, resyncing
+from understudy.controller.executing import RESIZE
 
 Right = tuple[str, str, str]
 """API group, resource and verb."""
@@ -59,6 +60,7 @@ def _used() -> set[Right]:
     for resource in OURS:
         found.add((resource.group, f"{resource.plural}/status", "patch"))
     found |= _each(EVENTS, "create", "patch")
+    found.add(("", f"{PODS.plural}/{RESIZE}", "patch"))
     found |= {("apps", resource, "get") for resource in ("deployments", "statefulsets")}
     found |= {("apiextensions.k8s.io", "customresourcedefinitions", verb) for verb in ("list", "watch")}
     return found
@@ -70,6 +72,10 @@ def test_everything_that_is_granted_to_monitors_is_held(held: set[Right]) -> Non
 
 def test_everything_that_the_code_asks_for_is_held(held: set[Right]) -> None:
     assert _used() - held == set()
+
+
+def test_monitors_resize_nothing() -> None:
+    assert not any(resource == f"{PODS.plural}/{RESIZE}" for _, resource, _ in _granted())
 
 
 def test_nothing_is_held_that_is_neither_used_nor_granted(held: set[Right]) -> None:

@@ -88,6 +88,15 @@ def test_arbitrary_xml(text: str, style: str) -> None:
     _sound(check([("a.yaml", dumped.encode("utf-8", "replace"))]))
 
 
+@often
+@given(st.text(max_size=80), st.sampled_from(["|", "|-", "'", '"', ">"]))
+def test_arbitrary_openscenario(text: str, style: str) -> None:
+    tree = f"import osc.understudy\nscenario a:\n    do {text}\n"
+    policy = MANIFESTS[0] | {"spec": {"monitoring": {"osc": tree}, "strategies": []}}
+    dumped = yaml.dump(policy, Dumper=_dumper(style[0]), allow_unicode=True)
+    _sound(check([("a.yaml", dumped.encode("utf-8", "replace"))]))
+
+
 def _dumper(style: str) -> type[yaml.SafeDumper]:
     class Dumper(yaml.SafeDumper):
         """Writes texts of several lines in one style."""

@@ -94,6 +94,20 @@ def test_xml_whose_lines_are_not_those_of_the_file_says_the_line_in_the_text() -
     assert finding.field.startswith("spec.monitoring.xml, line 2, column ")
 
 
+def test_places_in_openscenario_are_those_of_the_file() -> None:
+    policy = POLICY.replace(
+        "    yaml: {topic: {name: /cmd_vel, gap: 500ms}}\n",
+        "    osc: |\n      import osc.understudy\n      scenario healthy:\n          do parallel:\n"
+        '              topic("/cmd_vel", gap: 0.5)\n              topik()\n',
+    )
+    lines = policy.splitlines()
+    gap, unknown = found(policy)
+    assert lines[gap.place.line - 1][gap.place.column - 1 :] == "0.5)"
+    assert lines[unknown.place.line - 1][unknown.place.column - 1 :] == "topik()"
+    assert gap.field == unknown.field == "spec.monitoring.osc"
+    assert unknown.message == "topik(): unknown behaviour, did you mean 'topic'?"
+
+
 def test_an_expression_is_read_by_the_monitor_s_own_reader() -> None:
     policy = POLICY.replace(
         "{topic: {name: /cmd_vel, gap: 500ms}}",
@@ -142,6 +156,10 @@ def test_what_only_the_operator_refuses() -> None:
             "a.yaml:3:21: error: FailurePolicy b: metadata.labels.a: found True; must be of type string",
         ),
         (
+            ("name: navigation}", 'labels: {app: "a:b"}, name: b}'),
+            'a.yaml:3:21: error: FailurePolicy b: metadata.labels.app: "a:b": a label has letters, digits, dashes',
+        ),
+        (
             ("name: navigation}", "label: {a: b}, name: b}"),
             "a.yaml:3:12: error: FailurePolicy b: metadata.label: unknown field 'label', did you mean 'labels'?",
         ),
@@ -169,7 +187,7 @@ def test_what_only_the_operator_refuses() -> None:
             "write a duration as a number with ms, s, m or h",
         ),
     ],
-    ids=["name", "label", "metadata", "no-name", "version", "kind", "elsewhere", "number"],
+    ids=["name", "label", "label-value", "metadata", "no-name", "version", "kind", "elsewhere", "number"],
 )
 def test_what_the_api_server_would_refuse(change: tuple[str, str], line: str) -> None:
     assert line in str(only(POLICY.replace(*change)))
@@ -295,3 +313,40 @@ def test_values_are_read_as_kubernetes_reads_them() -> None:
     infinite = only(POLICY, WORKLOAD + "  monitor: {resources: {limits: {cpu: .inf}}}\n")
     assert infinite.field == "spec.monitor.resources.limits.cpu"
     assert "found .inf, which JSON doesn't have" in infinite.message
+
+
+PROCEDURE = """
+      xml: |
+        <root BTCPP_format="4">
+          <BehaviorTree ID="Up">
+            <SetLifecycle node="drive" state="active"/>
+          </BehaviorTree>
+        </root>"""
+
+
+def test_places_in_procedures_are_those_of_the_file() -> None:
+    findings = checked(WORKLOAD.replace("spec:\n", f"spec:\n  bringUp:{PROCEDURE}\n", 1)).findings
+    (finding,) = (one for one in findings if one.severity == "error")
+    lines = WORKLOAD.splitlines().index("spec:") + 1
+    assert (finding.place.line, finding.place.column) == (lines + 5, 13)
+    assert finding.field == "spec.bringUp.xml"
+    assert finding.message == "<SetLifecycle> node: found 'drive'; did you mean '/drive'?"
+
+
+def test_a_check_in_openscenario_has_places_of_the_file_too() -> None:
+    check = """
+    osc: |
+      import osc.understudy
+      scenario ready:
+          do resend_goals()"""
+    lines = POOL.splitlines().index("spec:") + 1
+    findings = checked(POOL.replace("spec:\n", f"spec:\n  readinessCheck:{check}\n", 1)).findings
+    (finding,) = (one for one in findings if one.field == "spec.readinessCheck.osc")
+    assert (finding.place.line, finding.place.column) == (lines + 5, 14)
+    assert finding.message == "resend_goals(): isn't for checks: a check only looks; it belongs into a procedure"
+
+
+def test_a_procedure_has_exactly_one_tree() -> None:
+    both = WORKLOAD.replace("spec:\n", f"spec:\n  bringUp:\n      yaml: {{resend_goals: {{}}}}{PROCEDURE}\n", 1)
+    told = [str(finding) for finding in found(both)]
+    assert any("the tree is given as yaml already: give exactly one of yaml, xml and osc" in line for line in told)

@@ -175,7 +175,7 @@ class TestPolicies:
 
     def test_a_bad_tree_is_refused_with_its_place(self) -> None:
         found = policy("Restart", tree={"parallel": [{"topic": {"name": "/scan", "gap": "500 parsecs"}}]})
-        (accepted,) = policies.conditions(found, {})
+        (accepted,) = policies.conditions(found, {}, {})
         assert (accepted.status, accepted.reason) == ("False", "TreeInvalid")
         assert "spec.monitoring.yaml.parallel[0].topic" in accepted.message
 
@@ -183,29 +183,42 @@ class TestPolicies:
         found = policy("Restart")
         tree = '<root BTCPP_format="4">\n<BehaviorTree ID="A">\n  <Topic topic="/scan" gap="500 parsecs"/></BehaviorTree></root>'
         found["spec"]["monitoring"] = {"xml": tree}
-        (accepted,) = policies.conditions(found, {})
+        (accepted,) = policies.conditions(found, {}, {})
         assert (accepted.status, accepted.reason) == ("False", "TreeInvalid")
         assert accepted.message.startswith(
             "spec.monitoring.xml, line 3, column 3: <Topic> gap: '500 parsecs' is not a duration"
         )
         found["spec"]["monitoring"] = {"xml": tree.replace("500 parsecs", "500ms")}
-        assert policies.problem(found) is None
+        assert policies.problem(found, {}) is None
 
-    @pytest.mark.parametrize("monitoring", [{}, {"yaml": {"topic": {}}, "xml": "<root/>"}])
+    def test_a_bad_tree_in_openscenario_is_refused_with_its_line(self) -> None:
+        found = policy("Restart")
+        tree = 'import osc.understudy\nscenario healthy:\n    do topic("/scan", gap: 500parsec)\n'
+        found["spec"]["monitoring"] = {"osc": tree}
+        (accepted,) = policies.conditions(found, {}, {})
+        assert (accepted.status, accepted.reason) == ("False", "TreeInvalid")
+        assert accepted.message.startswith("spec.monitoring.osc, line 3, column 28: topic() gap: found 500parsec, and")
+        found["spec"]["monitoring"] = {"osc": tree.replace("500parsec", "500ms")}
+        assert policies.problem(found, {}) is None
+
+    @pytest.mark.parametrize(
+        "monitoring",
+        [{}, {"yaml": {"topic": {}}, "xml": "<root/>"}, {"xml": "<root/>", "osc": "scenario a"}],
+    )
     def test_no_tree_and_two_trees_are_refused(self, monitoring: Object) -> None:
         found = policy("Restart")
         found["spec"]["monitoring"] = monitoring
-        (accepted,) = policies.conditions(found, {})
+        (accepted,) = policies.conditions(found, {}, {})
         assert (accepted.status, accepted.reason) == ("False", "SpecInvalid")
-        assert "give exactly one of yaml and xml" in accepted.message
+        assert "give exactly one of yaml, xml, osc and configMapKeyRef" in accepted.message
 
     def test_a_missing_pool_is_told_with_what_was_meant(self) -> None:
-        (accepted,) = policies.conditions(policy("hott"), {"hot": hot()})
+        (accepted,) = policies.conditions(policy("hott"), {"hot": hot()}, {})
         assert (accepted.status, accepted.reason) == ("False", "PoolNotFound")
         assert 'did you mean "hot"?' in accepted.message
 
     def test_a_good_one_is_accepted(self) -> None:
-        assert policies.conditions(policy("hot", "Restart"), {"hot": hot()})[0].status == "True"
+        assert policies.conditions(policy("hot", "Restart"), {"hot": hot()}, {})[0].status == "True"
 
 
 class TestRobots:

@@ -54,7 +54,7 @@ def test_a_mistake_in_bring_up_is_told_and_what_is_there_stays() -> None:
 def test_a_mistake_in_a_recovery_is_told_in_the_policy() -> None:
     found = policy("Restart", "Restart")
     found["spec"]["strategies"][1]["recovery"] = {"yaml": {"restore_state": {"onyl": ["/amcl_pose"]}}}
-    problem = policies.problem(found)
+    problem = policies.problem(found, {})
     assert problem is not None
     assert problem.reason == "TreeInvalid"
     assert problem.message == (
@@ -156,3 +156,51 @@ def test_a_new_template_that_waits_for_a_standby_says_why_there_is_none() -> Non
     world.workload["spec"]["template"]["spec"]["containers"][0]["image"] = "app:2"
     told = world.condition("Reconciled")["message"]
     assert "gets the new template when a standby of it is ready, and FallbackPool warm, which is not accepted" in told
+
+
+def in_xml(*leaves: str) -> Object:
+    inside = "\n".join(leaves)
+    return {
+        "xml": f'<root BTCPP_format="4">\n<BehaviorTree ID="A">\n{inside}\n</BehaviorTree>\n</root>',
+        "within": "20s",
+    }
+
+
+def test_a_mistake_in_another_language_is_told_with_its_place() -> None:
+    world = World(workload(bringUp=in_xml('  <SetLifecycle node="/amcl" state="on"/>')), policy("Restart"))
+    accepted = world.condition("Accepted")
+    assert (accepted["status"], accepted["reason"]) == ("False", "TreeInvalid")
+    assert (
+        "spec.bringUp.xml, line 3, column 3: <SetLifecycle> state: found 'on'; give one of unconfigured"
+        in accepted["message"]
+    )
+    found = policy("Restart")
+    found["spec"]["strategies"][0]["recovery"] = {
+        "osc": "import osc.understudy\nscenario back:\n    do restore_stat()\n"
+    }
+    problem = policies.problem(found, {})
+    assert problem is not None
+    assert problem.message == (
+        "spec.strategies[0].recovery.osc, line 3, column 8: restore_stat(): unknown behaviour, did you mean 'restore_state'?"
+    )
+    pool = warm(readinessCheck=in_xml('<SetLifecycle node="/amcl" state="active"/>') | {"period": "1s"})
+    refused = policies.pool_problem(pool)
+    assert refused is not None
+    assert refused.message == (
+        "spec.readinessCheck.xml, line 3, column 1: <SetLifecycle>: isn't for checks: a check only looks; it belongs into a procedure"
+    )
+
+
+def test_monitors_learn_a_procedure_as_it_was_written() -> None:
+    initialization = in_xml('<SetLifecycle node="/amcl" state="inactive"/>')
+    world = World(workload(), policy("warm"), hot("warm", readiness="Initialized", initialization=initialization))
+    (pool,) = settings(world)["pools"]
+    assert pool["initialization"] == initialization
+
+
+def test_standbys_stay_where_a_procedure_is_written_in_another_language_and_does_the_same() -> None:
+    short = World(workload(), policy("warm"), warm())
+    other = in_xml('<SetLifecycle node="/amcl" state="inactive"/>')
+    world = World(workload(), policy("warm"), hot("warm", readiness="Initialized", initialization=other))
+    hashes = [instances.template_hash(one.understood().builts["warm"]) for one in (short, world)]
+    assert hashes[0] == hashes[1]

@@ -74,8 +74,14 @@ def test_no_instance_is_made_before_the_discovery_server_has_an_address() -> Non
     world = World(workload(), policy("hot"), hot())
     world.owned.clear()
     plan = world.plan()
-    assert {write.resource.plural for write in plan.writes} == {"services", "deployments"}
+    assert {write.resource.plural for write in plan.writes} == {"services"}
     assert world.condition("Reconciled")["reason"] == "InProgress"
+
+
+def test_the_discovery_server_tells_its_services_address_which_stays_when_its_pod_is_another() -> None:
+    world = World(workload(), policy("hot"), hot())
+    (container,) = applied(world.plan(), "deployments")["w-discovery"]["spec"]["template"]["spec"]["containers"]
+    assert container["args"] == ["10.96.0.9", "11811"]
 
 
 def test_an_address_that_robots_know_is_asked_for_again() -> None:

@@ -226,6 +226,7 @@ class World:
         self.unclaimed: dict[str, list[Object]] = {}
         self.held_policies: dict[str, Object] = {}
         self.rivals: list[str] = []
+        self.resized: Object | None = None
         self.names = Names()
         self.own(service(item))
 
@@ -252,6 +253,7 @@ class World:
             reference=self.reference,
             rivals=self.rivals,
             expected=self.expected,
+            resized=self.resized,
         )
 
     def understood(self) -> workloads.Understanding:

@@ -13,6 +13,7 @@ from understudy.api.policies import FailurePolicySpec
 from understudy.api.pools import FallbackPoolSpec
 from understudy.api.workloads import RobotWorkloadSpec
 from understudy.trees.forms import load_monitoring
+from understudy.trees.texts import load_text
 
 REPOSITORY = Path(__file__).parents[3]
 PAGES = [REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").rglob("*.md"))]
@@ -30,8 +31,12 @@ def manifests() -> list[Any]:
         for text in FENCE.findall(page.read_text()):
             if "apiVersion: understudy.dev" not in text:
                 continue
+            items = list(yaml.safe_load_all(text))
+            lent = {item["metadata"]["name"]: item["data"] for item in items if item["kind"] == "ConfigMap"}
             found += [
-                pytest.param(item, id=f"{name(page)}-{item['metadata']['name']}") for item in yaml.safe_load_all(text)
+                pytest.param(item, lent, id=f"{name(page)}-{item['metadata']['name']}")
+                for item in items
+                if item["kind"] in MODELS
             ]
     return found
 
@@ -58,13 +63,17 @@ def test_yaml_in_pages_is_yaml(page: Path) -> None:
         list(yaml.safe_load_all(text))
 
 
-@pytest.mark.parametrize("item", manifests())
-def test_manifests_in_pages_are_what_the_models_say(item: dict[str, Any]) -> None:
+@pytest.mark.parametrize(("item", "lent"), manifests())
+def test_manifests_in_pages_are_what_the_models_say(item: dict[str, Any], lent: dict[str, dict[str, str]]) -> None:
     # The models ignore unknown fields; whatever was written must come back.
     spec = MODELS[item["kind"]].model_validate(item["spec"])
     assert covers(spec.to_wire(), item["spec"])
     if isinstance(spec, FailurePolicySpec):
-        load_monitoring(spec.monitoring)
+        referred = spec.monitoring.config_map_key_ref
+        if referred is None:
+            load_monitoring(spec.monitoring)
+        else:
+            load_text(referred.form, lent[referred.name][referred.key], path=referred.key, grace=30.0)
 
 
 def test_there_are_manifests_in_the_pages() -> None:

@@ -30,6 +30,16 @@ def test_a_tree_that_restores_state_is_known_to() -> None:
     assert BringUp.of("recovery", None) is None
 
 
+def test_the_same_procedure_in_another_language_is_the_same() -> None:
+    text = 'import osc.understudy\nscenario up:\n    do set_lifecycle("/amcl", lifecycle_state!active)\n'
+    written = bring_up(procedure=Procedure(osc=text, within="10s"))
+    assert (written.tree, written.digest) == (bring_up().tree, bring_up().digest)
+    assert written.places == {"set_lifecycle": "line 3, column 8: set_lifecycle()"}
+    assert not written.problem
+    broken = bring_up(procedure=Procedure(osc=text.replace("active", "asleep")))
+    assert broken.problem.startswith("bringUp, line 3, column 31: set_lifecycle() state: found lifecycle_state!asleep")
+
+
 async def test_an_initialized_standby_is_brought_up_behind_a_closed_gate() -> None:
     store = protected(pool="warm")
     world = World(store)

@@ -17,7 +17,7 @@ from understudy.api.settings import PoolChoice, WorkloadSettings
 from understudy.api.workloads import RobotWorkloadSpec
 from understudy.mitigation.interfaces import Instance, NotVerified
 from understudy.mitigation.strategies import ExecutingFallback, InitializedFallback, Restart
-from understudy.monitor import bringing
+from understudy.monitor import bringing, sidecars
 from understudy.monitor.bringing import Bringing, expected, managed
 from understudy.monitor.choosing import choices
 
@@ -365,3 +365,39 @@ async def test_what_was_told_is_taken_back_when_the_procedures_are_gone(world: S
     await world.look()
     world.bringing.housekeeping((ACTIVE,), policy(), workload(), settings(HOT), "uid-1", KeptState)
     assert world.reporter.conditions["BroughtUp"][:2] == ("True", "NothingToDo")
+
+
+XML_CHECK = """<root BTCPP_format="4">
+<BehaviorTree ID="Ready">
+<LifecycleIs node="/nav" state="inactive"/>
+</BehaviorTree>
+</root>"""
+
+
+def test_agents_are_told_in_the_short_form_whatever_a_check_is_written_in() -> None:
+    pool = WARM.model_copy(update={"readiness_check": Check(xml=XML_CHECK, period="2s")})
+    found = expected(STANDBY, workload(), settings(pool), active_uid="uid-1")
+    assert found.standby == {
+        "brought": found.brought,
+        "tree": False,
+        "check": CHECK.yaml,
+        "period": 2.0,
+        "places": {"lifecycle_is": "line 3, column 1: <LifecycleIs>"},
+    }
+
+
+def test_a_check_that_can_not_be_read_is_left_to_the_agent_to_refuse() -> None:
+    pool = WARM.model_copy(update={"readiness_check": Check(xml="<root/>")})
+    found = expected(STANDBY, workload(), settings(pool), active_uid="uid-1")
+    assert found.standby is not None
+    assert found.standby["check"] == "<root/>"
+
+
+async def test_a_procedure_that_can_not_be_read_fails_with_its_place() -> None:
+    procedure = bringing.BringUp.of("recovery", Procedure(xml=XML_CHECK.replace("LifecycleIs", "LifecycleWas")))
+    assert procedure is not None
+    with pytest.raises(NotVerified) as failure:
+        await sidecars.Sidecars.run(SimpleNamespace(), STANDBY, procedure, within=1.0, state=KeptState(), brought="")  # type: ignore[arg-type]
+    assert str(failure.value) == (
+        "recovery, line 3, column 1: <LifecycleWas>: unknown node, did you mean 'LifecycleIs'?"
+    )

@@ -56,3 +56,19 @@ def test_a_pod_that_is_deleted_otherwise_is_leaving(conditions: list[dict[str, A
 def test_a_pod_that_stays_is_neither() -> None:
     found = instance_of(pod(conditions=[EVICTION]))
     assert (found.terminating, found.evicted, found.leaving) == (False, False, False)
+
+
+def test_what_its_status_says_is_known_and_restarts_of_the_agent_are_not_the_application_s() -> None:
+    ready = {"type": "Ready", "status": "False", "reason": "ContainersNotReady"}
+    found = instance_of(
+        pod(
+            conditions=[ready, {"type": "PodScheduled", "status": "True"}],
+            containerStatuses=[
+                container("drive", "", 2),
+                container("arm", "", 1),
+                container(names.AGENT_CONTAINER, "", 9),
+            ],
+        )
+    )
+    assert found.conditions == (("Ready", "False", "ContainersNotReady"), ("PodScheduled", "True", ""))
+    assert found.restarts == 3

@@ -30,6 +30,7 @@ from understudy.mitigation.progress import Progress
 from understudy.mitigation.shelf import Shelf
 from understudy.monitor import keeping as module
 from understudy.monitor.keeping import StateKeeping
+from understudy.monitor.safety import Unattended
 from understudy.monitor.supervising import Supervisor
 from understudy.ros.graph import Graph
 
@@ -220,6 +221,7 @@ async def test_it_is_there_for_a_recovery_that_an_earlier_monitor_had_begun(
     supervisor = Supervisor.__new__(Supervisor)
     for name, part in vars(parts).items():
         setattr(supervisor, f"_{name}", part)
+    supervisor._safety, supervisor._unattended = quiet, Unattended()  # type: ignore[assignment]
     supervisor._reporter = later.told  # type: ignore[assignment]
     later.told.set = lambda **_: None  # type: ignore[attr-defined]
     with pytest.MonkeyPatch.context() as patch:

@@ -11,6 +11,8 @@ import pytest
 from understudy.api.policies import FailurePolicySpec
 from understudy.api.workloads import RobotWorkloadSpec
 from understudy.mitigation.interfaces import GateState, Instance
+from understudy.monitor.metering import Meter
+from understudy.trees.observations import PodCondition
 
 pytestmark = pytest.mark.ros
 
@@ -80,6 +82,14 @@ def test_a_tree_in_xml_takes_the_place_of_one_in_yaml_and_stays_when_the_next_is
     assert not any("health tree" in problem for problem in sight.problems)
 
 
+def test_a_tree_in_openscenario_takes_the_place_of_one_in_yaml(sight) -> None:
+    tree = 'import osc.understudy\nscenario healthy:\n    do topic("/beat", gap: 1s)\n'
+    spec = {"monitoring": {"osc": tree}, "strategies": [{"type": "Restart"}]}
+    sight.follow(FailurePolicySpec.model_validate(spec), None)
+    assert sight.gated == ["/beat"]
+    assert not any("health tree" in problem for problem in sight.problems)
+
+
 def test_the_last_output_of_an_earlier_task_is_not_when_all_was_well_last(sight) -> None:
     from understudy.ros.sources import VENDOR, host_id
     from understudy.ros.watching import SourceRecord
@@ -137,6 +147,24 @@ def test_an_output_of_which_only_the_publishers_are_looked_at_is_not_expected(si
     assert sight.observations.publishers("/cmd_vel").nodes == ()
 
 
+def test_a_node_of_the_name_of_an_output_is_looked_for_and_nothing_is_expected_of_it(sight) -> None:
+    gap = {"topic": {"name": "/beat", "type": "std_msgs/msg/String", "gap": "1s"}}
+    sight.follow(_policy({"parallel": [gap, {"node": {"name": "/cmd_vel"}}]}), None)
+    assert sight.gated == sight.expected == ["/beat"]
+    sight.drain([], "")
+    assert not sight.observations.node("/cmd_vel").there
+    assert sight.summary == "Watching /beat, /cmd_vel."
+
+
+def test_an_output_that_is_compared_with_what_is_seen_is_received_but_not_expected(sight) -> None:
+    motion = {"motion": {"topic": "/seen", "commands": "/cmd_vel", "type": "geometry_msgs/msg/Twist"}}
+    sight.follow(_policy(motion), None)
+    assert sight.observations.in_control
+    assert sight.observations.topic("/cmd_vel") is not None
+    assert sight.observations.topic("/seen") is not None
+    assert sight.expected == [], "a robot that is told nothing stands, and is well"
+
+
 def test_for_a_reflex_the_messages_of_such_an_output_are_received_too(sight) -> None:
     spec = {
         "template": {"spec": {}},
@@ -179,3 +207,138 @@ def test_a_type_that_is_not_installed_leaves_its_conditions_out(sight) -> None:
     sight.drain([], "")
     assert any("nobodys_msgs/msg/Battery is not installed" in problem for problem in sight.problems)
     assert sight.summary == "Watching /beat."
+
+
+def _degraded(tree: dict[str, object], well: dict[str, object] | None) -> FailurePolicySpec:
+    spec: dict[str, object] = {"monitoring": {"yaml": tree}, "strategies": [{"type": "Restart"}]}
+    if well is not None:
+        spec["degraded"] = {"monitoring": {"yaml": well}}
+    return FailurePolicySpec.model_validate(spec)
+
+
+def test_a_topic_of_both_trees_is_received_once_and_by_what_both_need(sight) -> None:
+    gap = {"topic": {"name": "/beat", "type": "std_msgs/msg/String", "gap": "1s"}}
+    well = {"parallel": [{"topic": {"name": "/beat", "rate": "> 9 Hz"}}, {"topic": {"name": "/scan", "gap": "1s"}}]}
+    sight.follow(_degraded(gap, None), None)
+    subscription = sight._watching._topics["/beat"].subscription
+    assert set(sight._watching._topics) == {"/beat"}
+    sight.follow(_degraded(gap, well), None)
+    assert set(sight._watching._topics) == {"/beat", "/scan"}
+    assert sight._watching._topics["/beat"].subscription is subscription
+    assert sight._watching._topics["/beat"].want.window > 0
+    assert sight.gated == ["/beat"], "what is waited for at a failover is the health tree's alone"
+    sight.follow(_degraded(gap, None), None)
+    assert set(sight._watching._topics) == {"/beat"}
+
+
+def test_what_well_means_changes_without_the_health_tree_beginning_anew(sight) -> None:
+    gap = {"topic": {"name": "/beat", "type": "std_msgs/msg/String", "gap": "1s"}}
+    sight.follow(_degraded(gap, None), None)
+    tree = sight._tree
+    sight.follow(_degraded(gap, {"topic": {"name": "/beat", "rate": "> 9 Hz"}}), None)
+    assert sight._tree is tree
+
+
+def test_a_type_that_only_well_needs_and_that_is_not_installed_leaves_the_health_tree_whole(sight) -> None:
+    health = {"parallel": [{"topic": {"name": "/beat", "gap": "1s"}}, {"publisher": {"topic": "/battery"}}]}
+    well = {"value": {"topic": "/battery", "type": "nobodys_msgs/msg/Battery", "holds": "charge > 0.5"}}
+    sight.follow(_degraded(health, well), None)
+    sight.drain([], "")
+    assert any("nobodys_msgs/msg/Battery is not installed" in problem for problem in sight.problems)
+    assert sight.summary == "Watching /beat, /battery."
+    now = time.time()
+    assert sight.wellness(now=now, since=now).state == "Starting"
+
+
+def test_a_tree_of_what_well_means_that_does_not_load_is_told_and_the_last_one_stays(sight) -> None:
+    gap = {"topic": {"name": "/beat", "type": "std_msgs/msg/String", "gap": "1s"}}
+    good = {"topic": {"name": "/beat", "rate": "> 9 Hz"}}
+    sight.follow(_degraded(gap, good), None)
+    well = sight._wellness._well
+    sight.follow(_degraded(gap, {"topic": {"name": "/beat", "rate": "> 9 Herz"}}), None)
+    (problem,) = sight.problems
+    assert "spec.degraded.monitoring.yaml.topic.rate" in problem
+    assert sight._wellness._well is well
+    sight.follow(_degraded(gap, good), None)
+    assert sight.problems == []
+
+
+def _instance(name: str, ready: str, restarts: int = 0) -> Instance:
+    return Instance(name, f"uid-{name}", restarts=restarts, conditions=(PodCondition("Ready", ready),))
+
+
+def test_a_leaf_about_the_pod_is_judged_by_what_the_cluster_says_of_the_one_in_control(sight) -> None:
+    sight.follow(_policy({"pod": {"condition": "Ready"}}), None)
+    assert sight.summary == "Watching pod."
+    active, standby = _instance("w-1", "True"), _instance("w-2", "False")
+    since = time.time()
+    sight.drain([active, standby], "w-1")
+    assert sight.verdict(now=time.time(), since=since).state == "Healthy"
+    sight.drain([active, _instance("w-2", "Unknown")], "w-1")
+    assert sight.verdict(now=time.time(), since=since).state == "Healthy"
+    sight.drain([_instance("w-1", "False"), standby], "w-1")
+    verdict = sight.verdict(now=time.time(), since=since)
+    assert (verdict.state, verdict.leaf) == ("Failed", "pod.Ready")
+    since = time.time()
+    assert sight.verdict(now=time.time(), since=since).state == "Starting", "nobody has looked at the next one"
+    sight.drain([_instance("w-2", "True")], "w-2")
+    assert sight.verdict(now=time.time(), since=since).state == "Healthy"
+    sight.drain([], "w-2")
+    assert sight.verdict(now=time.time(), since=since).state == "Healthy", "what is gone is told otherwise"
+
+
+def test_restarts_of_the_instance_in_control_count(sight) -> None:
+    sight.follow(_policy({"pod": {"restarts": 1, "window": "10m"}}), None)
+    since = time.time()
+    for restarts, expected in ((4, "Healthy"), (5, "Healthy"), (6, "Failed")):
+        sight.drain([_instance("w-1", "True", restarts), _instance("w-2", "True", 9 * restarts)], "w-1")
+        assert sight.verdict(now=time.time(), since=since).state == expected
+
+
+def test_what_is_known_of_the_pod_is_said_anew_and_only_where_the_tree_asks_for_it(sight) -> None:
+    instances = [_instance("w-1", "True")]
+    sight.drain(instances, "w-1")
+    assert sight.observations.pod() is None
+    sight.follow(_policy({"pod": {"condition": "Ready"}}), None)
+    sight.drain(instances, "w-1")
+    first = sight.observations.pod()
+    assert first is not None
+    end = time.monotonic() + 20
+    while sight.observations.pod() is first and time.monotonic() < end:
+        sight.drain(instances, "w-1")
+        time.sleep(0.02)
+    assert sight.observations.pod().received > first.received
+
+
+def test_what_the_pod_takes_is_asked_for_where_the_tree_needs_it_and_judged(sight) -> None:
+    meter = sight.meter = Meter(None, "fleet", "w")  # type: ignore[arg-type]
+    instances = [_instance("w-1", "True"), _instance("w-2", "True")]
+    sight.follow(_policy({"pod": {"condition": "Ready"}}), None)
+    sight.drain(instances, "w-1")
+    assert meter._pod == "", "nobody asks for it"
+    sight.follow(_policy({"pod": {"memory": "< 200Mi"}}), None)
+    since = time.time()
+
+    def until(state: str) -> None:
+        end = time.monotonic() + 20
+        while sight.verdict(now=time.time(), since=since).state != state:
+            assert time.monotonic() < end
+            sight.drain(instances, "w-1")
+            time.sleep(0.02)
+
+    until("Healthy")  # there are no figures yet
+    assert meter._pod == "w-1"
+    usage = {"cpu": "1", "memory": "300Mi"}
+    item = {"metadata": {"name": "w-1"}, "timestamp": "t", "containers": [{"name": "drive", "usage": usage}]}
+    meter._take({"items": [item]})
+    end = time.monotonic() + 20
+    while sight.verdict(now=time.time(), since=since).state == "Healthy" and time.monotonic() < end:
+        sight.drain(instances, "w-1")
+        time.sleep(0.02)
+    assert (
+        sight.verdict(now=time.time(), since=since).reason == "memory < 200Mi of the pod does not hold (it was 300Mi)"
+    )
+    sight.drain(instances, "w-2")
+    assert (meter._pod, meter.usage) == ("w-2", None)
+    meter._problem = "CPU and memory of pods can't be told: because."
+    assert meter._problem in sight.problems

@@ -42,7 +42,9 @@ def policy(strategies: int) -> FailurePolicySpec:
 
 
 def supervisor(told: Told, *, strategies: int = 2, last_output: float | None = None) -> Supervisor:
-    sight = SimpleNamespace(last_from=lambda pod: last_output, last_well=lambda pod: last_output)
+    sight = SimpleNamespace(
+        graph=None, coming=None, last_from=lambda pod: last_output, last_well=lambda pod: last_output
+    )
     parts: dict[str, Any] = {
         "view": SimpleNamespace(policy=policy(strategies), settings=SimpleNamespace(), spec=None),
         "fleet": SimpleNamespace(),

@@ -64,3 +64,27 @@ def test_a_new_monitor_watches_by_a_policy_with_a_recovery_that_does_not_load(vi
     give_workload(view)
     give_policy(view, "1", recovery=BROKEN)
     assert view.policy is not None
+
+
+def test_a_tree_in_a_config_map_is_followed_as_the_operator_read_it(view: View) -> None:
+    give_workload(view)
+    give_policy(view, "1")
+    before = view.policy
+    give_policy(view, "2")
+    item = view.policies.items["p"]
+    item["spec"]["monitoring"] = {"configMapKeyRef": {"name": "trees", "key": "health.yaml"}}
+    assert view.policy == before, "nothing was read yet"
+    tree = {"topic": {"name": "/scan", "gap": "1s"}}
+    item["metadata"]["resourceVersion"] = "3"
+    item["status"] = {"tree": {"name": "trees", "key": "health.yaml", "yaml": tree}}
+    assert view.policy is not None
+    assert view.policy.monitoring.tree == tree
+
+
+def test_a_bring_up_in_another_language_is_loaded_as_well(view: View) -> None:
+    text = 'import osc.understudy\nscenario up:\n    do set_lifecycle("/nav", lifecycle_state!active)\n'
+    give_workload(view, bringUp={"osc": text})
+    before = view.spec
+    assert before is not None
+    give_workload(view, bringUp={"osc": text.replace("set_", "get_")})
+    assert view.spec == before

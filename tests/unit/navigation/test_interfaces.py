@@ -52,12 +52,71 @@ NAV2 = {
     "msg.ParticleCloud": {"header": "std_msgs/Header", "particles": "sequence<nav2_msgs/Particle>"},
 }
 TF2 = {"msg.TFMessage": {"transforms": "sequence<geometry_msgs/TransformStamped>"}}
+# As py_trees_ros_interfaces 2.1 has them (Jazzy).
+PY_TREES = {
+    "msg.ActivityItem": dict.fromkeys(
+        ("key", "client_name", "activity_type", "previous_value", "current_value"), "string"
+    ),
+    "msg.Behaviour": {
+        "name": "string",
+        "class_name": "string",
+        "own_id": "unique_identifier_msgs/UUID",
+        "parent_id": "unique_identifier_msgs/UUID",
+        "tip_id": "unique_identifier_msgs/UUID",
+        "child_ids": "sequence<unique_identifier_msgs/UUID>",
+        "current_child_id": "unique_identifier_msgs/UUID",
+        "type": "uint8",
+        "additional_detail": "string",
+        "blackbox_level": "uint8",
+        "status": "uint8",
+        "message": "string",
+        "is_active": "boolean",
+        "blackboard_access": "sequence<py_trees_ros_interfaces/KeyValue>",
+    },
+    "msg.BehaviourTree": {
+        "behaviours": "sequence<py_trees_ros_interfaces/Behaviour>",
+        "changed": "boolean",
+        "blackboard_on_visited_path": "sequence<diagnostic_msgs/KeyValue>",
+        "blackboard_activity": "sequence<py_trees_ros_interfaces/ActivityItem>",
+        "statistics": "py_trees_ros_interfaces/Statistics",
+    },
+    "msg.KeyValue": {"key": "string", "value": "string"},
+    "msg.SnapshotStreamParameters": {
+        "snapshot_period": "double",
+        "blackboard_data": "boolean",
+        "blackboard_activity": "boolean",
+    },
+    "msg.Statistics": {
+        "count": "int64",
+        "stamp": "builtin_interfaces/Time",
+        "tick_duration": "float",
+        "tick_duration_average": "float",
+        "tick_duration_variance": "float",
+        "tick_interval": "float",
+        "tick_interval_average": "float",
+        "tick_interval_variance": "float",
+    },
+    "srv.OpenSnapshotStream.Request": {
+        "topic_name": "string",
+        "parameters": "py_trees_ros_interfaces/SnapshotStreamParameters",
+    },
+    "srv.OpenSnapshotStream.Response": {"topic_name": "string"},
+    "srv.ReconfigureSnapshotStream.Request": {
+        "topic_name": "string",
+        "parameters": "py_trees_ros_interfaces/SnapshotStreamParameters",
+    },
+    "srv.ReconfigureSnapshotStream.Response": {"result": "boolean"},
+    "srv.CloseSnapshotStream.Request": {"topic_name": "string"},
+    "srv.CloseSnapshotStream.Response": {"result": "boolean"},
+}
+PACKAGES = ("nav2_msgs", "tf2_msgs", "py_trees_ros_interfaces")
 
 
 @pytest.mark.parametrize(
     ("package", "type_name", "fields"),
     [("nav2_msgs", name, fields) for name, fields in NAV2.items()]
-    + [("tf2_msgs", name, fields) for name, fields in TF2.items()],
+    + [("tf2_msgs", name, fields) for name, fields in TF2.items()]
+    + [("py_trees_ros_interfaces", name, fields) for name, fields in PY_TREES.items()],
 )
 def test_types_have_the_fields_of_the_originals(package: str, type_name: str, fields: dict[str, str]) -> None:
     kind, *names = type_name.split(".")
@@ -79,7 +138,7 @@ def test_messages_survive_the_wire() -> None:
     assert deserialize_message(serialize_message(TFMessage()), TFMessage) == TFMessage()
 
 
-@pytest.mark.parametrize("package", ["nav2_msgs", "tf2_msgs"])
+@pytest.mark.parametrize("package", PACKAGES)
 def test_wheels_say_what_the_packages_say(package: str) -> None:
     described = ElementTree.parse(INTERFACES / package / "package.xml").getroot()
     installed = metadata(f"ros-jazzy-{package.replace('_', '-')}")
@@ -90,7 +149,7 @@ def test_wheels_say_what_the_packages_say(package: str) -> None:
 
 
 def test_what_is_defined_is_built() -> None:
-    for package in ("nav2_msgs", "tf2_msgs"):
+    for package in PACKAGES:
         listed = (INTERFACES / package / "CMakeLists.txt").read_text()
         for file in (INTERFACES / package).glob("*/*.*"):
             assert f'"{file.parent.name}/{file.name}"' in listed

@@ -21,8 +21,8 @@ def tell(node: Any, **fields: Any) -> None:
 class Judged:
     """A tree over what is really received."""
 
-    def __init__(self, watching: Watching, tree: dict[str, Any]) -> None:
-        self.tree: HealthTree = load(tree, fields=message_fields)
+    def __init__(self, watching: Watching, tree: dict[str, Any], grace: float = 30.0) -> None:
+        self.tree: HealthTree = load(tree, grace=grace, fields=message_fields)
         self.since, self._watching = time.time(), watching
         watching.follow(self.tree.topics)
 

@@ -3,9 +3,12 @@
 publish TOPIC RATE [BYTES]    std_msgs/String, best effort and reliable readers match
 robot TOPIC SERVICE ACTION    subscribes, serves, and calls: every reader that an output can have on a robot's side
 work ACTION                   test_msgs/Fibonacci action server, with a goal from a client of its own that is worked on
-                              until a line is read: "succeed" ends the goal, any other one the server
+                              until a line is read: "succeed" ends the goal, any other one the server, but for lists of
+                              numbers, which are fed back
 look TOPIC SERVICE            what a node sees of them that neither publishes, nor subscribes, nor calls; prints it as JSON
 say TOPIC TYPE                messages of any type, 20 a second, with the fields of the last line of JSON that was read
+log NODE                      logs each line that is read, which begins with the level, such as "error no way out"
+parameters NODE [SPEED]       a node with parameters: a double speed, a text label, an integer count, a list, and one that is unset
 pose TOPIC X RATE [latched]   geometry_msgs/PoseWithCovarianceStamped at x = X; a rate of 0 says it once
 capture JSON                  Capturing, told by JSON what to take, who the instances are, and which are in control in
                               turn, as soon as all that is published was seen; prints the poses that it took as JSON
@@ -58,6 +61,36 @@ def say(topic: str, type_name: str) -> None:
         if told:
             publisher.publish(to_message(cls, json.loads(told[-1])))
         time.sleep(0.05)
+
+
+def log(name: str) -> None:
+    import rclpy
+
+    rclpy.init()
+    node = rclpy.create_node(name)
+    logger = node.get_logger()
+    print("ready", flush=True)
+    for line in sys.stdin:
+        level, _, text = line.strip().partition(" ")
+        # rclpy remembers the level of a call by its place in the source.
+        {
+            "info": lambda text: logger.info(text),
+            "warn": lambda text: logger.warning(text),
+            "error": lambda text: logger.error(text),
+        }[level](text)
+
+
+def parameters(name: str, speed: str = "1.0") -> None:
+    import rclpy
+    from rclpy.parameter import Parameter
+
+    rclpy.init()
+    node = rclpy.create_node(name.strip("/"))
+    for parameter, value in (("speed", float(speed)), ("label", "a"), ("count", 1), ("list", [1.0, 2.0])):
+        node.declare_parameter(parameter, value)
+    node.declare_parameter("unset", Parameter.Type.DOUBLE)
+    print("ready", flush=True)
+    rclpy.spin(node)
 
 
 def pose(topic: str, x: str, rate: str, latched: str = "") -> None:
@@ -150,8 +183,10 @@ def work(action: str) -> None:
     rclpy.init()
     node = Node("worker")
     done = threading.Event()
+    goals = []
 
     def execute(goal):
+        goals.append(goal)
         done.wait()
         goal.succeed()
         return Fibonacci.Result()
@@ -164,7 +199,11 @@ def work(action: str) -> None:
     assert client.wait_for_server(20)
     client.send_goal_async(Fibonacci.Goal(order=1))
     print("ready", flush=True)
-    if sys.stdin.readline() == "succeed\n":
+    while (line := sys.stdin.readline()).startswith("["):
+        while not goals:
+            time.sleep(0.01)
+        goals[0].publish_feedback(Fibonacci.Feedback(sequence=json.loads(line)))
+    if line == "succeed\n":
         done.set()
         sys.stdin.readline()
     done.set()
@@ -261,8 +300,10 @@ def look(topic: str, service: str) -> None:
 if __name__ == "__main__":
     {
         "capture": capture,
+        "log": log,
         "look": look,
         "obey": obey,
+        "parameters": parameters,
         "pose": pose,
         "publish": publish,
         "robot": robot,

@@ -6,11 +6,13 @@ import os
 import select
 import subprocess
 import sys
+import time
 from collections.abc import Sequence
 from pathlib import Path
 
 HERE = Path(__file__).parent
 PACKAGE = HERE.parents[2] / "operator"
+MIDDLEWARE = "\x1b["
 
 
 class Processes:
@@ -19,14 +21,18 @@ class Processes:
     def __init__(self) -> None:
         self._running: list[subprocess.Popen[str]] = []
 
-    def node(self, *arguments: str, inside: Sequence[str] = (), **environment: str) -> subprocess.Popen[str]:
-        """Start a role of nodes.py and wait until it says that it's ready; ``inside`` is a command to run it by."""
+    def node(
+        self, *arguments: str, inside: Sequence[str] = (), script: str = "nodes.py", **environment: str
+    ) -> subprocess.Popen[str]:
+        """Start a role of nodes.py, or of another script here, and wait until it says that it's ready; ``inside`` is a command
+        to run it by.
+        """
         process = subprocess.Popen(
-            [*inside, sys.executable, str(HERE / "nodes.py"), *arguments],
+            [*inside, sys.executable, str(HERE / script), *arguments],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
-            env={**os.environ, "PYTHONPATH": str(PACKAGE), **environment},
+            env={**os.environ, "PYTHONPATH": f"{PACKAGE}{os.pathsep}{HERE.parents[2]}", **environment},
         )
         self._running.append(process)
         assert self.line(process, 30) == "ready"
@@ -34,11 +40,11 @@ class Processes:
 
     @staticmethod
     def line(process: subprocess.Popen[str], timeout: float) -> str:
-        """The next line that a process writes."""
-        assert process.stdout is not None
-        readable, _, _ = select.select([process.stdout], [], [], timeout)
-        assert readable, f"{process.args} said nothing for {timeout} s"
-        return process.stdout.readline().strip()
+        """The next line that a process writes, but for what its middleware has to say (in colours, on the same pipe)."""
+        end = time.monotonic() + timeout
+        while (line := _line(process, end)).startswith(MIDDLEWARE):
+            print(line)
+        return line
 
     def end(self) -> None:
         """Kill whatever still runs."""
@@ -48,3 +54,17 @@ class Processes:
             for pipe in (process.stdin, process.stdout):
                 if pipe:
                     pipe.close()
+
+
+def _line(process: subprocess.Popen[str], end: float) -> str:
+    """Read without a buffer: what it held wouldn't be seen by the next wait."""
+    assert process.stdout is not None
+    line = bytearray()
+    while not line.endswith(b"\n"):
+        readable, _, _ = select.select([process.stdout], [], [], max(end - time.monotonic(), 0.0))
+        assert readable, f"{process.args} said no more than {line.decode()!r}"
+        byte = os.read(process.stdout.fileno(), 1)
+        if not byte:
+            break
+        line += byte
+    return line.decode().strip()

@@ -183,3 +183,38 @@ def test_a_step_of_the_clock_moves_contents(watching, processes, eventually, mon
     (content,) = watching.topic("/scan").contents
     assert content.received == pytest.approx(Stepped.time(), abs=20)
     assert content.age() < 20
+
+
+def test_an_age_since_it_was_sent_is_by_when_it_was_written_and_not_by_its_stamp(
+    watching, graph, eventually, monkeypatch
+):
+    """What its writer kept for those that come late was sent long ago when they get it."""
+    from rclpy.qos import DurabilityPolicy, QoSProfile
+
+    message = message_class("std_msgs/msg/Header")
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    publisher = graph.node.create_publisher(message, "/late", latched)
+    publisher.publish(message())
+    time.sleep(2.5)
+    subscribe = graph.subscribe
+    monkeypatch.setattr(graph, "subscribe", lambda *names, depth, **_: subscribe(*names, depth=depth, latched=True))
+    leaf = {"topic": "/late", "type": "std_msgs/msg/Header", "most": "2s", "by": "source"}
+    judged = Judged(watching, {"age": leaf}, grace=0.0)
+    eventually(lambda: "(it was" in judged.now().reason)
+    assert judged.now().state == "Failed"
+    assert watching.topic("/late").contents[-1].under_way() >= 2.5
+
+    def again() -> bool:
+        publisher.publish(message())  # its stamp is none
+        return judged.now().state == "Healthy"
+
+    eventually(again)
+
+
+@pytest.mark.parametrize("sent", [0.0, 1_700_000_000.0])
+def test_when_a_message_was_sent_is_by_the_clocks_of_then(sent):
+    content = Received(1_700_000_001.5, 1_700_000_001.5, b"", message_class("std_msgs/msg/String"), False, sent)
+    expected = pytest.approx(1.5, abs=1e-6) if sent else None
+    assert content.under_way() == expected
+    content.received += 3600
+    assert content.under_way() == expected

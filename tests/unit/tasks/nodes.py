@@ -5,11 +5,13 @@ steps; from 1000 on it is rejected, from 500 on aborted at the second step.
 ``client ACTION ORDER...``: sends all goals and ends with the last result; lines on its input cancel: ``cancel INDEX``.
 What happens is said on the standard output, one JSON object a line. STEP is the seconds of a step; with TALK a server
 publishes on that topic too, 20 times a second, as a workload's output, with TALK_WORKING at each step.
+With SLOW, while a file of that name is there, it leaves out three of four of them.
 With DROP it loses its answers to so many requests for results, as one does that is starved of CPU.
 """
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import sys
@@ -95,8 +97,13 @@ def serve(action: str, *, preempting: bool = False) -> None:
     node = Node("application")
     Server(node, action, preempting=preempting)
     if topic := os.environ.get("TALK"):
-        publisher = node.create_publisher(String, topic, 10)
-        node.create_timer(0.05, lambda: publisher.publish(String(data="x")), callback_group=ReentrantCallbackGroup())
+        publisher, slow, count = node.create_publisher(String, topic, 10), os.environ.get("SLOW"), itertools.count()
+
+        def talk() -> None:
+            if next(count) % 4 == 0 or not slow or not os.path.exists(slow):
+                publisher.publish(String(data="x"))
+
+        node.create_timer(0.05, talk, callback_group=ReentrantCallbackGroup())
     executor = MultiThreadedExecutor(num_threads=6)
     executor.add_node(node)
     say(event="ready")

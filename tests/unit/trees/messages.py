@@ -19,6 +19,12 @@ TYPES: dict[str, dict[str, str]] = {
         "packs": "sequence<t/Pack>",
     },
     "t/msg/Pack": {"name": "string", "temperature": "double"},
+    "t/action/Go_Feedback": {
+        "distance_remaining": "float",
+        "number_of_recoveries": "int16",
+        "current_pose": "t/Pack",
+    },
+    "std_msgs/msg/Float32": {"data": "float"},
     "std_msgs/msg/Header": {"frame_id": "string"},
 }
 
@@ -53,6 +59,40 @@ class Battery(Message):
     _type = "t/msg/Battery"
 
 
+class Figure(Message):
+    _type = "std_msgs/msg/Float32"
+
+
+@dataclass
+class Goal:
+    """unique_identifier_msgs/UUID."""
+
+    uuid: list[int]
+
+
+class Feedback(Message):
+    """What is sent on an action's feedback topic."""
+
+    _type = "t/action/Go_FeedbackMessage"
+
+    def __init__(self, goal: int = 1, **values: Any) -> None:
+        super().__init__(goal_id=Goal([goal] * 16), feedback=GoFeedback(**values))
+
+
+class GoFeedback(Message):
+    _type = "t/action/Go_Feedback"
+
+
+@dataclass
+class Log:
+    """Of rcl_interfaces/msg/Log what matters."""
+
+    level: int
+    name: str
+    msg: str
+    file: str = ""
+
+
 @dataclass
 class Heard:
     """A received message; what isn't one can't be read."""
@@ -60,6 +100,7 @@ class Heard:
     received: float
     said: object = None
     late: float | None = None
+    way: float | None = None
 
     def message(self) -> object:
         if isinstance(self.said, str):
@@ -69,8 +110,14 @@ class Heard:
     def age(self) -> float | None:
         return self.late
 
+    def under_way(self) -> float | None:
+        return self.way
+
     def older(self, stamp: float) -> float:
         return self.received - stamp
 
     def mentions(self, text: str) -> bool:
         return True
+
+    def byte(self, place: int) -> int | None:
+        return None

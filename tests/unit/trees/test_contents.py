@@ -8,7 +8,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from tests.unit.trees.messages import Battery, Heard, fields
-from tests.unit.trees.world import START, World, written
+from tests.unit.trees.world import START, World, states_in_both_forms, written
 from understudy.trees.btcpp.trees import load_xml
 from understudy.trees.health import BADNESS, Verdict
 from understudy.trees.kinds import LEAVES
@@ -237,6 +237,60 @@ def test_a_single_late_message_is_no_failure_where_it_must_last():
     assert world.at(5.0).reason == "an age of at most 300 ms of /scan has not held for 1 s (it was 2.5 s)"
 
 
+def test_an_age_by_its_source_is_that_since_it_was_sent_whatever_its_stamp_says():
+    world = World(age(by="source")).hear("/scan", 1.0, late=9.0, way=0.3)
+    assert world.at(9.0).state == "Healthy"
+    assert world.hear("/scan", 10.0, late=0.0, way=0.4123).at(10.0) == Verdict(
+        "Failed",
+        "an age of at most 300 ms of /scan since it was sent does not hold (it was 412 ms)",
+        "scan.age",
+        START + 1.0,
+    )
+    assert world.hear("/scan", 11.0, way=-2.0).at(11.0).state == "Healthy", "a clock that is ahead"
+    assert (
+        world.hear("/scan", 12.0, late=0.0)
+        .at(12.0)
+        .reason.endswith("(it can't be told: its middleware didn't say when it was sent)")
+    )
+
+
+def test_an_age_by_its_source_needs_no_header():
+    load({"age": {"topic": "/p", "type": "t/msg/Pack", "most": "1s", "by": "source"}}, fields=fields)
+
+
+def test_an_age_is_the_same_in_all_languages():
+    short = {"parallel": [age(by="source", **{"for": "1s"}), {**age(by="stamp"), "name": "stamped"}]}
+    text = written(
+        '<Age topic="/scan" most="300ms" for="1s" by="source"/><Age name="stamped" topic="/scan" most="300ms" by="stamp"/>'
+    )
+
+    def drive(world):
+        for time, late, way in ((1, 0.1, 0.1), (2, 0.1, 0.5), (3.5, 0.1, 0.5), (4, 0.4, 0.2), (5, 0.2, 0.2)):
+            world.hear("/scan", time, late=late, way=way)
+            yield from (world.at(time), world.deadline(time))
+
+    assert states_in_both_forms(text, short, drive) == ["Starting", "Healthy", "Healthy", "Failed", "Failed", "Healthy"]
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    ways=st.lists(st.tuples(st.integers(0, 600), st.sampled_from([0.0, 0.2, 0.4, None])), max_size=12),
+    hold_off=st.sampled_from([None, "700ms"]),
+    now=st.integers(0, 600),
+)
+def test_by_its_source_the_deadline_of_an_age_is_the_first_moment_that_is_worse(ways, hold_off, now):
+    """Times in hundredths of a second."""
+    world = World(age(by="source", **({"for": hold_off} if hold_off else {})), grace=2.0)
+    for time, way in sorted(ways, key=lambda one: one[0]):
+        if time <= now:
+            world.hear("/scan", time / 100, way=way).at(time / 100)
+    present = BADNESS[world.at(now / 100).state]
+    deadline = world.deadline(now / 100)
+    worse = next((now + step for step in range(1, 400) if BADNESS[world.at((now + step) / 100).state] > present), None)
+    assert (deadline is None) == (worse is None)
+    assert deadline is None or math.isclose(worse / 100, deadline, abs_tol=0.011)
+
+
 # -- diagnostics ------------------------------------------------------------------------------------------------------
 
 
@@ -283,6 +337,29 @@ def test_without_a_name_every_status_counts_and_the_next_instance_begins_anew():
     world.since = START + 20
     world.hear("/diagnostics", 21.0, Array(Status("a", 0)))
     assert world.at(21).state == "Healthy"
+
+
+def test_what_understudy_says_itself_is_no_evidence():
+    for more in ({}, {"prefix": "u"}, {"topic": "/diagnostics_agg"}):
+        world = World(levels(**more), grace=10)
+        topic = more.get("topic", "/diagnostics")
+        world.hear(
+            topic, 1.0, Array(Status("understudy: robot-1-drive", 2), Status("/Other/understudy: robot-1-drive", 2))
+        )
+        assert world.at(1.0).reason.startswith("waiting for the first status")
+        world.hear(topic, 2.0, Array(Status("understudy: robot-1-drive", 2), Status("usb", 0)))
+        assert world.at(2.0).state == "Healthy"
+        world.hear(topic, 3.0, Array(Status("understudy: robot-1-drive", 3)))
+        assert world.at(3.0).state == "Healthy"
+
+
+@pytest.mark.parametrize("key", ["name", "prefix"])
+@pytest.mark.parametrize("text", ["understudy:", "understudy: robot-1-drive"])
+def test_what_understudy_says_itself_can_not_be_asked_for(key, text):
+    with pytest.raises(
+        TreeError, match=rf"\.{key}: found '{text}': what Understudy says itself is no evidence; give a status of"
+    ):
+        load(levels(**{key: text}))
 
 
 def test_statuses_without_end_do_not_fill_the_memory_and_what_is_no_diagnostics_is_said():
@@ -368,10 +445,13 @@ def test_what_the_leaves_need_of_their_topics():
             "missing; give how old a message may be when it arrives, such as 300ms",
         ),
         ({"age": {"topic": "scan", "most": "1s"}}, ".age.topic", "found 'scan'; did you mean '/scan'?"),
+        (age(by="sent"), ".age.by", "found 'sent'; known are stamp, source"),
+        (age(by="sourc"), ".age.by", "found 'sourc', did you mean 'source'?"),
+        (age(by=1), ".age.by", "found 1; known are stamp, source"),
         (
             {"age": {"topic": "/p", "type": "t/msg/Pack", "most": "1s"}},
             ".age.type",
-            "found t/msg/Pack, which doesn't begin with a header; an age needs one with a stamp",
+            "found t/msg/Pack, which doesn't begin with a header; an age needs one with a stamp, or give by: source",
         ),
         (
             {"diagnostics": {"name": "x"}},

@@ -12,9 +12,10 @@ from understudy.trees.problems import Problem, TreeError
 
 YAML: dict[str, Any] = {"topic": {"name": "/scan", "gap": "1s"}}
 XML = '<root BTCPP_format="4"><BehaviorTree ID="A"><Topic topic="/scan" gap="1s"/></BehaviorTree></root>'
+OSC = 'import osc.understudy\nscenario healthy:\n    do topic("/scan", gap: 1s)\n'
 
 
-@pytest.mark.parametrize("written", [{"yaml": YAML}, {"xml": XML}])
+@pytest.mark.parametrize("written", [{"yaml": YAML}, {"xml": XML}, {"osc": OSC}])
 def test_either_form_of_a_policy_is_loaded_with_its_grace(written: dict[str, Any]) -> None:
     tree = load_monitoring(Monitoring.model_validate({**written, "startupGrace": "7s"}))
     assert [topic.name for topic in tree.topics] == ["/scan"]
@@ -27,7 +28,9 @@ def test_either_form_of_a_policy_is_loaded_with_its_grace(written: dict[str, Any
         ("yaml", {}, "spec.monitoring.yaml: the node says nothing"),
         ("yaml", XML, "spec.monitoring.yaml: found '<root"),
         ("xml", YAML, "spec.monitoring.xml: found a mapping; give the text"),
-        ("toml", YAML, "form: found 'toml'; known are yaml, xml"),
+        ("osc", YAML, "spec.monitoring.osc: found a mapping; give the text"),
+        ("osc", XML, "spec.monitoring.osc, line 1, column 1: "),
+        ("toml", YAML, "form: found 'toml'; known are yaml, xml, osc"),
     ],
 )
 def test_a_tree_of_another_form_is_refused(form: str, tree: Any, expected: str) -> None:

@@ -5,7 +5,10 @@ import pytest
 from understudy.trees.loading import Problem, TreeError, load
 
 ROOT = "spec.monitoring.yaml"
-KINDS = "parallel, sequence, selector, inverter, while, topic, value, age, diagnostics, transform, publisher"
+KINDS = (
+    "parallel, sequence, selector, inverter, while, topic, value, age, diagnostics, transform, publisher, node, log, "
+    "progress, lifecycle, motion, parameter, pod"
+)
 RATES = "'> 8 Hz', '>= 8 Hz', '< 20 Hz', '<= 20 Hz' or '9 to 11 Hz'"
 
 SCAN = {"topic": {"name": "/scan", "rate": "> 8 Hz"}}
@@ -60,7 +63,7 @@ LEAF = {"topic": {"name": "/cmd_vel", "gap": "500ms"}}
         ({"parallel": SCAN}, ".parallel", "found a mapping; parallel has a list of nodes"),
         ({"parallel": [None]}, ".parallel[0]", f"found nothing; a node is a mapping with one of {KINDS}"),
         ({"parallel": [SCAN], **CMD_VEL}, "", "found parallel and topic in one node; give each a node of its own"),
-        ({**SCAN, "gap": "1s"}, ".gap", "unknown key; gap belongs inside topic or transform"),
+        ({**SCAN, "gap": "1s"}, ".gap", "unknown key; gap belongs inside topic, transform or progress"),
         ({**SCAN, "name": "a/b"}, ".name", "found 'a/b'; a node's name is 1 to 63 letters, digits, '_', '-' and '.'"),
         ({"topic": "/scan"}, ".topic", "found '/scan'; topic is a mapping with name and with gap or rate"),
         ({"topic": {"gap": "1s"}}, ".topic.name", "missing; give the topic's fully qualified name, such as /cmd_vel"),

@@ -6,11 +6,15 @@ from pathlib import Path
 import pytest
 import yaml
 
+from tests.unit.trees.messages import Figure
+from tests.unit.trees.world import World
+from understudy.trees.btcpp import steps
 from understudy.trees.btcpp.library import NODES, REFUSED
 from understudy.trees.btcpp.markup import parse
 from understudy.trees.btcpp.trees import load_xml
 from understudy.trees.expressions import Expression
 from understudy.trees.loading import KINDS, TreeError, load
+from understudy.trees.procedureforms import compose
 from understudy.trees.procedures import COMPOSITES, CONDITIONS, DECORATORS, STEPS, load_check, load_procedure
 
 PAGE = (Path(__file__).parents[3] / "docs" / "trees.md").read_text()
@@ -24,7 +28,7 @@ def test_the_example_loads_and_its_leaves_are_called_as_it_says():
 
 
 def test_the_mistakes_are_named_as_it_says():
-    shown, _ = re.findall(r"```text\n(.*?)```", PAGE, re.DOTALL)
+    (shown,) = re.findall(r"```text\n(spec\.monitoring\.yaml.*?)```", PAGE, re.DOTALL)
     tree = {"parallel": [{"topic": {"name": "/cmd_vel", "gap": 500}}, {"paralel": []}]}
     with pytest.raises(TreeError) as caught:
         load(tree)
@@ -32,7 +36,7 @@ def test_the_mistakes_are_named_as_it_says():
 
 
 def test_the_mistakes_in_xml_are_named_as_it_says():
-    _, shown = re.findall(r"```text\n(.*?)```", PAGE, re.DOTALL)
+    (shown,) = re.findall(r"```text\n(spec\.monitoring\.xml.*?)```", PAGE, re.DOTALL)
     text = """<root BTCPP_format="4">
   <BehaviorTree ID="Healthy"><Parallel>
     <Parralel>
@@ -63,7 +67,22 @@ def test_the_models_that_are_shown_are_those_of_the_nodes():
     }
     assert told == {
         tag: list(NODES[tag].ports)
-        for tag in ("Topic", "Value", "Age", "Diagnostics", "Transform", "Publisher", "WhileTaskActive")
+        for tag in (
+            "Topic",
+            "Value",
+            "Age",
+            "Diagnostics",
+            "Transform",
+            "Publisher",
+            "Node",
+            "Log",
+            "Progress",
+            "Lifecycle",
+            "Motion",
+            "Parameter",
+            "Pod",
+            "WhileTaskActive",
+        )
     }
 
 
@@ -83,7 +102,7 @@ def test_every_node_of_a_procedure_is_on_the_page():
 
 
 def test_the_mistakes_in_procedures_are_named_as_it_says():
-    shown = re.findall(r"^spec\..*$", PROCEDURES, re.MULTILINE)
+    shown = re.findall(r"^spec\.\w+\.yaml.*$", PROCEDURES, re.MULTILINE)
     tree = {"sequence": [{"resend_goals": {}}, {"set_lifecycle": {"node": "amcl", "state": "active"}}]}
     with pytest.raises(TreeError) as caught:
         load_procedure(tree, path="spec.bringUp.yaml")
@@ -92,10 +111,62 @@ def test_the_mistakes_in_procedures_are_named_as_it_says():
     assert [str(problem) for problem in [*caught.value.problems, *looked.value.problems]] == shown
 
 
+def test_the_procedure_is_shown_in_three_languages():
+    example, *_ = re.findall(r"```yaml\n(.*?)```", PROCEDURES, re.DOTALL)
+    in_xml, *_ = re.findall(r"```xml\n(<root.*?)```", PROCEDURES, re.DOTALL)
+    (in_osc,) = re.findall(r"```osc\n(.*?)```", PROCEDURES, re.DOTALL)
+    expected = yaml.safe_load(example)["bringUp"]["yaml"]
+    assert compose("xml", in_xml, check=False, path="bringUp").node == expected
+    assert compose("osc", in_osc, check=False, path="bringUp").node == expected
+
+
+def test_the_mistake_in_a_procedure_in_xml_is_named_as_it_says():
+    (shown,) = re.findall(r"^spec\.bringUp\.xml.*$", PROCEDURES, re.MULTILINE)
+    (in_xml, _) = re.findall(r"```xml\n(.*?)```", PROCEDURES, re.DOTALL)
+    begins, becomes = (
+        '<WaitFor topic="/scan" type="sensor_msgs/msg/LaserScan"/>',
+        '<SetLifecycle node="amcl" state="active"/>',
+    )
+    text = in_xml.replace(begins, becomes)
+    with pytest.raises(TreeError) as caught:
+        compose("xml", text, check=False, path="spec.bringUp.xml")
+    assert [str(problem) for problem in caught.value.problems] == [shown]
+
+
+def test_the_models_of_steps_that_are_shown_are_those_of_the_nodes():
+    (shown,) = re.findall(r"```xml\n(<TreeNodesModel>.*?)```", PROCEDURES, re.DOTALL)
+    told = {
+        model.attributes["ID"]: [port.attributes["name"] for port in model.children] for model in parse(shown).children
+    }
+    own = {
+        tag: node for tag, node in steps.PROCEDURES.nodes.items() if tag not in NODES and not tag.startswith("Async")
+    }
+    assert told == {tag: list(node.ports) for tag, node in own.items()}
+    tree = '<BehaviorTree ID="BringUp"><ResendGoals/></BehaviorTree>'
+    assert compose("xml", f'<root BTCPP_format="4">{tree}{shown}</root>', check=False, path="bringUp")
+
+
 def test_the_leaves_that_are_shown_load():
-    nodes = [yaml.safe_load(shown) for shown in re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)]
-    kinds = [next(iter(node)) for node in nodes if "spec" not in node and load(node).topics]
-    assert kinds == ["parallel", "value", "age", "diagnostics", "transform", "publisher", "parallel"]
+    shown = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
+    nodes = [node for text in shown for node in yaml.safe_load_all(text) if "apiVersion" not in node]
+    kinds = [next(iter(node)) for node in nodes if load(node).topics]
+    assert kinds == [
+        "parallel",
+        "value",
+        "name",
+        "age",
+        "age",
+        "diagnostics",
+        "transform",
+        "publisher",
+        "node",
+        "log",
+        "progress",
+        "lifecycle",
+        "parameter",
+        "parallel",
+        "parallel",
+    ]
 
 
 def test_every_kind_of_node_is_on_the_page():
@@ -111,3 +182,16 @@ def test_every_form_of_a_condition_that_is_shown_can_be_read():
         assert Expression.parse(text).text == text
     for text in re.findall(r"`(len\([^`]+|min\([^`]+|max\([^`]+|abs\([^`]+|sqrt\([^`]+|\w+\.[^`]+\])`", table):
         assert Expression.parse(f"{text} > 1")
+
+
+def test_the_figure_of_merit_behaves_as_it_says():
+    (shown,) = re.findall(r"```yaml\n(name: picks\n.*?)```", PAGE, re.DOTALL)
+    world = World(yaml.safe_load(shown), grace=5.0)
+
+    def hear(time: float, data: float) -> str:
+        return world.hear("/picks_per_minute", time, Figure(data=data)).at(time).state
+
+    assert [hear(10, 8.0), hear(20, 3.9), hear(49, 3.9)] == ["Healthy"] * 3
+    assert world.deadline(49) == 50
+    assert [hear(50, 3.9), hear(51, 4.1), hear(52, 4.9), hear(53, 12.0)] == ["Failed"] * 4
+    assert [hear(54, 5.0), hear(55, 4.1)] == ["Healthy"] * 2

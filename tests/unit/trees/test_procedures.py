@@ -345,6 +345,7 @@ async def test_a_parameter_is_compared() -> None:
             "p.set_lifecycle.state: found 'on'; give one of unconfigured",
         ),
         ({"set_lifecycle": {"node": "/amcl"}}, "p.set_lifecycle.state: found nothing"),
+        ({"node": "/a"}, "p.node: found '/a'; node is a mapping such as {name: /controller_server}"),
         ({"set_lifecycle": []}, "p.set_lifecycle: found a list; set_lifecycle is a mapping of node and state"),
         (
             {"call_service": {"service": "/x", "typ": "a"}},

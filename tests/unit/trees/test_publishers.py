@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from tests.unit.trees.world import START, World, states_in_both_forms, written
+from tests.unit.trees.world import (
+    START,
+    World,
+    assert_deadline_is_the_first_worse_moment,
+    states_in_both_forms,
+    written,
+)
 from understudy.trees.btcpp.trees import load_xml
-from understudy.trees.health import BADNESS, Verdict
+from understudy.trees.health import Verdict
 from understudy.trees.loading import TreeError, load
 
 ROOT = "spec.monitoring.yaml"
@@ -215,14 +220,4 @@ def test_the_deadline_is_the_first_moment_that_is_worse(node, looks, task, taske
     for time, there in sorted(looks):
         if time <= now:
             world.look(CMD, time / 100, *([CONTROLLER] if there else [])).at(time / 100)
-    present = BADNESS[world.at(now / 100).state]
-    deadline = world.deadline(now / 100)
-    assert BADNESS[world.at(now / 100).state] == present
-    later = [now / 100 + step / 100 for step in range(1, 500)]
-    worse = next((time for time in later if BADNESS[world.at(time).state] > present), None)
-    if deadline is None:
-        assert worse is None
-    else:
-        assert math.isclose(worse, deadline, abs_tol=0.011)
-        assert BADNESS[world.at(deadline + 1e-5).state] > present
-        assert BADNESS[world.at(deadline - 1e-5).state] <= present
+    assert_deadline_is_the_first_worse_moment(world, now / 100)

@@ -2,14 +2,28 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from tests.unit.trees.messages import Battery, Heard, fields
+from tests.unit.trees.messages import Battery, Feedback, Heard, fields
+from tests.unit.trees.scenarios import ScenarioWriter
 from understudy.trees.btcpp.trees import load_xml
-from understudy.trees.health import HealthTree, Verdict
+from understudy.trees.health import BADNESS, HealthTree, Verdict
 from understudy.trees.loading import load
-from understudy.trees.observations import Publishers, Recorded, TopicRecord
+from understudy.trees.observations import (
+    NodeState,
+    ParameterState,
+    ParameterValue,
+    PodCondition,
+    PodState,
+    PodUsage,
+    Present,
+    Publishers,
+    Recorded,
+    TopicRecord,
+)
+from understudy.trees.osc.trees import load_osc
 
 START = 1.7e9
 
@@ -22,11 +36,19 @@ class World:
         self.since = START + since
         self.task: float | None = None
         self.published: dict[str, Publishers] = {}
+        self.nodes: dict[str, Present] = {}
+        self.managed: dict[str, NodeState] = {}
+        self.parameters: dict[tuple[str, str], ParameterState] = {}
+        self.pod: PodState | None = None
+        self.in_control = True
         self.records = {topic.name: TopicRecord(topic.window, topic.contents) for topic in self.tree.topics}
 
-    def hear(self, topic: str, time: float, said: object = None, late: float | None = None) -> World:
+    def hear(
+        self, topic: str, time: float, said: object = None, late: float | None = None, way: float | None = None
+    ) -> World:
+        """A message that is ``late`` by its header's stamp, and ``way`` by when it was sent."""
         self.records[topic].add(START + time)
-        self.records[topic].contents.append(Heard(START + time, said, late))
+        self.records[topic].contents.append(Heard(START + time, said, late, way))
         return self
 
     def look(self, topic: str, time: float, *nodes: str) -> World:
@@ -34,13 +56,40 @@ class World:
         self.published[topic] = Publishers(START + time, nodes)
         return self
 
+    def find(self, node: str, time: float, *, there: bool = True, elsewhere: bool = False) -> World:
+        """A look for a node."""
+        self.nodes[node] = Present(START + time, node, there, elsewhere or there)
+        return self
+
+    def tell(self, node: str, time: float, state: str | None) -> World:
+        """What is known of a managed node."""
+        self.managed[node] = NodeState(START + time, state)
+        return self
+
+    def set(self, name: str, time: float, value: ParameterValue | None, lacks: str = "", *, told: bool = True) -> World:
+        """What is known of a parameter of the node /controller."""
+        self.parameters["/controller", name] = ParameterState(START + time, value, lacks, told)
+        return self
+
+    def pod_says(self, time: float, restarts: int = 0, usage: PodUsage | None = None, **conditions: str) -> World:
+        """A look at the pod; a condition is its status, with the reason behind it if there is one: ``False NotReady``."""
+        found = [PodCondition(type_, *said.split()) for type_, said in conditions.items()]
+        self.pod = PodState(START + time, found, restarts, usage)
+        return self
+
+    def feed_back(self, time: float, goal: int = 1, **values: float) -> World:
+        """Feedback of the action /go."""
+        return self.hear("/go/_action/feedback", time, Feedback(goal, **values))
+
     def battery(self, time: float, percentage: float) -> World:
         return self.hear("/battery", time, Battery(percentage=percentage))
 
     def observed(self) -> Recorded:
         """What has been received and seen so far."""
         tasks = {"/go/_action/status": START + self.task} if self.task is not None else {}
-        return Recorded(self.records, tasks, self.published)
+        found = Recorded(self.records, tasks, self.published, self.nodes, self.managed, self.parameters, self.pod)
+        found.in_control = self.in_control
+        return found
 
     def at(self, now: float) -> Verdict:
         return self.tree.evaluate(self.observed(), now=START + now, since=self.since)
@@ -53,6 +102,21 @@ class World:
         return [self.at(time).state for time in times]
 
 
+def assert_deadline_is_the_first_worse_moment(world: World, now: float) -> None:
+    """That of a tree, asked at ``now`` (seconds) without changing what is; moments are tried to a hundredth, for five seconds."""
+    present = BADNESS[world.at(now).state]
+    deadline = world.deadline(now)
+    assert BADNESS[world.at(now).state] == present
+    later = [now + step / 100 for step in range(1, 500)]
+    worse = next((time for time in later if BADNESS[world.at(time).state] > present), None)
+    if deadline is None:
+        assert worse is None
+    else:
+        assert math.isclose(worse, deadline, abs_tol=0.011)
+        assert BADNESS[world.at(deadline + 1e-5).state] > present
+        assert BADNESS[world.at(deadline - 1e-5).state] <= present
+
+
 def written(leaves: str) -> str:
     """A file with these leaves in a parallel."""
     return f'<root BTCPP_format="4"><BehaviorTree ID="Healthy"><Parallel>{leaves}</Parallel></BehaviorTree></root>'
@@ -61,13 +125,13 @@ def written(leaves: str) -> str:
 def states_in_both_forms(
     text: str, short: dict[str, Any], drive: Callable[[World], Iterable[Verdict | float | None]]
 ) -> list[str]:
-    """The states of a tree's verdicts, of which XML and the short form give the same, with the same deadlines."""
-    read, same = load_xml(text), load(short)
-    assert read.topics == same.topics
+    """The states of a tree's verdicts, of which XML, OpenSCENARIO and the short form give the same, with the same deadlines."""
+    trees = (load(short), load_xml(text), load_osc(ScenarioWriter().file(short)))
     trace = []
-    for tree in (read, same):
+    for tree in trees:
+        assert tree.topics == trees[0].topics
         world = World(short, grace=5)
         world.tree = tree
         trace.append([world.at(0.5), *drive(world)])
-    assert trace[0] == trace[1]
+    assert all(other == trace[0] for other in trace)
     return [found.state for found in trace[0] if isinstance(found, Verdict)]

@@ -52,6 +52,8 @@ class Writer:
             return (
                 f"<{('Topic', 'Condition ID=' + quoteattr('Topic'))[self._choose(2)]}{_ports(name | fields, entries)}/>"
             )
+        if "motion" in node:
+            return f"<Motion{_ports(name | node['motion'], entries)}/>"
         if "inverter" in node:
             tag, children = ("Inverter", 'Decorator ID="Inverter"')[self._choose(2)], [node["inverter"]]
         elif "while" in node:
@@ -93,7 +95,7 @@ def _values(node: Mapping[str, Any]) -> list[str]:
     """What the leaves and the situations of a tree were given, each once."""
     found: dict[str, None] = {}
     for key, value in node.items():
-        if key in ("topic", "task_active"):
+        if key in ("topic", "motion", "task_active"):
             found.update(dict.fromkeys(value.values()))
         elif isinstance(value, Mapping):
             found.update(dict.fromkeys(_values(value)))

@@ -1,0 +1,117 @@
+"""Health trees in ConfigMaps: only those that are lent are read, and the last good one stays in force."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from tests.unit.controller.world import NAMESPACE, TREE, policy, workload
+from understudy.api import names
+from understudy.api.policies import FailurePolicySpec, in_force
+from understudy.cluster.client import CONFIG_MAPS, POLICIES, WORKLOADS, Object
+from understudy.controller import affected, policies, resyncing
+from understudy.controller.affected import Key
+from understudy.controller.stores import Sight, Store
+
+GOOD = "topic: {name: /cmd_vel, type: geometry_msgs/msg/Twist, gap: 500ms}"
+BAD = "topic: {name: /cmd_vel, gap: 500 parsecs}"
+XML = '<root BTCPP_format="4"><BehaviorTree ID="A"><Topic topic="/scan" gap="1s"/></BehaviorTree></root>'
+OSC = 'import osc.understudy\nscenario healthy:\n    do topic("/scan", gap: 1s)\n'
+
+
+def trees(*, name: str = "trees", label: str | None = "true", **data: str) -> dict[str, Object]:
+    labels = {names.HEALTH_TREE: label} if label is not None else {}
+    metadata = {"name": name, "namespace": NAMESPACE, "uid": f"uid-{name}", "labels": labels}
+    keys = {key.replace("_", "."): text for key, text in data.items()}
+    return {name: {"apiVersion": "v1", "kind": "ConfigMap", "metadata": metadata, "data": keys}}
+
+
+def referring(key: str = "health.yaml", **more: Any) -> Object:
+    found = policy("Restart")
+    found["spec"]["monitoring"] = {"configMapKeyRef": {"name": "trees", "key": key}}
+    return found | more
+
+
+def status(found: Object, maps: dict[str, Object]) -> Object:
+    return policies.status(found, pools={}, config_maps=maps, users=[])
+
+
+def test_a_good_tree_is_in_force() -> None:
+    told = status(referring(), trees(health_yaml=GOOD))
+    assert told["conditions"][0]["status"] == "True"
+    assert told["tree"] == {"name": "trees", "key": "health.yaml", "yaml": TREE}
+    told = status(referring("health.xml"), trees(health_xml=XML))
+    assert told["tree"] == {"name": "trees", "key": "health.xml", "xml": XML}
+    told = status(referring("health.osc"), trees(health_osc=OSC))
+    assert told["tree"] == {"name": "trees", "key": "health.osc", "osc": OSC}
+
+
+@pytest.mark.parametrize(
+    ("maps", "reason", "words"),
+    [
+        ({}, "TreeNotFound", 'no ConfigMap "trees" with the label understudy.dev/health-tree=true'),
+        (trees(label=None, health_yaml=GOOD), "TreeNotFound", "kubectl label configmap -n fleet trees understudy.dev/health-tree=true"),
+        (trees(label="yes", health_yaml=GOOD), "TreeNotFound", "no ConfigMap"),
+        (trees(name="tree", health_yaml=GOOD), "TreeNotFound", 'did you mean "tree"?'),
+        (trees(), "TreeNotFound", 'ConfigMap trees has no "health.yaml" in its data (it has none)'),
+        (trees(healthy_yaml=GOOD), "TreeNotFound", 'did you mean "healthy.yaml"?'),
+        (trees(health_yaml=BAD), "TreeInvalid", "ConfigMap trees, health.yaml, line 1, column 25: topic.gap: '500 parsecs'"),
+    ],
+)  # fmt: skip
+def test_without_a_good_tree_the_last_one_stays_in_force(maps: dict[str, Object], reason: str, words: str) -> None:
+    fresh = status(referring(), maps)
+    assert "tree" not in fresh
+    (accepted,) = fresh["conditions"]
+    assert (accepted["status"], accepted["reason"]) == ("False", reason)
+    assert words in accepted["message"]
+    before = status(referring(), trees(health_yaml=GOOD))
+    after = status(referring(status=before), maps)
+    assert after["tree"] == before["tree"]
+    assert after["conditions"] == fresh["conditions"]
+
+
+def test_a_workload_is_told_of_its_policys_tree() -> None:
+    found = policies.problem(referring(), {})
+    assert found is not None
+    assert found.reason == "TreeNotFound"
+    assert policies.problem(referring(), trees(health_yaml=GOOD)) is None
+
+
+def test_what_is_in_the_policy_again_is_not_kept_beside_it() -> None:
+    before = status(referring(), trees(health_yaml=GOOD))
+    assert "tree" not in status(policy("Restart") | {"status": before}, {})
+
+
+def test_monitors_go_by_what_is_in_force() -> None:
+    found = referring()
+    spec = FailurePolicySpec.model_validate(found["spec"])
+    assert in_force(spec, None) is None
+    assert in_force(spec, {"tree": {"name": "trees", "key": "health.yaml"}}) is None
+    for key, form, maps, tree in (
+        ("health.yaml", "yaml", trees(health_yaml=GOOD), TREE),
+        ("health.xml", "xml", trees(health_xml=XML), XML),
+    ):
+        resolved = in_force(spec, status(referring(key), maps))
+        assert resolved is not None
+        assert (resolved.monitoring.form, resolved.monitoring.tree) == (form, tree)
+        assert resolved.monitoring.startup_grace == spec.monitoring.startup_grace
+    inline = FailurePolicySpec.model_validate(policy("Restart")["spec"])
+    assert in_force(inline, None) is inline
+
+
+def test_a_change_concerns_the_policies_that_refer_to_it_and_whom_they_protect() -> None:
+    store = Store()
+    store.put(POLICIES, referring())
+    store.put(POLICIES, policy("Restart", name="other"))
+    store.put(WORKLOADS, workload())
+    (config_map,) = trees(health_yaml=GOOD).values()
+    found = affected.keys(Sight(CONFIG_MAPS, None, config_map), store)
+    assert found == {Key(POLICIES.plural, NAMESPACE, "policy"), Key(WORKLOADS.plural, NAMESPACE, "w")}
+    assert not affected.keys(Sight(CONFIG_MAPS, None, {"metadata": {**config_map["metadata"], "name": "x"}}), store)
+
+
+def test_only_what_is_lent_is_kept() -> None:
+    for label, kept in (("true", True), ("false", False), (None, False)):
+        (config_map,) = trees(label=label).values()
+        assert resyncing.kept(CONFIG_MAPS, config_map) is kept

@@ -1,0 +1,163 @@
+"""A standby more while a workload is degraded: made, counted on once it is ready, and taken away when all is well."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from tests.unit.controller.world import (
+    World,
+    applied,
+    claimed_pod,
+    created,
+    deleted,
+    gate,
+    held_pod,
+    hot,
+    patched,
+    policy,
+    source_pod,
+    spare,
+    standby_pod,
+    workload,
+)
+from understudy.cluster.client import Object
+from understudy.controller import levels, policies, pools
+from understudy.controller.pools import Observed
+
+FAILOVER = ("hot", "spare", "Restart")
+
+
+def prewarming(*strategies: str, pool: str = "hot") -> Object:
+    made = policy(*(strategies or FAILOVER))
+    tree = {"topic": {"name": "/cmd_vel", "rate": "> 18 Hz"}}
+    made["spec"]["degraded"] = {"monitoring": {"yaml": tree}, "actions": [{"prewarm": {"poolRef": {"name": pool}}}]}
+    return made
+
+
+def status(degraded: str, health: str = "") -> Object:
+    said = {"type": "Degraded", "status": degraded, "reason": "NotWell", "lastTransitionTime": "2026-01-01T00:00:00Z"}
+    return {"conditions": [said], **({"health": health} if health else {})}
+
+
+def world(degraded: str = "True", *, per_workload: int = 0, health: str = "", asked: Object | None = None) -> World:
+    made = World(
+        workload(status=status(degraded, health)), asked or prewarming(), hot(per_workload=per_workload), spare()
+    )
+    active = source_pod("w-a")
+    made.pods = [active]
+    made.own(gate(made.workload, active=active, epoch=3))
+    made.unclaimed = {"spare": [held_pod("s-1", of=spare())]}
+    return made
+
+
+def test_a_pool_without_standbys_makes_one_while_the_workload_is_degraded() -> None:
+    assert len(created(world("True").plan(), "pods")) == 1
+    for said in ("False", "Unknown"):
+        assert not created(world(said).plan(), "pods")
+
+
+def test_it_is_one_more_than_the_pool_has_anyway() -> None:
+    made = world("True", per_workload=1)
+    made.pods.append(standby_pod("w-s", of=made.workload, template_hash=made.template_hash))
+    assert len(created(made.plan(), "pods")) == 1
+
+
+def test_a_policy_that_does_not_ask_for_it_gets_none() -> None:
+    assert not created(world("True", asked=policy(*FAILOVER)).plan(), "pods")
+
+
+def test_one_that_is_there_is_enough_and_goes_when_all_is_well() -> None:
+    made = world("True")
+    made.pods.append(standby_pod("w-s", of=made.workload, template_hash=made.template_hash))
+    assert not created(made.plan(), "pods")
+    assert not deleted(made.plan())
+    made.workload["status"] = status("False")
+    assert deleted(made.plan()) == ["w-s"]
+
+
+@pytest.mark.parametrize("health", ["Degraded", "Failed", "Recovering"])
+def test_it_stays_while_the_workload_fails_and_recovers(health: str) -> None:
+    made = world("True", health=health)
+    made.pods.append(standby_pod("w-s", of=made.workload, template_hash=made.template_hash))
+    assert not deleted(made.plan())
+
+
+def test_once_it_is_in_control_it_is_never_deleted() -> None:
+    made = world("False")
+    active = standby_pod("w-s", of=made.workload, template_hash=made.template_hash)
+    made.pods = [active]
+    made.own(gate(made.workload, active=active, epoch=4))
+    assert deleted(made.plan()) == []
+
+
+def test_the_workload_s_own_pod_stands_by_for_one_that_took_over_and_is_degraded_too() -> None:
+    made = world("True")
+    made.build()
+    active = standby_pod("w-s", of=made.workload, template_hash=made.template_hash)
+    made.pods = [active]
+    made.own(gate(made.workload, active=active, epoch=4))
+    made.owned[("replicasets", "w")]["spec"]["replicas"] = 0
+    assert patched(made.plan(), "replicasets")["w"] == {"spec": {"replicas": 1}}
+    made.workload["status"] = status("False")
+    made.owned[("replicasets", "w")]["spec"]["replicas"] = 1
+    assert patched(made.plan(), "replicasets")["w"] == {"spec": {"replicas": 0}}
+
+
+def test_a_claimed_pod_that_drives_has_it_too() -> None:
+    made = world("True")
+    active = claimed_pod("s-1", of=spare(), by=made.workload)
+    made.pods = [active]
+    made.own(gate(made.workload, active=active, epoch=4))
+    assert len(created(made.plan(), "pods")) == 1
+
+
+def test_the_monitor_knows_the_pool_whether_it_has_a_standby_or_not() -> None:
+    for said in ("True", "False"):
+        settings = json.loads(applied(world(said).plan(), "configmaps")["w-settings"]["data"]["settings.json"])
+        assert [pool["name"] for pool in settings["pools"]] == ["hot", "spare"]
+
+
+class TestWhatIsSaid:
+    def test_nobody_counts_on_it_before_it_is_ready(self) -> None:
+        for said in ("True", "False"):
+            made = world(said)
+            assert made.condition("Protected")["status"] == "True"
+            assert "from pool spare" in made.condition("Protected")["message"]
+            assert made.status()["standby"] == "Uninitialized (1/2)"
+
+    def test_then_it_is_the_first(self) -> None:
+        made = world("True")
+        made.pods.append(standby_pod("w-s", of=made.workload, template_hash=made.template_hash))
+        assert "from pool hot" in made.condition("Protected")["message"]
+        assert made.status()["standby"] == "Executing (1/1)"
+
+    def test_one_that_is_about_to_go_takes_no_protection_away(self) -> None:
+        made = world("False")
+        made.pods.append(standby_pod("w-s", of=made.workload, template_hash=made.template_hash))
+        assert made.condition("Protected")["status"] == "True"
+        assert "from pool spare" in made.condition("Protected")["message"]
+
+    def test_where_there_is_nothing_else_it_says_that_nothing_is_there(self) -> None:
+        made = world("False", asked=prewarming("hot"))
+        assert made.condition("Protected")["reason"] == "PoolEmpty"
+
+    def test_a_pool_tells_how_many_it_is_to_have(self) -> None:
+        pool = hot(per_workload=0)
+        observed = Observed(pool=pool, workloads={"w": workload()}, pods=[], owned={}, now=0.0, prewarmed=1)
+        assert pools.count(observed, policies.pool_spec(pool)).desired == 1
+
+    def test_a_shared_pool_is_not_for_one_workload_alone(self) -> None:
+        asked = prewarming(pool="spare")
+        found = policies.conditions(asked, {"hot": hot(), "spare": spare()}, {})
+        assert (found[0].status, found[0].reason) == ("False", "PoolNotPrewarmed")
+        assert found[0].message.startswith("spec.degraded.actions[0].prewarm.poolRef.name: FallbackPool spare is")
+        assert policies.problem(asked, {}) is None, "the rest of the policy is followed"
+
+
+def test_what_does_not_fit_the_kind_asks_for_nothing() -> None:
+    broken = prewarming()
+    broken["spec"]["strategies"] = []
+    assert levels.actions(broken) == []
+    assert levels.actions(None) == []

@@ -1,0 +1,203 @@
+"""What the pod in control is given while its workload is degraded: raised, never lowered, and told."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.unit.controller.world import World, gate, policy, source_pod, workload
+from understudy.api.degraded import Resize
+from understudy.api.quantities import amount
+from understudy.cluster.client import STRATEGIC, Object
+from understudy.controller import resizing
+from understudy.controller.desired import Patch, Problem
+from understudy.controller.resizing import Outcome
+
+SLOW = {"requests": {"cpu": "50m"}, "limits": {"cpu": "200m", "memory": "256Mi"}}
+
+
+def running(name: str = "w-a", resources: Object | None = None, **container: Any) -> Object:
+    """The pod in control as the API server has it."""
+    made = source_pod(name)
+    given_ = SLOW if resources is None else resources
+    app = {"name": "app", "resources": given_, **container}
+    agent = {"name": "understudy-agent", "resources": {"requests": {"cpu": "20m"}}}
+    made["spec"] = {"containers": [app, agent]}
+    made["status"]["containerStatuses"] = [{"name": "app", "resources": given_}]
+    return made
+
+
+def world(*actions: Object, pod: Object | None = None) -> World:
+    made = World(workload(), asking(*actions))
+    made.resized = pod if pod is not None else running()
+    return made
+
+
+def asking(*actions: Object) -> Object:
+    made = policy("Restart")
+    tree = {"topic": {"name": "/cmd_vel", "rate": "> 18 Hz"}}
+    made["spec"]["degraded"] = {"monitoring": {"yaml": tree}, "actions": list(actions)}
+    return made
+
+
+def outcomes(made: World) -> list[Outcome]:
+    return resizing.outcomes(made.observed(), made.understood())
+
+
+def only(made: World) -> Outcome:
+    (found,) = outcomes(made)
+    return found
+
+
+MORE: Object = {"resize": {"cpu": "1500m"}}
+
+
+def test_the_first_container_gets_its_request_and_the_limit_that_it_has() -> None:
+    found = only(world(MORE))
+    assert found.reason == "InProgress"
+    assert isinstance(found.write, Patch)
+    assert (found.write.subresource, found.write.kind) == ("resize", STRATEGIC)
+    resources = {"requests": {"cpu": "1500m"}, "limits": {"cpu": "1500m"}}
+    assert found.write.body == {
+        "metadata": {"uid": "uid-w-a"},
+        "spec": {"containers": [{"name": "app", "resources": resources}]},
+    }
+
+
+def test_a_container_by_its_name_and_both_resources() -> None:
+    made = world({"resize": {"container": "understudy-agent", "cpu": "40m", "memory": "128Mi"}})
+    write = only(made).write
+    assert write is not None
+    assert write.body["spec"]["containers"] == [
+        {"name": "understudy-agent", "resources": {"requests": {"cpu": "40m", "memory": "128Mi"}}}
+    ]
+
+
+def test_what_has_it_already_is_left_alone_and_told() -> None:
+    enough = {"requests": {"cpu": "1.5"}, "limits": {"cpu": "4"}}
+    made = world(MORE, pod=running(resources=enough))
+    found = only(made)
+    assert found.write is None
+    said = resizing.judged(made.observed(), [found])
+    assert said is not None
+    assert (said.status, said.reason) == ("True", "Resized")
+    assert said.message == "container app of pod w-a has cpu 1500m."
+
+
+def test_nothing_is_done_once_it_is_no_longer_degraded_or_the_policy_is_not_accepted() -> None:
+    made = world(MORE)
+    made.resized = None
+    assert outcomes(made) == []
+    assert resizing.judged(made.observed(), []) is None
+    made = world(MORE)
+    made.others[0]["spec"]["degraded"]["monitoring"]["yaml"] = {"topik": {}}
+    assert outcomes(made) == []
+
+
+def test_a_container_that_is_not_there_is_told_with_those_that_are() -> None:
+    found = only(world({"resize": {"container": "ap", "cpu": "1"}}))
+    assert (found.reason, found.write) == ("ContainerNotFound", None)
+    assert found.message == (
+        'FailurePolicy: spec.degraded.actions[0].resize.container: pod w-a has no container "ap" (did you mean "app"?)'
+    )
+
+
+def test_a_container_that_would_be_restarted_is_left_as_it_is() -> None:
+    policies = [{"resourceName": "cpu", "restartPolicy": "RestartContainer"}]
+    found = only(world(MORE, pod=running(resizePolicy=policies)))
+    assert (found.reason, found.write) == ("WouldRestart", None)
+    assert "Make it NotRequired" in found.message
+    other = [{"resourceName": "memory", "restartPolicy": "RestartContainer"}]
+    assert only(world(MORE, pod=running(resizePolicy=other))).write is not None
+
+
+@pytest.mark.parametrize(
+    ("said", "reason", "words"),
+    [
+        (
+            {"type": "PodResizePending", "reason": "Deferred", "message": "Node didn't have enough resource: cpu"},
+            "Deferred",
+            "is to have cpu 1500m, but not now: Node didn't have enough resource: cpu. It is done as soon as the node has room",
+        ),
+        (
+            {"type": "PodResizePending", "reason": "Infeasible", "message": "Node didn't have enough capacity: cpu."},
+            "Infeasible",
+            "capacity: cpu. Ask for less in the policy",
+        ),
+        ({"type": "PodResizeInProgress"}, "InProgress", "is to have cpu 1500m"),
+        (
+            {"type": "PodResizeInProgress", "reason": "Error", "message": "cgroup"},
+            "ResizeError",
+            "is to have cpu 1500m: cgroup",
+        ),
+    ],
+)
+def test_what_the_kubelet_says_is_told(said: Object, reason: str, words: str) -> None:
+    pod = running(resources={"requests": {"cpu": "1500m"}, "limits": {"cpu": "1500m"}})
+    pod["status"]["conditions"].append({"status": "True", **said})
+    found = only(world(MORE, pod=pod))
+    assert (found.reason, found.write) == (reason, None)
+    assert words in found.message
+
+
+def test_it_is_done_when_the_container_has_it_and_not_when_its_spec_says_so() -> None:
+    pod = running(resources={"requests": {"cpu": "1500m"}, "limits": {"cpu": "1500m"}})
+    pod["status"]["containerStatuses"][0]["resources"] = SLOW
+    assert only(world(MORE, pod=pod)).reason == "InProgress"
+
+
+def test_what_the_api_server_refuses_is_told_and_the_rest_is_said_of_what_is_not_done() -> None:
+    made = world(MORE, {"resize": {"container": "understudy-agent", "cpu": "20m"}})
+    first, second = outcomes(made)
+    refused = resizing.refused(first, Problem("Forbidden", "Pod w-a: exceeded quota"))
+    assert (refused.reason, refused.write) == ("Refused", None)
+    said = resizing.judged(made.observed(), [refused, second])
+    assert said is not None
+    assert (said.status, said.reason) == ("False", "Refused")
+    assert "exceeded quota" in said.message
+
+
+AMOUNTS = st.dictionaries(
+    st.sampled_from(["cpu", "memory"]), st.integers(1, 64).map(lambda n: f"{n * 50}m"), max_size=2
+)
+
+
+@given(AMOUNTS, AMOUNTS, st.dictionaries(st.sampled_from(["cpu", "memory"]), st.integers(1, 64).map(str), min_size=1))
+def test_nothing_is_ever_lowered_or_limited_anew_and_once_is_enough(
+    requests: dict[str, str], limits: dict[str, str], amounts: dict[str, str]
+) -> None:
+    before = {"requests": requests, "limits": limits}
+    more = resizing.raised(before, amounts)
+    after = {kind: {**before[kind], **more.get(kind, {})} for kind in before}
+    for kind in before:
+        for resource, had in before[kind].items():
+            assert amount(after[kind][resource]) >= amount(had)
+    assert after["limits"].keys() == limits.keys()
+    assert all(amount(after["requests"][resource]) >= amount(given_) for resource, given_ in amounts.items())
+    assert resizing.raised(after, amounts) == {}
+
+
+@pytest.mark.parametrize("resize", [{}, {"container": "app"}, {"cpu": "0"}, {"cpu": "1 core"}, {"memory": "1"}])
+def test_a_resize_that_says_nothing_is_none(resize: Object) -> None:
+    with pytest.raises(ValueError):  # noqa: PT011
+        Resize.model_validate(resize)
+
+
+class TestStatus:
+    def test_it_is_said_while_there_is_something_to_be_said(self) -> None:
+        made = world(MORE)
+        active = source_pod("w-a")
+        made.own(gate(made.workload, active=active, epoch=1))
+        from understudy.controller import statuses
+        from understudy.controller.reconciling import _says
+
+        said = resizing.judged(made.observed(), outcomes(made))
+        status = statuses.status(made.observed(), made.understood(), (), said)
+        assert [c["type"] for c in status["conditions"]][-1] == "Resized"
+        item = {"status": {**status, "conditions": status["conditions"]}}
+        assert _says(item, status)
+        without = statuses.status(made.observed(), made.understood(), ())
+        assert not _says(item, without), "what isn't so any more is taken back"

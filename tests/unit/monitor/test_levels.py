@@ -1,0 +1,399 @@
+"""What a monitor says of a workload that is healthy and not well, and that it keeps its health apart from it."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from prometheus_client import REGISTRY
+
+from understudy.api.conditions import Condition, condition
+from understudy.api.policies import FailurePolicySpec
+from understudy.mitigation.interfaces import GateState, Instance
+from understudy.monitor import levels
+from understudy.monitor.levels import AGAIN, LOOK, Levels
+from understudy.monitor.supervising import Parts, Supervisor
+from understudy.monitor.wellness import Busy
+from understudy.trees.health import Verdict
+
+ACTIVE = Instance(name="w-1", uid="uid-1", ip="10.0.0.1", running=True, ready=True)
+OTHER = Instance(name="w-2", uid="uid-2", ip="10.0.0.2", running=True, ready=True)
+HEALTHY = Verdict("Healthy", "", "", None)
+FAILED = Verdict("Failed", "no /scan for 1 s", "scan", None)
+SLOW = Verdict("Failed", "/scan at 8.6 Hz, below 9 Hz over 2 s", "sensors/scan", None)
+UNKNOWN = Verdict("Starting", "/scan is starting", "sensors/scan", None)
+
+
+def policy(**degraded: Any) -> FailurePolicySpec:
+    spec: dict[str, Any] = {
+        "monitoring": {"yaml": {"topic": {"name": "/scan", "gap": "1s"}}},
+        "strategies": [{"type": "Restart"}],
+    }
+    if degraded:
+        spec["degraded"] = degraded
+    return FailurePolicySpec.model_validate(spec)
+
+
+WELL = {"yaml": {"topic": {"name": "/scan", "rate": "> 9 Hz"}}, "debounce": "2s"}
+TIGHT = policy(monitoring=WELL, clearAfter="5s")
+
+
+class Reporter:
+    """What is said."""
+
+    def __init__(self, *said: Condition, adopted: str = "") -> None:
+        self.adopted = adopted
+        self.said = {one.type: one for one in said}
+        self.events: list[tuple[str, str, str]] = []
+        self.writes = 0
+        self.fields: dict[str, Any] = {}
+
+    def find(self, type_: str) -> Condition | None:
+        return self.said.get(type_)
+
+    def reason(self, type_: str) -> str:
+        return self.said[type_].reason if type_ in self.said else ""
+
+    goals: tuple[str, ...] = ()
+    planned: float | None = None
+
+    def condition(self, type_: str, status: str, reason: str, message: str = "") -> bool:
+        old = self.said.get(type_)
+        self.said[type_] = condition(type_, status, reason, message)  # type: ignore[arg-type]
+        if old is None or (old.status, old.reason, old.message) != (status, reason, message):
+            self.writes += 1
+        return old is None or (old.status, old.reason) != (status, reason)
+
+    def withdraw(self, type_: str) -> None:
+        self.said.pop(type_, None)
+
+    def event(self, kind: str, reason: str, message: str) -> None:
+        self.events.append((kind, reason, message))
+
+    def set(self, **fields: Any) -> None:
+        self.fields |= fields
+
+
+@dataclass
+class World:
+    """A clock that the test moves, and what the tree of spec.degraded says."""
+
+    reporter: Reporter = field(default_factory=Reporter)
+    now: float = 1000.0
+    found: Verdict = HEALTHY
+    asked: int = 0
+    busy: Busy | None = None
+
+    def __post_init__(self) -> None:
+        sight: Any = SimpleNamespace(wellness=self._wellness, busy=lambda now, since: self.busy)
+        self.levels = Levels(sight, self.reporter)  # type: ignore[arg-type]
+
+    def _wellness(self, *, now: float, since: float) -> Verdict:
+        self.asked += 1
+        return self.found
+
+    def look(
+        self,
+        seconds: float,
+        *,
+        given: FailurePolicySpec = TIGHT,
+        health: Verdict = HEALTHY,
+        active: Instance = ACTIVE,
+    ) -> bool:
+        """Look ten times a second for so long; whether it is degraded at the end."""
+        degraded = False
+        for _ in range(round(seconds * 10)):
+            self.now += 0.1
+            degraded = self.levels.look(given, health, active, now=time.time(), since=0.0)
+        return degraded
+
+    @property
+    def said(self) -> tuple[str, str]:
+        found = self.reporter.said["Degraded"]
+        return found.status, found.reason
+
+
+@pytest.fixture
+def world(monkeypatch: pytest.MonkeyPatch) -> World:
+    made = World()
+    monkeypatch.setattr(levels, "time", SimpleNamespace(monotonic=lambda: made.now, time=time.time))
+    return made
+
+
+def test_it_is_degraded_after_the_debounce_and_well_after_the_clear_time(world: World) -> None:
+    assert not world.look(1)
+    assert world.said == ("False", "Well")
+    before = REGISTRY.get_sample_value("understudy_degradations_total") or 0.0
+    world.found = SLOW
+    assert not world.look(1.5)
+    assert world.look(1)
+    assert world.said == ("True", "NotWell")
+    assert REGISTRY.get_sample_value("understudy_degradations_total") == before + 1
+    said = world.reporter.said["Degraded"].message
+    assert said == "/scan at 8.6 Hz, below 9 Hz over 2 s, by the leaf sensors/scan of spec.degraded."
+    world.found = HEALTHY
+    assert world.look(4.5)
+    assert not world.look(1)
+    assert world.said == ("False", "Well")
+    assert [(kind, reason) for kind, reason, _ in world.reporter.events] == [
+        ("Warning", "Degraded"),
+        ("Normal", "WellAgain"),
+    ]
+
+
+def test_nothing_is_asked_of_a_policy_that_does_not_say_what_well_means(world: World) -> None:
+    world.found = SLOW
+    assert not world.look(10, given=policy())
+    assert world.asked == 0
+    assert world.reporter.said == {}
+
+
+def test_it_is_asked_less_often_than_health_is_looked_at(world: World) -> None:
+    world.look(10)
+    assert world.asked <= 10 / LOOK + 1
+
+
+def test_figures_that_change_all_the_time_are_written_seldom(world: World) -> None:
+    for hundredth in range(600):
+        world.found = Verdict("Failed", f"/scan at 8.{hundredth} Hz", "sensors/scan", None)
+        world.look(0.1)
+    assert world.reporter.writes <= 2 + 60 / AGAIN
+    assert len(world.reporter.events) == 1
+
+
+def test_another_leaf_is_told_at_once(world: World) -> None:
+    world.found = SLOW
+    world.look(3)
+    world.found = Verdict("Failed", "/cmd_vel at 15 Hz", "commands", None)
+    world.look(0.3)
+    assert "by the leaf commands" in world.reporter.said["Degraded"].message
+
+
+def test_an_instance_whose_health_fails_is_not_asked_and_is_not_well_by_that(world: World) -> None:
+    world.found = SLOW
+    world.look(3)
+    world.found = HEALTHY
+    world.look(4)
+    asked = world.asked
+    assert world.look(3, health=FAILED), "that it fails doesn't make it well"
+    assert world.asked == asked
+    assert world.look(4), "and the clear time begins anew"
+    assert not world.look(2)
+
+
+def test_another_instance_is_judged_anew(world: World) -> None:
+    world.found = SLOW
+    world.look(3)
+    world.found = UNKNOWN
+    assert not world.look(0.5, active=OTHER)
+    assert world.said == ("Unknown", "Starting")
+    world.found = HEALTHY
+    assert not world.look(0.5, active=OTHER)
+    assert world.said == ("False", "Well")
+
+
+def test_a_new_monitor_goes_on_where_the_last_one_was(world: World) -> None:
+    world.reporter.said["Degraded"] = condition("Degraded", True, "NotWell", "/scan at 8.6 Hz.")
+    world.reporter.adopted = "w-1"
+    world.found = UNKNOWN
+    assert world.look(1)
+    world.found = HEALTHY
+    assert world.look(4)
+    assert not world.look(2)
+    assert [reason for _, reason, _ in world.reporter.events] == ["WellAgain"], "it is told once that it was degraded"
+
+
+def test_what_was_said_of_another_instance_by_the_last_monitor_is_not_so_of_this_one(world: World) -> None:
+    world.reporter.said["Degraded"] = condition("Degraded", True, "NotWell", "/scan at 8.6 Hz.")
+    world.reporter.adopted = "w-0"
+    world.found = UNKNOWN
+    assert not world.look(1)
+    assert world.said == ("Unknown", "Starting")
+
+
+def test_with_the_policy_s_word_goes_what_was_said(world: World) -> None:
+    world.found = SLOW
+    world.look(3)
+    assert not world.look(1, given=policy())
+    assert "Degraded" not in world.reporter.said
+
+
+@pytest.mark.parametrize(
+    ("health", "well", "level"),
+    [(HEALTHY, SLOW, "Degraded"), (HEALTHY, HEALTHY, "Healthy"), (FAILED, SLOW, "Failed"), (UNKNOWN, SLOW, "Starting")],
+)
+async def test_the_level_of_a_workload_and_that_it_neither_causes_nor_delays_a_failover(
+    health: Verdict, well: Verdict, level: str
+) -> None:
+    reporter, kept = Reporter(), []
+    sight = SimpleNamespace(
+        graph=None,
+        coming=None,
+        verdict=lambda now, since: health,
+        wellness=lambda now, since: well,
+        deadline=lambda now, since: None,
+        last_from=lambda pod: None,
+        last_well=lambda pod: None,
+    )
+    at_once = policy(monitoring={**WELL, "debounce": "0s"})
+    parts: dict[str, Any] = {
+        "view": SimpleNamespace(policy=at_once, settings=SimpleNamespace(), spec=None, object=None),
+        "fleet": SimpleNamespace(find=lambda uid: ACTIVE),
+        "gate": SimpleNamespace(state=GateState(epoch=3, active="w-1", active_uid="uid-1"), exists=True),
+        "sidecars": SimpleNamespace(status=lambda instance: None),
+        "sight": sight,
+        "probes": SimpleNamespace(),
+        "reporter": reporter,
+        "journal": SimpleNamespace(),
+        "crash_points": SimpleNamespace(),
+        "keeping": SimpleNamespace(judge=lambda state, now: kept.append(state)),
+    }
+    watching = Supervisor(Parts(**parts))
+    watching._reflexes = SimpleNamespace(taken_over=lambda now: None)  # type: ignore[assignment]
+    failure, _ = await watching._look(at_once, time.time())
+    assert (failure is not None) == (health is FAILED)
+    assert reporter.fields["health"] == level
+    assert kept[0] == health.state, "state is kept of what is healthy, well or not"
+
+
+RESCHEDULE = {"after": "5s", "idleFor": "3s", "pause": "1m"}
+HANDED = policy(monitoring=WELL, clearAfter="10s", actions=[{"reschedule": RESCHEDULE}])
+GOAL = Busy("task", "a goal of /go is active")
+
+
+class TestHandingOver:
+    def test_it_is_due_when_it_has_been_degraded_and_idle_for_long_enough(self, world: World) -> None:
+        world.found, world.busy = SLOW, GOAL
+        world.look(10, given=HANDED)
+        assert world.levels.due is None
+        assert world.reporter.said["Degraded"].message.endswith("It isn't handed over yet: a goal of /go is active.")
+        world.busy = None
+        world.look(2.5, given=HANDED)
+        assert world.levels.due is None
+        world.look(2, given=HANDED)
+        assert world.levels.due == (
+            "degraded: /scan at 8.6 Hz, below 9 Hz over 2 s, by the leaf sensors/scan of spec.degraded; rescheduled while idle"
+        )
+
+    def test_idle_means_without_a_break(self, world: World) -> None:
+        world.found, world.busy = SLOW, GOAL
+        world.look(10, given=HANDED)
+        for _ in range(5):
+            world.busy = None
+            world.look(2.5, given=HANDED)
+            world.busy = GOAL
+            world.look(0.5, given=HANDED)
+        assert world.levels.due is None
+
+    def test_not_before_it_has_been_degraded_for_so_long(self, world: World) -> None:
+        world.found = SLOW
+        world.look(4.5, given=HANDED)
+        assert world.levels.due is None
+        world.look(2, given=HANDED)
+        assert world.levels.due is not None
+
+    def test_what_shows_at_work_only_is_handed_over_when_the_work_is_done(self, world: World) -> None:
+        world.found, world.busy = SLOW, GOAL
+        world.look(10, given=HANDED)
+        world.found, world.busy = HEALTHY, None
+        world.look(4, given=HANDED)
+        assert world.levels.due is not None
+        world.look(8, given=HANDED)
+        assert world.levels.due is None, "it is well by now"
+
+    def test_never_while_health_itself_fails_or_the_tree_can_not_tell(self, world: World) -> None:
+        world.found = SLOW
+        world.look(10, given=HANDED)
+        world.look(0.5, given=HANDED, health=FAILED)
+        assert world.levels.due is None
+        world.found = UNKNOWN
+        world.look(5, given=HANDED)
+        assert world.levels.due is None
+
+    def test_goals_that_only_the_proxy_knows_of_and_a_proxy_that_is_away_are_work(self, world: World) -> None:
+        world.found = SLOW
+        world.reporter.goals = ("/go",)
+        world.look(10, given=HANDED)
+        assert world.levels.due is None
+        world.reporter.goals = ()
+        world.reporter.condition("TasksProxied", "False", "ProxyNotReady", "It can't be reached")
+        world.look(10, given=HANDED)
+        assert world.levels.due is None
+        assert "ProxyNotReady" in world.reporter.said["Degraded"].message
+        world.reporter.condition("TasksProxied", "True", "Serving", "")
+        world.look(4, given=HANDED)
+        assert world.levels.due is not None
+
+    def test_an_instance_that_is_no_better_is_not_handed_over_again_before_the_pause_is_over(
+        self, world: World
+    ) -> None:
+        world.found = SLOW
+        world.look(10, given=HANDED)
+        assert world.levels.due is not None
+        world.levels.handed_over()
+        world.look(40, given=HANDED, active=OTHER)
+        assert world.levels.due is None
+        assert "less than 1m ago" in world.reporter.said["Degraded"].message
+        world.look(30, given=HANDED, active=OTHER)
+        assert world.levels.due is not None
+
+    def test_a_new_monitor_keeps_the_pause_too(self, world: World) -> None:
+        world.found = SLOW
+        world.reporter.planned = time.time() - 10
+        world.look(20, given=HANDED)
+        assert world.levels.due is None
+        world.reporter.planned = time.time() - 100
+        world.look(1, given=HANDED)
+        assert world.levels.due is not None
+
+    def test_what_keeps_it_from_being_begun_is_told(self, world: World) -> None:
+        world.found = SLOW
+        world.look(10, given=HANDED)
+        world.levels.wait(
+            "means", "the first strategy can't be carried out (pool hot has no standby for this workload)"
+        )
+        assert world.levels.due is None
+        world.look(0.3, given=HANDED)
+        assert world.levels.due is not None, "it's tried again"
+        assert "pool hot has no standby" in world.reporter.said["Degraded"].message
+
+    def test_one_that_is_not_asked_for_is_never_due(self, world: World) -> None:
+        world.found = SLOW
+        world.look(100)
+        assert world.levels.due is None
+
+
+@pytest.mark.parametrize(
+    ("due", "available", "not_before", "planned"),
+    [
+        ("degraded: slow", None, 0.0, True),
+        (None, None, 0.0, False),
+        ("degraded: slow", "pool hot has no standby for this workload", 0.0, False),
+        ("degraded: slow", None, 2e10, False),
+    ],
+)
+def test_a_hand_over_is_begun_like_a_failure_once_the_first_strategy_is_there_and_the_limits_allow_it(
+    monkeypatch: pytest.MonkeyPatch, due: str | None, available: str | None, not_before: float, planned: bool
+) -> None:
+    from understudy.monitor import supervising
+
+    first = SimpleNamespace(strategy=SimpleNamespace(available=lambda means: available))
+    monkeypatch.setattr(supervising, "choices", lambda *_: [first])
+    waits: list[str] = []
+    watching = SimpleNamespace(
+        _view=SimpleNamespace(settings=object(), spec=None),
+        _levels=SimpleNamespace(due=due, wait=lambda kind, words: waits.append(words)),
+        _not_before=not_before,
+        _means=object,
+        _onset=lambda pod, now: now - 0.05,
+    )
+    now = time.time()
+    found = Supervisor._planned(watching, HANDED, ACTIVE, now)  # type: ignore[arg-type]
+    assert (found is not None) == planned
+    if found is not None:
+        assert (found.reason, found.onset, found.planned) == ("degraded: slow", now - 0.05, True)
+    assert len(waits) == (1 if due and not planned else 0)
+    assert all(available in words for words in waits if available)

@@ -1,0 +1,124 @@
+"""The monitor looks at the moment that it is told, sooner where a message comes, and never too often."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import time
+from collections.abc import Iterator
+from itertools import pairwise
+
+import pytest
+
+from understudy.monitor.looking import APART, STALL_MOST, STALLED, Looks
+
+FAR = 60.0
+
+
+class Told:
+    """Arrivals as they are on a robot, told by the test."""
+
+    def __init__(self, asked: bool = True) -> None:
+        self.descriptor = os.eventfd(0, os.EFD_NONBLOCK)
+        self.asked = asked
+
+    def come(self) -> None:
+        os.eventfd_write(self.descriptor, 1)
+
+    def clear(self) -> None:
+        with contextlib.suppress(BlockingIOError):
+            os.eventfd_read(self.descriptor)
+
+
+@pytest.fixture
+def arrivals() -> Iterator[Told]:
+    told = Told()
+    yield told
+    os.close(told.descriptor)
+
+
+async def ends(waiting: asyncio.Task[None]) -> None:
+    await asyncio.wait_for(waiting, 20)
+
+
+async def test_it_waits_until_the_moment(arrivals) -> None:
+    looks = Looks(arrivals)
+    moment = looks.begin() + 0.05
+    await looks.until(moment)
+    assert time.time() >= moment
+
+
+async def test_a_message_is_looked_at_before_the_moment(arrivals) -> None:
+    looks = Looks(arrivals)
+    waiting = asyncio.create_task(looks.until(looks.begin() + FAR))
+    await asyncio.sleep(0.02)
+    assert not waiting.done()
+    arrivals.come()
+    await ends(waiting)
+
+
+async def test_messages_that_come_all_the_time_leave_some_time_between_two_looks(arrivals) -> None:
+    looks = Looks(arrivals)
+    begun = [looks.begin()]
+    for _ in range(10):
+        arrivals.come()
+        await asyncio.wait_for(looks.until(begun[-1] + FAR), 20)
+        begun.append(looks.begin())
+    assert min(later - earlier for earlier, later in pairwise(begun)) >= APART - 0.001
+
+
+async def test_what_a_look_has_seen_calls_for_no_other(arrivals) -> None:
+    looks = Looks(arrivals)
+    arrivals.come()
+    waiting = asyncio.create_task(looks.until(looks.begin() + FAR))
+    await asyncio.sleep(5 * APART)
+    assert not waiting.done()
+    waiting.cancel()
+
+
+async def test_a_wait_that_ended_otherwise_leaves_nothing_behind(arrivals) -> None:
+    looks = Looks(arrivals)
+    begun = looks.begin()
+    arrivals.come()
+    await looks.until(begun)  # the moment comes before the pause after the last look is over
+    waiting = asyncio.create_task(looks.until(looks.begin() + FAR))
+    await asyncio.sleep(5 * APART)
+    assert not waiting.done()
+    waiting.cancel()
+
+
+@pytest.mark.parametrize("arrivals", [None, Told(asked=False)])
+async def test_without_such_topics_messages_wait(arrivals) -> None:
+    looks = Looks(arrivals)
+    waiting = asyncio.create_task(looks.until(looks.begin() + FAR))
+    if arrivals is not None:
+        arrivals.come()
+    await asyncio.sleep(5 * APART)
+    assert not waiting.done()
+    looks.wake.set()
+    await ends(waiting)
+
+
+async def test_silence_tells_nothing_after_a_stall(monkeypatch) -> None:
+    now = 1000.0
+    monkeypatch.setattr("understudy.monitor.looking.time", type("Clock", (), {"time": staticmethod(lambda: now)}))
+    looks = Looks(None)
+    for late, trusted in ((0.0, 0.0), (STALLED, 0.0), (0.1, 0.1), (3.0, STALL_MOST)):
+        looks.trusted_from = 0.0
+        now = 1000.0
+        looks.begin()
+        await looks.until(now)
+        now += late
+        found = looks.begin()
+        assert looks.late == pytest.approx(late)
+        assert looks.trusted_from == (pytest.approx(found + trusted) if trusted else 0.0)
+
+
+async def test_what_was_done_in_between_is_no_stall() -> None:
+    looks = Looks(None)
+    looks.begin()
+    await looks.until(time.time() - 1.0)
+    looks.restart()
+    looks.begin()
+    assert (looks.late, looks.trusted_from) == (0.0, 0.0)

@@ -1,0 +1,187 @@
+"""What the robot is told while nobody drives it: when it begins and ends, and that it comes by real DDS."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+pytest.importorskip("rclpy")
+
+from tests.unit.dds import keep_to_itself
+from understudy.api.policies import Safety
+from understudy.api.workloads import Attempt
+from understudy.mitigation.progress import PodIdentity, Progress
+from understudy.monitor.safety import SafeCommands, Unattended
+from understudy.monitor.supervising import BACKOFF_FIRST, Supervisor
+
+TWIST = "geometry_msgs/msg/Twist"
+
+
+def progress(**moments: float) -> Progress:
+    found = Progress.begin("silent", last_healthy=99.0, detected=100.0)
+    found.moments.update(moments)
+    return found
+
+
+class TestUnattended:
+    def test_nobody_is_told_anything_before_the_failed_instance_is_fenced(self) -> None:
+        assert Unattended().recovering(progress(decided=100.0)) is None
+
+    def test_it_begins_with_the_closed_gate_and_again_with_the_opened_one(self) -> None:
+        found = Unattended()
+        assert found.recovering(progress(fenced=101.0)) == 101.0
+        assert found.recovering(progress(fenced=101.0, committing=105.0)) == 105.0, "whom it names has its time too"
+
+    def test_the_first_output_ends_it(self) -> None:
+        found = Unattended()
+        found.recovering(progress(fenced=101.0))
+        assert found.recovering(progress(fenced=101.0, committing=105.0, first_output=105.1)) is None
+        assert found.since is None
+
+    def test_the_next_attempt_begins_where_the_last_one_left_the_robot(self) -> None:
+        found, under_way = Unattended(), progress(fenced=101.0, committing=105.0)
+        found.recovering(under_way)
+        under_way.attempts.append(Attempt(strategy="Fallback/Executing", result="NotVerified"))
+        under_way.forget_attempt()
+        assert found.recovering(under_way) == 105.0
+        assert Unattended().recovering(under_way) == 100.0, "a new monitor goes by the failure"
+
+    def test_a_robot_that_follows_the_standby_already_is_told_nothing(self) -> None:
+        under_way = progress(fenced=101.0)
+        under_way.taken_over = PodIdentity(name="p", uid="u")
+        assert Unattended().recovering(under_way) is None
+
+    def test_it_goes_on_after_nothing_verified_until_an_instance_is_healthy(self) -> None:
+        found = Unattended()
+        found.recovering(progress(fenced=101.0))
+        found.nothing_verified(130.0)
+        assert found.since == 101.0
+        found.driven()
+        assert found.since is None
+        found.nothing_verified(200.0)
+        assert found.since == 200.0
+
+    @given(
+        st.lists(
+            st.sampled_from(["fenced", "committing", "first_output", "verified", "fail", "forget", "driven"]),
+            max_size=12,
+        )
+    )
+    def test_whatever_happens_a_robot_that_is_driven_is_told_nothing(self, steps: list[str]) -> None:
+        found, under_way = Unattended(), progress()
+        for number, step in enumerate(steps):
+            if step == "driven":
+                found.driven()
+                assert found.since is None
+                under_way = progress()
+            elif step == "fail":
+                under_way.attempts.append(Attempt(strategy="Restart", result="NotVerified"))
+            elif step == "forget":
+                under_way.forget_attempt()
+            else:
+                under_way.moments[step] = 100.0 + number
+            since = found.recovering(under_way)
+            if "first_output" in under_way.moments or "verified" in under_way.moments:
+                assert since is None
+
+
+@pytest.fixture
+def graphs(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Any, Any]]:
+    from understudy.ros.graph import Graph
+
+    keep_to_itself(monkeypatch)
+    made = Graph("monitor"), Graph("robot")
+    yield made
+    for graph in made:
+        graph.close()
+
+
+def spec(*, reflex: bool = False) -> Any:
+    outputs = [
+        SimpleNamespace(topic="/cmd_vel", type=TWIST),
+        SimpleNamespace(topic="/arm", type="my_msgs/msg/Arm"),
+        SimpleNamespace(topic=None, type="std_srvs/srv/Trigger"),
+    ]
+    return SimpleNamespace(outputs=outputs, gate=SimpleNamespace(reflex=object() if reflex else None))
+
+
+def safety(*commands: dict[str, Any], after: str = "0s") -> Safety:
+    return Safety.model_validate({"commands": list(commands), "after": after})
+
+
+def received(subscription: Any) -> list[Any]:
+    found = []
+    with subscription.handle:
+        while (taken := subscription.handle.take_message(subscription.msg_type, False)) is not None:
+            found.append(taken[0])
+    return found
+
+
+async def test_the_robot_hears_it_in_its_period_and_no_more_once_somebody_drives(graphs: tuple[Any, Any]) -> None:
+    monitor, robot = graphs
+    subscription = robot.subscribe("/cmd_vel", TWIST, depth=100)
+    waited: list[float | None] = [None]
+    safe = SafeCommands(monitor, lambda: waited[0])
+    command = {"topic": "/cmd_vel", "every": "20ms", "message": {"linear": {"x": -0.1}}}
+    safe.follow(safety(command, after="200ms"), spec())
+    assert safe.problems == []
+    while not robot.publishers("/cmd_vel") or not monitor.subscribers("/cmd_vel"):
+        await asyncio.sleep(0.02)
+    await asyncio.sleep(0.3)
+    assert safe.sent == 0, "somebody drives"
+    waited[0] = begun = time.time()
+    heard: list[Any] = []
+    while len(heard) < 5:
+        assert time.time() < begun + 20
+        await asyncio.sleep(0.02)
+        heard += received(subscription)
+        assert not safe.sent or time.time() >= begun + 0.2, "not before its time"
+    assert {message.linear.x for message in heard} == {-0.1}
+    waited[0] = None
+    await asyncio.sleep(0.1)
+    sent = safe.sent
+    await asyncio.sleep(0.3)
+    assert safe.sent == sent
+    safe.follow(None, spec())
+    assert not monitor.publishers("/cmd_vel")
+
+
+@pytest.mark.parametrize(
+    ("command", "reflex", "words"),
+    [
+        ({"topic": "/cmd_vle"}, False, "/cmd_vle is no topic among the workload's outputs (there are: /cmd_vel, /arm)"),
+        ({"topic": "/cmd_vel", "message": {"liner": {}}}, False, "liner: Twist has no field liner; did you mean linear?"),
+        ({"topic": "/arm"}, False, "my_msgs"),
+        ({"topic": "/cmd_vel"}, True, "spec.gate.reflex"),
+    ],
+)  # fmt: skip
+async def test_what_can_not_be_told_is_a_problem_and_the_rest_is(
+    graphs: tuple[Any, Any], command: dict[str, Any], reflex: bool, words: str
+) -> None:
+    safe = SafeCommands(graphs[0], lambda: 1.0)
+    safe.follow(safety(command), spec(reflex=reflex))
+    (problem,) = safe.problems
+    assert problem.startswith("FailurePolicy: spec.safety.commands[0]: ")
+    assert words in problem
+    await asyncio.sleep(0.05)
+    assert safe.sent == 0
+
+
+@pytest.mark.parametrize(("priority", "later"), [("Normal", 60.0), ("Safety", BACKOFF_FIRST)])
+def test_with_the_priority_safety_trying_again_is_not_put_off_longer_and_longer(priority: str, later: float) -> None:
+    view = SimpleNamespace(policy=SimpleNamespace(priority=priority, strategies=[1]), settings=1, spec=1)
+    found: Any = SimpleNamespace(
+        _view=view,
+        _backoff=30.0,
+        _escalation=SimpleNamespace(first=lambda *_: None),
+        _reporter=SimpleNamespace(condition=lambda *_: True, event=lambda *_: None),
+    )
+    assert Supervisor._first(found, SimpleNamespace(onset=1.0, reason="silent"), "uid") is None  # type: ignore[arg-type]
+    assert found._backoff == later

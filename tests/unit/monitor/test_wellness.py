@@ -1,0 +1,167 @@
+"""When a robot counts as idle, and what must be watched to know it."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from tests.unit.dds import keep_to_itself
+from understudy.api.degraded import InlineTree
+from understudy.api.policies import FailurePolicySpec
+from understudy.api.workloads import RobotWorkloadSpec
+from understudy.monitor.wellness import Wellness
+from understudy.trees.forms import load_inline
+from understudy.trees.observations import Recorded, TopicRecord
+
+STATUS = "/go/_action/status"
+STILL = {"yaml": {"topic": {"name": "/beat", "gap": "1s"}}}
+
+
+def policy(reschedule: dict[str, Any] | None) -> FailurePolicySpec:
+    actions = [] if reschedule is None else [{"resize": {"cpu": "1"}}, {"reschedule": reschedule}]
+    return FailurePolicySpec.model_validate(
+        {
+            "monitoring": {"yaml": {"topic": {"name": "/scan", "gap": "1s"}}},
+            "strategies": [{"type": "Restart"}],
+            "degraded": {"monitoring": {"yaml": {"topic": {"name": "/scan", "rate": "> 9 Hz"}}}, "actions": actions},
+        }
+    )
+
+
+def workload(*actions: str) -> RobotWorkloadSpec:
+    return RobotWorkloadSpec.model_validate(
+        {
+            "template": {"spec": {}},
+            "outputs": [{"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist"}],
+            "tasks": [{"action": action, "type": "test_msgs/action/Fibonacci"} for action in actions],
+            "failurePolicyRef": {"name": "p"},
+        }
+    )
+
+
+def wellness(reschedule: dict[str, Any] | None, *actions: str) -> Wellness:
+    found = Wellness()
+    assert found.follow(policy(reschedule), workload(*actions))
+    return found
+
+
+def busy(found: Wellness, observed: Recorded) -> str:
+    now = time.time()
+    said = found.busy(observed, now=now, since=now - 100)
+    return said.words if said is not None else ""
+
+
+def test_tasks_are_watched_only_where_it_matters_whether_the_robot_is_idle() -> None:
+    assert {topic.name for topic in wellness(None, "/go").topics} == {"/scan"}
+    found = wellness({}, "/go").topics
+    assert {topic.name for topic in found} == {"/scan", STATUS}
+    assert next(topic for topic in found if topic.name == STATUS).task
+
+
+def test_no_message_calls_for_a_look_for_the_sake_of_it() -> None:
+    log = {"yaml": {"log": {"level": "ERROR"}}}
+    assert load_inline(InlineTree.model_validate(log), path="", grace=1.0).topics[0].prompt
+    (rosout,) = (topic for topic in wellness({"idle": log}).topics if topic.name == "/rosout")
+    assert not rosout.prompt
+
+
+def test_a_goal_that_is_worked_on_is_work() -> None:
+    found = wellness({}, "/go", "/dock")
+    assert busy(found, Recorded({})) == ""
+    assert busy(found, Recorded({}, {"/dock/_action/status": 1.0})) == "a goal of /dock is active"
+
+
+def test_without_tasks_and_without_a_word_of_the_policy_a_robot_is_never_idle() -> None:
+    assert "has no tasks" in busy(wellness({}), Recorded({}))
+
+
+def test_what_the_policy_says_must_hold_too() -> None:
+    found, record = wellness({"idle": STILL}, "/go"), TopicRecord()
+    assert busy(found, Recorded({"/beat": record})) != ""
+    record.add(time.time())
+    assert busy(found, Recorded({"/beat": record})) == ""
+    assert busy(found, Recorded({"/beat": record}, {STATUS: 1.0})) == "a goal of /go is active"
+
+
+def test_it_is_enough_where_there_are_no_tasks() -> None:
+    record = TopicRecord()
+    record.add(time.time())
+    assert busy(wellness({"idle": STILL}), Recorded({"/beat": record})) == ""
+
+
+def test_what_can_not_be_watched_is_not_idle() -> None:
+    found, record = wellness({"idle": STILL}, "/go"), TopicRecord()
+    record.add(time.time())
+    found.leave_out(frozenset({"/beat"}))
+    assert busy(found, Recorded({"/beat": record})) == "/beat can't be watched"
+
+
+def test_an_idle_tree_that_does_not_load_is_told_by_its_place() -> None:
+    found = Wellness()
+    found.follow(policy({"idle": {"yaml": {"topic": {"name": "/beat", "gap": "1"}}}}), None)
+    (problem,) = found.problems
+    assert "spec.degraded.actions[1].reschedule.idle.yaml.topic.gap" in problem
+
+
+@pytest.mark.ros
+def test_with_real_topics_it_is_short_of_well_while_it_is_healthy_and_busy_while_a_goal_is_worked_on(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    keep_to_itself(monkeypatch)
+    from action_msgs.msg import GoalStatus, GoalStatusArray
+    from rclpy.qos import qos_profile_action_status_default
+    from std_msgs.msg import String
+
+    from understudy.monitor.sight import Sight
+    from understudy.ros.graph import Graph
+
+    given = FailurePolicySpec.model_validate(
+        {
+            "monitoring": {"yaml": {"topic": {"name": "/beat", "type": "std_msgs/msg/String", "gap": "1m"}}},
+            "strategies": [{"type": "Restart"}],
+            "degraded": {
+                "monitoring": {"yaml": {"topic": {"name": "/beat", "gap": "500ms"}}},
+                "actions": [{"reschedule": {}}],
+            },
+        }
+    )
+    sight, robot = Sight(), Graph("robot")
+    try:
+        sight.follow(given, workload("/go"))
+        beat = robot.node.create_publisher(String, "/beat", 10)
+        status = robot.node.create_publisher(GoalStatusArray, STATUS, qos_profile_action_status_default)
+        begun = time.time()
+
+        def until(holds: Any, what: str, *, beating: bool) -> None:
+            end = time.monotonic() + 30
+            while True:
+                if beating:
+                    beat.publish(String(data="x"))
+                sight.drain([], "")
+                if holds():
+                    return
+                assert time.monotonic() < end, f"30 s were not enough for {what}"
+                time.sleep(0.02)
+
+        def states() -> tuple[str, str]:
+            now = time.time()
+            return sight.verdict(now=now, since=begun).state, sight.wellness(now=now, since=begun).state
+
+        def is_busy() -> bool:
+            return sight.busy(now=time.time(), since=begun) is not None
+
+        until(lambda: states() == ("Healthy", "Healthy"), "it to be well", beating=True)
+        until(lambda: states() == ("Healthy", "Failed"), "it to be short of that", beating=False)
+        until(lambda: states() == ("Healthy", "Healthy"), "it to be well again", beating=True)
+        assert not is_busy()
+        status.publish(GoalStatusArray(status_list=[GoalStatus(status=GoalStatus.STATUS_EXECUTING)]))
+        until(is_busy, "the goal to be known", beating=False)
+        status.publish(GoalStatusArray(status_list=[GoalStatus(status=GoalStatus.STATUS_SUCCEEDED)]))
+        until(lambda: not is_busy(), "its end to be known", beating=False)
+    finally:
+        sight.graph.close()
+        robot.close()

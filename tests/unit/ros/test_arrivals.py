@@ -1,0 +1,99 @@
+"""Messages that may be a failure as they come are told of by a descriptor, and all others wait to be looked at."""
+
+from __future__ import annotations
+
+import select
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from understudy.ros.arrivals import Arrivals
+from understudy.ros.watching import Watching
+from understudy.trees.health import WatchedTopic
+
+pytestmark = pytest.mark.ros
+
+STRING = "std_msgs/msg/String"
+CHAT = WatchedTopic("/chat", STRING, 0.0, 50.0)
+
+
+@pytest.fixture
+def arrivals(graph: Any) -> Iterator[Arrivals]:
+    made = Arrivals()
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def watching(graph: Any, arrivals: Arrivals) -> Iterator[Watching]:
+    made = Watching(graph, arrivals=arrivals)
+    yield made
+    made.close()
+
+
+def told(arrivals: Arrivals, within: float) -> bool:
+    return bool(select.select([arrivals.descriptor], [], [], within)[0])
+
+
+def received(watching: Watching, eventually: Callable[..., None], topic: str = "/chat", more: int = 5) -> None:
+    before = watching.topic(topic).count
+    eventually(lambda: watching.drain() and watching.topic(topic).count >= before + more)
+
+
+def test_a_message_is_told_of_as_it_comes_and_none_is_lost_by_that(watching, arrivals, processes, eventually):
+    watching.follow([replace(CHAT, prompt=True)])
+    processes.node("publish", "/chat", "20")
+    for _ in range(5):
+        assert told(arrivals, 20)
+        arrivals.clear()
+        assert watching.drain() or told(arrivals, 20)  # what was cleared may have been looked at before
+    received(watching, eventually, more=20)
+    (source,) = watching.records("/chat").values()
+    assert source.lost == 0
+
+
+def test_messages_of_other_topics_are_not_told_of(watching, arrivals, processes, eventually):
+    watching.follow([replace(CHAT, prompt=True), replace(CHAT, name="/talk")])
+    processes.node("publish", "/talk", "50")
+    received(watching, eventually, "/talk")
+    assert not told(arrivals, 0.0)
+
+
+def test_it_follows_the_tree(watching, arrivals, processes, eventually):
+    watching.follow([CHAT])
+    processes.node("publish", "/chat", "50")
+    received(watching, eventually)
+    assert not arrivals.asked
+    assert not told(arrivals, 0.0)
+    watching.follow([replace(CHAT, prompt=True)])
+    assert told(arrivals, 20)
+    watching.follow([CHAT])
+    time.sleep(0.1)  # a call that is under way ends
+    arrivals.clear()
+    received(watching, eventually)
+    assert not told(arrivals, 0.0)
+
+
+def test_what_waits_already_is_told_of(watching, arrivals, processes, eventually):
+    watching.follow([CHAT])
+    publisher = processes.node("publish", "/chat", "50")
+    received(watching, eventually)
+    time.sleep(0.2)
+    publisher.kill()
+    publisher.wait()
+    watching.follow([replace(CHAT, prompt=True)])
+    assert told(arrivals, 20)
+
+
+def test_a_topic_that_ends_is_told_of_no_more(watching, arrivals, processes, eventually):
+    watching.follow([replace(CHAT, prompt=True)])
+    processes.node("publish", "/chat", "50")
+    received(watching, eventually)
+    watching.follow([replace(CHAT, name="/talk", prompt=True)])
+    arrivals.clear()
+    assert not told(arrivals, 0.2)

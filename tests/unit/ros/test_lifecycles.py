@@ -1,0 +1,211 @@
+"""The state of real managed nodes, by their transitions and by what they answer."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from tests.unit.ros.judging import Judged
+from tests.unit.ros.processes import Processes
+from understudy.ros.calling import Caller, CallFailed
+from understudy.ros.graph import Endpoint
+from understudy.ros.lifecycles import Lifecycles
+from understudy.ros.sources import HOST
+from understudy.ros.watching import Watching
+from understudy.trees.observations import TopicRecord
+
+pytestmark = pytest.mark.ros
+
+MANAGED = Path(__file__).with_name("managed.py")
+NODE = "/managed"
+
+
+@pytest.fixture
+def managed(dds: None) -> Iterator[Callable[[], Any]]:
+    """Starts managed nodes."""
+    running: list[subprocess.Popen[str]] = []
+
+    def start(kind: str = "") -> Any:
+        process = subprocess.Popen([sys.executable, str(MANAGED), kind], stdout=subprocess.PIPE, text=True)
+        running.append(process)
+        assert Processes.line(process, 30) == "ready"
+        return process
+
+    yield start
+    for process in running:
+        process.kill()
+        process.wait()
+        process.stdout.close()
+
+
+@pytest.fixture(autouse=True)
+def often(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nodes are asked more often."""
+    monkeypatch.setattr("understudy.ros.inquiries.PERIOD", 0.3)
+
+
+def bring_to(state: str) -> None:
+    async def bring() -> None:
+        caller = Caller("bringer")
+        try:
+            await caller.bring_to(NODE, state, 30.0)
+        finally:
+            caller.close()
+
+    asyncio.run(bring())
+
+
+def test_a_node_that_leaves_its_state_fails_and_what_it_was_before_is_asked_for(watching, graph, managed, eventually):
+    managed()
+    judged = Judged(watching, {"lifecycle": {"node": NODE}})
+    eventually(lambda: judged.now().reason == "state active of node /managed has not held yet (it is unconfigured)")
+    bring_to("active")
+    eventually(lambda: judged.now().state == "Healthy")
+    (host,) = {end.gid[HOST] for end in graph.servers(f"{NODE}/get_state")}
+    for late in (Watching(graph), Watching(graph, host)):
+        try:
+            other = Judged(late, {"lifecycle": {"node": NODE}})
+            eventually(lambda other=other: other.now().state == "Healthy")
+            assert not late.own(f"{NODE}/transition_event"), "it was told by an answer alone"
+        finally:
+            late.close()
+    bring_to("inactive")
+    eventually(lambda: judged.now().state == "Failed")
+    assert "(it is deactivating)" in judged.now().reason or "(it is inactive)" in judged.now().reason
+    bring_to("active")
+    eventually(lambda: judged.now().state == "Healthy")
+    assert watching.problems == []
+
+
+def test_what_is_published_and_set_otherwise_and_another_node_do_it_no_harm(watching, managed, eventually):
+    managed()
+    bring_to("active")
+    judged = Judged(watching, {"lifecycle": {"node": NODE}})
+    eventually(lambda: judged.now().state == "Healthy")
+
+    async def disturb() -> None:
+        caller = Caller("other")
+        try:
+            await caller.set_parameters(NODE, {"speed": 2.0}, 30.0)
+            await caller.call("/switch", "std_srvs/srv/SetBool", {"data": True}, 30.0)
+        finally:
+            caller.close()
+
+    asyncio.run(disturb())
+    told = watching.lifecycle(NODE).received
+    eventually(lambda: judged.now() and watching.lifecycle(NODE).received > told + 1.0)
+    assert judged.now().state == "Healthy"
+
+
+def test_a_node_that_is_not_there_is_told_so(watching, eventually):
+    judged = Judged(watching, {"lifecycle": {"node": NODE}}, grace=0.001)
+    eventually(lambda: judged.now().state == "Failed" and "(it is not there)" in judged.now().reason)
+
+
+async def activate(states: Lifecycles) -> None:
+    """Have all nodes configured, and then activated, which one of them refuses; each request reaches all."""
+    caller = Caller("bringer")
+
+    async def change(transition: int) -> None:
+        request = {"transition": {"id": transition}}
+        with contextlib.suppress(CallFailed):  # of two answers to one request, the one that is waited for may be lost
+            await caller.call(f"{NODE}/change_state", "lifecycle_msgs/srv/ChangeState", request, 3.0)
+
+    try:
+        async with asyncio.timeout(30):
+            while states.of(NODE).state != "inactive":
+                await change(1)
+                for _ in range(50):
+                    states.look()
+                    await asyncio.sleep(0.02)
+        await change(3)
+    finally:
+        caller.close()
+
+
+@dataclass
+class Told:
+    """A transition of the instance in control."""
+
+    received: float
+    label: str
+
+    def message(self) -> Any:
+        return SimpleNamespace(goal_state=SimpleNamespace(label=self.label))
+
+
+def test_of_nodes_of_one_name_in_several_pods_answers_count_only_where_they_agree(graph, managed, eventually):
+    managed()
+    eventually(lambda: len(graph.servers(f"{NODE}/get_state")) == 1)
+    (own,) = {end.gid[:12] for end in graph.servers(f"{NODE}/get_state")}
+    managed("refusing")
+    eventually(lambda: len(graph.servers(f"{NODE}/get_state")) == 2)
+    record = TopicRecord(contents=1)
+    states = Lifecycles(graph, lambda gid: gid[:12] == own, lambda topic: record, alone=False)
+    try:
+        states.follow([NODE])
+        eventually(lambda: states.look() or (states.of(NODE) and states.of(NODE).state == "unconfigured"))
+        assert states.problems == [], "both say the same"
+        asyncio.run(activate(states))
+    finally:
+        states.close()
+    states = Lifecycles(graph, lambda gid: gid[:12] == own, lambda topic: record, alone=False)
+    try:
+        states.follow([NODE])
+        eventually(lambda: states.look() or states.problems)
+        assert states.problems == [
+            "the state of /managed can't be told: of 2 nodes of that name, in different pods, some are active and some "
+            "inactive, and that of the instance in control has told of no transition since it is watched"
+        ]
+        assert states.of(NODE).state is None
+        record.contents.append(Told(time.time(), "active"))
+        states.look()
+        assert (states.of(NODE).state, states.problems) == ("active", [])
+        before = states.of(NODE).received
+        eventually(lambda: states.look() or states.of(NODE).received > before + 1.0)
+        assert (states.of(NODE).state, states.problems) == ("active", []), "what it told stands"
+    finally:
+        states.close()
+
+
+def test_of_a_process_that_takes_the_place_of_another_nothing_is_known_but_what_it_has_told(
+    graph, managed, monkeypatch
+):
+    """The servers are made up: DDS takes note of a killed process only after 20 s."""
+    node = Endpoint("lifecycle_msgs::srv::dds_::GetState_Request_", b"", NODE)
+    servers = [replace(node, gid=b"a" * 16)]
+    monkeypatch.setattr(graph, "servers", lambda service: list(servers))
+    monkeypatch.setattr("understudy.ros.inquiries.PERIOD", 0.0)
+    record = TopicRecord(contents=1)
+    states = Lifecycles(graph, lambda gid: True, lambda topic: record, alone=True)
+    try:
+        states.follow([NODE])
+        record.contents.append(Told(time.time(), "active"))
+        states.look()
+        states.look()
+        assert states.of(NODE).state == "active"
+        servers[:] = [replace(node, gid=b"b" * 16)]
+        states.look()
+        assert states.of(NODE) is None
+        record.contents.append(Told(time.time(), "inactive"))
+        servers[:] = [replace(node, gid=b"c" * 16)]
+        states._inquiries[NODE].next = 0.0
+        states.look()
+        assert states.of(NODE).state == "inactive", "it was told by the new one"
+        servers.clear()
+        states.look()
+        assert states.of(NODE).state == ""
+    finally:
+        states.close()

@@ -1,0 +1,105 @@
+"""What real nodes log is judged, of the instance in control alone, and all else is not even read."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from tests.unit.ros.judging import Judged
+from understudy.ros.sources import HOST, VENDOR
+from understudy.ros.watching import Watching
+
+pytestmark = pytest.mark.ros
+
+TREE = {"log": {"level": "ERROR", "node": "/controller", "says": "no * out", "quiet": "500ms"}}
+
+
+def log(node: Any, line: str) -> None:
+    node.stdin.write(f"{line}\n")
+    node.stdin.flush()
+
+
+def heard(watching: Watching) -> int:
+    record = watching.topic("/rosout")
+    return record.count if record is not None else 0
+
+
+def test_what_the_node_logs_fails_and_what_others_and_it_otherwise_log_does_not(watching, processes, eventually):
+    judged = Judged(watching, TREE, grace=0.001)
+    controller, planner = (processes.node("log", name) for name in ("controller", "planner"))
+    eventually(lambda: judged.now() and len(watching._graph.publishers("/rosout")) == 2)
+    states = set()
+
+    def said(node: Any, *lines: str) -> None:
+        """Have it log until each line has been heard: a subscription may be matched late."""
+        for line in lines:
+            count = heard(watching)
+            log(node, line)
+
+            def again(line: str = line, count: int = count) -> bool:
+                states.add(judged.now().state)
+                if heard(watching) == count:
+                    log(node, line)
+                    time.sleep(0.1)
+                return heard(watching) > count
+
+            eventually(again)
+
+    said(planner, "error no way out")
+    said(controller, "warn no way out", "error a way out", "info nothing")
+    assert states == {"Healthy"}
+    said(controller, "error no way out")
+    eventually(lambda: judged.now().state == "Failed")
+    assert judged.now().reason == (
+        "a message of ERROR or worse by node /controller with 'no * out' on /rosout (controller says ERROR: no way out)"
+    )
+    eventually(lambda: judged.now().state == "Healthy")
+
+
+def test_only_what_comes_from_the_instance_counts(graph, processes, eventually):
+    node = processes.node("log", "controller")
+    eventually(lambda: graph.publishers("/rosout"))
+    (host,) = {end.gid[HOST] for end in graph.publishers("/rosout")}
+    watchings = [Watching(graph, host), Watching(graph, VENDOR + b"xx"), Watching(graph)]
+    judged = [Judged(watching, TREE, grace=0.001) for watching in watchings]
+    watchings[2].attribute({"w-1": "192.0.2.1"}, "w-1")
+    try:
+
+        def all_heard() -> bool:
+            log(node, "error no way out")
+            time.sleep(0.1)
+            for one in judged:
+                one.now()
+            return all(heard(watching) for watching in watchings)
+
+        eventually(all_heard)
+        assert [one.now().state for one in judged] == ["Failed", "Healthy", "Healthy"]
+        watchings[2].attribute({}, "")
+        eventually(lambda: log(node, "error no way out") or judged[2].now().state == "Failed")
+    finally:
+        for watching in watchings:
+            watching.close()
+
+
+def test_what_is_below_the_level_is_not_read(watching, processes, eventually, monkeypatch):
+    import rclpy.serialization
+
+    judged = Judged(watching, TREE, grace=0.001)
+    node = processes.node("log", "controller")
+    read = []
+    real = rclpy.serialization.deserialize_message
+    monkeypatch.setattr(rclpy.serialization, "deserialize_message", lambda *given: read.append(1) or real(*given))
+
+    def some() -> bool:
+        log(node, "warn no way out")
+        time.sleep(0.05)
+        return judged.now().state == "Healthy" and heard(watching) > 3
+
+    eventually(some)
+    assert not read
+    eventually(lambda: log(node, "error no way out") or judged.now().state == "Failed")
+    assert read

@@ -1,0 +1,189 @@
+"""The parameters of real nodes, by what they tell of changes and by what they answer."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from tests.unit.ros.judging import Judged
+from understudy.ros.calling import Caller
+from understudy.ros.parameters import EVENTS, Parameters, Setting, setting
+from understudy.ros.sources import HOST
+from understudy.ros.watching import Watching
+from understudy.trees.observations import TopicRecord
+
+pytestmark = pytest.mark.ros
+
+NODE = "/driver"
+
+
+@pytest.fixture
+def node(processes: Any) -> Callable[..., Any]:
+    """Starts nodes with a double ``speed``, a text ``label`` and an integer ``count``."""
+    return lambda *speed: processes.node("parameters", NODE, *speed)
+
+
+@pytest.fixture(autouse=True)
+def often(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nodes are asked more often."""
+    monkeypatch.setattr("understudy.ros.inquiries.PERIOD", 0.3)
+
+
+def put(**values: Any) -> None:
+    async def put() -> None:
+        caller = Caller("setter")
+        try:
+            await caller.set_parameters(NODE, values, 30.0)
+        finally:
+            caller.close()
+
+    asyncio.run(put())
+
+
+def leaf(name: str = "speed", **expected: Any) -> dict[str, Any]:
+    return {"parameter": {"node": NODE, "name": name, **(expected or {"equals": 1.0})}}
+
+
+def test_a_value_that_is_changed_fails_and_what_it_was_before_is_asked_for(watching, graph, node, eventually):
+    node()
+    judged = Judged(watching, leaf())
+    eventually(lambda: judged.now().state == "Healthy")
+    assert not watching.own(EVENTS) or not watching.own(EVENTS).contents, "it was told by an answer alone"
+    put(speed=2.5)
+    eventually(lambda: judged.now().state == "Failed")
+    assert judged.now().reason == "parameter speed of node /driver equal to 1.0 does not hold (it is 2.5)"
+    (host,) = {end.gid[HOST] for end in graph.servers(f"{NODE}/get_parameters")}
+    for late in (Watching(graph), Watching(graph, host)):
+        try:
+            other = Judged(late, leaf(equals="2.5"))
+            eventually(lambda other=other: other.now().state == "Healthy")
+        finally:
+            late.close()
+    put(speed=1.0)
+    eventually(lambda: judged.now().state == "Healthy")
+    assert watching.problems == []
+
+
+def test_a_change_is_told_of_and_not_only_asked_for(watching, node, eventually, monkeypatch):
+    node()
+    judged = Judged(watching, leaf(between="0.5 to 1.5"))
+    eventually(lambda: judged.now().state == "Healthy")
+
+    def heard() -> bool:
+        put(count=3)
+        return bool(judged.now() and watching.own(EVENTS) and watching.own(EVENTS).contents)
+
+    eventually(heard)
+    monkeypatch.setattr("understudy.ros.inquiries.PERIOD", 3600.0)
+    eventually(lambda: judged.now() and watching._parameters._inquiries[NODE, "speed"].next > time.monotonic() + 600)
+    put(speed=2.0)
+    eventually(lambda: judged.now().state == "Failed")
+
+
+def test_other_parameters_and_other_nodes_do_it_no_harm(watching, node, processes, eventually):
+    node()
+    processes.node("parameters", "/other")
+    judged = Judged(watching, {"parallel": [leaf(), leaf("label", one_of="a;b"), leaf("count", equals=1)]})
+    eventually(lambda: judged.now().state == "Healthy")
+
+    async def disturb() -> None:
+        caller = Caller("setter")
+        try:
+            await caller.set_parameters("/other", {"speed": 7.0, "label": "z", "count": 9}, 30.0)
+            await caller.set_parameters(NODE, {"label": "b"}, 30.0)
+        finally:
+            caller.close()
+
+    asyncio.run(disturb())
+    states = set()
+    told = watching.parameter(NODE, "speed").received
+
+    def later() -> bool:
+        states.add(judged.now().state)
+        return watching.parameter(NODE, "speed").received > told + 1.0
+
+    eventually(later)
+    assert states == {"Healthy"}
+    assert watching.parameter(NODE, "label").value == "b"
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"), [("nobodys", "(it is not set)"), ("list", "(it is an array)"), ("unset", "(it is not set)")]
+)
+def test_a_parameter_that_is_not_there_or_cannot_be_compared_is_told_so(watching, node, eventually, name, reason):
+    node()
+    judged = Judged(watching, leaf(name), grace=0.001)
+    eventually(lambda: judged.now().state == "Failed" and reason in judged.now().reason)
+
+
+def test_a_node_that_is_not_there_is_told_so(watching, eventually):
+    judged = Judged(watching, leaf(), grace=0.001)
+    eventually(lambda: judged.now().state == "Failed" and "no such node" in judged.now().reason)
+
+
+@dataclass
+class Told:
+    """What the instance in control tells of a parameter."""
+
+    received: float
+    speed: float
+
+    def mentions(self, text: str) -> bool:
+        return text in (NODE, "speed")
+
+    def message(self) -> Any:
+        value = SimpleNamespace(type=3, double_value=self.speed)
+        changed = [SimpleNamespace(name="speed", value=value)]
+        return SimpleNamespace(node=NODE, changed_parameters=changed, new_parameters=[], deleted_parameters=[])
+
+
+def test_of_nodes_of_one_name_in_several_pods_answers_count_only_where_they_agree(graph, node, eventually):
+    node("1.5")
+    eventually(lambda: len(graph.servers(f"{NODE}/get_parameters")) == 1)
+    (own,) = {end.gid[:12] for end in graph.servers(f"{NODE}/get_parameters")}
+    node("2.5")
+    eventually(lambda: len(graph.servers(f"{NODE}/get_parameters")) == 2)
+    record = TopicRecord(contents=8)
+    parameters = Parameters(graph, lambda gid: gid[:12] == own, lambda topic: record, alone=False)
+    speed, label = (NODE, "speed"), (NODE, "label")
+    try:
+        parameters.follow([speed, label])
+        eventually(lambda: parameters.look() or (parameters.problems and parameters.of(label)))
+        assert parameters.of(label).value == "a", "both say the same"
+        assert parameters.problems == [
+            "parameter speed of /driver can't be told: of 2 nodes of that name, in different pods, some are 1.5 and some "
+            "2.5, and that of the instance in control has told of no change since it is watched"
+        ]
+        assert not parameters.of(speed).told
+        record.contents.append(Told(time.time(), 1.75))
+        parameters.look()
+        assert (parameters.of(speed).value, parameters.problems) == (1.75, [])
+    finally:
+        parameters.close()
+
+
+@pytest.mark.parametrize(
+    ("fields", "expected"),
+    [
+        ({"type": 0}, Setting(None, "it is not set")),
+        ({"type": 1, "bool_value": True}, Setting(True)),
+        ({"type": 2, "integer_value": -3}, Setting(-3)),
+        ({"type": 3, "double_value": 0.5}, Setting(0.5)),
+        ({"type": 4, "string_value": "a"}, Setting("a")),
+        ({"type": 8, "double_array_value": [0.5]}, Setting(None, "it is an array")),
+    ],
+)
+def test_a_real_value_is_read(fields: dict[str, Any], expected: Setting) -> None:
+    from rcl_interfaces.msg import ParameterValue
+
+    found = setting(ParameterValue(**fields))
+    assert found == expected
+    assert type(found.value) is type(expected.value)

@@ -1,0 +1,186 @@
+"""Snapshots are read by other processes, as py_trees_ros's watcher and its viewers read them."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from understudy.ros import streaming
+from understudy.ros.streaming import LATCHED, LEAST, MOST, Streams
+from understudy.ros.types import TypeNotInstalled, interface_class
+from understudy.trees.behaviours import Behaviour, behaviours
+
+pytestmark = pytest.mark.ros
+
+SPACE = "/understudy/robot_1"
+HEALTHY: dict[str, Any] = {
+    "name": "parallel",
+    "kind": "parallel",
+    "state": "Healthy",
+    "reason": "",
+    "children": [
+        {"name": "scan", "kind": "topic", "state": "Healthy", "reason": "", "topic": "/scan"},
+        {"name": "cmd_vel", "kind": "topic", "state": "Healthy", "reason": "", "topic": "/cmd_vel"},
+    ],
+}
+
+
+def listed(reason: str = "") -> list[Behaviour]:
+    """The tree, with a failed leaf where there is a reason."""
+    tree = json.loads(json.dumps(HEALTHY))
+    if reason:
+        tree["state"] = tree["children"][1]["state"] = "Failed"
+        tree["children"][1]["reason"] = reason
+    return behaviours(tree, "robot-1")
+
+
+class Stage:
+    """Streams, and a tree that is shown on them."""
+
+    def __init__(self, graph: Any) -> None:
+        self.streams = Streams(graph, SPACE)
+        self.listed = listed()
+        self.published = 0
+
+    async def look(self) -> None:
+        await self.streams.serve()
+        if self.streams.read():
+            self.published += self.streams.show(self.listed)
+        await asyncio.sleep(0.02)
+
+    async def line(self, processes: Any, node: Any) -> Any:
+        """What a process says next, while streams are looked at."""
+        reading = asyncio.create_task(asyncio.to_thread(processes.line, node, 25))
+        while not reading.done():
+            await self.look()
+        return json.loads(reading.result())
+
+    async def until(self, holds: Any) -> None:
+        async with asyncio.timeout(25):
+            while not holds():
+                await self.look()
+
+
+@pytest.fixture
+def stage(graph: Any) -> Any:
+    made = Stage(graph)
+    yield made
+    made.streams.close()
+
+
+async def test_a_watcher_that_is_told_the_topic_draws_each_change(stage: Stage, processes: Any) -> None:
+    await stage.look()
+    assert stage.published == 0, "nobody reads it"
+    watcher = processes.node("draw", f"{SPACE}/snapshots", script="viewing.py")
+    first = await stage.line(processes, watcher)
+    assert first["changed"]
+    assert (first["classes"], first["levels"]) == (["understudy.parallel", "understudy.topic", "understudy.topic"], [4])
+    assert [line.split()[1:2] for line in first["drawn"][1:]] == [["scan"], ["cmd_vel"]]
+    async with asyncio.timeout(20):
+        while stage.streams.show(stage.listed):
+            await asyncio.sleep(LEAST)  # a reader may have come in two steps
+    await asyncio.sleep(3 * LEAST)
+    assert stage.streams.read()
+    assert stage.streams.show(stage.listed) == 0, "nothing has changed"
+    stage.listed = listed("no /cmd_vel for 500 ms")
+    second = await stage.line(processes, watcher)
+    assert second["changed"]
+    assert second["count"] > first["count"]
+    assert second["drawn"][2].endswith("-- no /cmd_vel for 500 ms")
+
+
+async def test_who_comes_late_is_given_what_is_so_now(stage: Stage, processes: Any) -> None:
+    processes.node("draw", f"{SPACE}/snapshots", script="viewing.py")
+    await stage.until(lambda: stage.published)
+    stage.listed = listed("no /cmd_vel for 500 ms")
+    late = processes.node("draw", f"{SPACE}/snapshots", script="viewing.py")
+    for _ in range(3):  # what it is given at once may be from before the change
+        if "no /cmd_vel" in (await stage.line(processes, late))["drawn"][2]:
+            return
+    pytest.fail("it wasn't told of the change")
+
+
+async def test_a_viewer_opens_a_stream_of_its_own_and_closes_it(stage: Stage, processes: Any, graph: Any) -> None:
+    viewer = processes.node("open", SPACE, "0.2", script="viewing.py")
+    topic = await stage.line(processes, viewer)
+    assert topic == f"{SPACE}/snapshot_streams/_snapshots_0"
+    told = [await stage.line(processes, viewer) for _ in range(4)]
+    assert any(not snapshot["changed"] for snapshot in told), "it comes though nothing has changed"
+    assert told[-1]["interval"] >= LEAST - 0.01
+
+    async def answer(line: str) -> Any:
+        viewer.stdin.write(f"{line}\n")
+        viewer.stdin.flush()
+        while (found := await stage.line(processes, viewer)).get("drawn"):
+            """Snapshots that were on their way."""
+        return found
+
+    assert await answer("inf") == {"set": True}
+    assert stage.streams._streams[topic].period == math.inf
+    assert await answer("close") == {"closed": True}
+    assert list(stage.streams._streams) == [f"{SPACE}/snapshots"]
+    assert await answer("close") == {"closed": False}
+    assert graph.publishers(f"{SPACE}/snapshots")
+    assert not graph.publishers(topic)
+
+
+def test_a_client_does_not_decide_where_this_process_publishes(stage: Stage) -> None:
+    type_ = interface_class("py_trees_ros_interfaces/srv/OpenSnapshotStream")
+
+    def opened(name: str, period: float = math.inf) -> str:
+        request, response = type_.Request(topic_name=name), type_.Response()
+        request.parameters.snapshot_period = period
+        stage.streams._open(request, response)
+        topic: str = response.topic_name
+        return topic
+
+    assert opened("/cmd_vel") == f"{SPACE}/snapshot_streams/_snapshots_0"
+    assert opened("~/a/../b") == f"{SPACE}/snapshot_streams/_snapshots_1"
+    assert opened("mine") == opened("mine") == f"{SPACE}/snapshot_streams/mine"
+    assert opened("fast", 0.0) == f"{SPACE}/snapshot_streams/fast"
+    assert stage.streams._streams[f"{SPACE}/snapshot_streams/fast"].period == LEAST
+    assert opened("odd", math.nan) == f"{SPACE}/snapshot_streams/odd"
+    assert stage.streams._streams[f"{SPACE}/snapshot_streams/odd"].period == math.inf
+    for number in range(MOST):
+        opened(f"more{number}")
+    assert len(stage.streams._streams) == MOST
+    assert opened("one_more") == f"{SPACE}/snapshots"
+
+
+def test_the_stream_that_is_always_there_can_not_be_closed(stage: Stage) -> None:
+    type_ = interface_class("py_trees_ros_interfaces/srv/CloseSnapshotStream")
+    for name in (f"{SPACE}/snapshots", "/elsewhere"):
+        response = type_.Response()
+        stage.streams._close(type_.Request(topic_name=name), response)
+        assert response.result is False
+    assert f"{SPACE}/snapshots" in stage.streams._streams
+
+
+def test_a_stream_whose_tool_has_died_is_closed(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
+    stage.streams._add(f"{SPACE}/snapshot_streams/left", math.inf)
+    assert not stage.streams.read()
+    assert len(stage.streams._streams) == 2
+    monkeypatch.setattr(streaming, "ABANDONED", -1.0)
+    stage.streams.read()
+    assert list(stage.streams._streams) == [f"{SPACE}/snapshots"]
+
+
+def test_the_topic_is_latched_as_its_readers_ask_for(stage: Stage, graph: Any) -> None:
+    (end,) = graph.publishers(f"{SPACE}/snapshots")
+    assert (end.type, end.latched) == ("py_trees_ros_interfaces/msg/BehaviourTree", True)
+    assert LATCHED.depth == 1
+
+
+def test_without_the_package_it_is_said_what_to_do(graph: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(streaming, "PACKAGE", "nobodys_interfaces")
+    with pytest.raises(
+        TypeNotInstalled, match=r"nobodys_interfaces/msg/BehaviourTree is not installed .* build a monitor image"
+    ):
+        Streams(graph, SPACE)
+    assert not graph.publishers(f"{SPACE}/snapshots")

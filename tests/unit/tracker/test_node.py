@@ -1,0 +1,116 @@
+"""What the tracker's node makes of images and calibrations that can't be used: it says so, once, and goes on."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from tests.unit.dds import keep_to_itself
+from understudy.tracker.configuration import load
+
+pytestmark = pytest.mark.ros
+
+CONFIGURATION = """
+camera: {image: /camera/image_raw, pose: {x: 0, y: 0, z: 3, pitch: 1.5708}%s}
+markers: [{name: robot, id: 7, size: 0.2, height: 0.2}]
+"""
+
+
+def made(more: str = "") -> Any:
+    from understudy.tracker.node import Tracker
+
+    return Tracker(load(CONFIGURATION % more))
+
+
+@pytest.fixture
+def tracker(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> Iterator[Any]:
+    keep_to_itself(monkeypatch)
+    caplog.set_level(logging.WARNING)
+    node = made()
+    yield node
+    node.close()
+
+
+def image(encoding: str = "mono8", width: int = 64) -> Any:
+    from sensor_msgs.msg import Image
+
+    message = Image()
+    message.header.stamp.sec = 5
+    message.height, message.width, message.step, message.encoding = 48, width, width, encoding
+    message.data = bytes(48 * width)
+    return message
+
+
+def info() -> Any:
+    from sensor_msgs.msg import CameraInfo
+
+    message = CameraInfo()
+    message.height, message.width, message.distortion_model = 48, 64, "plumb_bob"
+    message.k, message.d = [50.0, 0.0, 32.0, 0.0, 50.0, 24.0, 0.0, 0.0, 1.0], [0.0] * 5
+    return message
+
+
+def said(caplog: pytest.LogCaptureFixture) -> list[str]:
+    return [record.getMessage() for record in caplog.records if record.name.startswith("understudy")]
+
+
+def test_each_problem_is_said_once_and_what_comes_after_it_is_used(tracker: Any, caplog: pytest.LogCaptureFixture):
+    for _ in range(3):
+        tracker._on_image(image())
+    assert said(caplog) == [
+        "an image on /camera/image_raw can't be used: nothing was received on /camera/camera_info yet"
+    ]
+    caplog.clear()
+    broken = info()
+    broken.k = [0.0] * 9
+    tracker._on_calibration(broken)
+    assert "the camera isn't calibrated" in said(caplog)[0]
+    tracker._on_calibration(info())
+    caplog.clear()
+    tracker._on_image(image("16UC1"))
+    tracker._on_image(image(width=32))
+    assert said(caplog) == [
+        "an image on /camera/image_raw can't be used: its encoding is '16UC1'; mono8, rgb8, bgr8, rgba8, bgra8 can be read",
+        "an image on /camera/image_raw can't be used: it has 32 x 48 pixels, but /camera/camera_info is for 64 x 48",
+    ]
+    caplog.clear()
+    tracker._on_image(image())
+    assert said(caplog) == []
+
+
+def test_images_without_a_stamp_are_taken_to_be_of_now(tracker: Any, caplog: pytest.LogCaptureFixture):
+    tracker._on_calibration(info())
+    message = image()
+    message.header.stamp.sec = 0
+    tracker._on_image(message)
+    assert said(caplog) == ["the images on /camera/image_raw have no stamp: the time of their receipt is taken"]
+
+
+def test_it_says_where_calibrations_come_and_images_dont(tracker: Any, caplog: pytest.LogCaptureFixture):
+    for _ in range(19):
+        tracker._on_calibration(info())
+    tracker._on_image(image())
+    for _ in range(19):
+        tracker._on_calibration(info())
+    assert said(caplog) == []
+    tracker._on_calibration(info())
+    assert said(caplog) == [
+        "calibrations come on /camera/camera_info, and no image on /camera/image_raw: nobody publishes there, or images are "
+        "lost on the way, as large ones may be: set camera.reliable to true"
+    ]
+
+
+def test_a_publisher_that_offers_less_than_is_asked_for_is_named(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+):
+    keep_to_itself(monkeypatch)
+    node = made(", reliable: true")
+    try:
+        for _ in range(20):
+            node._on_calibration(info())
+    finally:
+        node.close()
+    assert said(caplog)[-1].endswith("or what is published can't be asked for: set camera.reliable to false")

@@ -1,0 +1,316 @@
+"""The leaf `log`: which messages count, when they are too many, and when all is well again."""
+
+from __future__ import annotations
+
+import math
+import re
+import time as clock
+from typing import Any
+
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from tests.unit.trees.messages import Log
+from tests.unit.trees.world import START, World, states_in_both_forms, written
+from understudy.trees.btcpp.trees import load_xml
+from understudy.trees.health import BADNESS, Verdict
+from understudy.trees.loading import TreeError, load
+
+ROOT = "spec.monitoring.yaml"
+TASK = {"while": {"task_active": {"action": "/go"}}, "settle": "1s"}
+ERROR = Log(level=40, name="controller_server", msg="Failed to make progress")
+
+
+def leaf(**more: Any) -> dict[str, Any]:
+    return {"log": {"level": "ERROR", **more}}
+
+
+def world(**more: Any) -> World:
+    return World(leaf(**more), grace=5.0)
+
+
+def say(world: World, time: float, **more: Any) -> World:
+    said = {"level": 40, "name": "controller_server", "msg": "Failed to make progress", **more}
+    return world.hear("/rosout", time, Log(**said))
+
+
+def test_it_fails_with_the_message_and_is_well_when_none_has_come_for_so_long():
+    judged = world(quiet="3s")
+    assert judged.at(10.0) == Verdict("Healthy", "", "", None)
+    assert judged.deadline(10.0) is None
+    assert say(judged, 10.5).at(10.5) == Verdict(
+        "Failed",
+        "a message of ERROR or worse on /rosout (controller_server says ERROR: Failed to make progress)",
+        "log",
+        START + 10.5,
+    )
+    assert say(judged, 12.0, msg="again").states([14.9, 15.0]) == ["Failed", "Healthy"]
+    assert judged.deadline(15.0) is None
+    assert say(judged, 16.0, msg="once\n more").at(16.0).reason.endswith("(controller_server says ERROR: once more)")
+
+
+def test_fewer_than_the_count_within_the_window_are_no_failure():
+    judged = world(count=3, window="10s")
+    for time in (10.0, 15.0, 20.0, 25.0, 30.0):
+        assert say(judged, time).at(time).state == "Healthy", "the third is 10 s after the first"
+    failed = say(judged, 34.9, msg="the last").at(34.9)
+    assert failed == Verdict(
+        "Failed",
+        "3 messages within 10 s of ERROR or worse on /rosout (controller_server says ERROR: the last)",
+        "log",
+        START + 25.0,
+    )
+    assert judged.states([44.8, 44.9]) == ["Failed", "Healthy"], "the window, where no other time is said"
+    for time in (45.0, 46.0):
+        assert say(judged, time).at(time).state == "Healthy", "counted anew"
+    assert say(judged, 47.0).at(47.0).state == "Failed"
+
+
+@pytest.mark.parametrize(
+    ("pattern", "said"),
+    [
+        ({"level": "ERROR"}, {"level": 30}),
+        ({"level": "FATAL"}, {"level": 40}),
+        ({"node": "/controller_server"}, {"name": "controller_server2"}),
+        ({"node": "/controller_server"}, {"name": "robot.controller_server"}),
+        ({"node": "/robot/controller_server"}, {}),
+        ({"says": "Failed to stop"}, {}),
+        ({"says": "progress*Failed"}, {}),
+        ({"says": "failed"}, {}),
+        ({"says": "Failed * * make"}, {}),
+        ({"level": "ERROR", "node": "/planner_server", "says": "progress"}, {"file": "planner_server.cpp"}),
+    ],
+)
+def test_other_messages_do_it_no_harm(pattern, said):
+    judged = World({"log": pattern}, grace=5.0)
+    for time in range(10, 30):
+        assert say(judged, time, **said).at(time).state == "Healthy"
+
+
+@pytest.mark.parametrize(
+    ("pattern", "said"),
+    [
+        ({"level": "ERROR"}, {"level": 50}),
+        ({"level": "DEBUG"}, {}),
+        ({"node": "/controller_server"}, {"level": 10}),
+        ({"node": "/controller_server"}, {"name": "controller_server.FollowPath"}),
+        ({"node": "/robot/controller_server"}, {"name": "robot.controller_server"}),
+        ({"says": "make progress"}, {}),
+        ({"says": "*Failed*to*progress*"}, {}),
+        ({"says": "Failed to * progress"}, {}),
+        ({"level": "WARN", "node": "/controller_server", "says": "progress"}, {}),
+    ],
+)
+def test_those_that_it_is_about_fail(pattern, said):
+    judged = World({"log": pattern}, grace=5.0)
+    assert say(judged, 10.0, **said).at(10.0).state == "Failed"
+
+
+def test_a_pattern_names_all_that_it_asks_for():
+    judged = World({"log": {"level": "FATAL", "node": "/a", "says": "out of * memory"}}, grace=5.0)
+    assert say(judged, 10.0, level=50, name="a", msg="out of all memory " + 200 * "x").at(10.0).reason == (
+        "a message of FATAL by node /a with 'out of * memory' on /rosout "
+        f"(a says FATAL: out of all memory {99 * 'x'}...)"
+    )
+    assert judged.tree.root.reason("Healthy") == "no message of FATAL by node /a with 'out of * memory' on /rosout"
+
+
+def test_what_an_instance_says_while_it_starts_fails_it_only_if_it_goes_on():
+    judged = say(world(quiet="3s"), 1.0)
+    assert judged.at(1.0).reason == (
+        "a message of ERROR or worse on /rosout, while it may still be starting "
+        "(controller_server says ERROR: Failed to make progress)"
+    )
+    assert judged.states([3.9, 4.0, 6.0]) == ["Starting", "Healthy", "Healthy"]
+    say(judged, 4.5)
+    assert judged.deadline(4.5) == 5.0
+    assert judged.states([4.9, 5.0]) == ["Starting", "Failed"]
+
+
+def test_what_the_last_instance_said_is_not_held_against_the_next():
+    judged = say(say(world(count=2, window="60s"), 10.0), 11.0)
+    assert judged.at(11.0).state == "Failed"
+    judged.since = START + 12.0
+    assert judged.at(18.0).state == "Healthy"
+    assert say(judged, 19.0).at(19.0).state == "Healthy", "the first of its own"
+
+
+def test_a_step_of_the_clock_moves_what_is_remembered():
+    judged = say(say(world(count=2, window="10s", quiet="10s"), 10.0), 11.0)
+    judged.at(11.0)
+    for content in judged.records["/rosout"].contents:
+        content.received += 3600.0
+    assert judged.states([3620.9, 3621.0]) == ["Failed", "Healthy"]
+
+
+def test_for_a_task_only_what_is_said_while_it_is_active_counts():
+    judged = World({**TASK, "do": leaf(count=2, window="60s")}, grace=5.0)
+    for time in (90.0, 91.0, 99.0):
+        assert say(judged, time).at(time).state == "Healthy"
+    judged.task = 100.0
+    assert say(judged, 100.2).at(100.2).state == "Healthy"
+    assert say(judged, 100.5).at(100.5).state == "Healthy", "it may start for a second"
+    assert judged.deadline(100.5) == 101.0
+    assert judged.at(101.0).reason.endswith("progress) while a goal of /go is active")
+    judged.task = None
+    assert judged.at(102.0).state == "Healthy"
+    judged.task = 103.0
+    assert judged.at(105.0).state == "Healthy", "another goal, counted anew"
+
+
+def test_what_cannot_be_read_says_nothing():
+    judged = world().hear("/rosout", 10.0, "not a log").hear("/rosout", 10.1, object())
+    assert judged.at(10.1).state == "Healthy"
+
+
+def test_a_pattern_takes_no_longer_for_a_text_made_to_delay_it():
+    judged = World({"log": {"says": "*".join(["a" * 8] * 20) + "*b"}}, grace=5.0)
+    begun = clock.process_time()
+    for time in range(20):
+        say(judged, 10.0 + time, msg="a" * 200_000)
+    assert judged.at(30.0).state == "Healthy"
+    assert clock.process_time() - begun < 5.0, "a backtracking search would not be back in our time"
+
+
+@pytest.mark.parametrize(
+    ("found", "place", "expected"),
+    [
+        ("x", "", "found 'x'; log is a mapping such as {level: ERROR, node: /controller_server}"),
+        (
+            {},
+            "",
+            "none of level, node and says is given; say which messages count, such as "
+            "{level: ERROR, node: /controller_server}",
+        ),
+        ({"level": "error"}, ".level", "found 'error', did you mean 'ERROR'?"),
+        ({"level": 40}, ".level", "found 40; known are DEBUG, INFO, WARN, ERROR, FATAL"),
+        ({"node": "a"}, ".node", "found 'a'; did you mean '/a'?"),
+        (
+            {"says": "**"},
+            ".says",
+            "found '**'; give text of up to 256 characters that is in the message, such as 'Failed to make progress', "
+            "where * stands for any characters",
+        ),
+        ({"level": "ERROR", "count": 0, "window": "1s"}, ".count", "found 0; give a whole number from 1 to 1000"),
+        ({"level": "ERROR", "count": 3}, ".window", "missing; give the time within which 3 messages are too many"),
+        (
+            {"level": "ERROR", "window": "3s"},
+            ".window",
+            "a window is only for a count above 1; give count, or leave window out",
+        ),
+        (
+            {"level": "ERROR", "quiet": 3},
+            ".quiet",
+            "found 3, which has no unit; write it with ms, s, m or h, such as 500ms",
+        ),
+        (
+            {"level": "ERROR", "for": "3s"},
+            ".for",
+            "unknown key 'for'; known are level, node, says, count, window, quiet",
+        ),
+    ],
+)
+def test_a_problem_says_where_and_what_would_be_right(found, place, expected):
+    with pytest.raises(TreeError) as caught:
+        load({"log": found})
+    assert [str(problem) for problem in caught.value.problems] == [f"{ROOT}.log{place}: {expected}"]
+
+
+def test_in_xml_it_is_that_of_the_short_form():
+    short = {
+        "parallel": [
+            {"log": {"level": "ERROR", "node": "/controller_server", "count": 2, "window": "5s", "quiet": "2s"}},
+            {"name": "progress", "log": {"says": "to * progress"}},
+        ]
+    }
+    text = written(
+        '<Log level="ERROR" node="/controller_server" count="2" window="5s" quiet="2s"/>'
+        '<Log name="progress" says="to * progress"/>'
+    )
+
+    def drive(judged):
+        for time, text in ((36, "a"), (37, "b"), (50, "Failed to make progress"), (70, "a")):
+            say(judged, time, msg=text)
+            yield from (judged.at(time), judged.deadline(time), judged.at(time + 2.5))
+
+    assert states_in_both_forms(text, short, drive) == [
+        "Healthy",
+        *["Healthy"] * 2,
+        *["Failed", "Healthy"],
+        *["Failed"] * 2,
+        *["Healthy"] * 2,
+    ]
+    with pytest.raises(TreeError) as caught:
+        load_xml(written('\n<Log level="BAD"/>'))
+    assert [str(problem) for problem in caught.value.problems] == [
+        "spec.monitoring.xml, line 2, column 1: <Log> level: found 'BAD'; known are DEBUG, INFO, WARN, ERROR, FATAL"
+    ]
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    node=st.sampled_from(
+        [leaf(quiet="700ms"), leaf(count=2, window="1s"), {"inverter": leaf(count=2, window="1s", quiet="400ms")}]
+    ),
+    said=st.lists(st.tuples(st.integers(0, 600), st.sampled_from([20, 40])), max_size=12),
+    tasked=st.booleans(),
+    task=st.none() | st.integers(0, 600),
+    since=st.integers(0, 300),
+    now=st.integers(0, 600),
+)
+def test_the_deadline_is_the_first_moment_that_is_worse(node, said, tasked, task, since, now):
+    """Times in hundredths of a second."""
+    assume(now >= since)
+    judged = World({**TASK, "do": node} if tasked else node, grace=2.0, since=since / 100)
+    for time, level in sorted(said):
+        if time <= now:
+            judged.task = task / 100 if task is not None and task <= time else None
+            say(judged, time / 100, level=level).at(time / 100)
+    judged.task = task / 100 if task is not None and task <= now else None
+    present = BADNESS[judged.at(now / 100).state]
+    deadline = judged.deadline(now / 100)
+    assert BADNESS[judged.at(now / 100).state] == present
+    later = [now / 100 + step / 100 for step in range(1, 500)]
+    worse = next((time for time in later if BADNESS[judged.at(time).state] > present), None)
+    if deadline is None:
+        assert worse is None
+    else:
+        assert math.isclose(worse, deadline, abs_tol=0.011)
+        assert BADNESS[judged.at(deadline + 1e-5).state] > present
+        assert BADNESS[judged.at(deadline - 1e-5).state] <= present
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    said=st.lists(st.integers(600, 3000), max_size=40),
+    count=st.integers(2, 4),
+    window=st.integers(1, 300),
+    quiet=st.integers(1, 300),
+    looks=st.lists(st.integers(600, 3300), max_size=10),
+)
+def test_window_and_quiet_are_those_of_a_plain_count_however_often_it_is_looked(said, count, window, quiet, looks):
+    """Times in hundredths of a second; window and quiet end between them, where floats don't decide."""
+    judged = world(count=count, window=f"{window * 10 + 5}ms", quiet=f"{quiet * 10 + 5}ms")
+    counted: list[int] = []
+    bad = False
+    for time, looked in sorted([(time, False) for time in said] + [(time, True) for time in looks]):
+        if bad and time > counted[-1] + quiet:
+            bad, counted = False, []
+        if looked:
+            assert judged.at(time / 100).state == ("Failed" if bad else "Healthy")
+        else:
+            say(judged, time / 100)
+            counted = [*counted, time][-count:]
+            bad = bad or (len(counted) == count and counted[-1] - counted[0] <= window)
+
+
+@settings(deadline=None)
+@given(
+    says=st.text("ab* ", min_size=1, max_size=8).filter(lambda text: text.strip("* ")),
+    text=st.text("ab \n", max_size=20),
+)
+def test_text_is_found_where_a_regular_expression_would_find_it(says, text):
+    expected = re.search(".*".join(map(re.escape, says.split("*"))), text, re.DOTALL)
+    judged = World({"log": {"says": says}}, grace=5.0)
+    assert say(judged, 10.0, msg=text).at(10.0).state == ("Failed" if expected else "Healthy")

@@ -1,0 +1,294 @@
+"""The leaf `motion`: what it says of a robot that is seen from outside, and what it leaves to others."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.unit.trees.world import START, World, states_in_both_forms, written
+from understudy.trees.health import BADNESS, Verdict
+from understudy.trees.loading import TreeError, load
+from understudy.trees.procedures import load_procedure
+
+ROOT = "spec.monitoring.yaml"
+ODOMETRY, COMMANDS = "/tracker/robot/odometry", "/cmd_vel"
+TASK = {"while": {"task_active": {"action": "/go"}}, "settle": "1s"}
+FAILED = (
+    "the robot doesn't move as /cmd_vel says by /tracker/robot/odometry: "
+    "forward it was seen at 0.00 m/s, commanded at 0.30 m/s"
+)
+
+
+def leaf(**more: Any) -> dict[str, Any]:
+    return {"motion": {"topic": ODOMETRY, "commands": COMMANDS, **more}}
+
+
+def twist(speed: float, turn: float = 0.0) -> Any:
+    linear, angular = SimpleNamespace(x=speed, y=0.0, z=0.0), SimpleNamespace(x=0.0, y=0.0, z=turn)
+    return SimpleNamespace(linear=linear, angular=angular)
+
+
+def odometry(speed: float, turn: float = 0.0, variance: float = 1e-6) -> Any:
+    covariance = [variance if index % 7 == 0 else 0.0 for index in range(36)]
+    return SimpleNamespace(twist=SimpleNamespace(twist=twist(speed, turn), covariance=covariance))
+
+
+def drive(
+    world: World,
+    begin: float,
+    end: float,
+    seen: float | None,
+    said: float | None = 0.3,
+    *,
+    stamped: bool = False,
+    look: bool = True,
+) -> World:
+    """Commands and odometry at 10 Hz from one time to another, each looked at as it comes."""
+    for tick in range(round((end - begin) * 10)):
+        now = begin + tick / 10
+        if said is not None:
+            world.hear(COMMANDS, now, SimpleNamespace(twist=twist(said)) if stamped else twist(said))
+        if seen is not None:
+            world.hear(ODOMETRY, now + 0.01, odometry(seen))
+        if look:
+            world.at(now + 0.01)
+    return world
+
+
+@pytest.mark.parametrize("stamped", [False, True])
+def test_it_fails_when_the_robot_stands_though_it_is_told_to_drive(stamped):
+    world = drive(World(leaf()), 1.0, 4.0, 0.3, stamped=stamped)
+    assert world.at(4.0) == Verdict("Healthy", "", "", None)
+    assert world.deadline(4.0) is None
+    drive(world, 4.0, 5.0, 0.0, stamped=stamped)
+    assert world.at(5.0) == Verdict("Failed", FAILED, "tracker/robot.motion", pytest.approx(START + 4.01))
+    drive(world, 5.0, 6.0, 0.3, stamped=stamped)
+    assert world.at(6.0).state == "Healthy"
+
+
+def test_it_is_found_as_well_when_several_messages_come_at_one_look():
+    world = drive(World(leaf()), 1.0, 4.0, 0.3, look=False)
+    assert world.at(4.0).state == "Healthy"
+    drive(world, 4.0, 5.0, 0.0, look=False)
+    assert world.at(5.0).reason == FAILED
+
+
+def test_a_robot_that_is_told_to_stop_may_stand():
+    world = drive(World(leaf()), 1.0, 4.0, 0.3)
+    drive(world, 4.0, 4.5, 0.2, said=0.0)
+    assert drive(world, 4.5, 9.0, 0.0, said=0.0).at(9.0).state == "Healthy"
+
+
+def test_a_robot_that_slips_a_little_is_well():
+    assert drive(World(leaf()), 1.0, 30.0, 0.26).at(30.0).state == "Healthy"
+    strict = leaf(slip="1 %", tolerance="0.005 m/s")
+    assert drive(World(strict), 1.0, 30.0, 0.26).at(30.0).state == "Failed"
+
+
+def test_out_of_the_picture_it_cannot_be_told_and_does_not_fail():
+    world = drive(World(leaf()), 1.0, 4.0, 0.3)
+    assert drive(world, 4.0, 20.0, None).at(20.0).state == "Healthy"
+    # Nor does one that had failed stay so.
+    drive(world, 20.0, 24.0, 0.0)
+    assert world.at(24.0).state == "Failed"
+    assert world.deadline(24.0) is None
+    drive(world, 24.0, 24.8, None)
+    assert world.at(24.8).state == "Failed"
+    assert world.at(23.91 + 1.0).state == "Healthy"
+
+
+def test_never_seen_or_never_commanded_it_holds_from_the_beginning():
+    world = World(leaf(), grace=2)
+    assert world.at(0.5).state == "Healthy"
+    assert drive(world, 1.0, 9.0, None).at(9.0).state == "Healthy"
+    assert drive(World(leaf()), 1.0, 9.0, 0.5, said=None).at(9.0).state == "Healthy"
+
+
+def test_it_says_in_the_tree_why_it_cannot_be_told():
+    world = World(leaf())
+    world.at(0.5)
+    (node,) = world.tree.root.iterate() if world.tree.root is not None else ()
+    assert node.reason("Healthy") == (
+        "it can't be told whether the robot moves as /cmd_vel says: /tracker/robot/odometry doesn't see it"
+    )
+    drive(world, 1.0, 3.0, 0.3)
+    assert node.reason("Healthy") == "the robot moves as /cmd_vel says"
+    world.hear(COMMANDS, 3.0, "it is no Twist").at(3.0)
+    assert node.reason("Healthy") == (
+        "it can't be told whether the robot moves as commanded: /cmd_vel can't be read: it is no Twist"
+    )
+    world.hear(ODOMETRY, 3.1, odometry(math.nan)).at(3.1)
+    assert "(nan, 0.0, 0.0) is no velocity" in node.reason("Healthy")
+
+
+def test_the_next_instance_is_judged_by_its_own_commands():
+    world = drive(World(leaf()), 1.0, 4.0, 0.3)
+    drive(world, 4.0, 5.0, 0.0)
+    assert world.at(5.0).state == "Failed"
+    world.since = START + 5.0
+    assert world.at(5.01).state == "Healthy"
+    assert drive(world, 5.1, 7.5, 0.0).at(7.5).state == "Failed"
+
+
+def test_an_instance_that_is_not_in_control_is_not_judged_by_what_the_robot_does():
+    world = drive(World(leaf()), 1.0, 4.0, 0.3, look=False)
+    drive(world, 4.0, 6.0, 0.0, look=False)
+    observed = world.observed()
+    observed.in_control = False
+    assert world.tree.evaluate(observed, now=START + 6.0, since=START).state == "Healthy"
+    assert world.at(6.0).state == "Failed"
+
+
+def test_for_a_task_it_is_judged_only_while_that_is_active_and_by_what_comes_then():
+    world = drive(World({**TASK, "do": leaf()}), 1.0, 6.0, 0.0)
+    assert world.at(6.0).state == "Healthy"
+    world.task = 6.0
+    drive(world, 6.0, 6.9, 0.0)
+    assert world.at(6.9).state == "Healthy", "it has a second to settle"
+    drive(world, 6.9, 8.5, 0.0)
+    assert world.at(8.5).reason == f"{FAILED} while a goal of /go is active"
+    world.task = None
+    assert world.at(8.6).state == "Healthy"
+
+
+def test_a_step_of_the_clock_moves_what_is_remembered():
+    world = drive(World(leaf()), 1.0, 4.0, 0.3)
+    for record in world.records.values():
+        record.shift(3600.0)
+    drive(world, 3604.0, 3605.0, 0.0)
+    assert world.at(3605.0).state == "Failed"
+
+
+def test_it_needs_both_topics_and_is_left_out_where_one_cannot_be_watched():
+    tree = load({"parallel": [leaf(type="geometry_msgs/msg/Twist"), {"topic": {"name": "/scan", "gap": "1s"}}]})
+    found = {topic.name: topic for topic in tree.topics}
+    assert found[ODOMETRY].type == "nav_msgs/msg/Odometry"
+    assert found[COMMANDS].type == "geometry_msgs/msg/Twist"
+    assert all(found[name].whole and found[name].contents for name in (ODOMETRY, COMMANDS))
+    for name in (ODOMETRY, COMMANDS):
+        tree.leave_out({name})
+        assert tree.root is not None
+        assert [node.name for node in tree.root.iterate() if not node.children] == ["scan"]
+
+
+def test_its_commands_are_not_waited_for_after_a_switch():
+    world = drive(World(leaf()), 1.0, 2.0, 0.3)
+    assert world.tree.counting(world.observed(), now=START + 2.0, since=START) == {ODOMETRY}
+
+
+def test_a_gap_of_the_same_topics_is_another_leaf():
+    world = drive(World({"parallel": [leaf(), {"topic": {"name": COMMANDS, "gap": "500ms"}}]}), 1.0, 3.0, 0.3)
+    assert world.at(3.0).state == "Healthy"
+    drive(world, 3.0, 4.0, 0.3, said=None)
+    assert world.at(4.0).leaf == "cmd_vel"
+
+
+def test_no_procedure_waits_for_it():
+    with pytest.raises(TreeError, match=r"unknown key 'motion'"):
+        load_procedure({"sequence": [leaf()]}, path="spec.yaml")
+
+
+@pytest.mark.parametrize(
+    ("found", "place", "expected"),
+    [
+        (
+            COMMANDS,
+            "",
+            "found '/cmd_vel'; motion is a mapping such as {topic: /tracker/robot/odometry, commands: /cmd_vel}",
+        ),
+        (
+            {"commands": COMMANDS},
+            ".topic",
+            "missing; give the topic's fully qualified name, such as /tracker/robot/odometry",
+        ),
+        ({"topic": ODOMETRY}, ".commands", "missing; give the topic's fully qualified name, such as /cmd_vel"),
+        (
+            {"topic": COMMANDS, "commands": COMMANDS},
+            ".commands",
+            "found '/cmd_vel', which is the topic too; give what the robot is told by",
+        ),
+        (leaf(commands="cmd_vel")["motion"], ".commands", "found 'cmd_vel'; did you mean '/cmd_vel'?"),
+        (
+            leaf(type="std_msgs/msg/String")["motion"],
+            ".type",
+            "found 'std_msgs/msg/String'; commands are of geometry_msgs/msg/Twist or geometry_msgs/msg/TwistStamped",
+        ),
+        (leaf(slip=0.2)["motion"], ".slip", "found 0.2; write a number with %, such as 20 %"),
+        (leaf(slip="20 m/s")["motion"], ".slip", "found '20 m/s'; write a number with %, such as 20 %"),
+        (leaf(tolerance="0 m/s")["motion"], ".tolerance", "found '0 m/s'; give 0.001 to 100 m/s"),
+        (
+            leaf(acceleration="1 m/s")["motion"],
+            ".acceleration",
+            "found '1 m/s'; write a number with m/s2, such as 0.5 m/s2",
+        ),
+        (
+            leaf(delay=0.3)["motion"],
+            ".delay",
+            "found 0.3, which has no unit; write it with ms, s, m or h, such as 500ms",
+        ),
+        (leaf(delays="1s")["motion"], ".delays", "unknown key 'delays', did you mean 'delay'?"),
+    ],
+)
+def test_a_problem_says_where_and_what_would_be_right(found, place, expected):
+    with pytest.raises(TreeError) as caught:
+        load({"motion": found})
+    assert [str(problem) for problem in caught.value.problems] == [f"{ROOT}.motion{place}: {expected}"]
+
+
+def test_in_xml_it_is_that_of_the_short_form():
+    more = {
+        "type": "geometry_msgs/msg/TwistStamped",
+        "delay": "200ms",
+        "window": "400ms",
+        "acceleration": "0.7 m/s2",
+        "turn_acceleration": "2 rad/s2",
+        "slip": "10 %",
+        "tolerance": "0.02 m/s",
+        "turn_tolerance": "0.2 rad/s",
+    }
+    short = leaf(**more)
+    ports = " ".join(f'{key}="{value}"' for key, value in short["motion"].items())
+
+    def driven(world: World) -> Iterator[Verdict | float | None]:
+        for begin, seen in ((1.0, 0.3), (2.0, 0.3), (3.0, 0.0), (4.0, 0.3), (5.0, None)):
+            drive(world, begin, begin + 1.0, seen, stamped=True)
+            yield from (world.at(begin + 1.0), world.deadline(begin + 1.0))
+
+    states = states_in_both_forms(written(f"<Motion {ports}/>"), short, driven)
+    assert states == ["Healthy", "Healthy", "Healthy", "Failed", "Healthy", "Healthy"]
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    runs=st.lists(st.tuples(st.integers(1, 15), st.sampled_from([0.3, 0.0, None])), max_size=6),
+    node=st.sampled_from([leaf(), {"inverter": leaf()}, {**TASK, "do": leaf()}]),
+    task=st.none() | st.integers(0, 40),
+    after=st.integers(0, 20),
+)
+def test_the_deadline_is_the_first_moment_that_is_worse(runs, node, task, after):
+    """Times in tenths of a second."""
+    world, now = World(node, grace=2.0), 1.0
+    for length, seen in runs:
+        drive(world, now, now + length / 10, seen, said=0.3)
+        now += length / 10
+        if task is not None and task / 10 <= now:
+            world.task = task / 10
+    now += after / 10
+    present = BADNESS[world.at(now).state]
+    deadline = world.deadline(now)
+    assert BADNESS[world.at(now).state] == present
+    later = [now + step / 100 for step in range(1, 400)]
+    worse = next((time for time in later if BADNESS[world.at(time).state] > present), None)
+    if deadline is None:
+        assert worse is None
+    else:
+        assert worse is not None
+        assert math.isclose(worse, deadline, abs_tol=0.011)
+        assert BADNESS[world.at(deadline + 1e-5).state] > present
+        assert BADNESS[world.at(deadline - 1e-5).state] <= present

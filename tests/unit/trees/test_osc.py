@@ -1,0 +1,455 @@
+"""Health trees in OpenSCENARIO 2: they are the trees of the short form, and what is wrong with one is said with its place."""
+
+from __future__ import annotations
+
+import random
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.unit.trees.garbled import garbled, loads_or_is_refused
+from tests.unit.trees.scenarios import ScenarioWriter
+from tests.unit.trees.test_xml import POLICIES, SCRIPTS, TREES, Replay, named, numbers, shape
+from understudy.api.base import LONGEST_TEXT
+from understudy.trees.loading import load
+from understudy.trees.osc import tokens
+from understudy.trees.osc.library import ACTIONS, MODIFIERS
+from understudy.trees.osc.trees import load_osc
+from understudy.trees.places import Beginning
+from understudy.trees.problems import TreeError
+
+LEAF = 'topic("/scan", gap: 1s)'
+
+
+def scenario(*lines: str, parameters: str = "") -> str:
+    """A file of a scenario with a parallel, of which the first node is in line 4, column 9; parameters are in lines before."""
+    inside = "\n".join(f"        {line}" for line in lines)
+    given_ = "".join(f"    {line}\n" for line in parameters.splitlines())
+    return f"import osc.understudy\nscenario healthy:\n{given_}    do parallel:\n{inside}\n"
+
+
+def problems(text: object) -> list[str]:
+    with pytest.raises(TreeError) as caught:
+        load_osc(text)
+    return [str(problem).removeprefix("spec.monitoring.osc, ") for problem in caught.value.problems]
+
+
+def same(text: str, tree: dict[str, Any]) -> None:
+    """That a text is the same tree as one of the short form."""
+    found, expected = load_osc(text), load(tree)
+    assert shape(found) == shape(expected)
+    assert found.topics == expected.topics
+
+
+# -- what is written, in the short form -----------------------------------------------------------------------------
+
+SCAN = {"topic": {"name": "/scan", "gap": "1s"}}
+ODOM = {"topic": {"name": "/odom", "rate": "9 to 11 Hz", "window": "3s", "type": "nav_msgs/msg/Odometry"}}
+ODOM_OSC = 'topic("/odom", "nav_msgs/msg/Odometry", rate_min: 9Hz, rate_max: 11Hz, window: 3s)'
+
+
+@pytest.mark.parametrize(
+    ("lines", "tree"),
+    [
+        ([LEAF], SCAN),
+        (["topic(topic_name: '/scan', gap: 1000 ms)"], SCAN),
+        (["topic(", '    "/scan",', "# why", "    gap: 1s", ")"], SCAN),
+        ([ODOM_OSC], ODOM),
+        ([f"lidar: {LEAF}"], {**SCAN, "name": "lidar"}),
+        ([f"|front-lidar.1|: {LEAF}"], {**SCAN, "name": "front-lidar.1"}),
+        ([f"|on|: {LEAF}"], {**SCAN, "name": "on"}),
+        (['topic("/a", rate_above: 8Hz)'], {"topic": {"name": "/a", "rate": "> 8 Hz"}}),
+        (['topic("/a", rate_min: 0.5hertz)'], {"topic": {"name": "/a", "rate": ">= 0.5 Hz"}}),
+        (['topic("/a", rate_below: 1.5kHz)'], {"topic": {"name": "/a", "rate": "< 1500 Hz"}}),
+        (['topic("/a", rate_max: 20Hz, gap: 2min)'], {"topic": {"name": "/a", "rate": "<= 20 Hz", "gap": "2m"}}),
+        (["serial:", f"    {LEAF}", f"    {ODOM_OSC}"], {"sequence": [SCAN, ODOM]}),
+        (["one_of:", f"    {LEAF}", f"    {ODOM_OSC}"], {"selector": [SCAN, ODOM]}),
+        (["sensors: parallel:", f"  {LEAF}", "", f"  {ODOM_OSC}"], {"parallel": [SCAN, ODOM], "name": "sensors"}),
+        ([f"{LEAF} with:", "    inverter()"], {"inverter": SCAN}),
+        (["serial:", f"    {LEAF}", "with:", "    inverter()"], {"inverter": {"sequence": [SCAN]}}),
+        (
+            [f"{LEAF} with:", '    while_task_active("/go", "a/action/Go", settle: 3s)'],
+            {"while": {"task_active": {"action": "/go", "type": "a/action/Go"}}, "settle": "3s", "do": SCAN},
+        ),
+        (
+            [f"{LEAF} with:", "    inverter()", '    while_task_active(action_name: "/go")'],
+            {"inverter": {"while": {"task_active": {"action": "/go"}}, "do": SCAN}},
+        ),
+        (
+            [r"""value("/b", "a/msg/B", holds: "x > 1 and t == \'a\"\'", recovers: "x > 2", for: 1s)"""],
+            {"value": {"topic": "/b", "type": "a/msg/B", "holds": "x > 1 and t == 'a\"'", "recovers": "x > 2", "for": "1s"}},
+        ),
+        (
+            ['diagnostics(status: "camera: driver", worst: level!WARN)'],
+            {"diagnostics": {"name": "camera: driver", "worst": "WARN"}},
+        ),
+        (['publisher("/plan", 2, "/planner")'], {"publisher": {"topic": "/plan", "count": 2, "node": "/planner"}}),
+    ],
+)  # fmt: skip
+def test_each_node_is_one_of_the_short_form(lines: list[str], tree: dict[str, Any]) -> None:
+    same(scenario(*lines), {"parallel": [tree]})
+
+
+def test_a_scenario_may_be_one_leaf_and_end_without_a_line_break() -> None:
+    same(f"import osc.understudy\nscenario a:\n  do {LEAF}", SCAN)
+
+
+def test_lines_may_end_as_on_windows() -> None:
+    same(scenario("serial:", f"    {LEAF}").replace("\n", "\r\n"), {"parallel": [{"sequence": [SCAN]}]})
+
+
+def test_parameters_of_the_scenario_are_constants() -> None:
+    parameters = 'lidar, other: string = "/scan"\nlongest: time = 1s\ntwice: time = longest\nworst: level = level!OK'
+    same(
+        scenario("topic(lidar, gap: twice)", "diagnostics(worst: worst)", parameters=parameters),
+        {"parallel": [SCAN, {"diagnostics": {"worst": "OK"}}]},
+    )
+
+
+# -- the same trace ------------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=120, deadline=None)
+@given(tree=TREES, seed=st.integers(0, 2**32), script=SCRIPTS, grace=st.sampled_from([0.0, 0.7, 4.0, 30.0]))
+def test_a_tree_written_in_openscenario_gives_the_same_trace(
+    tree: dict[str, Any], seed: int, script: list[tuple[float, str]], grace: float
+) -> None:
+    short = named(tree, numbers())
+    text = ScenarioWriter(random.Random(seed).randrange).file(short)
+    found, expected = load_osc(text, grace=grace), load(short, grace=grace)
+    assert sorted(found.topics, key=lambda topic: topic.name) == sorted(expected.topics, key=lambda topic: topic.name)
+    assert Replay(found, grace).trace(script) == Replay(expected, grace).trace(script), text
+
+
+@pytest.mark.parametrize("policy", POLICIES)
+def test_the_policies_of_the_examples_are_the_same_in_openscenario(policy: dict[str, Any]) -> None:
+    tree = policy["spec"]["monitoring"]["yaml"]
+    for seed in range(5):
+        found, expected = load_osc(ScenarioWriter(random.Random(seed).randrange).file(tree)), load(tree)
+        assert found.topics == expected.topics
+        assert [name for kind, name in shape(found) if kind.endswith("Leaf")] == [
+            name for kind, name in shape(expected) if kind.endswith("Leaf")
+        ]
+
+
+# -- mistakes -------------------------------------------------------------------------------------------------------
+
+FRONT = 'topic("/a", gap: '
+
+
+@pytest.mark.parametrize(
+    ("node", "column", "expected"),
+    [
+        ("topik()", 1, "topik(): unknown behaviour, did you mean 'topic'?"),
+        (
+            "nothing_of_ours()",
+            1,
+            f"nothing_of_ours(): unknown behaviour; known are {', '.join((*ACTIONS, *MODIFIERS))}",
+        ),
+        (
+            'run_process("reboot")',
+            1,
+            "run_process(): isn't for health trees: a health tree starts no processes and reads no files; "
+            "write what must hold, such as topic() or value()",
+        ),
+        (
+            "inverter()",
+            1,
+            "inverter(): is a modifier; write it in the with: of the node that it is for: with: inverter()",
+        ),
+        (f"{LEAF} with:\n            invert()", 13, "invert(): unknown modifier, did you mean 'inverter'?"),
+        (
+            f"{LEAF} with:\n            retry(3)",
+            13,
+            "retry(): isn't for health trees: a health tree is asked again and again anyway; leave it out, and give the leaf in it "
+            "a longer gap or window",
+        ),
+        (
+            f"{LEAF} with:\n            topic()",
+            13,
+            "topic(): is a node of its own; put it beside the other, in a parallel:",
+        ),
+        (
+            f"{LEAF} with:\n            inverter(3)",
+            22,
+            "inverter(): found argument number 1; it takes none",
+        ),
+        ("topic(gap: 1s)", 1, "topic() topic_name: missing; give the topic's fully qualified name, such as /cmd_vel"),
+        ('topic("scan", gap: 1s)', 7, "topic() topic_name: found 'scan'; did you mean '/scan'?"),
+        (
+            'topic("/a")',
+            1,
+            "topic(): neither gap nor a rate is given; give gap, such as 500ms, or rate_above, such as 8Hz",
+        ),
+        ('topic("/a", gab: 1s)', 13, "topic() gab: unknown argument, did you mean 'gap'?"),
+        ('topic("/a", gap: 1s, gap: 2s)', 22, "topic() gap: is given twice; leave one of them out"),
+        (
+            'topic("/a", type: "b/msg/C")',
+            13,
+            "'type' is a word of OpenSCENARIO and no argument; write topic_type, or action_type of an action",
+        ),
+        (f"{FRONT}5)", 18, "topic() gap: found 5, which has no unit; give a time, such as 500ms or 2s"),
+        (
+            f'{FRONT}"1s")',
+            18,
+            'topic() gap: found "1s", which is a text; leave out the quotes; give a time, such as 500ms or 2s',
+        ),
+        (f"{FRONT}1m)", 18, "topic() gap: found 1m, and m is the metre in OpenSCENARIO; write min for minutes"),
+        (f"{FRONT}1sek)", 18, "topic() gap: found 1sek, and sek is no unit of time, did you mean 'sec'?"),
+        (f"{FRONT}-1s)", 18, "topic() gap: found -1s; give a time, such as 500ms or 2s, above 0 and below 1000000000"),
+        (f"{FRONT}0s)", 18, "topic() gap: found '0s'; it must be longer than 0"),
+        (
+            f"{FRONT}longest)",
+            18,
+            "topic() gap: there is no parameter 'longest'; the scenario has none; give it, or a time, such as 500ms or 2s",
+        ),
+        (f"{FRONT}1s + 1s)", 21, "'+' isn't for health trees: nothing is calculated; write the value"),
+        (
+            'topic("/a", rate_min: 1Hz, rate_below: 5Hz)',
+            40,
+            "topic(): found rate_min and rate_below; give one of them, or rate_min and rate_max",
+        ),
+        (
+            'topic("/a", rate_min: 11Hz, rate_max: 9Hz)',
+            39,
+            "topic() rate_max: '11 Hz to 9 Hz' holds no rate: the lower bound comes first, such as '9 to 11 Hz'",
+        ),
+        (
+            'topic("/a", gap: 1s, window: 2s)',
+            30,
+            "topic() window: a window is only for a rate; give rate_above or another bound, or leave window out",
+        ),
+        ("diagnostics(worst: WARN)", 20, "diagnostics() worst: found WARN; did you mean level!WARN?"),
+        ("diagnostics(worst: level!WARM)", 20, "diagnostics() worst: found level!WARM, did you mean 'WARN'?"),
+        (
+            'publisher("/a", count: "2")',
+            24,
+            'publisher() count: found "2"; give a whole number, such as 1',
+        ),
+        (
+            "wait elapsed(3s)",
+            1,
+            "'wait' isn't for health trees: a health tree only judges, all the time, and neither waits nor sends events; leave it "
+            "out. How long something may be missing is said by gap",
+        ),
+        (
+            "robot.topic()",
+            6,
+            "there are no actors in a health tree, and nothing has fields; leave out the dot and what is before it",
+        ),
+        (
+            f"|a b|: {LEAF}",
+            1,
+            "|a b|: name: found 'a b'; a node's name is 1 to 63 letters, digits, '_', '-' and '.'",
+        ),
+        ("on: topic()", 1, "'on' is a word of OpenSCENARIO and no name; write |on|"),
+        (
+            "topic(",
+            7,
+            "this isn't OpenSCENARIO 2: found the end of the line; there should be '(', ')', a text in quotes, a number or a name",
+        ),
+        ('topic("/a)', 7, "this isn't OpenSCENARIO 2: "
+                          "a text that is begun here isn't closed in its line; close the quotes, and write \\ before quotes in it"),
+        ('topic(gap = 1s)', 11, "this isn't OpenSCENARIO 2: found '='; write ':' between the name of an argument and its value"),
+        ("topic() $", 9, "this isn't OpenSCENARIO 2: found '$', which nothing in the language begins with; leave it out"),
+        ("topic())", 8, "closes a bracket that isn't open; leave it out"),
+        ("serial", 7, "this isn't OpenSCENARIO 2: found the end of the line; there should be ':' or '('"),
+        ("serial:", 8, "this isn't OpenSCENARIO 2: found the end of the line; there should be an indented line"),
+        ('topic("a\\x")', 7, "topic() topic_name: found '\\\\x' in a text; known are \\\\, \\\", \\', \\n and \\t"),
+    ],
+)  # fmt: skip
+def test_a_mistake_is_named_with_its_place_and_what_would_be_right(node: str, column: int, expected: str) -> None:
+    """The column is that in the last line of the node, of which the first is indented by 8."""
+    more = node.count("\n")
+    assert problems(scenario(node)) == [f"line {4 + more}, column {column if more else column + 8}: {expected}"]
+
+
+HEAD = "import osc.understudy\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (
+            f"scenario a:\n    do {LEAF}\n",
+            "line 1, column 1: the text: doesn't import what it is made of; begin it with: import osc.understudy",
+        ),
+        (
+            HEAD,
+            "line 1, column 1: the text: has no scenario; give it one: scenario healthy: with do parallel: in it",
+        ),
+        (
+            f'import "/etc/passwd"\nscenario a:\n    do {LEAF}\n',
+            'line 1, column 8: import "/etc/passwd": no files are read; write what is in that file here, and import osc.understudy',
+        ),
+        (
+            f"import osc.helpers\nscenario a:\n    do {LEAF}\n",
+            "line 1, column 8: import osc.helpers: has behaviours that a health tree can't have; import osc.understudy, "
+            "which has what it can",
+        ),
+        (
+            f"import osc.understudi\nscenario a:\n    do {LEAF}\n",
+            "line 1, column 8: import osc.understudi: there is no such library, did you mean 'osc.understudy'?",
+        ),
+        (
+            f"{HEAD}scenario a\n",
+            "line 2, column 1: scenario a: does nothing; give it a do, such as do parallel: with the leaves in it",
+        ),
+        (
+            f"{HEAD}scenario a:\n    do {LEAF}\nscenario b:\n    do {LEAF}\n",
+            "line 4, column 1: scenario b: there is one in line 2 already; a health tree is one scenario",
+        ),
+        (
+            f"{HEAD}scenario a:\n    do {LEAF}\n    do {LEAF}\n",
+            "line 4, column 5: do: there is one in line 3 already; put both into one do parallel:",
+        ),
+        (
+            f"{HEAD}scenario a:\n    inverter()\n    do {LEAF}\n",
+            "line 3, column 5: inverter(): is written in the with: of the node that it is for, and not of scenario a",
+        ),
+        (
+            f"{HEAD}scenario a:\n    long: time\n    do {LEAF}\n",
+            "line 3, column 5: parameter long: nobody gives it a value; write one behind it, with = and a time, such as 500ms or 2s",
+        ),
+        (
+            f"{HEAD}scenario a:\n    long: tim = 3s\n    do {LEAF}\n",
+            "line 3, column 5: parameter long: there is no type 'tim', did you mean 'time'?",
+        ),
+        (
+            f'{HEAD}scenario a:\n    long: time = 3Hz\n    do topic("/a", gap: long)\n',
+            "line 3, column 18: parameter long: found 3Hz, and Hz is no unit of time; known are ms, s, min, h, millisecond, sec, "
+            "second, minute, hour",
+        ),
+        (
+            f'{HEAD}scenario a:\n    long: string = "a"\n    do topic("/a", gap: long)\n',
+            "line 4, column 25: topic() gap: the parameter long is of type string; give a time, such as 500ms or 2s",
+        ),
+        (
+            f"{HEAD}action reboot:\n    now: bool\n",
+            "line 2, column 1: 'action' isn't for health trees: a policy declares nothing but one scenario and its parameters; "
+            "what there is comes with import osc.understudy",
+        ),
+        (
+            f"{HEAD}scenario a:\n    def f() -> string is external os.system()\n    do {LEAF}\n",
+            "line 3, column 5: 'def' isn't for health trees: a health tree only judges and calls no functions; leave it out",
+        ),
+        (
+            "  import osc.understudy\n",
+            "line 1, column 3: the first line is indented; begin it in the first column of the text",
+        ),
+        (
+            scenario("serial:", f"    {LEAF}", f"  {LEAF}"),
+            "line 6, column 11: is indented like no block around it; begin the lines of a block in the same column",
+        ),
+        (
+            scenario(LEAF, LEAF),
+            "line 5, column 9: topic(): 'scan' is already the name of topic() in line 4, column 9; give one of them another name",
+        ),
+        (
+            scenario("parallel() :", f"    {LEAF}"),
+            None,
+        ),
+        (
+            scenario("serial(3):", f"    {LEAF}"),
+            "line 4, column 16: serial:: takes no arguments; leave out the brackets",
+        ),
+    ],
+)  # fmt: skip
+def test_a_mistake_of_the_file_is_named(text: str, expected: str | None) -> None:
+    if expected is None:
+        assert load_osc(text).topics
+    else:
+        assert problems(text) == [expected]
+
+
+def test_what_is_no_text_is_refused() -> None:
+    assert problems({"topic": {}}) == ["spec.monitoring.osc: found a mapping; give the text of an OpenSCENARIO 2 file"]
+
+
+def test_all_mistakes_of_meaning_are_named_at_once_in_the_order_of_the_text() -> None:
+    found = problems(scenario('topic("a", gap: 0s)', "nothing()", "serial:", '    topic("/b", gap: 3)'))
+    assert [line.split(": ")[:2] for line in found] == [
+        ["line 4, column 15", "topic() topic_name"],
+        ["line 4, column 25", "topic() gap"],
+        ["line 5, column 9", "nothing()"],
+        ["line 7, column 30", "topic() gap"],
+    ]
+
+
+def test_places_are_those_of_the_file_in_which_the_text_begins() -> None:
+    for text in (scenario("topik()"), scenario("topic($)"), scenario("wait")):
+        with pytest.raises(TreeError) as caught:
+            load_osc(text, begins=Beginning(lines=10, columns=6))
+        place = caught.value.problems[0].path
+        assert place in ("spec.monitoring.osc, line 14, column 15", "spec.monitoring.osc, line 14, column 21")
+
+
+# -- bounds ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (" " * (LONGEST_TEXT + 1), f"the text has {LONGEST_TEXT + 1} characters; it may have {LONGEST_TEXT}"),
+        ("a " * 32_000, f"the text has more than {tokens.MOST} words and signs"),
+        (scenario("topic(" + "(" * 9_000), f"more than {tokens.DEEPEST_BRACKETS} brackets in each other"),
+        (scenario("topic(a: f" + "()" * 9_000 + ")"), "'(' isn't for health trees: nothing is calculated; write the value"),
+        (scenario("topic(a: a" + ".a" * 9_000 + ")"), "there are no actors in a health tree, and nothing has fields; "
+                                                      "leave out the dot and what is before it"),
+        (f"import osc{'.a' * 9_900}\n", "what is in each other is too deep"),
+        (
+            scenario(*(f"{'  ' * level}serial:" for level in range(40))),
+            f"more than {tokens.DEEPEST_BLOCK} blocks in each other",
+        ),
+        (scenario(f"{LEAF} with:", *["    inverter()"] * 2_000), "inverter(): the tree is more than 32 levels deep"),
+        (scenario(*(f'l{i}: topic("/scan", gap: 1s)' for i in range(600))), "topic(): the tree has more than 512 nodes"),
+    ],
+    ids=["long", "words", "brackets", "calls", "dots", "import", "blocks", "modifiers", "nodes"],
+)  # fmt: skip
+def test_what_is_too_much_is_refused(text: str, expected: str) -> None:
+    found = problems(text)
+    assert found[0].partition(": ")[2] == expected
+    assert len(found) <= 2
+
+
+def test_mistakes_are_not_named_without_end() -> None:
+    found = problems(scenario(*["nothing()"] * 500))
+    assert (len(found), found[-1]) == (101, "spec.monitoring.osc: and 1 more")
+
+
+# -- anything at all ------------------------------------------------------------------------------------------------
+
+WHOLE = scenario(
+    f"|front-lidar|: {LEAF}",
+    "driving: serial:",
+    '    topic("/cmd_vel", "geometry_msgs/msg/Twist", rate_min: 8Hz, rate_max: 1.5kHz, window: 2s)  # why',
+    "with:",
+    '    while_task_active(action_name: "/go", settle: long)',
+    'diagnostics(worst: level!WARN, status: "a") with:',
+    "    inverter()",
+    parameters="long: time = 2s",
+)
+
+PIECES = [
+    *ACTIONS, *MODIFIERS, *tokens.REFUSED, "scenario", "do", "with:", "import", "serial:", "one_of:", "run_process", "string",
+    "\n", "\n    ", "\n        ", "\n\t", "\r", "\f", "(", ")", "((((((", ":", ",", '"', "'", '"""', "|", "\\", "!", "=", ".", "..", "#",
+    "/*", "*/", "0x1F", "1e9", "-", "500ms", "8Hz", "\0", "\ud800", "\u2028", "é", " ", "        ",
+]  # fmt: skip
+
+
+@settings(max_examples=200, deadline=None)
+@given(seed=st.integers(0, 2**32), changes=st.integers(1, 12))
+def test_a_text_with_anything_changed_loads_or_is_refused(seed: int, changes: int) -> None:
+    refused_or_loads(garbled(WHOLE, PIECES, seed=seed, changes=changes))
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.lists(st.sampled_from(PIECES) | st.text(max_size=5), max_size=60))
+def test_pieces_in_any_order_load_or_are_refused(pieces: list[str]) -> None:
+    refused_or_loads("import osc.understudy\nscenario a:\n    do parallel:\n        " + " ".join(pieces))
+
+
+def refused_or_loads(text: str) -> None:
+    loads_or_is_refused(load_osc, text, "spec.monitoring.osc")

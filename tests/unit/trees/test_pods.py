@@ -1,0 +1,383 @@
+"""The leaf `pod`: what Kubernetes says of the pod in control."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from tests.unit.trees.world import (
+    START,
+    World,
+    assert_deadline_is_the_first_worse_moment,
+    states_in_both_forms,
+    written,
+)
+from understudy.trees.btcpp.trees import load_xml
+from understudy.trees.health import Verdict
+from understudy.trees.loading import TreeError, load
+from understudy.trees.observations import PodUsage
+from understudy.trees.procedures import CONDITIONS
+
+ROOT = "spec.monitoring.yaml"
+TASK = {"while": {"task_active": {"action": "/go"}}, "settle": "1s"}
+
+
+def leaf(**more: Any) -> dict[str, Any]:
+    return {"pod": more or {"condition": "Ready"}}
+
+
+# -- conditions -----------------------------------------------------------------------------------------------------
+
+
+def test_it_fails_with_the_status_that_is_another():
+    world = World(leaf()).pod_says(1.0, Ready="True")
+    assert world.at(1.0) == Verdict("Healthy", "", "", None)
+    assert world.deadline(1.0) is None
+    assert world.pod_says(2.0, Ready="False ContainersNotReady").at(2.0) == Verdict(
+        "Failed",
+        "status True of the pod's condition Ready does not hold (it is False, ContainersNotReady)",
+        "pod.Ready",
+        START + 1.0,
+    )
+    assert world.pod_says(3.0, Ready="True").at(3.0).state == "Healthy"
+    assert world.pod_says(4.0).at(4.0).reason.endswith("(the pod has no such condition)")
+
+
+def test_it_fails_exactly_when_it_has_been_otherwise_for_so_long():
+    world = World(leaf(condition="Ready", **{"for": "2s"})).pod_says(1.0, Ready="True")
+    world.at(1.0)
+    for time in (1.1, 1.2, 2.5, 3.0):
+        assert world.pod_says(time, Ready="Unknown").at(time).state == "Healthy"
+        assert world.deadline(time) == 3.1
+    assert world.at(3.1).reason == "status True of the pod's condition Ready has not held for 2 s (it is Unknown)"
+
+
+def test_other_conditions_and_restarts_do_it_no_harm():
+    world = World(leaf()).pod_says(1.0, Ready="True", PodScheduled="True")
+    world.at(1.0)
+    assert (
+        world.pod_says(2.0, 5, Ready="True", PodScheduled="False", DisruptionTarget="True").at(2.0).state == "Healthy"
+    )
+
+
+def test_a_condition_that_must_not_be():
+    world = World({"inverter": leaf(condition="DisruptionTarget")}, grace=1.0).pod_says(2.0, Ready="True")
+    assert world.at(2.0).state == "Healthy"
+    assert world.pod_says(3.0, DisruptionTarget="True").at(3.0).state == "Failed"
+
+
+def test_what_the_pod_has_not_got_is_unknown():
+    world = World(leaf(condition="example.com/calibrated", status="Unknown")).pod_says(1.0)
+    assert world.at(1.0).state == "Healthy"
+    world.pod_says(2.0, **{"example.com/calibrated": "False"})
+    assert world.at(2.0).leaf == "pod.example.com.calibrated"
+
+
+def test_before_anybody_has_looked_it_is_starting_until_the_grace_is_over():
+    world = World(leaf(), grace=10)
+    assert world.at(1.0).reason == "waiting for the first look at the pod, for up to 10 s"
+    assert world.pod_says(2.0, Ready="False").at(9.9).state == "Starting"
+    assert world.deadline(9.9) == 10
+    assert world.at(10.0).reason == (
+        "status True of the pod's condition Ready has not held within 10 s of the start (it is False)"
+    )
+
+
+def test_the_next_instance_is_judged_by_looks_since_it_took_control():
+    world = World(leaf(), grace=10).pod_says(1.0, Ready="True")
+    world.at(1.0)
+    world.since = START + 3.0
+    assert world.at(3.1).state == "Starting"
+    assert world.pod_says(3.2, Ready="True").at(3.2).state == "Healthy"
+
+
+def test_for_a_task_it_is_judged_only_while_that_is_active():
+    world = World({**TASK, "do": leaf()}, grace=5).pod_says(100.0, Ready="False")
+    assert world.at(100.0).state == "Healthy"
+    world.task = 100.0
+    assert world.deadline(100.1) == 101
+    assert world.at(101.0).reason.endswith("(it is False) while a goal of /go is active")
+
+
+# -- restarts -------------------------------------------------------------------------------------------------------
+
+
+def test_it_fails_with_the_restart_that_is_one_too_many_until_they_are_out_of_the_window():
+    world = World(leaf(restarts=1, window="10s")).pod_says(1.0, 7)
+    assert world.at(1.0).state == "Healthy", "what was before isn't held against it"
+    assert world.pod_says(2.0, 8).at(2.0).state == "Healthy"
+    assert world.pod_says(5.0, 9).at(5.0) == Verdict(
+        "Failed", "containers of the pod were started again 2 times within 10 s", "pod.restarts", START + 5.0
+    )
+    assert world.at(11.9).state == "Failed"
+    assert world.at(12.0).state == "Healthy"
+
+
+def test_restarts_that_are_far_from_each_other_and_conditions_do_no_harm():
+    world = World(leaf(restarts=1, window="10s")).pod_says(1.0, 0, Ready="True")
+    for step in range(1, 6):
+        assert world.pod_says(10.0 * step, step, Ready="False").at(10.0 * step).state == "Healthy"
+
+
+def test_several_at_once_count_and_one_is_too_many_where_none_may_be():
+    world = World(leaf(restarts=2, window="10s")).pod_says(1.0, 0)
+    world.at(1.0)
+    assert world.pod_says(2.0, 40).at(2.0).reason == "containers of the pod were started again 3 times within 10 s"
+    world = World(leaf(restarts=0, window="1h")).pod_says(1.0, 3)
+    world.at(1.0)
+    assert world.pod_says(2.0, 4).at(2.0).reason == "containers of the pod were started again once within 3600 s"
+
+
+def test_the_next_instance_has_restarts_of_its_own():
+    world = World(leaf(restarts=0, window="1h")).pod_says(1.0, 0)
+    world.at(1.0)
+    assert world.pod_says(2.0, 1).at(2.0).state == "Failed"
+    world.since = START + 3.0
+    assert world.at(3.0).state == "Healthy"
+    assert world.pod_says(3.1, 5).at(3.1).state == "Healthy"
+    assert world.pod_says(4.0, 0).at(4.0).state == "Healthy", "another pod of that name"
+    assert world.pod_says(5.0, 1).at(5.0).state == "Failed"
+
+
+def test_for_a_task_only_restarts_count_that_come_while_it_is_active():
+    world = World({**TASK, "do": leaf(restarts=0, window="1h")}).pod_says(1.0, 0)
+    world.at(1.0)
+    world.pod_says(2.0, 1).at(2.0)
+    world.task = 3.0
+    assert world.at(10.0).state == "Healthy"
+    world.pod_says(11.0, 2)
+    assert world.at(11.0).reason.endswith("once within 3600 s while a goal of /go is active")
+    world.task = None
+    assert world.at(12.0).state == "Healthy"
+
+
+def test_a_step_of_the_clock_moves_what_is_remembered():
+    world = World(leaf(restarts=0, window="10s")).pod_says(1.0, 0)
+    world.at(1.0)
+    world.pod_says(2.0, 1).at(2.0)
+    world.pod.received += 3600.0
+    assert world.at(3611.9).state == "Failed"
+    assert world.at(3612.0).state == "Healthy"
+
+
+@settings(max_examples=80, deadline=None)
+@given(
+    steps=st.lists(st.tuples(st.integers(1, 40), st.integers(0, 3)), max_size=10),
+    most=st.integers(0, 4),
+    window=st.integers(1, 60),
+)
+def test_it_fails_when_there_are_more_in_the_window_and_only_then(steps, most, window):
+    """Times in tenths of a second."""
+    world = World(leaf(restarts=most, window=f"{window / 10:g}s")).pod_says(0.0, 0)
+    world.at(0.0)
+    now = total = 0
+    times: list[int] = []
+    for step, new in steps:
+        for between in range(now + 1, now + step):
+            expected = sum(between - time < window for time in times) > most
+            assert (world.at(between / 10 + 0.01).state == "Failed") is expected
+        now, total = now + step, total + new
+        times += [now] * new
+        state = world.pod_says(now / 10, total).at(now / 10 + 0.01).state
+        assert (state == "Failed") is (sum(now - time < window for time in times) > most)
+
+
+# -- CPU and memory -------------------------------------------------------------------------------------------------
+
+
+def test_it_fails_when_it_has_taken_more_than_it_may_for_so_long():
+    world = World(leaf(cpu="< 1.5", **{"for": "10s"})).pod_says(1.0, usage=PodUsage(0.2, 0.0))
+    assert world.at(1.0).state == "Healthy"
+    assert world.pod_says(2.0, usage=PodUsage(1.5, 0.0)).at(2.0).state == "Healthy"
+    assert world.deadline(2.0) == 12
+    assert world.pod_says(11.0, usage=PodUsage(1.9, 0.0)).at(12.0) == Verdict(
+        "Failed", "cpu < 1.5 of the pod has not held for 10 s (it was 1.5)", "pod.cpu", START + 1.0
+    )
+    assert world.pod_says(13.0, usage=PodUsage(1.49, 0.0)).at(13.0).state == "Healthy"
+
+
+def test_a_peak_and_what_else_it_takes_do_no_harm():
+    world = World(leaf(memory="< 200Mi", **{"for": "10s"})).pod_says(1.0, usage=PodUsage(0.1, 100 * 2**20))
+    world.at(1.0)
+    assert world.pod_says(2.0, usage=PodUsage(0.1, 300 * 2**20)).at(2.0).state == "Healthy"
+    assert world.pod_says(8.0, usage=PodUsage(9.0, 190 * 2**20)).at(8.0).state == "Healthy"
+    assert world.at(30.0).state == "Healthy"
+    assert world.pod_says(31.0, usage=PodUsage(9.0, 212.4 * 2**20)).at(31.0).state == "Healthy"
+    assert world.at(41.0).reason == "memory < 200Mi of the pod has not held for 10 s (it was 212.4Mi)"
+
+
+def test_figures_that_are_not_there_are_no_failure():
+    world = World(leaf(cpu="> 0.1", **{"for": "5s"}), grace=1.0).pod_says(2.0)
+    assert world.at(20.0).state == "Healthy"
+    assert world.pod_says(21.0, usage=PodUsage(0.0, 0.0)).at(21.0).state == "Healthy", (
+        "the first ones too have their time"
+    )
+    assert world.at(26.0).state == "Failed"
+    assert world.pod_says(27.0).at(27.0).state == "Healthy", "what was is of long ago"
+
+
+@pytest.mark.parametrize(
+    ("bound", "holding", "others"),
+    [
+        ("< 1.5", [0.0, 1.499], [1.5, 2.0]),
+        ("<= 1500m", [0.0, 1.5], [1.501]),
+        (">200Mi", [201.0 * 2**20], [200.0 * 2**20]),
+        (">= 1e3", [1000.0], [999.9]),
+    ],
+)
+def test_bounds_are_compared_as_they_are_written(bound, holding, others):
+    for what in ("cpu", "memory"):
+        for value in (*holding, *others):
+            world = World(leaf(**{what: bound})).pod_says(1.0, usage=PodUsage(value, value))
+            assert (world.at(1.0).state == "Healthy") is (value in holding)
+
+
+def test_figures_are_asked_for_where_a_leaf_needs_them_and_only_there():
+    assert not load(leaf()).topics[0].usage
+    for nodes in ([leaf(), leaf(cpu="< 1")], [leaf(cpu="< 1"), leaf()]):
+        (topic,) = load({"parallel": nodes}).topics
+        assert topic.usage
+
+
+# -- both -----------------------------------------------------------------------------------------------------------
+
+
+def test_an_instance_that_waits_is_not_judged_by_it():
+    world = World({"parallel": [leaf(), leaf(restarts=0, window="1h")]}, grace=1.0)
+    world.in_control = False
+    assert world.at(20.0).state == "Healthy"
+    assert world.deadline(20.0) is None
+    assert world.pod_says(21.0, 0, Ready="False").at(21.0).state == "Healthy"
+    assert world.pod_says(22.0, 3, Ready="False").at(22.0).state == "Healthy"
+
+
+def test_nothing_is_subscribed_to_for_it_and_a_procedure_cannot_have_it():
+    (topic,) = load({"parallel": [leaf(), leaf(restarts=0, window="1h")]}).topics
+    assert (topic.pod, topic.heard) == (True, False)
+    assert "pod" not in CONDITIONS
+
+
+@pytest.mark.parametrize(
+    ("found", "place", "expected"),
+    [
+        ("Ready", "", "found 'Ready'; pod is a mapping such as {condition: Ready, for: 10s}"),
+        ({}, "", "found none of condition, restarts, cpu and memory; give one of them, such as condition: Ready"),
+        (
+            {"condition": "Ready", "restarts": 1},
+            "",
+            "found condition and restarts; give one of them, such as condition: Ready",
+        ),
+        (
+            {"condition": "not ready"},
+            ".condition",
+            "found 'not ready'; give the type of a condition, such as Ready or ContainersReady",
+        ),
+        ({"condition": "Ready", "status": "yes"}, ".status", "found 'yes'; known are True, False, Unknown"),
+        ({"condition": "Ready", "status": 1}, ".status", "found 1; known are True, False, Unknown"),
+        ({"condition": "Ready", "window": "1s"}, ".window", "window is only for restarts; leave it out"),
+        (
+            {"restarts": 1, "window": "1m", "for": "1s"},
+            ".for",
+            "for is only for condition, cpu or memory; leave it out",
+        ),
+        ({"restarts": 1, "window": "1m", "status": "True"}, ".status", "status is only for condition; leave it out"),
+        ({"restarts": 1}, ".window", "missing; give the time within which there may be so many restarts, such as 10m"),
+        ({"restarts": -1, "window": "1m"}, ".restarts", "found -1; give a whole number from 0 to 1000"),
+        ({"restarts": True, "window": "1m"}, ".restarts", "found True; give a whole number from 0 to 1000"),
+        (
+            {"cpu": "1.5"},
+            ".cpu",
+            "found '1.5'; write <, <=, > or >= and a quantity, such as '< 1.5', in cores",
+        ),
+        (
+            {"memory": "< 200 MB"},
+            ".memory",
+            "found '< 200 MB'; write <, <=, > or >= and a quantity, such as '< 200Mi'",
+        ),
+        ({"memory": 200}, ".memory", "found 200; write <, <=, > or >= and a quantity, such as '< 200Mi'"),
+        ({"cpu": "< 1", "window": "1m"}, ".window", "window is only for restarts; leave it out"),
+    ],
+)
+def test_a_problem_says_where_and_what_would_be_right(found, place, expected):
+    with pytest.raises(TreeError) as caught:
+        load({"pod": found})
+    assert [str(problem) for problem in caught.value.problems] == [f"{ROOT}.pod{place}: {expected}"]
+
+
+@pytest.mark.parametrize("status", [False, "False", "false"])
+def test_a_status_may_be_written_without_quotes(status):
+    assert World(leaf(condition="Paused", status=status)).pod_says(1.0, Paused="False").at(1.0).state == "Healthy"
+
+
+def test_it_is_the_same_in_all_languages():
+    short = {
+        "parallel": [
+            leaf(condition="Ready", **{"for": "1s"}),
+            {**leaf(condition="Paused", status="False"), "name": "going"},
+            leaf(restarts=1, window="2s"),
+            leaf(cpu="< 800m", **{"for": "3s"}),
+            leaf(memory=">= 1Ki"),
+        ]
+    }
+    text = written(
+        '<Pod condition="Ready" for="1s"/><Pod name="going" condition="Paused" status="False"/>'
+        '<Pod restarts="1" window="2s"/>'
+        '<Pod cpu="&lt; 800m" for="3s"/><Pod memory=">= 1Ki"/>'
+    )
+
+    def drive(world):
+        for time, restarts, ready, paused in (
+            (1, 0, "True", "False"),
+            (2, 1, "False", "False"),
+            (4, 1, "True", "True"),
+            (5, 2, "True", "False"),
+            (5.5, 3, "True", "False"),
+        ):
+            world.pod_says(time, restarts, usage=PodUsage(time / 5, 2048.0), Ready=ready, Paused=paused)
+            yield from (world.at(time), world.deadline(time))
+        yield from (world.at(3.5 + time), world.deadline(3.5 + time))
+
+    states = states_in_both_forms(text, short, drive)
+    assert states == ["Starting", "Healthy", "Healthy", "Failed", "Healthy", "Failed", "Failed"], (
+        "at last it took too much for too long"
+    )
+    with pytest.raises(TreeError) as caught:
+        load_xml(written('\n<Pod condition="Ready" status="maybe"/>'))
+    assert [str(problem) for problem in caught.value.problems] == [
+        "spec.monitoring.xml, line 2, column 1: <Pod> status: found 'maybe'; known are True, False, Unknown"
+    ]
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    node=st.sampled_from(
+        [
+            leaf(),
+            leaf(condition="Ready", **{"for": "1s"}),
+            leaf(restarts=0, window="700ms"),
+            leaf(cpu="< 1", **{"for": "500ms"}),
+            leaf(restarts=1, window="2s"),
+            {"inverter": leaf(restarts=0, window="1s")},
+        ]
+    ),
+    told=st.lists(st.tuples(st.integers(0, 600), st.integers(0, 1), st.sampled_from(["True", "False"])), max_size=12),
+    tasked=st.booleans(),
+    task=st.none() | st.integers(0, 600),
+    since=st.integers(0, 300),
+    now=st.integers(0, 600),
+)
+def test_the_deadline_is_the_first_moment_that_is_worse(node, told, tasked, task, since, now):
+    """Times in hundredths of a second."""
+    assume(now >= since)
+    world = World({**TASK, "do": node} if tasked else node, grace=2.0, since=since / 100)
+    world.task = task / 100 if task is not None and task <= now else None
+    restarts = 0
+    for time, new, ready in sorted(told):
+        restarts += new
+        if time <= now:
+            usage = PodUsage(2.0 * (ready == "False"), 0.0) if time % 3 else None
+            world.pod_says(time / 100, restarts, usage=usage, Ready=ready).at(time / 100)
+    assert_deadline_is_the_first_worse_moment(world, now / 100)
