@@ -120,6 +120,8 @@ class HealthTree:
         self._build = build
         self._glance = glance
         self._left_out: frozenset[str] | None = None
+        self._foretold: tuple[Observations, float, float, dict[str, float]] | None = None
+        """What the last evaluation found where all was healthy: of what, when, since when, and until when by path of leaf."""
         self.root: Behaviour | None = None
         """The behaviours, with the states of the last evaluation; None where nothing can be judged."""
         self.leave_out(())
@@ -127,6 +129,7 @@ class HealthTree:
     def begin(self, now: float) -> None:
         """Judge from now on (Unix seconds): what the tree names anew has the grace to come, though the instance isn't new."""
         self._glance.begun = now
+        self._foretold = None
 
     def leave_out(self, topics: Collection[str]) -> None:
         """Judge without the leaves of these topics, since they can't be watched: being blind is no failure.
@@ -137,6 +140,7 @@ class HealthTree:
         if topics == self._left_out:
             return
         self._left_out = frozenset(topics)
+        self._foretold = None
         self.root = self._build(self._left_out)
         nodes = list(self.root.iterate()) if self.root is not None else []
         self._leaves = [node for node in nodes if isinstance(node, Leaf)]
@@ -173,10 +177,12 @@ class HealthTree:
             return Verdict(
                 "Starting", f"none of {', '.join(topic.name for topic in self.topics)} can be watched", "", None
             )
+        self._foretold = None
         shown = all(leaf.status == Status.SUCCESS for leaf in self._leaves)
-        if shown and self._healthy_until(observations, now, since) is not None:
+        if shown and (until := self._healthy_until(observations, now, since)) is not None:
             for leaf in self._leaves:
                 leaf.remember()
+            self._foretold = observations, now, since, until
             return _HEALTHY
         state = self._tick(observations, now, since)
         if state == "Healthy":
@@ -188,11 +194,16 @@ class HealthTree:
     def deadline(self, observations: Observations, *, now: float, since: float) -> float | None:
         """The first moment at which :meth:`evaluate` would be worse than now if nothing more arrives; None for never.
 
-        Holds until the next message or evaluation; then ask again.
+        Holds until the next message or evaluation; then ask again. Asked after an evaluation, with the same moments and before
+        anything more is noted, it costs next to nothing while all is healthy.
         """
         if self.root is None:
             return None
-        until = self._healthy_until(observations, now, since)
+        told, self._foretold = self._foretold, None
+        if told is not None and told[0] is observations and told[1:3] == (now, since):
+            until: dict[str, float] | None = told[3]
+        else:
+            until = self._healthy_until(observations, now, since)
         if until is not None:
             moment = _first_loss(self.root, until)
             return moment if math.isfinite(moment) else None

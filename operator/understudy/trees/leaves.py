@@ -144,7 +144,8 @@ class TopicLeaf(Leaf):
     def state(self) -> State:
         """The state at the glance's moment."""
         if self.tasks:
-            return self._task_state()
+            found = situation(self.tasks, self._glance)
+            return self._task_state(found) if found is not None else "Healthy"
         states = [self._gap_state()] if self.gap is not None else []
         if self.window is not None:
             states.append(self._rate_state(self.window))
@@ -218,11 +219,8 @@ class TopicLeaf(Leaf):
 
     # -- for a task -------------------------------------------------------------------------------------------------
 
-    def _task_state(self) -> State:
-        glance, found = self._glance, situation(self.tasks, self._glance)
-        if found is None:
-            return "Healthy"
-        record = self._record()
+    def _task_state(self, found: Situation) -> State:
+        glance, record = self._glance, self._record()
         in_grace = glance.now < glance.in_time
         failed: list[bool] = []
         if self.gap is not None:
@@ -241,7 +239,7 @@ class TopicLeaf(Leaf):
         found = situation(self.tasks, self._glance)
         if found is None:
             return math.inf
-        if self._task_state() != "Healthy":
+        if self._task_state(found) != "Healthy":
             return None
         record, until = self._record(), math.inf
         if self.gap is not None:
