@@ -15,8 +15,8 @@ import time
 
 def run(kind: str) -> None:
     import rclpy
-    from rclpy._rclpy_pybind11 import RCLError
     from geometry_msgs.msg import PoseWithCovarianceStamped
+    from rclpy._rclpy_pybind11 import RCLError
     from rclpy.callback_groups import ReentrantCallbackGroup
     from rclpy.executors import MultiThreadedExecutor
     from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
