@@ -7,9 +7,9 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from understudy.console.bars import NAMES, length, short
 from understudy_demo.recovery import PARTS, Recovered
 from understudy_demo.robotview import RobotLog
-from understudy_demo.timeline import NAMES, length, short
 
 COLOURS = {"detection": "#f4c95d", "cluster": "#c0392b", "startup": "#5fa777", "reinitialization": "#5b8db8"}
 _SOURCES = ("#1b3a57", "#7b2d8b", "#0f766e", "#b45309", "#4d4d4d", "#9d174d")

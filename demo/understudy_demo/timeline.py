@@ -5,51 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from datetime import datetime
 
+from understudy.console.bars import LEGEND, MOMENTS, NAMES, bar, length, short, stacked
 from understudy_demo.recovery import PARTS, Recovered
 from understudy_demo.robotview import Handover
 
-NAMES = {"detection": "detection", "cluster": "cluster", "startup": "start-up", "reinitialization": "re-init"}
-_GLYPHS = {"detection": "░", "cluster": "█", "startup": "▓", "reinitialization": "▒"}
-_EIGHTHS = " ▏▎▍▌▋▊▉"
-_MOMENTS = (
-    ("detected", "detected"),
-    ("claimed", "claimed"),
-    ("fenced", "fenced"),
-    ("started", "started"),
-    ("ready", "ready"),
-    ("routed", "routed"),
-    ("firstOutput", "first command seen"),
-    ("verified", "recovered"),
-)
 _LABEL = 13
-
-
-def length(seconds: float) -> str:
-    """A length of time with the digits that matter: 0, 0.4 ms, 6 ms, 503 ms, 2.91 s."""
-    milli = seconds * 1000
-    if abs(milli) < 0.05:
-        return "0"
-    if abs(milli) < 9.95:
-        return f"{milli:.1f} ms".replace(".0 ms", " ms")
-    return f"{milli:.0f} ms" if abs(milli) < 999.5 else f"{seconds:.2f} s"
-
-
-def bar(start: float, seconds: float, scale: float) -> str:
-    """A bar from ``start`` for ``seconds``, with ``scale`` seconds to a character.
-
-    Its length is right to an eighth of a character, its beginning to half of one.
-    """
-    if seconds <= 0:
-        return ""
-    full, rest = divmod(max(1, round(seconds / scale * 8)), 8)
-    return " " * round(start / scale) + "█" * full + (_EIGHTHS[rest] if rest else "")
-
-
-def short(pods: Sequence[str]) -> dict[str, str]:
-    """Pod names by their endings, such as ``…-7k2xq``; whole where those don't tell them apart."""
-    endings = {pod: pod.rpartition("-")[2] for pod in pods}
-    told = len(set(endings.values())) == len(endings) and all(len(ending) >= 5 for ending in endings.values())
-    return {pod: f"…-{ending}" if told and ending != pod else pod for pod, ending in endings.items()}
 
 
 def render(recovered: Recovered, handover: Handover | None, *, width: int = 46) -> str:
@@ -72,7 +32,7 @@ def render(recovered: Recovered, handover: Handover | None, *, width: int = 46) 
     if recovered.start is not None:
         at = [
             f"{text} +{length(recovered.moments[name] - recovered.start)}"
-            for name, text in _MOMENTS
+            for name, text in MOMENTS
             if name in recovered.moments
         ]
         lines.append(f"    {'moments':{_LABEL}}{' · '.join(at)}")
@@ -124,12 +84,6 @@ def compare(recoveries: Sequence[Recovered], *, width: int = 60) -> str:
     lines = []
     label = max(len(r.strategy) for r in recoveries) + 2
     for recovered in recoveries:
-        drawn, end, cells = "", 0.0, 0
-        for part in PARTS:
-            end += recovered.parts.get(part, 0.0)
-            upto = round(end / longest * width)
-            drawn += _GLYPHS[part] * (upto - cells)
-            cells = upto
-        lines.append(f"    {recovered.strategy:{label}}{drawn:{width}}  {length(end):>8}")
-    legend = "   ".join(f"{_GLYPHS[part]} {NAMES[part]}" for part in PARTS)
-    return "\n".join([*lines, f"    {'':{label}}{legend}"])
+        drawn, total = stacked(recovered.parts, longest / width), sum(recovered.parts.values())
+        lines.append(f"    {recovered.strategy:{label}}{drawn:{width}}  {length(total):>8}")
+    return "\n".join([*lines, f"    {'':{label}}{LEGEND}"])

@@ -1,6 +1,7 @@
 """One command: for the parts that run in pods, ``understudy operator | monitor | agent | tasks | prepare``, and for people.
 
-``understudy check`` validates manifests without a cluster, ``understudy tree`` shows a workload's live health tree,
+``understudy check`` validates manifests without a cluster, ``understudy status`` shows the robots of one, ``understudy
+timeline`` their recoveries, ``understudy explain`` why one is as it is, ``understudy tree`` a workload's live health tree,
 ``understudy tracker`` watches robots by a camera, ``understudy size`` says how many fallbacks a fleet needs. What tries a
 policy without a cluster is in ``understudy.trying``.
 """
@@ -21,6 +22,9 @@ _PARTS = {
     "learn": "understudy.trying.learning",
     "check": "understudy.checking.running",
     "tree": "understudy.console.tree",
+    "status": "understudy.console.status",
+    "timeline": "understudy.console.timeline",
+    "explain": "understudy.console.explain",
     "tracker": "understudy.tracker.running",
     "size": "understudy.planning.size",
 }

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import json
+import os
 import re
 import select
 import shutil
 import subprocess
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator
 from typing import Any
 
 TIMEOUT = 15.0
@@ -22,23 +24,72 @@ class Unusable(Exception):
     """What was asked for can't be done; the text says why, and what to do."""
 
 
+def add_options(parser: argparse.ArgumentParser, *, all_namespaces: bool = False) -> None:
+    """Let a command be told which cluster and which namespace is meant."""
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("-n", "--namespace", help="the namespace, where that isn't the context's")
+    if all_namespaces:
+        where.add_argument("-A", "--all-namespaces", action="store_true", help="every namespace")
+    parser.add_argument("--context", help="the kubeconfig's context")
+    parser.add_argument("--kubeconfig", help="the kubeconfig")
+
+
 class Kubectl:
     """kubectl with the options that say which cluster and which namespace."""
 
-    def __init__(self, options: Sequence[str]) -> None:
-        """Raises Unusable where there is no kubectl."""
+    def __init__(self, given: argparse.Namespace) -> None:
+        """``given`` are the options of :func:`add_options`. Raises Unusable where there is no kubectl."""
         if shutil.which("kubectl") is None:
             raise Unusable("kubectl isn't on the PATH; install it, since the cluster is asked through it")
-        self._options = list(options)
+        where = {"namespace": given.namespace, "context": given.context, "kubeconfig": given.kubeconfig}
+        self._options = [f"--{key}={value}" for key, value in where.items() if value]
 
     def get(self, kind: str, *arguments: str) -> Any:
         """An object, or a list of them. Raises Unusable with what kubectl said."""
+        return json.loads(self._got(kind, *arguments))
+
+    def find(self, kind: str, name: str, *arguments: str) -> Any:
+        """An object, or None where it isn't there. Raises Unusable with what kubectl said."""
+        text = self._got(kind, name, "--ignore-not-found", *arguments)
+        return json.loads(text) if text.strip() else None
+
+    def _got(self, kind: str, *arguments: str) -> str:
         command = ["kubectl", *self._options, "get", kind, *arguments, "-o", "json", f"--request-timeout={TIMEOUT:g}s"]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode:
             said = done.stderr.strip().splitlines()
             raise Unusable(said[-1] if said else f"kubectl ended with {done.returncode}")
-        return json.loads(done.stdout)
+        return done.stdout
+
+    @contextlib.contextmanager
+    def changes(self, kind: str, *arguments: str) -> Iterator[Callable[[float], bool]]:
+        """While the context lasts, waits at most so many seconds for the objects of a kind to change; whether they did.
+
+        It tells that they did and not how: whoever is told asks for all of them again. Where the watch ends, as
+        API servers end every one after a while, it is begun anew.
+        """
+        command = ["kubectl", *self._options, "get", kind, *arguments, "--watch-only", "-o", "name"]
+        running: list[subprocess.Popen[bytes]] = []
+
+        def begin() -> None:
+            running.append(subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL))
+
+        def wait(within: float) -> bool:
+            output = running[-1].stdout
+            assert output is not None, "it is a pipe"
+            if not select.select([output], [], [], within)[0]:
+                return False
+            if not os.read(output.fileno(), 65536):
+                _end(running.pop())
+                time.sleep(within)  # it may end at once again, such as for want of a right
+                begin()
+            return True
+
+        begin()
+        try:
+            yield wait
+        finally:
+            _end(running.pop())
 
     @contextlib.contextmanager
     def forwarded(self, pod: str, port: int) -> Iterator[int]:
@@ -49,6 +100,13 @@ class Kubectl:
                 yield _port(running)
             finally:
                 running.terminate()
+
+
+def _end(running: subprocess.Popen[bytes]) -> None:
+    running.terminate()
+    running.wait()
+    if running.stdout is not None:
+        running.stdout.close()
 
 
 def _port(running: subprocess.Popen[str]) -> int:

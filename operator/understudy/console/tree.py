@@ -14,7 +14,7 @@ from typing import Any
 from understudy.api import names
 from understudy.console import terminal
 from understudy.console.drawing import Rates, lines
-from understudy.console.kubectl import Kubectl, Unusable
+from understudy.console.kubectl import Kubectl, Unusable, add_options
 
 HEALTHY, NOT_HEALTHY, CANT = 0, 1, 2
 """Exit statuses."""
@@ -29,9 +29,8 @@ PATIENCE = 20.0
 def main(arguments: list[str]) -> int:
     """Run the command."""
     given = _parser().parse_args(arguments)
-    options = [f"--{key}={value}" for key, value in _cluster(given).items() if value]
     try:
-        kubectl = Kubectl(options)
+        kubectl = Kubectl(given)
         if given.web:
             return _web(kubectl, given.name)
         if given.watch:
@@ -97,40 +96,34 @@ def _once(kubectl: Kubectl, workload: str, *, as_json: bool) -> int:
         json.dump(state, sys.stdout, indent=2)
         print()
     else:
-        print("\n".join(lines(state, rates, colours=sys.stdout.isatty())))
+        print("\n".join(lines(state, rates, colours=terminal.colours(sys.stdout))))
     return HEALTHY if state["health"] == "Healthy" else NOT_HEALTHY
 
 
 def _watch(kubectl: Kubectl, workload: str) -> int:
     """Draw it again and again. A monitor that is replaced meanwhile is found again."""
-    screen = sys.stdout.isatty()
+    screen, colours = sys.stdout.isatty(), terminal.colours(sys.stdout)
     rates, health = Rates(), ""
-    if screen:
-        sys.stdout.write(terminal.BEGIN)
+    answered = time.monotonic()
     try:
-        answered = time.monotonic()
-        while True:
-            try:
-                with kubectl.forwarded(monitor_pod(kubectl, workload), names.METRICS_PORT) as port:
-                    while True:
-                        state = asked(port)
-                        answered = time.monotonic()
-                        rates.look(state)
-                        health = state["health"]
-                        _draw(list(lines(state, rates, colours=screen)), screen)
-                        time.sleep(PERIOD)
-            except Unusable as error:
-                if time.monotonic() - answered > PATIENCE:
-                    raise
-                _draw([f"{error}; asking again"], screen)
-                time.sleep(1)
+        with terminal.screen(sys.stdout) if screen else contextlib.nullcontext():
+            while True:
+                try:
+                    with kubectl.forwarded(monitor_pod(kubectl, workload), names.METRICS_PORT) as port:
+                        while True:
+                            state = asked(port)
+                            answered = time.monotonic()
+                            rates.look(state)
+                            health = state["health"]
+                            _draw(list(lines(state, rates, colours=colours)), screen)
+                            time.sleep(PERIOD)
+                except Unusable as error:
+                    if time.monotonic() - answered > PATIENCE:
+                        raise
+                    _draw([f"{error}; asking again"], screen)
+                    time.sleep(1)
     except (KeyboardInterrupt, BrokenPipeError):
         return HEALTHY if health == "Healthy" else NOT_HEALTHY
-    finally:
-        if screen:
-            with contextlib.suppress(BrokenPipeError):
-                sys.stdout.write(terminal.END)
-                sys.stdout.flush()
 
 
 def _draw(told: Sequence[str], screen: bool) -> None:
@@ -150,10 +143,6 @@ def _web(kubectl: Kubectl, workload: str) -> int:
     return HEALTHY
 
 
-def _cluster(given: argparse.Namespace) -> dict[str, str | None]:
-    return {"namespace": given.namespace, "context": given.context, "kubeconfig": given.kubeconfig}
-
-
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="understudy tree",
@@ -162,11 +151,9 @@ def _parser() -> argparse.ArgumentParser:
         epilog="Exit status: 0 where the workload is healthy, 1 where it isn't, 2 where it can't be told.",
     )
     parser.add_argument("name", metavar="NAME", help="the RobotWorkload")
-    parser.add_argument("-n", "--namespace", help="its namespace, where that isn't the context's")
     how = parser.add_mutually_exclusive_group()
     how.add_argument("-w", "--watch", action="store_true", help="go on until Ctrl-C")
     how.add_argument("-o", "--output", choices=["text", "json"], default="text", help="text, or everything as JSON")
     how.add_argument("--web", action="store_true", help="serve the monitor's own page on this machine until Ctrl-C")
-    parser.add_argument("--context", help="the kubeconfig's context")
-    parser.add_argument("--kubeconfig", help="the kubeconfig")
+    add_options(parser)
     return parser

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Protocol
 
 from understudy.api import names
 from understudy.cluster.client import (
@@ -17,8 +17,8 @@ from understudy.cluster.client import (
     REPLICA_SETS,
     STATEFUL_SETS,
     WORKLOADS,
-    Client,
     Object,
+    Resource,
 )
 from understudy.controller import affected, levels, objects, pools, references, selectors, workloads
 from understudy.controller.affected import Key
@@ -26,10 +26,20 @@ from understudy.controller.expectations import Expectations
 from understudy.controller.stores import Store
 
 
+class Reader(Protocol):
+    """Reads what isn't in the store, as :class:`understudy.cluster.client.Client` does."""
+
+    async def find(self, resource: Resource, namespace: str | None, name: str) -> Object | None:
+        """An object, or None where it isn't there."""
+
+    async def list(self, resource: Resource, namespace: str | None = None, *, labels: str | None = None) -> Object:
+        """A collection: ``items``."""
+
+
 class Observer:
     """What is so around one object of ours."""
 
-    def __init__(self, client: Client, store: Store, expectations: Expectations) -> None:
+    def __init__(self, client: Reader, store: Store, expectations: Expectations) -> None:
         self._client, self._store, self._expectations = client, store, expectations
 
     async def workload(self, item: Object) -> workloads.Observed:

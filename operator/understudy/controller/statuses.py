@@ -107,8 +107,7 @@ class Means:
 def protected(observed: Observed, understanding: Understanding) -> Condition:
     """Whether a failure now would be met by the policy's first strategy, and else what is missing."""
     generation = objects.generation(observed.workload)
-    strategies = _strategies(observed, understanding)
-    means = [_means(observed, understanding, strategy) for strategy in strategies]
+    means = [found for _, found in considered(observed, understanding)]
 
     def no(reason: str, message: str, outlook: str) -> Condition:
         return condition("Protected", False, reason, f"{message.rstrip('.')}. {outlook}", generation=generation)
@@ -134,6 +133,13 @@ def protected(observed: Observed, understanding: Understanding) -> Condition:
     if means and not means[0].available:
         return no(means[0].reason, means[0].message, outlook)
     return condition("Protected", True, "FirstStrategyReady", outlook, generation=generation)
+
+
+def considered(observed: Observed, understanding: Understanding) -> list[tuple[Strategy, Means]]:
+    """The strategies that count now, in the policy's order, each with whether it could be carried out; none while the policy
+    can't be followed.
+    """
+    return [(strategy, _means(observed, understanding, strategy)) for strategy in _strategies(observed, understanding)]
 
 
 def _outlook(means: Sequence[Means]) -> str:

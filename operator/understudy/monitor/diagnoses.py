@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
+from understudy.api.healths import why
 from understudy.monitor.reporting import Reporter
 from understudy.ros.diagnosing import Status
 from understudy.trees.diagnostics import OWN
@@ -26,17 +27,6 @@ LEVELS: Mapping[str, int] = {
 
 LONGEST = 400
 """Characters of a message, or of a value; a recovery that failed may have more to say than a line of a table holds."""
-
-_PLAIN: Mapping[str, str] = {
-    "Starting": "no instance has been healthy yet",
-    "Degraded": "it is degraded",
-    "Failed": "it has failed",
-    "Recovering": "it is being recovered",
-    "Unknown": "nothing can be told: there is no policy in force, or no instance that runs",
-}
-
-_PAST = ("Recovered", "HealthyAgain", "Superseded")
-"""Reasons of the condition Recovering that are about something that is over."""
 
 
 class Said(NamedTuple):
@@ -71,7 +61,8 @@ class More(NamedTuple):
 def said(reporter: Reporter, at: float) -> Said:
     """What the reporter says now."""
     planned = reporter.health == "Recovering" and reporter.reason("Recovering") == "Rescheduling"
-    return Said(at, reporter.health, _message(reporter), reporter.active, reporter.gate.epoch, planned)
+    message = why(reporter.health, reporter.active, reporter.conditions)
+    return Said(at, reporter.health, message, reporter.active, reporter.gate.epoch, planned)
 
 
 def status(namespace: str, workload: str, now: Said, reporter: Reporter, more: More) -> Status:
@@ -84,23 +75,6 @@ def status(namespace: str, workload: str, now: Said, reporter: Reporter, more: M
         f"{namespace}/{workload}",
         [(key, _short(value)) for key, value in values],
     )
-
-
-def _message(reporter: Reporter) -> str:
-    """Why it is as it is."""
-    health = reporter.health
-    if health == "Healthy":
-        return f"{reporter.active} is in control" if reporter.active else "healthy"
-    found = {condition.type: condition for condition in reporter.conditions}
-    if health == "Degraded" and (degraded := found.get(health)) is not None and degraded.status == "True":
-        return degraded.message
-    recovering, judged = found.get("Recovering"), found.get("Healthy")
-    if health in ("Failed", "Recovering") and recovering is not None and recovering.reason not in _PAST:
-        return recovering.message
-    # Without an instance in control, what was said last is of one that is gone.
-    if health != "Unknown" and reporter.active and judged is not None and judged.status != "True" and judged.message:
-        return judged.message
-    return _PLAIN.get(health, health)
 
 
 def _values(now: Said, reporter: Reporter, more: More) -> Iterator[tuple[str, str]]:

@@ -1,0 +1,40 @@
+"""Why a workload is as it is, from what its conditions say."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from understudy.api.conditions import Condition
+
+_PLAIN: Mapping[str, str] = {
+    "Starting": "no instance has been healthy yet",
+    "Degraded": "it is degraded",
+    "Failed": "it has failed",
+    "Recovering": "it is being recovered",
+    "Unknown": "nothing can be told: there is no policy in force, or no instance that runs",
+}
+
+PAST = ("Recovered", "HealthyAgain", "Superseded")
+"""Reasons of the condition Recovering that are about something that is over."""
+
+
+def why(health: str, active: str, conditions: Iterable[Condition]) -> str:
+    """Why the health is what it is; ``active`` is the pod in control."""
+    if health == "Healthy":
+        return f"{active} is in control" if active else "healthy"
+    found = telling(health, active, conditions)
+    return found.message if found is not None else _PLAIN.get(health, health)
+
+
+def telling(health: str, active: str, conditions: Iterable[Condition]) -> Condition | None:
+    """The condition that says why a workload isn't healthy; None where none does."""
+    found = {condition.type: condition for condition in conditions}
+    degraded, recovering, judged = found.get("Degraded"), found.get("Recovering"), found.get("Healthy")
+    if health == "Degraded" and degraded is not None and degraded.status == "True":
+        return degraded
+    if health in ("Failed", "Recovering") and recovering is not None and recovering.reason not in PAST:
+        return recovering
+    # Without an instance in control, what was said last is of one that is gone.
+    if health != "Unknown" and active and judged is not None and judged.status != "True" and judged.message:
+        return judged
+    return None

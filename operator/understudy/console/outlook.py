@@ -1,0 +1,388 @@
+"""Why a workload is as it is, what a failure now would lead to, and what is missing, in words; pure.
+
+Which strategy could be carried out is found out by the operator's own functions, and so are the reasons why not.
+"""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from understudy.api import names
+from understudy.api.base import seconds
+from understudy.api.conditions import Condition
+from understudy.api.healths import telling, why
+from understudy.api.policies import FailurePolicySpec, Strategy, in_force
+from understudy.api.workloads import Recovery, RobotWorkloadSpec, RobotWorkloadStatus
+from understudy.cluster.client import Object
+from understudy.console.bars import length
+from understudy.console.drawing import coloured, plain
+from understudy.console.observing import Around
+from understudy.console.robots import DRIVEN, UNWATCHED, Robot, pool, robot, status_of
+from understudy.console.texts import age, listed, unix, wrapped
+from understudy.controller import objects, policies, pools, statuses, workloads
+from understudy.controller.desired import Images
+from understudy.controller.statuses import Means
+from understudy.controller.troubles import trouble
+from understudy.controller.workloads import Observed, Understanding
+from understudy.trees.forms import load_monitoring
+from understudy.trees.problems import TreeError
+
+LATELY = 5
+"""Events that are told."""
+
+
+@dataclass(frozen=True)
+class Known:
+    """All that is looked at: what the status says, and what the cluster has at this moment."""
+
+    observed: Observed
+    understanding: Understanding
+    status: RobotWorkloadStatus
+    said: Robot
+    """As the status has it."""
+    protected: Condition
+    """As it is now, by the operator's rules: it may not have said so yet, or be away."""
+    events: Sequence[Object]
+
+    @classmethod
+    def of(cls, around: Around) -> Known:
+        """From what is so around a workload. Raises Unusable where its status can't be read."""
+        observed = around.observed
+        understanding = workloads.understand(observed, Images(monitor=""))
+        protected = statuses.protected(observed, understanding)
+        item = observed.workload
+        return cls(observed, understanding, status_of(item), robot(item), protected, around.events)
+
+    @property
+    def is_watched(self) -> bool:
+        """Whether its monitor runs."""
+        return any(objects.ready(pod) for pod in self.observed.monitors)
+
+    @property
+    def health(self) -> str:
+        """By its monitor, or UNWATCHED."""
+        return self.status.health or "Unknown" if self.is_watched else UNWATCHED
+
+    @property
+    def is_well(self) -> bool:
+        """Whether it is protected, and driven as it should be."""
+        return self.protected.status == "True" and self.health in DRIVEN
+
+    @property
+    def spec(self) -> RobotWorkloadSpec | None:
+        """Its spec, where that can be read."""
+        return self.understanding.spec
+
+    @property
+    def policy(self) -> FailurePolicySpec | None:
+        """Its policy with the health tree in force; None where it can't be followed."""
+        if self.spec is None or self.understanding.policy_problem is not None:
+            return None
+        item = self.observed.policies[self.spec.failure_policy_ref.name]
+        return in_force(policies.spec(item), item.get("status"))
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """One thing that is told under a heading."""
+
+    text: str
+    state: str = ""
+    """By which its mark is coloured; empty for no mark."""
+    depth: int = 0
+
+
+_MARKS = {"Healthy": "✓ ", "Failed": "✗ ", "Degraded": "! ", "": ""}
+
+
+def lines(known: Known, *, columns: int | None, colours: bool) -> Iterator[str]:
+    """All of it."""
+    colour = "Failed" if known.health == UNWATCHED else known.health
+    health = coloured(plain(known.health), colour, colours=colours)
+    yield f"{known.said.namespace}/{known.said.name}  {health}{_for(known)}"
+    for entry in _state(known):
+        yield from _drawn(entry, columns, colours)
+    for heading, entries in (
+        ("If it failed now", _failing(known)),
+        ("Pools", _pools(known)),
+        ("Missing", _missing(known)),
+        ("Not covered", _not_covered(known)),
+        ("Lately", _lately(known.events, known.observed.now)),
+    ):
+        told = list(entries)
+        if told:
+            yield ""
+            yield heading
+        for entry in told:
+            yield from _drawn(entry, columns, colours)
+
+
+def _drawn(entry: _Entry, columns: int | None, colours: bool) -> Iterator[str]:
+    mark, indent = _MARKS[entry.state], 2 + 2 * entry.depth
+    first, *others = wrapped(entry.text, columns, indent=indent + len(mark))
+    yield f"{' ' * indent}{coloured(mark, entry.state, colours=colours) if mark else ''}{first.lstrip()}"
+    yield from others
+
+
+# -- how it is --------------------------------------------------------------------------------------------------------
+
+
+def _for(known: Known) -> str:
+    found = telling(known.health, known.said.active, known.status.conditions or [])
+    return f" for {age(found.last_transition_time, known.observed.now)}" if found is not None else ""
+
+
+def _state(known: Known) -> Iterator[_Entry]:
+    """Why it is in this state, and who drives."""
+    status, observed = known.status, known.observed
+    if not known.is_watched:
+        said = f"; the last that was said is {status.health}" if status.health else ""
+        yield _Entry(f"Nobody watches it, so how it is isn't known{said}.")
+    elif known.health != "Healthy":
+        yield _Entry(f"{why(known.health, known.said.active, status.conditions or []).rstrip('.')}.")
+    name, uid = objects.active(observed.gate)
+    epoch = objects.notes(observed.gate).get(names.EPOCH, "0") if observed.gate is not None else "0"
+    if not name:
+        yield _Entry(f"In control: nobody (gate epoch {epoch}).")
+        return
+    referred = observed.reference.pods if observed.reference is not None else ()
+    pod = next((p for p in (*observed.pods, *referred) if objects.uid(p) == uid), None)
+    since = next((r for r in status.recoveries or [] if r.to_pod == name and r.result == "Recovered"), None)
+    told = [
+        f"In control: {name} {_where(pod)}" if pod is not None else f"In control: {name}, which is gone",
+        f"gate epoch {epoch}",
+        f"since recovery #{since.number}" if since is not None else "",
+    ]
+    yield _Entry(f"{listed(told)}.")
+    if pod is not None and (found := trouble(pod)) is not None:
+        yield _Entry(found.message, "Failed")
+    if admitted := objects.notes(observed.gate).get(names.ADMITTED, "") if observed.gate is not None else "":
+        yield _Entry(f"Let through beside it, for the reflex: {admitted}.")
+
+
+def _where(pod: Object) -> str:
+    node = (pod.get("spec") or {}).get("nodeName")
+    return f"on {node}" if node else "on no node"
+
+
+# -- if it failed now -------------------------------------------------------------------------------------------------
+
+
+def _failing(known: Known) -> Iterator[_Entry]:
+    observed, understanding = known.observed, known.understanding
+    considered = statuses.considered(observed, understanding)
+    if not known.is_watched:
+        yield _Entry(
+            "Nobody would notice, and nothing would be done, until its monitor runs (see Missing). It would do this:",
+            "Failed",
+        )
+    elif not considered:
+        yield _Entry(known.protected.message, "Failed")
+    yield from _pause(known)
+    before: Strategy | None = None
+    for number, (strategy, means) in enumerate(considered, 1):
+        head = f"{number}. {means.name}"
+        if not means.available:
+            yield _Entry(f"{head} can't be carried out ({means.reason}): {means.message.rstrip('.')}.", "Failed")
+            continue
+        ready = f": {means.message}" if means.message else ""
+        if before is None:
+            told = f"{head} would be carried out{ready}"
+        else:
+            told = f"{head} is next, if that is not verified within {before.verify_within}{ready}"
+        yield _Entry(f"{told}. {_experience(strategy, known)}", "Healthy")
+        before = strategy
+    if considered and before is None:
+        yield _Entry(
+            "No strategy of its policy could be carried out: the robot would be left without commands.", "Failed"
+        )
+    elif before is not None:
+        yield _Entry(
+            f"If the last isn't verified within {before.verify_within} either, all are tried again after a pause. What isn't "
+            "available in that moment is passed over at once."
+        )
+    yield from _asleep(known, [strategy for strategy, _ in considered])
+    yield from _otherwise(known, considered)
+
+
+def _pause(known: Known) -> Iterator[_Entry]:
+    """What the policy's limits put off."""
+    policy, last = known.policy, known.said.last_recovery
+    if policy is None or last is None or last.ended is None or policy.priority == "Safety":
+        return
+    left = unix(last.ended) + seconds(policy.limits.cooldown) - known.observed.now
+    if left > 0:
+        yield _Entry(
+            f"Nothing would be done for another {left:.0f} s: limits.cooldown of its policy asks for {policy.limits.cooldown} after a "
+            "recovery.",
+            "Degraded",
+        )
+
+
+def _experience(strategy: Strategy, known: Known) -> str:
+    """How long it took before."""
+    name = _recorded(strategy, known.observed)
+    took = [
+        r.recovery_seconds
+        for r in known.status.recoveries or []
+        if _is_by(r, name) and r.recovery_seconds is not None and r.result == "Recovered"
+    ]
+    if not took:
+        return "It has not recovered this robot yet."
+    which = "the last time" if len(took) == 1 else f"the median of the last {len(took)} times"
+    return f"It took {length(statistics.median(took))}, {which}."
+
+
+def _is_by(recovery: Recovery, name: str) -> bool:
+    return not recovery.planned and recovery.strategy == name
+
+
+def _recorded(strategy: Strategy, observed: Observed) -> str:
+    """What a strategy is called in the record of a recovery."""
+    if strategy.pool_ref is None:
+        return strategy.type
+    item = observed.pools.get(strategy.pool_ref.name)
+    return f"{strategy.type}/{policies.readiness(item) if item is not None else ''}"
+
+
+def _asleep(known: Known, considered: Sequence[Strategy]) -> Iterator[_Entry]:
+    """Pools that nobody counts on while it is well."""
+    counted = {s.pool_ref.name for s in considered if s.pool_ref is not None}
+    policy = known.policy
+    left = (
+        [s.pool_ref.name for s in policy.strategies if s.pool_ref and s.pool_ref.name not in counted] if policy else []
+    )
+    if considered and left:
+        yield _Entry(f"Left out: {listed(left)}, which has standbys only while the robot is degraded.")
+
+
+def _otherwise(known: Known, considered: Sequence[tuple[Strategy, Means]]) -> Iterator[_Entry]:
+    """What the monitor says, where that is something else: it hears the standbys' agents, this command doesn't."""
+    said = known.status.strategy
+    if not said or not considered or known.health in (UNWATCHED, "Recovering"):
+        return
+    first = next((strategy for strategy, means in considered if means.available), None)
+    found = _recorded(first, known.observed).rpartition("/")[2] if first is not None else "None"
+    if said != found:
+        yield _Entry(
+            f"Its monitor says {said}. It knows more than the pods' readiness, such as whether their agents are connected; in a few "
+            "seconds both should say the same.",
+            "Degraded",
+        )
+
+
+# -- pools --------------------------------------------------------------------------------------------------------------
+
+
+def _pools(known: Known) -> Iterator[_Entry]:
+    """What the pools have that its policy names."""
+    observed, policy = known.observed, known.policy
+    named = dict.fromkeys(s.pool_ref.name for s in policy.strategies if s.pool_ref) if policy is not None else {}
+    for name in named:
+        item = observed.pools.get(name)
+        if item is None or not pools.serves(item, observed.workload):
+            continue  # it is told above
+        if policies.readiness(item) == "Uninitialized":
+            yield from _shared(name, item, observed)
+        else:
+            yield from _own(name, item, observed)
+
+
+def _shared(name: str, item: Object, observed: Observed) -> Iterator[_Entry]:
+    held = observed.unclaimed.get(name, ())
+    ready = pools.claimable_now(held, observed.held_policies.get(name))
+    want, claimed = (item.get("spec") or {}).get("replicas") or 0, pool(item).claimed
+    taken = f"; {claimed} of its pods {'drives a robot' if claimed == 1 else 'drive robots'}" if claimed else ""
+    yield _Entry(f"{name} (Uninitialized, shared): {len(ready)} of {want} ready{taken}")
+    taking = {objects.uid(pod) for pod in ready}
+    yield from (_pod(pod) for pod in sorted(held, key=objects.sort_key) if objects.uid(pod) not in taking)
+
+
+def _own(name: str, item: Object, observed: Observed) -> Iterator[_Entry]:
+    found = statuses.waiting(observed, item)
+    ready = sum(objects.ready(pod) for pod in found)
+    yield _Entry(f"{name} ({policies.readiness(item)}): {ready} ready, {workloads.wanted(observed, name)} wanted")
+    yield from map(_pod, found)
+
+
+def _pod(pod: Object) -> _Entry:
+    found = trouble(pod)
+    why_not = f" ({found.reason})" if found is not None else ""
+    how = "being deleted" if objects.deleted(pod) else "ready" if objects.ready(pod) else f"not ready{why_not}"
+    return _Entry(f"{objects.name(pod)} {_where(pod)}: {how}", depth=1)
+
+
+# -- what is missing ----------------------------------------------------------------------------------------------------
+
+
+def _missing(known: Known) -> Iterator[_Entry]:
+    """What isn't as it should be, with the way out that whoever found it has written."""
+    observed, policy = known.observed, known.policy
+    found = [problem for problem in known.said.problems if problem.type != "Protected"]
+    if known.protected.status != "True":
+        yield _Entry(_unprotected(known), "Failed")
+    for problem in found:
+        state = "Degraded" if problem.type in ("Degraded", "StateRestored") else "Failed"
+        since = f", {age(problem.since, observed.now)}" if problem.since else ""
+        yield _Entry(f"{problem.about} ({problem.reason}{since}): {problem.message}", state)
+    told = {problem.message for problem in found}
+    for name in dict.fromkeys(s.pool_ref.name for s in policy.strategies if s.pool_ref) if policy else ():
+        if name not in observed.pools:
+            continue
+        for problem in pool(observed.pools[name]).problems:
+            if problem.message not in told:
+                yield _Entry(f"pool {name} {problem.about} ({problem.reason}): {problem.message}", "Failed")
+                found.append(problem)
+    if not found and known.protected.status == "True":
+        yield _Entry("Nothing: its protection is complete.", "Healthy")
+
+
+def _unprotected(known: Known) -> str:
+    """Why it isn't protected, in short where a strategy that can't be carried out has told it already."""
+    found = known.protected
+    said = next((problem for problem in known.said.problems if problem.type == "Protected"), None)
+    since = f", {age(said.since, known.observed.now)}" if said is not None and said.since else ""
+    first = next((means for _, means in statuses.considered(known.observed, known.understanding)), None)
+    seen = first is not None and not first.available and found.reason == first.reason
+    words = "the first strategy of its policy can't be carried out, see above." if seen else found.message
+    stale = " Its status says that it is: that is a moment old, or the operator isn't running." if said is None else ""
+    return f"not protected ({found.reason}{since}): {words}{stale}"
+
+
+def _not_covered(known: Known) -> Iterator[_Entry]:
+    """What its protection, as it is written, leaves out."""
+    policy, spec = known.policy, known.spec
+    if policy is None or spec is None:
+        return
+    try:
+        watched = {topic.name for topic in load_monitoring(policy.monitoring).topics}
+    except TreeError:
+        return  # it is told above
+    unwatched = [output.topic for output in spec.outputs if output.topic and output.topic not in watched]
+    if unwatched:
+        yield _Entry(f"The health tree doesn't watch {listed(unwatched)}: nobody notices where it falls silent.")
+    if not (policy.state.keep or policy.state.parameters or policy.state.lifecycle):
+        yield _Entry("The policy keeps no state: whatever takes over begins without what the failed instance knew.")
+    if len(policy.strategies) == 1:
+        yield _Entry("The policy has one strategy: where it isn't verified, there is nothing else to be tried.")
+    if policy.safety is None:
+        yield _Entry(
+            "The policy has no safety commands: until somebody is in control again, the robot is told nothing."
+        )
+
+
+def _lately(events: Sequence[Object], now: float) -> Iterator[_Entry]:
+    """The newest warnings."""
+    warnings = [event for event in events if event.get("type") == "Warning"]
+    for event in sorted(warnings, key=_when, reverse=True)[:LATELY]:
+        count = event.get("count") or 1
+        times = f", {count} times" if count > 1 else ""
+        when = f"{age(_when(event), now)} ago" if _when(event) else "at some time"
+        yield _Entry(f"{when}  {event.get('reason', '')}{times}: {event.get('message', '')}")
+
+
+def _when(event: Object) -> str:
+    found: str = event.get("lastTimestamp") or event.get("eventTime") or event["metadata"].get("creationTimestamp", "")
+    return found

@@ -1,0 +1,208 @@
+"""Robots and pools as one screen of text, as wide as there is room for; pure."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+from understudy.console import tables
+from understudy.console.bars import length, short
+from understudy.console.drawing import coloured, plain
+from understudy.console.robots import LastRecovery, Pool, Problem, Robot
+from understudy.console.tables import Cell
+from understudy.console.texts import age, counted, listed, wrapped
+
+MOST_LINES = 3
+"""Lines of a terminal that one problem gets; ``understudy explain`` has all of it."""
+
+NAMELESS = "nobody"
+
+
+@dataclass(frozen=True)
+class Look:
+    """How it is to be shown."""
+
+    now: float
+    columns: int | None = None
+    """The width of the terminal; None for no bound."""
+    colours: bool = False
+    namespaces: bool = False
+    """Whether to name each one's namespace."""
+    wide: bool = False
+
+
+def lines(robots: Sequence[Robot], pools: Sequence[Pool], look: Look) -> Iterator[str]:
+    """All of it."""
+    yield from _rows(robots, look)
+    if pools:
+        yield ""
+        known = [problem.message for robot in robots for problem in robot.problems]
+        yield from _pools(pools, known, look)
+    yield ""
+    yield summary(robots)
+
+
+def summary(robots: Sequence[Robot]) -> str:
+    """Them all in one line."""
+    unprotected = sum(not robot.protected for robot in robots)
+    healths = Counter(robot.health for robot in robots)
+    told = listed(f"{healths[health]} {health.lower()}" for health in sorted(healths))
+    protected = f"{unprotected} not protected" if unprotected else "all protected"
+    return f"{counted(len(robots), 'robot')}: {protected}; {told}"
+
+
+def in_a_line(robot: Robot) -> str:
+    """One robot with all of its problems, where screens can't be written anew."""
+    told = [
+        f"{robot.namespace}/{robot.name}",
+        robot.health,
+        "protected" if robot.protected else "NOT PROTECTED",
+        f"in control {robot.active or NAMELESS} (epoch {robot.epoch})",
+        f"standby {robot.standby}",
+    ]
+    if robot.last_recovery is not None:
+        told.append(f"last recovery #{robot.last_recovery.number} {_how(robot.last_recovery)}")
+    told += [f"{problem.about} ({problem.reason}): {problem.message}" for problem in robot.problems]
+    return plain("; ".join(told))
+
+
+def _rows(robots: Sequence[Robot], look: Look) -> Iterator[str]:
+    """The widest of the layouts that there is room for, with the problems of each robot under it."""
+    layouts = [_WIDE] if look.wide else [_FULL, _NARROW]
+    for layout in layouts:
+        rows = [
+            [Cell(head) for head, _ in layout],
+            *([draw(robot, look) for _, draw in layout] for robot in robots),
+        ]
+        if look.namespaces:
+            rows = [
+                [Cell(name), *row]
+                for name, row in zip(["NAMESPACE", *(r.namespace for r in robots)], rows, strict=True)
+            ]
+        if look.wide or look.columns is None or tables.width(rows) <= look.columns:
+            head, *told = tables.drawn(rows, colours=look.colours)
+            yield head
+            for robot, line in zip(robots, told, strict=True):
+                yield line
+                yield from _told(robot.problems, look)
+            return
+    for robot in robots:
+        yield from _stacked(robot, look)
+
+
+def _stacked(robot: Robot, look: Look) -> Iterator[str]:
+    """A robot in a narrow terminal."""
+    name = f"{robot.namespace}/{robot.name}" if look.namespaces else robot.name
+    yield f"{plain(name)}  {coloured(plain(robot.health), robot.health, colours=look.colours)}"
+    told = [
+        "protected" if robot.protected else "NOT PROTECTED",
+        f"in control {_in_control(robot, in_short=True)}",
+        f"standby {robot.standby}",
+        f"last recovery {_last(robot, look.now, _time)}" if robot.last_recovery else "",
+    ]
+    yield from wrapped(listed(told), look.columns, indent=2)
+    yield from _told(robot.problems, look)
+
+
+def _told(problems: Sequence[Problem], look: Look) -> Iterator[str]:
+    for problem in problems:
+        since = f", {age(problem.since, look.now)}" if problem.since else ""
+        head = f"{problem.about} ({problem.reason}{since}):"
+        told = wrapped(f"{head} {problem.message}", look.columns, indent=2, hanging=4)
+        if look.columns is not None and len(told) > MOST_LINES:
+            told = [*told[: MOST_LINES - 1], f"{told[MOST_LINES - 1][: look.columns - 2]} …"]
+        state = "Degraded" if problem.type == "Degraded" else "Failed"
+        yield from (
+            line.replace(head, coloured(head, state, colours=look.colours), 1) if index == 0 else line
+            for index, line in enumerate(told)
+        )
+
+
+def _pools(pools: Sequence[Pool], known: Sequence[str], look: Look) -> Iterator[str]:
+    """A table of them, with what is wrong but for what is ``known`` from a robot: a pool tells its pods' troubles too."""
+    names = [f"{pool.namespace}/{pool.name}" if look.namespaces else pool.name for pool in pools]
+    rows = [
+        [Cell("POOL"), Cell("READINESS"), Cell("READY"), Cell("CLAIMED")],
+        *(
+            [
+                Cell(name),
+                Cell(pool.readiness),
+                Cell(f"{pool.ready}/{pool.desired}", "Failed" if pool.is_short else ""),
+                Cell(str(pool.claimed)),
+            ]
+            for name, pool in zip(names, pools, strict=True)
+        ),
+    ]
+    head, *told = tables.drawn(rows, colours=look.colours)
+    yield head
+    for pool, line in zip(pools, told, strict=True):
+        yield line
+        yield from _told([problem for problem in pool.problems if not _is_known(problem, known)], look)
+
+
+def _is_known(problem: Problem, known: Sequence[str]) -> bool:
+    cause = problem.message.partition("; ")[2].rstrip(".")
+    return bool(cause) and any(cause in message for message in known)
+
+
+def _in_control(robot: Robot, *, in_short: bool = False) -> str:
+    name = robot.active
+    if in_short and name.startswith(f"{robot.name}-"):
+        name = short([name])[name]
+    return f"{name or NAMELESS} ({robot.epoch})"
+
+
+def _health(robot: Robot, look: Look) -> Cell:
+    return Cell(robot.health, robot.health if robot.health != "Unwatched" else "Failed")
+
+
+def _protected(robot: Robot, look: Look) -> Cell:
+    return Cell("yes", "Healthy") if robot.protected else Cell("NO", "Failed")
+
+
+def _last(robot: Robot, now: float, how: Callable[[LastRecovery], str]) -> str:
+    last = robot.last_recovery
+    if last is None:
+        return "none"
+    return listed((how(last), f"{age(last.ended, now)} ago" if last.ended else ""))
+
+
+def _how(last: LastRecovery) -> str:
+    """The strategy and the time that it took."""
+    if last.result != "Recovered" or last.recovery_seconds is None:
+        return "FAILED" if last.result == "Failed" else last.result.lower()
+    return f"{length(last.recovery_seconds)} by {last.strategy}{' (planned)' if last.planned else ''}"
+
+
+def _time(last: LastRecovery) -> str:
+    return length(last.recovery_seconds) if last.recovery_seconds is not None else _how(last)
+
+
+_Layout = Sequence[tuple[str, Callable[[Robot, Look], Cell]]]
+
+_NARROW: _Layout = [
+    ("ROBOT", lambda robot, look: Cell(robot.name)),
+    ("HEALTH", _health),
+    ("IN CONTROL", lambda robot, look: Cell(_in_control(robot, in_short=True))),
+    ("STANDBY", lambda robot, look: Cell(robot.standby)),
+    ("LAST", lambda robot, look: Cell(_last(robot, look.now, _time))),
+]
+"""Who isn't protected is told by the problems below."""
+
+_FULL: _Layout = [
+    ("ROBOT", lambda robot, look: Cell(robot.name)),
+    ("HEALTH", _health),
+    ("PROTECTED", _protected),
+    ("IN CONTROL (EPOCH)", lambda robot, look: Cell(_in_control(robot))),
+    ("STANDBY", lambda robot, look: Cell(robot.standby)),
+    ("LAST RECOVERY", lambda robot, look: Cell(_last(robot, look.now, _how))),
+]
+
+_WIDE: _Layout = [
+    *_FULL,
+    ("RECOVERIES", lambda robot, look: Cell(str(robot.recovery_count))),
+    ("NEXT", lambda robot, look: Cell(robot.strategy or "Unknown")),
+    ("POLICY", lambda robot, look: Cell(robot.policy)),
+    ("AGE", lambda robot, look: Cell(age(robot.created, look.now) if robot.created else "")),
+]

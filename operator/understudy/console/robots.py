@@ -1,0 +1,233 @@
+"""RobotWorkloads and FallbackPools as people ask for them: who drives each robot, whether it is protected, what is wrong.
+
+Everything is taken from what operator and monitor have said in the objects' status.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
+
+from pydantic import Field, ValidationError
+
+from understudy.api.base import Model
+from understudy.api.conditions import Condition
+from understudy.api.healths import PAST
+from understudy.api.pools import FallbackPoolStatus
+from understudy.api.workloads import Recovery, RobotWorkloadStatus
+from understudy.console.kubectl import Unusable
+
+Object = Mapping[str, Any]
+
+DRIVEN = ("Healthy", "Degraded")
+"""What the health of a robot is that is driven as it should be."""
+
+UNWATCHED = "Unwatched"
+"""Instead of the health that a monitor has said last where none is there to say another."""
+
+_UNWATCHED = ("MonitorNotReady", "GateMissing")
+"""Reasons of the condition Protected by which nobody watches the robot."""
+
+_ABOUT = {
+    "Accepted": "not accepted",
+    "Reconciled": "not built as it says",
+    "Protected": "not protected",
+    "Monitored": "not watched as it says",
+    "Healthy": "not healthy",
+    "Degraded": "degraded",
+    "Recovering": "not recovered",
+    "GateEnforced": "gate not enforced",
+    "BroughtUp": "not brought up",
+    "Resized": "not resized",
+    "Reflex": "no reflex",
+    "StateKept": "state not kept",
+    "StateRestored": "state not restored",
+    "TasksProxied": "goals not kept",
+    "Ready": "not ready",
+}
+"""What it means where a condition isn't as it should be."""
+
+
+class Problem(Model):
+    """One thing that isn't as it should be."""
+
+    type: str = Field(description="The condition that says so.")
+    reason: str = Field(description="One word.")
+    message: str = Field(description="What was found, and what would put it right.")
+    since: str | None = Field(default=None, description="Since when.")
+
+    @property
+    def about(self) -> str:
+        """What isn't as it should be, in words."""
+        if self.type == "Recovering" and self.reason in ("FailureDetected", "Rescheduling"):
+            return "recovering"
+        return _ABOUT.get(self.type, self.type)
+
+
+class LastRecovery(Model):
+    """The newest recovery in short."""
+
+    number: int
+    result: str
+    strategy: str
+    reason: str
+    planned: bool
+    recovery_seconds: float | None
+    ended: str | None = None
+
+    @classmethod
+    def of(cls, recovery: Recovery) -> LastRecovery:
+        """From the record."""
+        moments = recovery.moments
+        return cls(
+            number=recovery.number,
+            result=recovery.result,
+            strategy=recovery.strategy,
+            reason=recovery.reason,
+            planned=recovery.planned,
+            recovery_seconds=recovery.recovery_seconds,
+            ended=moments.verified or moments.routed or moments.detected,
+        )
+
+
+class Robot(Model):
+    """One RobotWorkload."""
+
+    namespace: str
+    name: str
+    policy: str
+    created: str | None
+    health: str
+    """Of the monitor, or UNWATCHED."""
+    protected: bool
+    active: str
+    epoch: int
+    standby: str
+    strategy: str
+    """What its monitor would use if it failed now."""
+    recovery_count: int
+    last_recovery: LastRecovery | None
+    problems: list[Problem]
+
+    @property
+    def is_well(self) -> bool:
+        """Whether it is protected, and driven as it should be."""
+        return self.protected and self.health in DRIVEN
+
+
+class Pool(Model):
+    """One FallbackPool."""
+
+    namespace: str
+    name: str
+    readiness: str
+    desired: int
+    ready: int
+    claimed: int
+    problems: list[Problem]
+
+    @property
+    def is_short(self) -> bool:
+        """Whether fewer could take over now than should. A standby that drives its robot is one of those that should be there."""
+        return self.ready + (self.claimed if self.readiness != "Uninitialized" else 0) < self.desired
+
+
+def status_of(item: Object) -> RobotWorkloadStatus:
+    """A RobotWorkload's status. Raises Unusable where this command doesn't know what it says."""
+    try:
+        return RobotWorkloadStatus.model_validate(item.get("status") or {})
+    except ValidationError as error:
+        raise Unusable(_unknown("RobotWorkload", item, error)) from error
+
+
+def robot(item: Object) -> Robot:
+    """A RobotWorkload as the API server gives it. Raises Unusable."""
+    status, metadata, spec = status_of(item), item["metadata"], item.get("spec") or {}
+    said = {condition.type: condition for condition in status.conditions or []}
+    protected = said.get("Protected")
+    unwatched = protected is not None and protected.status == "False" and protected.reason in _UNWATCHED
+    return Robot(
+        namespace=metadata["namespace"],
+        name=metadata["name"],
+        policy=(spec.get("failurePolicyRef") or {}).get("name", ""),
+        created=metadata.get("creationTimestamp"),
+        health=UNWATCHED if unwatched else status.health or "Unknown",
+        protected=protected is not None and protected.status == "True",
+        active=status.active or "",
+        epoch=status.gate.epoch if status.gate is not None else 0,
+        standby=status.standby or "Unknown",
+        strategy=status.strategy or "",
+        recovery_count=status.recovery_count or 0,
+        last_recovery=LastRecovery.of(status.recoveries[0]) if status.recoveries else None,
+        problems=problems(item, status.conditions or [], status.observed_generation),
+    )
+
+
+def pool(item: Object) -> Pool:
+    """A FallbackPool as the API server gives it. Raises Unusable."""
+    try:
+        status = FallbackPoolStatus.model_validate(item.get("status") or {})
+    except ValidationError as error:
+        raise Unusable(_unknown("FallbackPool", item, error)) from error
+    return Pool(
+        namespace=item["metadata"]["namespace"],
+        name=item["metadata"]["name"],
+        readiness=(item.get("spec") or {}).get("readiness", ""),
+        desired=status.desired or 0,
+        ready=status.ready or 0,
+        claimed=status.claimed or 0,
+        problems=problems(item, status.conditions or [], status.observed_generation),
+    )
+
+
+def problems(item: Object, conditions: Iterable[Condition], seen: int | None) -> list[Problem]:
+    """What isn't as it should be by an object's conditions; ``seen`` is the generation of its spec that they are about."""
+    found = list(_unseen(item, seen))
+    protected = next((c for c in conditions if c.type == "Protected" and c.status == "False"), None)
+    for condition in conditions:
+        if not _amiss(condition):
+            continue
+        same = protected is not None and protected.reason == condition.reason
+        if condition.type == "Reconciled" and (same or condition.reason == "NotAccepted"):
+            continue  # it is told already
+        found.append(
+            Problem(
+                type=condition.type,
+                reason=condition.reason,
+                message=condition.message,
+                since=condition.last_transition_time,
+            )
+        )
+    first = {"Protected": 0, "Accepted": 1, "Healthy": 2, "Recovering": 3}
+    return sorted(found, key=lambda problem: first.get(problem.type, len(first)))
+
+
+def _unseen(item: Object, seen: int | None) -> Iterator[Problem]:
+    generation = item["metadata"].get("generation")
+    if seen is None or (generation is not None and seen < generation):
+        what = "it" if seen is None else f"its present spec (generation {generation})"
+        yield Problem(
+            type="Accepted",
+            reason="NotSeen",
+            message=f"The operator has not looked at {what} yet. Is it running? kubectl get pods -A -l app.kubernetes.io/name=understudy",
+        )
+
+
+def _amiss(condition: Condition) -> bool:
+    match condition.type:
+        case "Degraded":
+            return condition.status == "True"
+        case "Recovering":
+            return condition.status == "True" or condition.reason not in PAST
+        case "Reflex":
+            return condition.status == "False" and condition.reason != "NoneInControl"
+    return condition.status == "False"
+
+
+def _unknown(kind: str, item: Object, error: ValidationError) -> str:
+    first = error.errors()[0]
+    where = ".".join(str(part) for part in first["loc"])
+    return (
+        f"{kind} {item['metadata']['namespace']}/{item['metadata']['name']}: status.{where}: {first['msg']}. "
+        "Is this command as new as the operator?"
+    )

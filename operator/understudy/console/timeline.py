@@ -1,0 +1,62 @@
+"""``understudy timeline NAME``: the last recoveries of a workload, by the parts of their time."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+
+from understudy.console import recoveries, terminal
+from understudy.console.kubectl import Kubectl, Unusable, add_options
+from understudy.console.robots import status_of
+
+SHOWN, CANT = 0, 2
+"""Exit statuses."""
+
+EACH = 3
+"""How many are told one by one."""
+
+
+def main(arguments: list[str]) -> int:
+    """Run the command."""
+    given = _parser().parse_args(arguments)
+    try:
+        item = Kubectl(given).get("robotworkloads.understudy.dev", given.name)
+        status = status_of(item)
+    except Unusable as error:
+        print(f"understudy timeline: {error}", file=sys.stderr)
+        return CANT
+    found, count = status.recoveries or [], status.recovery_count or 0
+    if given.output == "json":
+        told = {"recoveryCount": count, "recoveries": [recovery.to_wire() for recovery in found]}
+        metadata = {key: item["metadata"][key] for key in ("namespace", "name")}
+        print(json.dumps({**metadata, **told}, indent=2))
+        return SHOWN
+    told_lines = recoveries.lines(
+        f"{item['metadata']['namespace']}/{item['metadata']['name']}",
+        count,
+        found,
+        last=given.last,
+        now=time.time(),
+        columns=terminal.columns(sys.stdout),
+        colours=terminal.colours(sys.stdout),
+    )
+    print("\n".join(told_lines))
+    return SHOWN
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="understudy timeline",
+        description="Shows the last recoveries of a RobotWorkload: all that its status keeps in one comparison, and the newest ones each "
+        "with its parts to scale, its moments, what was handed over and what was tried in vain.",
+        epilog="Exit status: 0 where they are shown, 2 where it can't be told.",
+    )
+    parser.add_argument("name", metavar="NAME", help="the RobotWorkload")
+    parser.add_argument(
+        "--last", metavar="N", type=int, default=EACH, help="how many are shown one by one (%(default)s)"
+    )
+    parser.add_argument("-o", "--output", choices=["text", "json"], default="text", help="text, or the records as JSON")
+    add_options(parser)
+    return parser
