@@ -19,7 +19,7 @@ from understudy.cluster.client import Object
 from understudy.console.bars import length
 from understudy.console.drawing import coloured, plain
 from understudy.console.observing import Around
-from understudy.console.robots import DRIVEN, UNWATCHED, Robot, pool, robot, status_of
+from understudy.console.robots import DRIVEN, UNWATCHED, Problem, Robot, pool, robot, status_of
 from understudy.console.texts import age, listed, unix, wrapped
 from understudy.controller import objects, policies, pools, statuses, workloads
 from understudy.controller.desired import Images
@@ -212,7 +212,9 @@ def _pause(known: Known) -> Iterator[_Entry]:
     policy, last = known.policy, known.said.last_recovery
     if policy is None or last is None or last.ended is None or policy.priority == "Safety":
         return
-    left = unix(last.ended) + seconds(policy.limits.cooldown) - known.observed.now
+    pause = seconds(policy.limits.cooldown)
+    # By another machine's clock a recovery may seem to be of the future: no wait is longer than it can be.
+    left = min(pause, unix(last.ended) + pause - known.observed.now)
     if left > 0:
         yield _Entry(
             f"Nothing would be done for another {left:.0f} s: limits.cooldown of its policy asks for {policy.limits.cooldown} after a "
@@ -323,6 +325,9 @@ def _missing(known: Known) -> Iterator[_Entry]:
     found = [problem for problem in known.said.problems if problem.type != "Protected"]
     if known.protected.status != "True":
         yield _Entry(_unprotected(known), "Failed")
+    refused = known.understanding.problem
+    if refused is not None and not any(problem.type == "Accepted" for problem in found):
+        found.append(Problem(type="Accepted", reason=refused.reason, message=refused.message))
     for problem in found:
         state = "Degraded" if problem.type in ("Degraded", "StateRestored") else "Failed"
         since = f", {age(problem.since, observed.now)}" if problem.since else ""

@@ -40,7 +40,7 @@ def lines(robots: Sequence[Robot], pools: Sequence[Pool], look: Look) -> Iterato
         known = [problem.message for robot in robots for problem in robot.problems]
         yield from _pools(pools, known, look)
     yield ""
-    yield summary(robots)
+    yield from wrapped(summary(robots), look.columns, indent=0, hanging=2)
 
 
 def summary(robots: Sequence[Robot]) -> str:
@@ -69,7 +69,7 @@ def in_a_line(robot: Robot) -> str:
 
 def _rows(robots: Sequence[Robot], look: Look) -> Iterator[str]:
     """The widest of the layouts that there is room for, with the problems of each robot under it."""
-    layouts = [_WIDE] if look.wide else [_FULL, _NARROW]
+    layouts = [_WIDE] if look.wide else [_FULL, _MIDDLE, _NARROW]
     for layout in layouts:
         rows = [
             [Cell(head) for head, _ in layout],
@@ -111,7 +111,8 @@ def _told(problems: Sequence[Problem], look: Look) -> Iterator[str]:
         head = f"{problem.about} ({problem.reason}{since}):"
         told = wrapped(f"{head} {problem.message}", look.columns, indent=2, hanging=4)
         if look.columns is not None and len(told) > MOST_LINES:
-            told = [*told[: MOST_LINES - 1], f"{told[MOST_LINES - 1][: look.columns - 2]} …"]
+            last = f"{told[MOST_LINES - 1]} "[: look.columns - 2]
+            told = [*told[: MOST_LINES - 1], f"{last.rpartition(' ')[0]} …"]
         state = "Degraded" if problem.type == "Degraded" else "Failed"
         yield from (
             line.replace(head, coloured(head, state, colours=look.colours), 1) if index == 0 else line
@@ -135,7 +136,10 @@ def _pools(pools: Sequence[Pool], known: Sequence[str], look: Look) -> Iterator[
         ),
     ]
     head, *told = tables.drawn(rows, colours=look.colours)
-    yield head
+    if look.columns is not None and tables.width(rows) > look.columns:
+        told = [f"pool {name}: {pool.ready} of {pool.desired} ready" for name, pool in zip(names, pools, strict=True)]
+    else:
+        yield head
     for pool, line in zip(pools, told, strict=True):
         yield line
         yield from _told([problem for problem in pool.problems if not _is_known(problem, known)], look)
@@ -189,6 +193,8 @@ _NARROW: _Layout = [
     ("LAST", lambda robot, look: Cell(_last(robot, look.now, _time))),
 ]
 """Who isn't protected is told by the problems below."""
+
+_MIDDLE: _Layout = [*_NARROW[:2], ("PROTECTED", _protected), *_NARROW[2:]]
 
 _FULL: _Layout = [
     ("ROBOT", lambda robot, look: Cell(robot.name)),

@@ -54,9 +54,12 @@ def compared(recoveries: Sequence[Recovery], *, now: float, columns: int, colour
 def told(recovery: Recovery, *, now: float, columns: int, colours: bool) -> Iterator[str]:
     """One with all that is recorded of it."""
     start = _start(recovery)
-    when = f"{clock(start)} ({age(start, now)} ago)  " if start else ""
+    head, outcome = f"#{recovery.number}", _outcome(recovery)
+    if start:
+        head += f"  {clock(start)} ({age(start, now)} ago)"
     state = "Healthy" if recovery.result == "Recovered" else "Failed"
-    yield f"#{recovery.number}  {when}{coloured(_outcome(recovery), state, colours=colours)}"
+    between = "  " if len(head) + 2 + len(outcome) <= columns else "\n    "
+    yield from f"{head}{between}{coloured(plain(outcome), state, colours=colours)}".split("\n")
     yield from wrapped(recovery.reason, columns, indent=4)
     yield from _bars(recovery, columns)
     for label, text in (

@@ -89,7 +89,8 @@ def _once(asking: _Asking, output: str) -> int:
 
 def _watch(asking: _Asking, *, wide: bool) -> int:
     """Show it again whenever it has changed, until Ctrl-C. The exit status is of what was shown last."""
-    robots, answered = [], time.monotonic()
+    robots: list[Robot] = []
+    answered = time.monotonic()
     screen = sys.stdout.isatty()
     shown = _Screen(asking, wide=wide) if screen else _Lines()
     taken = terminal.screen(sys.stdout) if screen else contextlib.nullcontext()

@@ -19,7 +19,7 @@ def unix(moment: str) -> float:
 def age(moment: str, now: float) -> str:
     """How long ago a moment was, in its two largest units as kubectl writes it: 12s, 4m12s, 2d3h."""
     left = max(0, int(now - unix(moment)))
-    told = []
+    told: list[str] = []
     for size, unit in _UNITS:
         count, left = divmod(left, size)
         if count or told:

@@ -1,0 +1,56 @@
+"""``understudy status``, ``timeline`` and ``explain`` of a workload that runs and fails, asked for as a user would."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from tests.e2e.kubectl import Kubectl
+from tests.e2e.scenario import Robot
+
+REPOSITORY = Path(__file__).parents[2]
+
+
+def understudy(kubectl: Kubectl, command: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    where = [f"--namespace={kubectl.namespace}", f"--kubeconfig={kubectl.kubeconfig}"]
+    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY / "operator")}
+    done = subprocess.run(
+        [sys.executable, "-m", "understudy", command, *arguments, *where],
+        capture_output=True, text=True, timeout=60, check=False, env=environment,
+    )  # fmt: skip
+    print(f"\n{done.stdout}{done.stderr}")
+    return done
+
+
+def test_a_robot_is_told_before_and_after_a_failure(executing: Robot) -> None:
+    kubectl, name = executing.kubectl, executing.workload
+    active = executing.wait_protected()
+    executing.wait_standby()
+
+    explained = understudy(kubectl, "explain", name)
+    assert explained.returncode == 0, explained.stderr
+    assert f"In control: {active} on " in explained.stdout
+    assert "1. Fallback from pool quickstart-executing would be carried out: pod " in explained.stdout
+    assert understudy(kubectl, "timeline", name).stdout.strip().endswith("no recovery yet")
+
+    executing.delete(active, force=True)
+    recovered = executing.wait_recovered(1)
+
+    told = understudy(kubectl, "status", "-o", "json")
+    (robot,) = json.loads(told.stdout)["robots"]
+    assert (robot["name"], robot["active"], robot["epoch"]) == (name, recovered.new, recovered.epoch)
+    assert robot["lastRecovery"]["strategy"] == "Fallback/Executing"
+    drawn = understudy(kubectl, "timeline", name)
+    assert drawn.returncode == 0
+    assert " by Fallback/Executing" in drawn.stdout
+    assert f"gate epoch {recovered.epoch}" in drawn.stdout
+
+    executing.wait_standby()
+    executing.wait_protected()
+    shown = understudy(kubectl, "status", name)
+    assert shown.returncode == 0, shown.stdout
+    assert "1 robot: all protected; 1 healthy" in shown.stdout
+    assert understudy(kubectl, "status", "robot-2-drive").returncode == 2

@@ -1,0 +1,64 @@
+"""A stand-in for kubectl that answers from a file of objects, and prints a line whenever that changes where it is to watch."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+SCRIPT = """#!/usr/bin/env python3
+import json, os, sys, time
+path, asked = {told!r}, {asked!r}
+given = sys.argv[1:]
+with open(asked, "a") as log:
+    log.write(" ".join(given) + "\\n")
+if "--watch-only" in given:
+    seen = os.stat(path).st_mtime_ns
+    while True:
+        time.sleep(0.05)
+        if os.stat(path).st_mtime_ns != seen:
+            seen = os.stat(path).st_mtime_ns
+            print("robotworkload.understudy.dev/changed", flush=True)
+told = json.load(open(path))
+if told["error"]:
+    sys.exit(told["error"])
+rest = given[given.index("get") + 1 :]
+kinds = {{kind.partition(".")[0] for kind in rest[0].split(",")}}
+names = []
+for argument in rest[1:]:
+    if argument.startswith("-"):
+        break
+    names.append(argument)
+plural = lambda item: (item["kind"].lower() + "s").replace("ys", "ies")
+found = [item for item in told["items"] if plural(item) in kinds]
+named = [item for name in names for item in found if item["metadata"]["name"] == name]
+if names and len(named) < len(names):
+    if "--ignore-not-found" in given:
+        sys.exit(0)
+    sys.exit(f'Error from server (NotFound): {{rest[0]}} "{{names[-1]}}" not found')
+print(json.dumps(named[0] if len(named) == 1 else {{"kind": "List", "items": named or found}}))
+"""
+
+
+class Stand:
+    """What it answers, and what it was asked."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._told, self._asked = folder / "told.json", folder / "asked"
+        self.tell([])
+        program = folder / "kubectl"
+        program.write_text(SCRIPT.format(told=str(self._told), asked=str(self._asked)))
+        program.chmod(0o755)
+
+    def tell(self, items: Sequence[dict[str, Any]], *, error: str = "") -> None:
+        """Answer with these objects from now on, or fail like this."""
+        fresh = self.folder / "fresh.json"
+        fresh.write_text(json.dumps({"items": list(items), "error": error}))
+        fresh.replace(self._told)
+
+    @property
+    def asked(self) -> list[str]:
+        """The command lines so far."""
+        return self._asked.read_text().splitlines()

@@ -1,0 +1,201 @@
+"""What a failure now would lead to, in words."""
+
+from __future__ import annotations
+
+import asyncio
+import dataclasses
+from typing import Any
+
+import pytest
+
+from tests.unit.console import fleet
+from tests.unit.controller import world
+from understudy.cluster.client import Object
+from understudy.console.observing import Around, observed_from
+from understudy.console.outlook import Known, lines
+
+
+class Nothing:
+    """Answers that there is nothing else."""
+
+    async def find(self, *_: Any) -> Object | None:
+        await asyncio.sleep(0)
+        return None
+
+    async def list(self, *_: Any, **__: Any) -> Object:
+        await asyncio.sleep(0)
+        return {"items": []}
+
+
+def known(item: Object, items: list[Object] | None = None, *events: Object) -> Known:
+    observed = observed_from(item, items if items is not None else fleet.around(item), Nothing())
+    return Known.of(Around(dataclasses.replace(observed, now=fleet.NOW), events))
+
+
+def told(found: Known, columns: int | None = None) -> dict[str, list[str]]:
+    """The lines by their heading, those above all under none."""
+    sections: dict[str, list[str]] = {"": []}
+    for line in lines(found, columns=columns, colours=False):
+        if line and not line.startswith(" ") and sections[""]:
+            sections[line] = []
+        elif line:
+            sections[list(sections)[-1]].append(line.strip())
+    return sections
+
+
+def test_a_robot_whose_protection_is_complete() -> None:
+    found = known(fleet.well())
+    text = told(found)
+    assert found.is_well
+    assert text[""] == [
+        "fleet/robot-17-navigation  Healthy",
+        "In control: robot-17-navigation-x8v2m on node-1, gate epoch 41, since recovery #3.",
+    ]
+    first, second, third, *_ = text["If it failed now"]
+    assert first == (
+        "✓ 1. Fallback from pool navigation-hot would be carried out: pod robot-17-navigation-w7h5k (Executing). It took 509 ms, the "
+        "median of the last 2 times."
+    )
+    assert second.startswith(
+        "✓ 2. Fallback from pool navigation-spare is next, if that is not verified within 1s: 3 ready"
+    )
+    assert third.startswith("✓ 3. Restart is next, if that is not verified within 20s. It took 3.68 s, the last time.")
+    assert text["Missing"] == ["✓ Nothing: its protection is complete."]
+    assert text["Pools"] == [
+        "navigation-hot (Executing): 1 ready, 1 wanted",
+        "robot-17-navigation-w7h5k on node-2: ready",
+        "navigation-spare (Uninitialized, shared): 3 of 4 ready; 1 of its pods drives a robot",
+        "navigation-spare-z5j7d on node-3: not ready",
+    ]
+
+
+def test_a_strategy_that_could_not_be_carried_out_is_told_with_the_way_out_and_what_is_done_instead() -> None:
+    item = fleet.unprotected()
+    found = known(item, fleet.around(item, standby_waits="ImagePullBackOff"))
+    text = told(found)
+    assert not found.is_well
+    first, second, *_ = text["If it failed now"]
+    assert first.startswith(
+        "✗ 1. Fallback from pool navigation-hot can't be carried out (ImagePullBackOff): pod robot-19"
+    )
+    assert first.endswith("Check the image's name, that its registry can be reached, and imagePullSecrets.")
+    assert second.startswith("✓ 2. Fallback from pool navigation-spare would be carried out: 3 ready")
+    assert "robot-19-navigation-w7h5k on node-2: not ready (ImagePullBackOff)" in text["Pools"]
+    assert text["Missing"] == [
+        "✗ not protected (ImagePullBackOff, 3m12s): the first strategy of its policy can't be carried out, see above."
+    ]
+
+
+def test_why_it_is_degraded_and_for_how_long() -> None:
+    head, why, _ = told(known(fleet.degraded()))[""]
+    assert head == "fleet/robot-18-navigation  Degraded for 38s"
+    assert why == "/scan at 8.6 Hz (band 9.0 to 11.0), from the tree's leaf sensors/scan."
+
+
+def test_without_a_monitor_nobody_would_notice() -> None:
+    item = fleet.unwatched()
+    found = known(item, [i for i in fleet.around(item) if "monitor" not in i["metadata"]["name"]])
+    text = told(found)
+    assert not found.is_well
+    assert text[""][0] == "fleet/robot-20-navigation  Unwatched"
+    assert text["If it failed now"][0].startswith("✗ Nobody would notice")
+    assert text["Missing"][0].startswith("✗ not protected (MonitorNotReady, 9s): the monitor (Deployment ")
+
+
+def test_the_cluster_is_believed_where_the_status_is_of_another_time() -> None:
+    item = fleet.well()
+    items = [i for i in fleet.around(item) if i["metadata"]["name"] != "robot-17-navigation-w7h5k"]
+    found = known(item, items)
+    assert not found.is_well
+    assert told(found)["Missing"] == [
+        "✗ not protected (StandbyNotReady): the first strategy of its policy can't be carried out, see above. Its status says that it "
+        "is: that is a moment old, or the operator isn't running."
+    ]
+
+
+def test_a_monitor_that_counts_on_another_strategy_is_told() -> None:
+    item = fleet.well()
+    item["status"]["strategy"] = "Restart"
+    assert any(line.startswith("! Its monitor says Restart.") for line in told(known(item))["If it failed now"])
+    assert not any("Its monitor says" in line for line in told(known(fleet.well()))["If it failed now"])
+
+
+@pytest.mark.parametrize(("priority", "waits"), [("Normal", True), ("Safety", False)])
+def test_the_pause_that_the_limits_ask_for(priority: str, waits: bool) -> None:
+    item = fleet.well()
+    policy = fleet.policy(limits={"cooldown": "5m"}, priority=priority)
+    others = [i for i in fleet.around(item) if i["kind"] != "FailurePolicy"]
+    first = told(known(item, [*others, policy]))["If it failed now"][0]
+    assert first.startswith("! Nothing would be done for another 48 s: limits.cooldown") is waits
+
+
+def test_nobody_in_control() -> None:
+    item = fleet.well()
+    gate = world.gate(item, epoch=42)
+    others = [i for i in fleet.around(item) if i["kind"] != "NetworkPolicy"]
+    assert "In control: nobody (gate epoch 42)." in told(known(item, [*others, gate]))[""]
+
+
+def test_a_policy_that_is_not_there() -> None:
+    item = fleet.well()
+    found = known(item, [i for i in fleet.around(item) if i["kind"] != "FailurePolicy"])
+    text = told(found)
+    assert 'no FailurePolicy "navigation" in namespace fleet' in text["If it failed now"][0]
+    assert "Not covered" not in text
+
+
+def test_a_pool_that_does_not_serve_it() -> None:
+    item = fleet.well()
+    item["metadata"]["labels"] = {"app": "navigation"}
+    text = told(known(item))
+    assert text["If it failed now"][0].startswith(
+        "✗ 1. Fallback from pool navigation-hot can't be carried out (PoolDoesNotServe): FallbackPool navigation-hot doesn't serve it"
+    )
+    assert not any(line.startswith("navigation-hot") for line in text["Pools"])
+
+
+def test_no_strategy_could_be_carried_out() -> None:
+    item = fleet.well()
+    policy = fleet.policy({"type": "Fallback", "poolRef": {"name": "elsewhere"}})
+    others = [i for i in fleet.around(item) if i["kind"] != "FailurePolicy"]
+    text = told(known(item, [*others, policy]))
+    assert (
+        "✗ No strategy of its policy could be carried out: the robot would be left without commands."
+        in text["If it failed now"]
+    )
+    assert any("The policy has one strategy" in line for line in text["Not covered"])
+
+
+def test_what_the_protection_leaves_out_as_it_is_written() -> None:
+    item = fleet.workload(
+        "robot-17-navigation",
+        status=fleet.status("robot-17-navigation", "x8v2m", 41),
+        outputs=[
+            {"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist"},
+            {"topic": "/gripper", "type": "std_msgs/msg/Float64"},
+            {"service": "/clear", "type": "std_srvs/srv/Trigger"},
+        ],
+    )
+    first, *others = told(known(item))["Not covered"]
+    assert first == "The health tree doesn't watch /gripper: nobody notices where it falls silent."
+    assert any("keeps no state" in line for line in others)
+    assert any("no safety commands" in line for line in others)
+
+
+def test_the_newest_warnings_and_no_other_events() -> None:
+    events = [
+        fleet.event(900, "StandbyReplaced", "w-1 was ready"),
+        fleet.event(30, "GateBlocked", "Packets of w-2", count=3),
+        fleet.event(10, "Recovered", "all well", kind="Normal"),
+    ]
+    assert told(known(fleet.well(), None, *events))["Lately"] == [
+        "30s ago  GateBlocked, 3 times: Packets of w-2",
+        "15m ago  StandbyReplaced: w-1 was ready",
+    ]
+
+
+@pytest.mark.parametrize("columns", [60, 80, 140])
+def test_nothing_is_wider_than_the_terminal(columns: int) -> None:
+    item = fleet.unprotected()
+    found = known(item, fleet.around(item, standby_waits="ImagePullBackOff"))
+    assert max(len(line) for line in lines(found, columns=columns, colours=False)) <= columns

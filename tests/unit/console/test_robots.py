@@ -1,0 +1,89 @@
+"""What the status of robots and pools comes to."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from tests.unit.console import fleet
+from tests.unit.console.fleet import said
+from understudy.console.kubectl import Unusable
+from understudy.console.robots import UNWATCHED, pool, robot
+
+
+def told(*conditions: Any, **more: Any) -> list[tuple[str, str]]:
+    name = "robot-1"
+    found = robot(fleet.workload(name, status=fleet.status(name, "abcde", 1, *conditions, **more)))
+    return [(problem.about, problem.reason) for problem in found.problems]
+
+
+def test_a_robot_that_is_well() -> None:
+    found = robot(fleet.well())
+    assert found.is_well
+    assert (found.health, found.active, found.epoch) == ("Healthy", "robot-17-navigation-x8v2m", 41)
+    assert found.problems == []
+    assert found.last_recovery is not None
+    assert found.last_recovery.strategy == "Fallback/Executing"
+    assert found.last_recovery.recovery_seconds == pytest.approx(0.509)
+    assert found.last_recovery.ended == fleet.ago(252.6 - 0.561)
+
+
+def test_one_that_is_degraded_is_driven_and_told() -> None:
+    found = robot(fleet.degraded())
+    assert found.is_well
+    assert [problem.type for problem in found.problems] == ["Degraded"]
+
+
+def test_one_without_a_monitor_is_not_as_its_monitor_has_said_last() -> None:
+    found = robot(fleet.unwatched())
+    assert found.health == UNWATCHED
+    assert not found.is_well
+
+
+@pytest.mark.parametrize("health", ["Failed", "Recovering", "Starting", "Unknown"])
+def test_one_that_nobody_drives_is_not_well_however_protected(health: str) -> None:
+    name = "robot-1"
+    assert not robot(fleet.workload(name, status=fleet.status(name, "abcde", 1, health=health))).is_well
+
+
+def test_the_same_trouble_is_told_once_and_protection_comes_first() -> None:
+    name = "robot-19-navigation"
+    found = robot(fleet.unprotected())
+    assert [problem.type for problem in found.problems] == ["Protected"]
+    assert found.problems[0].since is not None
+    both = [said("GateEnforced", "False", "NotEnforced"), said("Protected", "False", "PoolEmpty")]
+    assert told(*both) == [("not protected", "PoolEmpty"), ("gate not enforced", "NotEnforced")]
+    assert robot(fleet.workload(name)).problems[0].reason == "NotSeen"
+
+
+def test_a_recovery_is_a_problem_while_it_runs_and_when_it_came_to_nothing() -> None:
+    assert told(said("Recovering", "True", "FailureDetected")) == [("recovering", "FailureDetected")]
+    assert told(said("Recovering", "False", "NothingVerified")) == [("not recovered", "NothingVerified")]
+    assert told(said("Recovering", "False", "HealthyAgain")) == []
+
+
+def test_what_is_only_waited_for_is_none() -> None:
+    assert told(said("GateEnforced", "Unknown", "Settling"), said("Degraded", "Unknown", "Starting")) == []
+
+
+def test_a_condition_of_a_later_version_is_told_by_its_name() -> None:
+    assert told(said("Painted", "False", "NoPaint")) == [("Painted", "NoPaint")]
+
+
+def test_a_spec_that_the_operator_has_not_seen() -> None:
+    assert told(observed_generation=fleet.GENERATION - 1) == [("not accepted", "NotSeen")]
+
+
+def test_a_status_of_a_later_version_is_refused_with_what_to_do() -> None:
+    item = fleet.well()
+    item["status"]["health"] = "Splendid"
+    with pytest.raises(Unusable, match=r"fleet/robot-17-navigation: status.health: .*as new as the operator"):
+        robot(item)
+
+
+def test_pools_are_short_of_what_they_should_have() -> None:
+    assert pool(fleet.spare()).is_short
+    assert not pool(fleet.spare(ready=4)).is_short
+    assert not pool(fleet.hot()).is_short, "a standby that drives is one of those that should be there"
+    assert pool(fleet.short_of_one()).is_short
