@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import get_args
 
+from understudy.api.workloads import Health
 from understudy.console import tables
 from understudy.console.bars import length, short
 from understudy.console.drawing import coloured, plain
-from understudy.console.robots import LastRecovery, Pool, Problem, Robot
+from understudy.console.robots import UNWATCHED, LastRecovery, Pool, Problem, Robot
 from understudy.console.tables import Cell
 from understudy.console.texts import age, counted, listed, wrapped
 
@@ -17,6 +19,9 @@ MOST_LINES = 3
 """Lines of a terminal that one problem gets; ``understudy explain`` has all of it."""
 
 NAMELESS = "nobody"
+
+_LONGEST_HEALTH = max(len(health) for health in (*get_args(Health), UNWATCHED))
+"""No column moves when a health changes."""
 
 
 @dataclass(frozen=True)
@@ -34,13 +39,29 @@ class Look:
 
 def lines(robots: Sequence[Robot], pools: Sequence[Pool], look: Look) -> Iterator[str]:
     """All of it."""
+    yield from _body(robots, pools, look)
+    yield ""
+    yield from wrapped(summary(robots), look.columns, indent=0, hanging=2)
+
+
+def screenful(robots: Sequence[Robot], pools: Sequence[Pool], look: Look, rows: int) -> list[str]:
+    """As much of it as so many rows hold: where that isn't all, what isn't well comes first."""
+    told = list(lines(robots, pools, look))
+    if len(told) <= rows:
+        return told
+    ordered = sorted(robots, key=lambda robot: robot.is_well)
+    head = [*wrapped(summary(robots), look.columns, indent=0, hanging=2), ""]
+    told = [*head, *_body(ordered, pools, look)]
+    hidden = len(told) - (rows - 1)
+    return [*told[: rows - 1], f"… {counted(hidden, 'more line')}: make the window taller, or name some robots"]
+
+
+def _body(robots: Sequence[Robot], pools: Sequence[Pool], look: Look) -> Iterator[str]:
     yield from _rows(robots, look)
     if pools:
         yield ""
         known = [problem.message for robot in robots for problem in robot.problems]
         yield from _pools(pools, known, look)
-    yield ""
-    yield from wrapped(summary(robots), look.columns, indent=0, hanging=2)
 
 
 def summary(robots: Sequence[Robot]) -> str:
@@ -69,7 +90,7 @@ def in_a_line(robot: Robot) -> str:
 
 def _rows(robots: Sequence[Robot], look: Look) -> Iterator[str]:
     """The widest of the layouts that there is room for, with the problems of each robot under it."""
-    layouts = [_WIDE] if look.wide else [_FULL, _MIDDLE, _NARROW]
+    layouts = [_WIDE] if look.wide else [_FULL, _MIDDLE, _NARROW, _NARROWEST]
     for layout in layouts:
         rows = [
             [Cell(head) for head, _ in layout],
@@ -158,7 +179,7 @@ def _in_control(robot: Robot, *, in_short: bool = False) -> str:
 
 
 def _health(robot: Robot, look: Look) -> Cell:
-    return Cell(robot.health, robot.health if robot.health != "Unwatched" else "Failed")
+    return Cell(robot.health.ljust(_LONGEST_HEALTH), "Failed" if robot.health == UNWATCHED else robot.health)
 
 
 def _protected(robot: Robot, look: Look) -> Cell:
@@ -169,7 +190,11 @@ def _last(robot: Robot, now: float, how: Callable[[LastRecovery], str]) -> str:
     last = robot.last_recovery
     if last is None:
         return "none"
-    return listed((how(last), f"{age(last.ended, now)} ago" if last.ended else ""))
+    return listed((how(last), _ended(last, now)))
+
+
+def _ended(last: LastRecovery, now: float) -> str:
+    return f"{age(last.ended, now)} ago" if last.ended else ""
 
 
 def _how(last: LastRecovery) -> str:
@@ -185,16 +210,21 @@ def _time(last: LastRecovery) -> str:
 
 _Layout = Sequence[tuple[str, Callable[[Robot, Look], Cell]]]
 
-_NARROW: _Layout = [
+_SHORT: _Layout = [
     ("ROBOT", lambda robot, look: Cell(robot.name)),
     ("HEALTH", _health),
     ("IN CONTROL", lambda robot, look: Cell(_in_control(robot, in_short=True))),
-    ("STANDBY", lambda robot, look: Cell(robot.standby)),
-    ("LAST", lambda robot, look: Cell(_last(robot, look.now, _time))),
+    ("STANDBY", lambda robot, look: Cell(robot.standby.replace("(", "").replace(")", ""))),
 ]
-"""Who isn't protected is told by the problems below."""
+_LAST: _Layout = [("LAST", lambda robot, look: Cell(_last(robot, look.now, _time)))]
+_WHEN: _Layout = [
+    ("LAST", lambda robot, look: Cell(_ended(robot.last_recovery, look.now) if robot.last_recovery else "none"))
+]
 
-_MIDDLE: _Layout = [*_NARROW[:2], ("PROTECTED", _protected), *_NARROW[2:]]
+_MIDDLE: _Layout = [*_SHORT[:2], ("PROTECTED", _protected), *_SHORT[2:], *_LAST]
+# Who isn't protected is told by the problems below.
+_NARROW: _Layout = [*_SHORT, *_LAST]
+_NARROWEST: _Layout = [*_SHORT, *_WHEN]
 
 _FULL: _Layout = [
     ("ROBOT", lambda robot, look: Cell(robot.name)),

@@ -8,6 +8,7 @@ import json
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TextIO
 
 import yaml
@@ -136,8 +137,10 @@ class _Screen:
     def tick(self) -> None:
         """Show it with the present time, in a window that may be of another size now."""
         look = _look(sys.stdout, self._asking, wide=self._wide)
+        look = replace(look, columns=terminal.size()[0] - 1)  # of a full row the last character is lost
         told = [*([self._trouble, ""] if self._trouble else [])]
-        told += overview.lines(self._robots, self._pools, look) if self._robots else []
+        if self._robots:
+            told += overview.screenful(self._robots, self._pools, look, terminal.rows() - len(told))
         screen = (tuple(told), terminal.size())
         if screen != self._drawn:
             terminal.draw(sys.stdout, told)

@@ -29,6 +29,11 @@ def size() -> tuple[int, int]:
     return shutil.get_terminal_size()
 
 
+def rows() -> int:
+    """How many lines :func:`draw` has room for."""
+    return size()[1] - 2
+
+
 @contextlib.contextmanager
 def screen(out: TextIO) -> Iterator[None]:
     """Have the terminal's other screen while the context lasts."""
@@ -42,9 +47,8 @@ def screen(out: TextIO) -> Iterator[None]:
 
 
 def draw(out: TextIO, told: Sequence[str]) -> None:
-    """Write as many of these lines as there is room for."""
-    _, rows = size()
+    """Write as many of these lines as there is room for. Of one that fills its row the last character is lost."""
     # Lines that are too long are cut by the terminal: DECAWM off while they are written.
-    body = "".join(f"{line}\x1b[K\r\n" for line in told[: rows - 2])
+    body = "".join(f"{line}\x1b[K\r\n" for line in told[: rows()])
     out.write(f"\x1b[?7l\x1b[H{body}\x1b[J\x1b[?7h\r\nCtrl-C ends it. It only watches.\x1b[K")
     out.flush()

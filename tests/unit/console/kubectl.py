@@ -14,6 +14,8 @@ given = sys.argv[1:]
 with open(asked, "a") as log:
     log.write(" ".join(given) + "\\n")
 if "--watch-only" in given:
+    if not json.load(open(path))["watch"]:
+        sys.exit("Error from server (Forbidden): you may not watch")
     seen = os.stat(path).st_mtime_ns
     while True:
         time.sleep(0.05)
@@ -52,10 +54,10 @@ class Stand:
         program.write_text(SCRIPT.format(told=str(self._told), asked=str(self._asked)))
         program.chmod(0o755)
 
-    def tell(self, items: Sequence[dict[str, Any]], *, error: str = "") -> None:
-        """Answer with these objects from now on, or fail like this."""
+    def tell(self, items: Sequence[dict[str, Any]], *, error: str = "", watch: bool = True) -> None:
+        """Answer with these objects from now on, or fail like this; and let them be watched, or not."""
         fresh = self.folder / "fresh.json"
-        fresh.write_text(json.dumps({"items": list(items), "error": error}))
+        fresh.write_text(json.dumps({"items": list(items), "error": error, "watch": watch}))
         fresh.replace(self._told)
 
     @property

@@ -8,7 +8,7 @@ import re
 import pytest
 
 from tests.unit.console import fleet
-from understudy.console.overview import Look, in_a_line, lines, summary
+from understudy.console.overview import Look, in_a_line, lines, screenful, summary
 from understudy.console.robots import pool, robot
 
 ALL = [fleet.well(), fleet.degraded(), fleet.unprotected(), fleet.unwatched()]
@@ -60,6 +60,34 @@ def test_a_pool_does_not_say_again_what_is_told_of_a_robot() -> None:
     assert "  not ready (PodsNotReady, 4s): 3 of 4 are ready." in found
     alone = list(lines([robot(fleet.well())], POOLS, LOOK))
     assert any("2 of 3 are ready; pod robot-19-navigation-w7h5k" in line for line in alone)
+
+
+def test_where_not_all_fits_on_the_screen_what_is_not_well_comes_first() -> None:
+    look = dataclasses.replace(LOOK, columns=140)
+    everything = told(140)
+    assert screenful(ROBOTS, POOLS, look, len(everything)) == everything
+    found = screenful(ROBOTS, POOLS, look, 10)
+    assert len(found) == 10
+    assert found[0] == "4 robots: 2 not protected; 1 degraded, 2 healthy, 1 unwatched"
+    assert found[3].startswith("robot-19-navigation")
+    assert found[-1] == f"… {len(everything) - 9} more lines: make the window taller, or name some robots"
+
+
+def test_no_column_moves_when_a_health_changes() -> None:
+    name = "robot-17-navigation"
+    for columns in (80, 100, 140):
+        look = dataclasses.replace(LOOK, columns=columns)
+        heads = {
+            next(
+                iter(
+                    lines(
+                        [robot(fleet.workload(name, status=fleet.status(name, "x8v2m", 41, health=health)))], [], look
+                    )
+                )
+            )
+            for health in ("Healthy", "Recovering", "Failed")
+        }
+        assert len(heads) == 1
 
 
 def test_colours_add_to_words_and_shift_nothing() -> None:

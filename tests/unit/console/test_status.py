@@ -141,6 +141,30 @@ def watching(request: pytest.FixtureRequest, stand: Stand) -> Iterator[Watching]
     made.close()
 
 
+def test_who_may_not_watch_sees_changes_all_the_same(stand: Stand) -> None:
+    stand.tell(fleet.fleet(), watch=False)
+    watching = Watching(terminal=False)
+    try:
+        watching.until("fleet/robot-19-navigation; Healthy")
+        stand.tell([fleet.degraded(), fleet.unprotected()], watch=False)
+        watching.until("fleet/robot-17-navigation; is gone")
+    finally:
+        watching.close()
+
+
+def test_an_api_server_that_does_not_answer_is_asked_again(stand: Stand) -> None:
+    watching = Watching(terminal=False)
+    try:
+        watching.until("fleet/robot-19-navigation; Healthy")
+        stand.tell([], error="Unable to connect to the server")
+        watching.until("Unable to connect to the server; asking again")
+        stand.tell([fleet.degraded()])
+        watching.until("fleet/robot-17-navigation; is gone")
+        assert watching.end() == 0
+    finally:
+        watching.close()
+
+
 @pytest.mark.parametrize("watching", [{"terminal": True}], indirect=True)
 def test_a_terminal_s_screen_is_written_anew_when_a_robot_changes(stand: Stand, watching: Watching) -> None:
     first = watching.until("3 robots: 1 not protected")
