@@ -19,7 +19,7 @@ from understudy.cluster.client import Object
 from understudy.console.bars import length
 from understudy.console.drawing import coloured, plain
 from understudy.console.observing import Around
-from understudy.console.robots import DRIVEN, UNWATCHED, Problem, Robot, pool, robot, status_of
+from understudy.console.robots import DRIVEN, UNWATCHED, Problem, Robot, is_told, pool, robot, status_of
 from understudy.console.texts import age, listed, unix, wrapped
 from understudy.controller import objects, policies, pools, statuses, workloads
 from understudy.controller.desired import Images
@@ -142,6 +142,7 @@ def _state(known: Known) -> Iterator[_Entry]:
         yield _Entry(f"Nobody watches it, so how it is isn't known{said}.")
     elif known.health != "Healthy":
         yield _Entry(f"{why(known.health, known.said.active, status.conditions or []).rstrip('.')}.")
+        yield _Entry(f"Its health tree leaf by leaf: understudy tree -n {known.said.namespace} {known.said.name}")
     name, uid = objects.active(observed.gate)
     epoch = objects.notes(observed.gate).get(names.EPOCH, "0") if observed.gate is not None else "0"
     if not name:
@@ -180,6 +181,8 @@ def _failing(known: Known) -> Iterator[_Entry]:
         )
     elif not considered:
         yield _Entry(known.protected.message, "Failed")
+        if known.status.strategy:
+            yield _Entry(f"Its monitor goes by what was accepted last, and would use {known.status.strategy}.")
     yield from _pause(known)
     before: Strategy | None = None
     for number, (strategy, means) in enumerate(considered, 1):
@@ -210,7 +213,13 @@ def _failing(known: Known) -> Iterator[_Entry]:
 def _pause(known: Known) -> Iterator[_Entry]:
     """What the policy's limits put off."""
     policy, last = known.policy, known.said.last_recovery
-    if policy is None or last is None or last.ended is None or policy.priority == "Safety":
+    if (
+        policy is None
+        or policy.priority == "Safety"
+        or last is None
+        or last.ended is None
+        or last.result != "Recovered"
+    ):
         return
     pause = seconds(policy.limits.cooldown)
     # By another machine's clock a recovery may seem to be of the future: no wait is longer than it can be.
@@ -238,7 +247,8 @@ def _experience(strategy: Strategy, known: Known) -> str:
 
 
 def _is_by(recovery: Recovery, name: str) -> bool:
-    return not recovery.planned and recovery.strategy == name
+    """Whether a strategy has recovered it, also where the robot's reader was there first."""
+    return not recovery.planned and recovery.strategy.removesuffix(" (reflex)") == name
 
 
 def _recorded(strategy: Strategy, observed: Observed) -> str:
@@ -332,16 +342,17 @@ def _missing(known: Known) -> Iterator[_Entry]:
         state = "Degraded" if problem.type in ("Degraded", "StateRestored") else "Failed"
         since = f", {age(problem.since, observed.now)}" if problem.since else ""
         yield _Entry(f"{problem.about} ({problem.reason}{since}): {problem.message}", state)
-    told = {problem.message for problem in found}
+    told = [problem.message for problem in found]
+    told += [means.message for _, means in statuses.considered(observed, known.understanding)]
     for name in dict.fromkeys(s.pool_ref.name for s in policy.strategies if s.pool_ref) if policy else ():
         if name not in observed.pools:
             continue
         for problem in pool(observed.pools[name]).problems:
-            if problem.message not in told:
+            if not is_told(problem, told):
                 yield _Entry(f"pool {name} {problem.about} ({problem.reason}): {problem.message}", "Failed")
                 found.append(problem)
-    if not found and known.protected.status == "True":
-        yield _Entry("Nothing: its protection is complete.", "Healthy")
+    if known.protected.status == "True" and all(problem.type == "Degraded" for problem in found):
+        yield _Entry("Its protection is complete." if found else "Nothing: its protection is complete.", "Healthy")
 
 
 def _unprotected(known: Known) -> str:

@@ -11,7 +11,7 @@ from understudy.api.workloads import Health
 from understudy.console import tables
 from understudy.console.bars import length, short
 from understudy.console.drawing import coloured, plain
-from understudy.console.robots import UNWATCHED, LastRecovery, Pool, Problem, Robot
+from understudy.console.robots import UNWATCHED, LastRecovery, Pool, Problem, Robot, is_told
 from understudy.console.tables import Cell
 from understudy.console.texts import age, counted, listed, wrapped
 
@@ -115,7 +115,7 @@ def _rows(robots: Sequence[Robot], look: Look) -> Iterator[str]:
 def _stacked(robot: Robot, look: Look) -> Iterator[str]:
     """A robot in a narrow terminal."""
     name = f"{robot.namespace}/{robot.name}" if look.namespaces else robot.name
-    yield f"{plain(name)}  {coloured(plain(robot.health), robot.health, colours=look.colours)}"
+    yield f"{plain(name)}  {_health(robot, look).drawn(0, colours=look.colours).rstrip()}"
     told = [
         "protected" if robot.protected else "NOT PROTECTED",
         f"in control {_in_control(robot, in_short=True)}",
@@ -163,12 +163,7 @@ def _pools(pools: Sequence[Pool], known: Sequence[str], look: Look) -> Iterator[
         yield head
     for pool, line in zip(pools, told, strict=True):
         yield line
-        yield from _told([problem for problem in pool.problems if not _is_known(problem, known)], look)
-
-
-def _is_known(problem: Problem, known: Sequence[str]) -> bool:
-    cause = problem.message.partition("; ")[2].rstrip(".")
-    return bool(cause) and any(cause in message for message in known)
+        yield from _told([problem for problem in pool.problems if not is_told(problem, known)], look)
 
 
 def _in_control(robot: Robot, *, in_short: bool = False) -> str:

@@ -202,6 +202,12 @@ def problems(item: Object, conditions: Iterable[Condition], seen: int | None) ->
     return sorted(found, key=lambda problem: first.get(problem.type, len(first)))
 
 
+def is_told(problem: Problem, messages: Iterable[str]) -> bool:
+    """Whether a pool's problem is one of a pod, of which one of these messages tells already."""
+    cause = problem.message.partition("; ")[2].rstrip(".")
+    return bool(cause) and any(cause in message for message in messages)
+
+
 def _unseen(item: Object, seen: int | None) -> Iterator[Problem]:
     generation = item["metadata"].get("generation")
     if seen is None or (generation is not None and seen < generation):

@@ -87,9 +87,11 @@ def test_a_strategy_that_could_not_be_carried_out_is_told_with_the_way_out_and_w
 
 
 def test_why_it_is_degraded_and_for_how_long() -> None:
-    head, why, _ = told(known(fleet.degraded()))[""]
+    head, why, tree, _ = told(known(fleet.degraded()))[""]
+    assert tree == "Its health tree leaf by leaf: understudy tree -n fleet robot-18-navigation"
     assert head == "fleet/robot-18-navigation  Degraded for 38s"
     assert why == "/scan at 8.6 Hz (band 9.0 to 11.0), from the tree's leaf sensors/scan."
+    assert told(known(fleet.degraded()))["Missing"][-1] == "✓ Its protection is complete."
 
 
 def test_without_a_monitor_nobody_would_notice() -> None:
@@ -120,6 +122,13 @@ def test_a_monitor_that_counts_on_another_strategy_is_told() -> None:
     assert not any("Its monitor says" in line for line in told(known(fleet.well()))["If it failed now"])
 
 
+def test_a_takeover_by_the_reflex_counts_as_one_by_its_strategy() -> None:
+    item = fleet.well()
+    for recovery in item["status"]["recoveries"]:
+        recovery["strategy"] = "Fallback/Executing (reflex)"
+    assert told(known(item))["If it failed now"][0].endswith("It took 509 ms, the median of the last 3 times.")
+
+
 @pytest.mark.parametrize(("priority", "waits"), [("Normal", True), ("Safety", False)])
 def test_the_pause_that_the_limits_ask_for(priority: str, waits: bool) -> None:
     item = fleet.well()
@@ -141,6 +150,7 @@ def test_a_policy_that_is_not_there() -> None:
     found = known(item, [i for i in fleet.around(item) if i["kind"] != "FailurePolicy"])
     text = told(found)
     assert 'no FailurePolicy "navigation" in namespace fleet' in text["If it failed now"][0]
+    assert text["If it failed now"][1] == "Its monitor goes by what was accepted last, and would use Executing."
     assert "Not covered" not in text
 
 
@@ -152,6 +162,13 @@ def test_a_pool_that_does_not_serve_it() -> None:
         "✗ 1. Fallback from pool navigation-hot can't be carried out (PoolDoesNotServe): FallbackPool navigation-hot doesn't serve it"
     )
     assert not any(line.startswith("navigation-hot") for line in text["Pools"])
+
+
+def test_a_pool_that_is_short_is_told_unless_its_trouble_is() -> None:
+    item = fleet.unprotected()
+    others = [i for i in fleet.around(item, standby_waits="ImagePullBackOff") if i["kind"] != "FallbackPool"]
+    text = told(known(item, [*others, fleet.short_of_one(), fleet.short_of_another()]))
+    assert text["Missing"][1:] == ["✗ pool navigation-spare not ready (PodsNotReady): 3 of 4 are ready."]
 
 
 def test_no_strategy_could_be_carried_out() -> None:
