@@ -56,6 +56,24 @@ class Known:
         return cls(observed, understanding, status_of(item), robot(item), protected, around.events)
 
     @property
+    def considered(self) -> Sequence[tuple[Strategy, Means]]:
+        """The strategies that count now, in order, each with whether it could be carried out."""
+        return statuses.considered(self.observed, self.understanding)
+
+    @property
+    def left_out(self) -> list[str]:
+        """The pools of the policy that nobody counts on while it is well."""
+        counted = {s.pool_ref.name for s, _ in self.considered if s.pool_ref is not None}
+        named = [s.pool_ref.name for s in self.policy.strategies if s.pool_ref is not None] if self.policy else []
+        return [name for name in named if name not in counted]
+
+    @property
+    def pools(self) -> list[str]:
+        """The pools that its strategies take an instance from, in order."""
+        counted = [s.pool_ref.name for s, _ in self.considered if s.pool_ref is not None]
+        return list(dict.fromkeys([*counted, *self.left_out]))
+
+    @property
     def is_watched(self) -> bool:
         """Whether its monitor runs."""
         return any(objects.ready(pod) for pod in self.observed.monitors)
@@ -172,8 +190,7 @@ def _where(pod: Object) -> str:
 
 
 def _failing(known: Known) -> Iterator[_Entry]:
-    observed, understanding = known.observed, known.understanding
-    considered = statuses.considered(observed, understanding)
+    considered = known.considered
     if not known.is_watched:
         yield _Entry(
             "Nobody would notice, and nothing would be done, until its monitor runs (see Missing). It would do this:",
@@ -206,7 +223,8 @@ def _failing(known: Known) -> Iterator[_Entry]:
             f"If the last isn't verified within {before.verify_within} either, all are tried again after a pause. What isn't "
             "available in that moment is passed over at once."
         )
-    yield from _asleep(known, [strategy for strategy, _ in considered])
+    if before is not None and known.left_out:
+        yield _Entry(f"Left out: {listed(known.left_out)}, which has standbys only while the robot is degraded.")
     yield from _otherwise(known, considered)
 
 
@@ -259,17 +277,6 @@ def _recorded(strategy: Strategy, observed: Observed) -> str:
     return f"{strategy.type}/{policies.readiness(item) if item is not None else ''}"
 
 
-def _asleep(known: Known, considered: Sequence[Strategy]) -> Iterator[_Entry]:
-    """Pools that nobody counts on while it is well."""
-    counted = {s.pool_ref.name for s in considered if s.pool_ref is not None}
-    policy = known.policy
-    left = (
-        [s.pool_ref.name for s in policy.strategies if s.pool_ref and s.pool_ref.name not in counted] if policy else []
-    )
-    if considered and left:
-        yield _Entry(f"Left out: {listed(left)}, which has standbys only while the robot is degraded.")
-
-
 def _otherwise(known: Known, considered: Sequence[tuple[Strategy, Means]]) -> Iterator[_Entry]:
     """What the monitor says, where that is something else: it hears the standbys' agents, this command doesn't."""
     said = known.status.strategy
@@ -290,9 +297,8 @@ def _otherwise(known: Known, considered: Sequence[tuple[Strategy, Means]]) -> It
 
 def _pools(known: Known) -> Iterator[_Entry]:
     """What the pools have that its policy names."""
-    observed, policy = known.observed, known.policy
-    named = dict.fromkeys(s.pool_ref.name for s in policy.strategies if s.pool_ref) if policy is not None else {}
-    for name in named:
+    observed = known.observed
+    for name in known.pools:
         item = observed.pools.get(name)
         if item is None or not pools.serves(item, observed.workload):
             continue  # it is told above
@@ -331,7 +337,7 @@ def _pod(pod: Object) -> _Entry:
 
 def _missing(known: Known) -> Iterator[_Entry]:
     """What isn't as it should be, with the way out that whoever found it has written."""
-    observed, policy = known.observed, known.policy
+    observed = known.observed
     found = [problem for problem in known.said.problems if problem.type != "Protected"]
     if known.protected.status != "True":
         yield _Entry(_unprotected(known), "Failed")
@@ -343,8 +349,8 @@ def _missing(known: Known) -> Iterator[_Entry]:
         since = f", {age(problem.since, observed.now)}" if problem.since else ""
         yield _Entry(f"{problem.about} ({problem.reason}{since}): {problem.message}", state)
     told = [problem.message for problem in found]
-    told += [means.message for _, means in statuses.considered(observed, known.understanding)]
-    for name in dict.fromkeys(s.pool_ref.name for s in policy.strategies if s.pool_ref) if policy else ():
+    told += [means.message for _, means in known.considered]
+    for name in known.pools:
         if name not in observed.pools:
             continue
         for problem in pool(observed.pools[name]).problems:
@@ -360,7 +366,7 @@ def _unprotected(known: Known) -> str:
     found = known.protected
     said = next((problem for problem in known.said.problems if problem.type == "Protected"), None)
     since = f", {age(said.since, known.observed.now)}" if said is not None and said.since else ""
-    first = next((means for _, means in statuses.considered(known.observed, known.understanding)), None)
+    first = next((means for _, means in known.considered), None)
     seen = first is not None and not first.available and found.reason == first.reason
     words = "the first strategy of its policy can't be carried out, see above." if seen else found.message
     stale = " Its status says that it is: that is a moment old, or the operator isn't running." if said is None else ""
@@ -381,7 +387,7 @@ def _not_covered(known: Known) -> Iterator[_Entry]:
         yield _Entry(f"The health tree doesn't watch {listed(unwatched)}: nobody notices where it falls silent.")
     if not (policy.state.keep or policy.state.parameters or policy.state.lifecycle):
         yield _Entry("The policy keeps no state: whatever takes over begins without what the failed instance knew.")
-    if len(policy.strategies) == 1:
+    if len(known.considered) + len(known.left_out) == 1:
         yield _Entry("The policy has one strategy: where it isn't verified, there is nothing else to be tried.")
     if policy.safety is None:
         yield _Entry(

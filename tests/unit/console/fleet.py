@@ -27,6 +27,7 @@ NAMESPACE = world.NAMESPACE
 NOW = datetime(2026, 11, 22, 14, 6, 24, tzinfo=UTC).timestamp()
 GENERATION = 2
 Object = dict[str, Any]
+TREE: Object = {"parallel": [{"topic": {"name": "/cmd_vel", "gap": "500ms"}}]}
 
 
 def ago(seconds: float) -> str:
@@ -61,7 +62,7 @@ def custom(kind: str, name: str, spec: Model, status: Model | None, **metadata: 
 
 def policy(*strategies: Object, name: str = "navigation", **spec: Any) -> Object:
     given = {
-        "monitoring": {"yaml": {"parallel": [{"topic": {"name": "/cmd_vel", "gap": "500ms"}}]}},
+        "monitoring": {"yaml": TREE},
         "strategies": list(strategies)
         or [
             {"type": "Fallback", "poolRef": {"name": "navigation-hot"}, "verifyWithin": "1s"},

@@ -199,6 +199,24 @@ def test_what_the_protection_leaves_out_as_it_is_written() -> None:
     assert any("no safety commands" in line for line in others)
 
 
+def test_a_pool_that_has_standbys_only_while_degraded_is_left_out_and_told() -> None:
+    item = fleet.well()
+    warm = {
+        "degraded": {
+            "monitoring": {"yaml": fleet.TREE},
+            "actions": [{"prewarm": {"poolRef": {"name": "navigation-hot"}}}],
+        }
+    }
+    cold = fleet.hot()
+    cold["spec"]["perWorkload"] = 0
+    others = [
+        i for i in fleet.around(item) if i["kind"] != "FailurePolicy" and i["metadata"]["name"] != "navigation-hot"
+    ]
+    text = told(known(item, [*others, fleet.policy(**warm), cold]))
+    assert text["If it failed now"][0].startswith("✓ 1. Fallback from pool navigation-spare would be carried out")
+    assert "Left out: navigation-hot, which has standbys only while the robot is degraded." in text["If it failed now"]
+
+
 def test_the_newest_warnings_and_no_other_events() -> None:
     events = [
         fleet.event(900, "StandbyReplaced", "w-1 was ready"),
