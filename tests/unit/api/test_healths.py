@@ -1,0 +1,40 @@
+"""Why a workload is as it is."""
+
+from __future__ import annotations
+
+import pytest
+
+from understudy.api.conditions import Condition, Status, condition
+from understudy.api.healths import telling, why
+
+
+def said(type_: str, status: Status, reason: str) -> Condition:
+    return condition(type_, status, reason, f"{type_}: {reason}")
+
+
+ALL = [
+    said("Degraded", "True", "NotWell"),
+    said("Recovering", "True", "FailureDetected"),
+    said("Healthy", "False", "Failed"),
+]
+
+
+@pytest.mark.parametrize(
+    ("health", "words"),
+    [
+        ("Healthy", "a is in control"),
+        ("Degraded", "Degraded: NotWell"),
+        ("Failed", "Recovering: FailureDetected"),
+        ("Recovering", "Recovering: FailureDetected"),
+        ("Starting", "Healthy: Failed"),
+    ],
+)
+def test_each_health_has_a_condition_that_says_why(health: str, words: str) -> None:
+    assert why(health, "a", ALL) == words
+
+
+def test_what_is_over_and_what_is_of_another_instance_explain_nothing() -> None:
+    past = [said("Recovering", "False", "Recovered"), said("Healthy", "False", "Failed")]
+    assert why("Failed", "a", past) == "Healthy: Failed"
+    assert why("Failed", "", past) == "it has failed"
+    assert telling("Unknown", "a", ALL) is None
