@@ -157,11 +157,15 @@ class FallbackPoolStatus(Model):
     desired: int | None = Field(default=None, description="Pods that should exist.")
     ready: int | None = Field(default=None, description="Pods that could take over now.")
     claimed: int | None = Field(default=None, description="Pods of this pool that drive a robot.")
+    waiting: int | None = Field(
+        default=None, description="Workloads that wait for a pod of it; see the condition Available (Uninitialized)."
+    )
     selector: str | None = Field(
         default=None, description="Label selector of the pool's pods, for the scale subresource."
     )
     conditions: list[Condition] | None = Field(
         default=None,
-        description="Accepted: it can be filled. Ready: every pod that should be there could take over now.",
+        description="Accepted: it can be filled. Ready: every pod that should be there could take over now. Available: a pod could be "
+        "claimed now (Uninitialized); while it is Dry, it says who waits, in order.",
         json_schema_extra={"x-kubernetes-list-type": "map", "x-kubernetes-list-map-keys": ["type"]},
     )
