@@ -19,6 +19,10 @@ class NotAvailable(Exception):
     """A strategy's means aren't there, such as no ready pod in its pool. Nothing was changed."""
 
 
+class Overtaken(NotAvailable):
+    """Every free pod that it could have taken was claimed by others first. Looking again is worth it."""
+
+
 class NotVerified(Exception):
     """A strategy was carried out, but the robot wasn't seen to be driven by the new instance."""
 

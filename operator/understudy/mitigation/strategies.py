@@ -14,8 +14,18 @@ from dataclasses import dataclass
 
 from understudy.api.kept import KeptState
 from understudy.mitigation.bringing import BringUp
-from understudy.mitigation.interfaces import Agents, ClaimLost, Gate, Instance, Instances, NotAvailable, Outputs
+from understudy.mitigation.interfaces import (
+    Agents,
+    ClaimLost,
+    Gate,
+    Instance,
+    Instances,
+    NotAvailable,
+    Outputs,
+    Overtaken,
+)
 from understudy.mitigation.progress import PodIdentity, Progress
+from understudy.mitigation.waiting import YIELD_MOST, Queue, Waiter, before, in_order, left_by, turn
 
 _logger = logging.getLogger(__name__)
 
@@ -41,6 +51,7 @@ class Means:
     instances: Instances
     agents: Agents
     outputs: Outputs
+    queue: Queue
     clock: Callable[[], float]
     save: Callable[[Progress], None]
     workload_uid: str
@@ -59,6 +70,10 @@ class Strategy(ABC):
     @abstractmethod
     async def prepare(self, progress: Progress, means: Means, *, within: float) -> Instance:
         """Bring an understudy to where it can drive, and open the gate for it. Raises NotAvailable."""
+
+    async def wait(self, progress: Progress, means: Means) -> None:
+        """Wait until what it needs is there, for as long as the policy says. Raises NotAvailable."""
+        return
 
     @abstractmethod
     def available(self, means: Means, progress: Progress | None = None) -> str | None:
@@ -164,13 +179,69 @@ class UninitializedFallback(Strategy):
 
     name = "Fallback/Uninitialized"
 
-    def __init__(self, pool: str, *, recovery: BringUp | None = None) -> None:
-        self.pool, self._recovery = pool, recovery
+    def __init__(self, pool: str, *, recovery: BringUp | None = None, wait_for: float = 0.0) -> None:
+        """``wait_for`` is how many seconds a pod is waited for where the pool has none."""
+        self.pool, self._recovery, self._wait_for = pool, recovery, wait_for
+        self._lost: set[str] = set()
+        """UIDs of pods that others have claimed, which the watch may not have told yet."""
 
     def available(self, means: Means, progress: Progress | None = None) -> str | None:
-        if any(not (progress and progress.has_failed(i.uid)) for i in means.instances.unclaimed(self.pool)):
+        free = self._free(progress, means)
+        waiting = in_order(means.queue.others(self.pool), self.pool, means.clock())
+        if len(free) > len(waiting):
             return None
+        if free:
+            return f"for the last {len(free)} ready of pool {self.pool} wait {', '.join(w.workload for w in waiting)}"
+        if self._lost:
+            return f"every ready pod of pool {self.pool} was claimed by another workload first"
         return f"pool {self.pool} has no unclaimed pod that is ready"
+
+    def _free(self, progress: Progress | None, means: Means) -> list[Instance]:
+        return [
+            i
+            for i in means.instances.unclaimed(self.pool)
+            if i.uid not in self._lost and not (progress and progress.has_failed(i.uid))
+        ]
+
+    async def wait(self, progress: Progress, means: Means) -> None:
+        if _committed_target(progress, means) is not None or self._claimed(progress, means) is not None:
+            return
+        if progress.planned:  # nothing failed: it takes no pod that others need
+            if (reason := self.available(means, progress)) is not None:
+                raise NotAvailable(reason)
+            return
+        me = self._place(progress, means)
+        try:
+            async with asyncio.timeout(max(0.0, me.until - means.clock()) + 2 * YIELD_MOST):
+                served = await turn(
+                    me,
+                    means.queue,
+                    free=lambda: [i.uid for i in self._free(progress, means)],
+                    clock=means.clock,
+                    join=lambda: _join(me, progress, means),
+                )
+        except TimeoutError:  # the API server is away, and so is every pod
+            served = False
+        if served:
+            return
+        waited = f", nor got one in {self._wait_for:g} s" if progress.waiting is not None else ""
+        if progress.waiting is not None:
+            means.queue.gave_up(me)
+        progress.waiting = None
+        raise NotAvailable(
+            f"{self.available(means, progress) or f'pool {self.pool} could not be claimed from'}{waited}"
+        )
+
+    def _place(self, progress: Progress, means: Means) -> Waiter:
+        """Its place among those that wait: since it began to, also where an earlier monitor did."""
+        since = progress.moments.get("queued", means.clock())
+        return Waiter(
+            workload=means.queue.workload,
+            pool=self.pool,
+            priority=means.queue.priority,
+            since=since,
+            until=since + self._wait_for,
+        )
 
     async def prepare(self, progress: Progress, means: Means, *, within: float) -> Instance:
         target = _committed_target(progress, means)
@@ -178,37 +249,44 @@ class UninitializedFallback(Strategy):
             await _wait_enforced(target, progress, means)
             return target
         end = _now() + within
-        claim = f"{means.workload_uid}/{progress.id}"
-        target = await self._claimed_or_claim(claim, progress, means)
+        target = await self._claimed_or_claim(progress, means)
         progress.moments["claimed"] = means.clock()
         progress.target = PodIdentity(name=target.name, uid=target.uid)
         progress.charge("cluster", means.clock())
+        waited, progress.waiting = progress.waiting, None
         means.save(progress)
-        await means.agents.start(target)
+        if waited is None:
+            await means.agents.start(target)
+        else:
+            means.queue.served(waited, target.name)
+            # Who waits too learns from the gate that this one doesn't any more; meanwhile the processes start.
+            await asyncio.gather(means.agents.start(target), means.gate.commit(None, progress))
         await _started(target, progress, means)
         await _bring_up(target, progress, means, self._recovery, end=end)
         return target
 
-    async def _claimed_or_claim(self, claim: str, progress: Progress, means: Means) -> Instance:
-        for instance in means.instances.of_workload():
-            if instance.claim == claim and instance.usable and not progress.has_failed(instance.uid):
-                await _close(progress, means)
-                return instance
-        if (reason := self.available(means, progress)) is not None:
-            raise NotAvailable(reason)
+    def _claimed(self, progress: Progress, means: Means) -> Instance | None:
+        """The pod that an interrupted run of this recovery claimed."""
+        claim = _claim_of(progress, means)
+        found = (i for i in means.instances.of_workload() if i.claim == claim and i.usable)
+        return next((i for i in found if not progress.has_failed(i.uid)), None)
+
+    async def _claimed_or_claim(self, progress: Progress, means: Means) -> Instance:
+        if (claimed := self._claimed(progress, means)) is not None:
+            await _close(progress, means)
+            return claimed
         means.save(progress)  # the claim bears its id: found again by whoever goes on
-        _, target = await asyncio.gather(_close(progress, means), self._claim(claim, progress, means))
+        _, target = await asyncio.gather(_close(progress, means), self._claim(progress, means))
         return target
 
-    async def _claim(self, claim: str, progress: Progress, means: Means) -> Instance:
-        for candidate in means.instances.unclaimed(self.pool):
-            if progress.has_failed(candidate.uid):
-                continue
+    async def _claim(self, progress: Progress, means: Means) -> Instance:
+        ahead = before(self._place(progress, means), means.queue.others(self.pool), means.clock())
+        for candidate in left_by(ahead, self._free(progress, means)):
             try:
-                return await means.instances.claim(candidate, claim)
+                return await means.instances.claim(candidate, _claim_of(progress, means))
             except ClaimLost:
-                continue
-        raise NotAvailable(f"every ready pod of pool {self.pool} was claimed by another workload first")
+                self._lost.add(candidate.uid)
+        raise Overtaken(f"every ready pod of pool {self.pool} was claimed by another workload first")
 
 
 class Restart(Strategy):
@@ -257,6 +335,21 @@ def _committed_target(progress: Progress, means: Means) -> Instance | None:
     if target is not None:
         progress.target = PodIdentity(name=target.name, uid=target.uid)
     return target
+
+
+def _claim_of(progress: Progress, means: Means) -> str:
+    return f"{means.workload_uid}/{progress.id}"
+
+
+async def _join(me: Waiter, progress: Progress, means: Means) -> None:
+    """Say beside the gate that this workload waits. That closes it: an instance that failed doesn't drive meanwhile."""
+    progress.moments["queued"] = me.since
+    progress.waiting = me
+    means.save(progress)
+    state = means.gate.state
+    if not state.closed or state.recovery is None or state.recovery.waiting != me:
+        await means.gate.commit(None, progress)
+    progress.moments.setdefault("fenced", means.clock())
 
 
 async def _close(progress: Progress, means: Means) -> None:
