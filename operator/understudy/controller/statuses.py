@@ -19,6 +19,9 @@ PROGRESSING = frozenset(
 )
 """Reasons that are in order while something is being built: no Event when they come first."""
 
+UNTOLD = frozenset({"Available"})
+"""Conditions without Events: a pool that runs dry is told of by Ready, and by the monitors of those that wait."""
+
 
 def status(
     observed: Observed, understanding: Understanding, problems: Sequence[Problem], resized: Condition | None = None
@@ -54,6 +57,8 @@ def transitions(live: Object, desired: Object) -> list[Object]:
     found = []
     for new in desired["conditions"]:
         before = old.get(new["type"])
+        if new["type"] in UNTOLD:
+            continue
         if before is not None and (before["status"], before["reason"]) == (new["status"], new["reason"]):
             continue
         begun = before is None or before["status"] != "True"

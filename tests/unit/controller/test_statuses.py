@@ -167,6 +167,9 @@ class TestTransitions:
     def test_lost_protection_is_one(self) -> None:
         assert self.told([("Protected", "True", "FirstStrategyReady")], ("Protected", "False", "StandbyNotReady")) == 1
 
+    def test_a_pool_that_runs_dry_is_told_by_those_that_wait(self) -> None:
+        assert self.told([("Available", "True", "Available")], ("Available", "False", "Dry")) == 0
+
     def test_bad_input_is_one_at_once(self) -> None:
         assert self.told([], ("Accepted", "False", "PolicyNotFound")) == 1
 
