@@ -330,7 +330,7 @@ def _available(observed: Observed, counts: Counts) -> Condition:
     told = f"{counts.ready} of {counts.desired} could be claimed now"
     if found:
         more = f" and {len(found) - _MOST_NAMED} more" if len(found) > _MOST_NAMED else ""
-        told = f"{told}; for one wait, in this order, {', '.join(found[:_MOST_NAMED])}{more}"
+        told = f"{told}; these wait for one, in this order: {', '.join(found[:_MOST_NAMED])}{more}"
     free = counts.ready > len(found)
     generation = objects.generation(observed.pool)
     return condition("Available", free, "Available" if free else "Dry", f"{told}.", generation=generation)

@@ -366,7 +366,7 @@ class TestAPoolThatHasRunDry:
         told = condition(found, "Available")
         assert (told["status"], told["reason"]) == ("False", "Dry")
         assert told["message"] == (
-            "0 of 1 could be claimed now; for one wait, in this order, b (poolPriority 100, since 22:13:18 UTC), "
+            "0 of 1 could be claimed now; these wait for one, in this order: b (poolPriority 100, since 22:13:18 UTC), "
             "a (poolPriority 0, since 22:13:18 UTC)."
         )
         assert status(found)["waiting"] == 2
