@@ -9,8 +9,9 @@ from __future__ import annotations
 import asyncio
 import logging
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Coroutine
 from dataclasses import dataclass
+from typing import Any
 
 from understudy.api.kept import KeptState
 from understudy.mitigation.bringing import BringUp
@@ -260,7 +261,7 @@ class UninitializedFallback(Strategy):
         else:
             means.queue.served(waited, target.name)
             # Who waits too learns from the gate that this one doesn't any more; meanwhile the processes start.
-            await asyncio.gather(means.agents.start(target), means.gate.commit(None, progress))
+            await _both(means.agents.start(target), means.gate.commit(None, progress))
         await _started(target, progress, means)
         await _bring_up(target, progress, means, self._recovery, end=end)
         return target
@@ -276,17 +277,21 @@ class UninitializedFallback(Strategy):
             await _close(progress, means)
             return claimed
         means.save(progress)  # the claim bears its id: found again by whoever goes on
+        # Both are waited for, whatever becomes of the claim: who commits next must know of the gate's closing.
         _, target = await asyncio.gather(_close(progress, means), self._claim(progress, means))
+        if target is None:
+            raise Overtaken(f"every ready pod of pool {self.pool} was claimed by another workload first")
         return target
 
-    async def _claim(self, progress: Progress, means: Means) -> Instance:
+    async def _claim(self, progress: Progress, means: Means) -> Instance | None:
+        """One of the pods that it may take; None where others were first."""
         ahead = before(self._place(progress, means), means.queue.others(self.pool), means.clock())
         for candidate in left_by(ahead, self._free(progress, means)):
             try:
                 return await means.instances.claim(candidate, _claim_of(progress, means))
             except ClaimLost:
                 self._lost.add(candidate.uid)
-        raise Overtaken(f"every ready pod of pool {self.pool} was claimed by another workload first")
+        return None
 
 
 class Restart(Strategy):
@@ -350,6 +355,13 @@ async def _join(me: Waiter, progress: Progress, means: Means) -> None:
     if not state.closed or state.recovery is None or state.recovery.waiting != me:
         await means.gate.commit(None, progress)
     progress.moments.setdefault("fenced", means.clock())
+
+
+async def _both(*work: Coroutine[Any, Any, object]) -> None:
+    """Do things at the same time, and wait for each of them also where another fails: a commit mustn't be left under way."""
+    for result in await asyncio.gather(*work, return_exceptions=True):
+        if isinstance(result, BaseException):
+            raise result
 
 
 async def _close(progress: Progress, means: Means) -> None:
