@@ -13,6 +13,7 @@ _GLYPHS = {"detection": "░", "cluster": "█", "startup": "▓", "reinitializa
 _EIGHTHS = " ▏▎▍▌▋▊▉"
 _MOMENTS = (
     ("detected", "detected"),
+    ("queued", "waits for a pod"),
     ("claimed", "claimed"),
     ("fenced", "fenced"),
     ("started", "started"),

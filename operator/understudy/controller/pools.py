@@ -78,9 +78,14 @@ def unclaimed(pool: Object, pods: Sequence[Object]) -> list[Object]:
 
 def queue(pool: str, gates: Sequence[Object], now: float) -> list[Waiter]:
     """The workloads that wait for a pod of a shared pool by what is beside their gates, who is served first before the others."""
-    awaiting = [gate for gate in gates if objects.labels(gate).get(names.WAITS_FOR) == pool]
-    found = (waiter(objects.notes(gate).get(names.RECOVERY, "")) for gate in awaiting)
-    return in_order((one for one in found if one is not None), pool, now)
+    found = []
+    for gate in gates:
+        if objects.labels(gate).get(names.WAITS_FOR) != pool:
+            continue
+        one = waiter(objects.notes(gate).get(names.RECOVERY, ""))
+        if one is not None and names.gate(one.workload) == objects.name(gate):  # each speaks for itself only
+            found.append(one)
+    return in_order(found, pool, now)
 
 
 def understand(observed: Observed, images: Images) -> Understanding:

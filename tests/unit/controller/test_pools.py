@@ -351,7 +351,9 @@ class TestAPoolThatHasRunDry:
     def test_who_waits_stands_beside_the_gates(self) -> None:
         late = self.place("late", since=NOW - 60)
         places = [self.place("a"), self.place("b", priority=100), self.place("c", since=NOW - 5), late]
-        gates = [*map(self.gate, places), gate(workload("w"))]
+        posing = self.gate(self.place("x"))  # each speaks for itself only
+        posing["metadata"]["annotations"] = self.gate(self.place("w", priority=1000))["metadata"]["annotations"]
+        gates = [*map(self.gate, places), gate(workload("w")), posing]
         assert [w.workload for w in pools.queue("spare", gates, NOW)] == ["b", "c", "a"]
         assert pools.queue("other", gates, NOW) == []
 
