@@ -142,5 +142,5 @@ def test_who_has_waited_for_its_time_is_restarted(kubectl: Kubectl) -> None:
     robot.fail(old, "killed")
     recovery = robot.wait_recovered(1, within=150)
     assert recovery.strategy == "Restart"
-    assert "nor got one in 3 s" in recovery.attempts[0]["message"]
+    assert "it got none in 3 s" in recovery.attempts[0]["message"]
     assert_handed_over(robot, recovery)

@@ -212,6 +212,11 @@ class UninitializedFallback(Strategy):
                 raise NotAvailable(reason)
             return
         me = self._place(progress, means)
+
+        def needless() -> bool:
+            means.agents.follow(means.instances.of_workload())  # those that come while it waits too
+            return self._restarted(progress, means) is not None
+
         try:
             async with asyncio.timeout(max(0.0, me.until - means.clock()) + 2 * YIELD_MOST):
                 served = await turn(
@@ -220,18 +225,28 @@ class UninitializedFallback(Strategy):
                     free=lambda: [i.uid for i in self._free(progress, means)],
                     clock=means.clock,
                     join=lambda: _join(me, progress, means),
+                    needless=needless,
                 )
         except TimeoutError:  # the API server is away, and so is every pod
             served = False
         if served:
             return
-        waited = f", nor got one in {self._wait_for:g} s" if progress.waiting is not None else ""
+        told = [self.available(means, progress) or f"pool {self.pool} could not be claimed from"]
+        if (restarted := self._restarted(progress, means)) is not None and self._wait_for:
+            told.append(f"{restarted.name} is up already")
+        elif progress.waiting is not None:
+            told.append(f"it got none in {self._wait_for:g} s")
         if progress.waiting is not None:
             means.queue.gave_up(me)
         progress.waiting = None
-        raise NotAvailable(
-            f"{self.available(means, progress) or f'pool {self.pool} could not be claimed from'}{waited}"
+        raise NotAvailable("; ".join(told))
+
+    def _restarted(self, progress: Progress, means: Means) -> Instance | None:
+        """An instance that the workload's own controller made meanwhile, and that could drive: then no other is waited for."""
+        own = (
+            i for i in means.instances.of_workload() if i.from_source and i.usable and not progress.has_failed(i.uid)
         )
+        return next((i for i in own if (means.agents.is_ready(i)[0] if i.has_agent else i.ready)), None)
 
     def _place(self, progress: Progress, means: Means) -> Waiter:
         """Its place among those that wait: since it began to, also where an earlier monitor did."""

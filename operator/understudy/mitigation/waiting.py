@@ -104,8 +104,9 @@ async def turn(
     free: Callable[[], Collection[str]],
     clock: Callable[[], float],
     join: Callable[[], Awaitable[None]],
+    needless: Callable[[], bool] = lambda: False,
 ) -> bool:
-    """Wait until this one may take a free pod; whether that was so before its time was over.
+    """Wait until this one may take a free pod; whether that was so before its time was over, or waiting was ``needless``.
 
     ``free`` has the UIDs of the pods that can be claimed now. ``join`` says to the others that it waits: called once, and only
     where it waits at all; who doesn't, leaves a pod that is free to those ahead of it for the same moment.
@@ -120,7 +121,7 @@ async def turn(
         at = due(ahead, seen.values())
         if at is not None and at <= now:
             return True
-        if now >= (me.until if at is None else me.until + YIELD_MOST):
+        if now >= (me.until if at is None else me.until + YIELD_MOST) or (me.until > me.since and needless()):
             return False
         if not joined and now < me.until:
             joined = True

@@ -224,10 +224,26 @@ async def test_who_has_waited_for_its_time_goes_on_with_the_next_strategy() -> N
         ("Fallback/Uninitialized", "NotAvailable"),
         ("Restart", "Verified"),
     ]
-    assert done.attempts[0].message == "pool spare has no unclaimed pod that is ready, nor got one in 0.2 s"
+    assert done.attempts[0].message == "pool spare has no unclaimed pod that is ready; it got none in 0.2 s"
     assert store.told == ["1 of 1", "gave up"]
     assert done.waiting is None
     assert waiter(store.gate.recovery.model_dump_json()) is None  # type: ignore[union-attr]
+
+
+async def test_a_pod_that_the_workload_s_own_controller_has_up_first_is_taken_and_no_other_waited_for() -> None:
+    store = robot("a", [])
+    running = asyncio.create_task(fails(store, wait_for=60.0))
+    await until(lambda: store.told)
+    store.add("a-2", ready=False)
+    await asyncio.sleep(0.4)
+    assert not running.done(), "it doesn't drive yet"
+    assert "a-2" in store.followed, "and its agent is asked how it is"
+    store.add("a-2")
+    done = await asyncio.wait_for(running, 5)
+    assert done.strategy == "Restart"
+    assert done.target is not None
+    assert done.target.name == "a-2"
+    assert done.attempts[0].message == "pool spare has no unclaimed pod that is ready; a-2 is up already"
 
 
 async def test_pools_in_order_are_each_waited_for() -> None:

@@ -35,6 +35,8 @@ class Store:
     started: set[str] = field(default_factory=set)
     deleted: list[str] = field(default_factory=list)
     gave_way: list[str] = field(default_factory=list)
+    followed: set[str] = field(default_factory=set)
+    """Pods whose agents a connection was asked for."""
     brought_up: list[tuple[str, str]] = field(default_factory=list)
     """Which pods were brought up by which procedure."""
     unwilling: set[str] = field(default_factory=set)
@@ -262,6 +264,9 @@ class _Agents(_Part):
             raise NotVerified(f"agent {instance.name}: procedure: {procedure.name}.set_lifecycle: node /amcl is gone")
         self.world.effect()
         return state.not_given("not tried") if state else RestoreReport()
+
+    def follow(self, instances: Sequence[Instance]) -> None:
+        self.store.followed = {instance.name for instance in instances}
 
     def is_ready(self, instance: Instance) -> tuple[bool, str]:
         return instance.ready, "" if instance.ready else "no /cmd_vel for 500 ms"
