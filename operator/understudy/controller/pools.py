@@ -272,7 +272,7 @@ def status(observed: Observed, understanding: Understanding, problems: Sequence[
         conditions = [accepted, _reconciled(observed, problems, found), _ready(observed, counts, found)]
         if spec.readiness == "Uninitialized":
             result["waiting"] = len(observed.waiting)
-            conditions.append(_available(observed, counts))
+            conditions.append(_available(observed, spec, counts))
     else:
         conditions = [accepted]
     return result | {"conditions": [c.to_wire() for c in conditions]}
@@ -329,10 +329,12 @@ def _ready(observed: Observed, counts: Counts, problem: Problem | None) -> Condi
     return no("PodsNotReady", f"{told}; what is being done to them is in the condition BroughtUp of {_named(served)}.")
 
 
-def _available(observed: Observed, counts: Counts) -> Condition:
+def _available(observed: Observed, spec: FallbackPoolSpec, counts: Counts) -> Condition:
     """Whether a robot that fails now would be given a pod, and who waits for one."""
     found = [f"{one.workload} (poolPriority {one.priority}, since {_moment(one.since)})" for one in observed.waiting]
     told = f"{counts.ready} of {counts.desired} could be claimed now"
+    if spec.reserve is not None:
+        told = f"{told}, the last {spec.reserve.pods} from poolPriority {spec.reserve.pool_priority} upwards"
     if found:
         more = f" and {len(found) - _MOST_NAMED} more" if len(found) > _MOST_NAMED else ""
         told = f"{told}; these wait for one, in this order: {', '.join(found[:_MOST_NAMED])}{more}"

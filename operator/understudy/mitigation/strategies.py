@@ -180,9 +180,11 @@ class UninitializedFallback(Strategy):
 
     name = "Fallback/Uninitialized"
 
-    def __init__(self, pool: str, *, recovery: BringUp | None = None, wait_for: float = 0.0) -> None:
-        """``wait_for`` is how many seconds a pod is waited for where the pool has none."""
-        self.pool, self._recovery, self._wait_for = pool, recovery, wait_for
+    def __init__(self, pool: str, *, recovery: BringUp | None = None, wait_for: float = 0.0, reserved: int = 0) -> None:
+        """``wait_for`` is how many seconds a pod is waited for where the pool has none; of those that are ready it keeps
+        ``reserved`` for others.
+        """
+        self.pool, self._recovery, self._wait_for, self._reserved = pool, recovery, wait_for, reserved
         self._lost: set[str] = set()
         """UIDs of pods that others have claimed, which the watch may not have told yet."""
 
@@ -193,16 +195,20 @@ class UninitializedFallback(Strategy):
             return None
         if free:
             return f"for the last {len(free)} ready of pool {self.pool} wait {', '.join(w.workload for w in waiting)}"
+        if unclaimed := len(self._unclaimed(progress, means)):
+            return f"pool {self.pool} keeps its last {unclaimed} ready for workloads with a higher poolPriority"
         if self._lost:
             return f"every ready pod of pool {self.pool} was claimed by another workload first"
         return f"pool {self.pool} has no unclaimed pod that is ready"
 
+    def _unclaimed(self, progress: Progress | None, means: Means) -> list[Instance]:
+        found = (i for i in means.instances.unclaimed(self.pool) if i.uid not in self._lost)
+        return [i for i in found if not (progress and progress.has_failed(i.uid))]
+
     def _free(self, progress: Progress | None, means: Means) -> list[Instance]:
-        return [
-            i
-            for i in means.instances.unclaimed(self.pool)
-            if i.uid not in self._lost and not (progress and progress.has_failed(i.uid))
-        ]
+        """The pods that this workload may take, as far as nobody is before it."""
+        unclaimed = self._unclaimed(progress, means)
+        return unclaimed[: max(0, len(unclaimed) - self._reserved)]
 
     async def wait(self, progress: Progress, means: Means) -> None:
         if _committed_target(progress, means) is not None or self._claimed(progress, means) is not None:

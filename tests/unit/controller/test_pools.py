@@ -379,6 +379,12 @@ class TestAPoolThatHasRunDry:
         assert condition(observe(pool, [pod]), "Available")["status"] == "True"
         assert condition(observe(pool, [pod], waiting=[self.place("a")]), "Available")["reason"] == "Dry"
 
+    def test_it_says_for_whom_it_keeps_its_last_pods(self) -> None:
+        pool = spare(replicas=2, reserve={"poolPriority": 100})
+        pod = held_pod("spare-a", of=pool, template_hash=present(pool))
+        told = condition(observe(pool, [pod]), "Available")["message"]
+        assert told == "1 of 2 could be claimed now, the last 1 from poolPriority 100 upwards."
+
     def test_a_pool_of_standbys_has_nobody_that_waits(self) -> None:
         found = status(observe(hot(), workloads=[workload()]))
         assert "waiting" not in found

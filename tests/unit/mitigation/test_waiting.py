@@ -276,7 +276,9 @@ async def test_the_more_critical_is_served_first_though_it_came_later() -> None:
     assert (list(low.claims), list(high.claims)) == (["p2"], ["p1"])
 
 
-async def test_two_pods_at_once_serve_two_at_once() -> None:
+async def test_two_pods_at_once_serve_two_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(waiting, "YIELD", 60.0)
+    monkeypatch.setattr(waiting, "YIELD_MOST", 60.0)
     fleet: list[Store] = []
     stores = [robot("low", fleet), robot("high", fleet, priority=100)]
     tasks = [asyncio.create_task(fails(store, 10.0)) for store in stores]
@@ -284,9 +286,7 @@ async def test_two_pods_at_once_serve_two_at_once() -> None:
     await asyncio.sleep(0.05)
     refill(fleet, "p1")
     refill(fleet, "p2")
-    begun = asyncio.get_running_loop().time()
     await until(lambda: all(store.claims for store in stores))
-    assert asyncio.get_running_loop().time() - begun < YIELD / 2
     assert [list(store.claims) for store in stores] == [["p2"], ["p1"]]
     await asyncio.gather(*tasks)
 
@@ -303,14 +303,14 @@ async def test_a_waiter_whose_monitor_died_is_passed_over(monkeypatch: pytest.Mo
     refill(fleet, "p1")
     begun = asyncio.get_running_loop().time()
     done = await running
-    assert done.moments["claimed"] - begun == pytest.approx(0.1, abs=0.09)
+    assert 0.09 < done.moments["claimed"] - begun < 3, "after its moment, and not after its time"
     assert list(low.claims) == ["p1"]
 
 
 async def test_who_does_not_wait_leaves_a_pod_to_one_that_does_and_else_takes_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(waiting, "YIELD", 0.1)
+    monkeypatch.setattr(waiting, "YIELD", 0.3)
     fleet: list[Store] = []
     dead, low = robot("dead", fleet, priority=100), robot("low", fleet)
     note = Progress.begin("it ended", last_healthy=0, detected=0)
@@ -342,6 +342,39 @@ async def test_a_planned_hand_over_takes_no_pod_that_others_wait_for() -> None:
     assert strategy.available(world.means()) is None
 
 
+@pytest.mark.parametrize(("pods", "taken"), [(1, []), (2, ["p1"])])
+async def test_the_last_pods_are_kept_for_others_where_the_pool_says_so(pods: int, taken: list[str]) -> None:
+    fleet: list[Store] = []
+    store = robot("a", fleet)
+    for number in range(pods):
+        refill(fleet, f"p{number + 1}")
+    world = World(store)
+    strategy = UninitializedFallback(POOL, reserved=1)
+    told = None if taken else "pool spare keeps its last 1 ready for workloads with a higher poolPriority"
+    assert strategy.available(world.means()) == told
+    done = await recover(failure(world, "a-1"), choices(strategy, Restart()), world.means())
+    assert list(store.claims) == taken
+    assert done.strategy == ("Fallback/Uninitialized" if taken else "Restart")
+
+
+async def test_one_that_waits_leaves_the_reserve_to_the_critical_and_takes_what_comes_beyond_it() -> None:
+    fleet: list[Store] = []
+    store, critical = robot("a", fleet), robot("b", fleet, priority=100)
+    refill(fleet, "p1")
+    world = World(store)
+    ladder = choices(UninitializedFallback(POOL, wait_for=5.0, reserved=1))
+    running = asyncio.create_task(recover(failure(world, "a-1"), ladder, world.means()))
+    await until(lambda: store.told)
+    assert (await fails(critical, 0.0)).result == "Recovered"
+    assert list(critical.claims) == ["p1"]
+    refill(fleet, "p2")
+    await asyncio.sleep(0.1)
+    assert not store.claims
+    refill(fleet, "p3")
+    assert (await running).result == "Recovered"
+    assert list(store.claims) == ["p2"]
+
+
 async def test_a_pod_that_is_lost_to_another_sends_it_back_into_the_queue() -> None:
     fleet: list[Store] = []
     store = robot("a", fleet)
@@ -357,9 +390,13 @@ async def test_a_pod_that_is_lost_to_another_sends_it_back_into_the_queue() -> N
 
 async def test_a_monitor_killed_at_any_step_of_a_wait_is_finished_by_the_next() -> None:
     async def run(store: Store, world: World, progress: Progress) -> Progress:
-        asyncio.get_running_loop().call_later(0.03, refill, store.fleet, "p1")
-        ladder = choices(UninitializedFallback(POOL, wait_for=1.0), Restart())
-        return await recover(progress, ladder, world.means())
+        there = "p1" in store.pods or store.claims
+        coming = asyncio.get_running_loop().call_later(0.03, lambda: there or refill(store.fleet, "p1"))
+        try:
+            ladder = choices(UninitializedFallback(POOL, wait_for=10.0), Restart())
+            return await recover(progress, ladder, world.means())
+        finally:
+            coming.cancel()
 
     whole = World(robot("a", []))
     await run(whole.store, whole, failure(whole, "a-1"))
@@ -372,10 +409,7 @@ async def test_a_monitor_killed_at_any_step_of_a_wait_is_finished_by_the_next() 
         kept = store.gate.recovery or store.journal
         second = World(store)
         again = (kept or progress).model_copy(deep=True, update={"resumed": True})
-        if "p1" in store.pods or store.claims:
-            done = await recover(again, choices(UninitializedFallback(POOL, wait_for=1.0), Restart()), second.means())
-        else:
-            done = await run(store, second, again)
+        done = await run(store, second, again)
         assert done.strategy == "Fallback/Uninitialized", f"killed at step {step}: {done.attempts}"
         assert done.target is not None
         assert store.drives(done.target.name), f"killed at step {step}"

@@ -168,10 +168,11 @@ def test_a_strategy_waits_for_as_long_as_the_policy_says_and_the_workload_has_it
         uid="u",
         source_kind="ReplicaSet",
         source_name="w",
-        pools=[PoolChoice(name="spare", readiness="Uninitialized")],
+        pools=[PoolChoice(name="spare", readiness="Uninitialized", reserved=2)],
     )
     found = choices(policy, settings, None)
     assert [choice.strategy._wait_for for choice in found] == [2.5, 0.0]  # type: ignore[attr-defined]
+    assert [choice.strategy._reserved for choice in found] == [2, 2]  # type: ignore[attr-defined]
     spec = RobotWorkloadSpec.model_validate(
         {"template": {}, "outputs": [{"topic": "/cmd_vel", "type": "a/msg/B"}], "failurePolicyRef": {"name": "p"}}
     )
