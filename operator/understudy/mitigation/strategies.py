@@ -194,7 +194,7 @@ class UninitializedFallback(Strategy):
         if len(free) > len(waiting):
             return None
         if free:
-            return f"for the last {len(free)} ready of pool {self.pool} wait {', '.join(w.workload for w in waiting)}"
+            return f"pool {self.pool} has {len(free)} ready, for which others wait: {', '.join(w.workload for w in waiting[:3])}"
         if unclaimed := len(self._unclaimed(progress, means)):
             return f"pool {self.pool} keeps its last {unclaimed} ready for workloads with a higher poolPriority"
         if self._lost:

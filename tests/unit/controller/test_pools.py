@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Sequence
+from typing import Any
 
 import pytest
 
@@ -25,9 +27,12 @@ from tests.unit.controller.world import (
     workload,
 )
 from understudy.api import names
-from understudy.cluster.client import Object
+from understudy.cluster.client import NETWORK_POLICIES, POOLS, WORKLOADS, Object
 from understudy.controller import instances, objects, ownership, pools
 from understudy.controller.desired import Plan
+from understudy.controller.expectations import Expectations
+from understudy.controller.observing import Observer
+from understudy.controller.stores import Store
 from understudy.mitigation.progress import Progress
 from understudy.mitigation.waiting import Waiter
 
@@ -399,3 +404,15 @@ class TestAPoolThatHasRunDry:
 
     def test_it_is_looked_at_again_when_the_time_of_a_waiter_is_over(self) -> None:
         assert plan(observe(spare(replicas=0), waiting=[self.place("a")])).again_after == pytest.approx(8)
+
+    async def test_the_operator_finds_them_among_the_gates_of_the_namespace(self) -> None:
+        client: Any = None  # of a pool with a template of its own nothing is asked
+        store, now = Store(), time.time()
+        pool, waiting = spare(), self.place("a", since=now, lasts=60)
+        store.put(POOLS, pool)
+        for name in ("a", "b"):
+            store.put(WORKLOADS, workload(name))
+        store.put(NETWORK_POLICIES, self.gate(waiting))
+        store.put(NETWORK_POLICIES, gate(workload("b")))
+        observed = await Observer(client, store, Expectations()).pool(pool)
+        assert list(observed.waiting) == [waiting]

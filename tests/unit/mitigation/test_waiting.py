@@ -334,7 +334,7 @@ async def test_a_planned_hand_over_takes_no_pod_that_others_wait_for() -> None:
     refill(fleet, "p1")
     world = World(degraded)
     strategy = UninitializedFallback(POOL, wait_for=10.0)
-    assert strategy.available(world.means()) == "for the last 1 ready of pool spare wait other"
+    assert strategy.available(world.means()) == "pool spare has 1 ready, for which others wait: other"
     planned = failure(world, "degraded-1").model_copy(update={"planned": True})
     done = await recover(planned, choices(strategy), world.means())
     assert (done.result, done.attempts[0].result) == ("Failed", "NotAvailable")
