@@ -130,3 +130,20 @@ async def test_a_standby_is_let_through_beside_the_one_in_control_until_the_next
         client, space, "robot", over=gates.read(switched), active="", active_uid="", recovery=""
     )
     assert gates.selected(closed) == ()
+
+
+async def test_the_gates_of_those_that_wait_for_a_pod_are_found_by_their_label(client: Client, space: str) -> None:
+    gate = await client.create(NETWORK_POLICIES, space, gates_body("robot"))
+
+    async def waiting() -> list[str]:
+        found = await client.list(NETWORK_POLICIES, space, labels=names.WAITS_FOR)
+        return [item["metadata"]["name"] for item in found["items"]]
+
+    assert await waiting() == []
+    closed = await gates.commit(
+        client, space, "robot", over=gates.read(gate), active="", active_uid="", recovery="", waits_for="spare"
+    )
+    assert closed["metadata"]["labels"][names.WAITS_FOR] == "spare"
+    assert await waiting() == [names.gate("robot")]
+    await gates.commit(client, space, "robot", over=gates.read(closed), active="", active_uid="", recovery="")
+    assert await waiting() == []

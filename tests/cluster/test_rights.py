@@ -7,7 +7,7 @@ import copy
 import pytest
 
 from tests.cluster.conftest import Release
-from tests.support.cluster import Cluster, Object, Refused, account
+from tests.support.cluster import Cluster, Object, Refused, account, until
 from understudy.api import names
 from understudy.controller import monitors
 
@@ -88,3 +88,36 @@ def test_the_operator_resizes_pods_and_monitors_do_not(cluster: Cluster, namespa
     changed = cluster.request("PATCH", path, body=body, content_type=kind, user=operator)
     assert changed["spec"]["containers"][0]["resources"]["limits"] == {"cpu": "200m"}
     assert changed["metadata"]["uid"] == made["metadata"]["uid"]
+
+
+def test_a_monitor_sees_who_waits_and_commits_to_its_own_gate_only(cluster: Cluster, namespace: str) -> None:
+    for item in _access("Deployment", namespace):
+        cluster.create(item, namespace)
+    monitor = account(namespace, names.monitor_account("robot-17"))
+    version, kind = "networking.k8s.io/v1", "NetworkPolicy"
+    path = cluster.path(version, kind, namespace)
+    until(lambda: _allowed(cluster, path, monitor), "the monitor's role to take effect")
+    made = [
+        cluster.create(
+            {
+                "apiVersion": version,
+                "kind": kind,
+                "metadata": {"name": names.gate(workload)},
+                "spec": {"podSelector": {"matchLabels": {names.WORKLOAD: workload}}, "policyTypes": ["Egress"]},
+            },
+            namespace,
+        )
+        for workload in ("robot-17", "robot-18")
+    ]
+    body: Object = {"metadata": {"labels": {names.WAITS_FOR: "spare"}}}
+    assert cluster.patch(made[0], body, user=monitor)["metadata"]["labels"] == {names.WAITS_FOR: "spare"}
+    with pytest.raises(Refused, match="cannot patch resource"):
+        cluster.patch(made[1], body, user=monitor)
+
+
+def _allowed(cluster: Cluster, path: str, user: str) -> bool:
+    try:
+        cluster.request("GET", path, params={"labelSelector": names.WAITS_FOR}, user=user)
+    except Refused:
+        return False
+    return True

@@ -114,6 +114,7 @@ KINDS = (
             Column("Desired", ".status.desired", "Pods that should exist.", "integer"),
             Column("Ready", ".status.ready", "Pods that could take over now.", "integer"),
             Column("Claimed", ".status.claimed", "Pods of this pool that drive a robot.", "integer"),
+            Column("Waiting", ".status.waiting", "Workloads that wait for a pod of it.", "integer", wide=True),
             AGE,
         ),
         rules=_SHORT_NAME,

@@ -60,6 +60,9 @@ ADMITTED_UID = f"{GROUP}/admitted-uid"
 RECOVERY = f"{GROUP}/recovery"
 """Annotation of the gate: the recovery that committed it, as JSON, so that a new monitor can finish it."""
 
+WAITS_FOR = f"{GROUP}/waits-for"
+"""On a gate while its workload waits for a pod of a shared pool: that pool. Other monitors find by it who waits besides theirs."""
+
 CLAIM = f"{GROUP}/claim"
 """Annotation of a pool's pod: ``<workload uid>/<recovery id>``, written once, by the claim."""
 

@@ -136,6 +136,11 @@ class Strategy(Model):
                 "verifyWithin is at least 100ms",
                 ".verifyWithin",
             ),
+            (
+                "self.type == 'Fallback' || !has(self.waitFor)",
+                "waitFor is only for a strategy of type Fallback: it says how long to wait for a pod of its pool",
+                ".waitFor",
+            ),
         )
     }
 
@@ -150,9 +155,16 @@ class Strategy(Model):
         description="What is done to the instance that takes over, behind the closed gate, instead of the workload's bringUp. Kept "
         "state is restored first, unless the tree says where (restore_state).",
     )
+    wait_for: Duration | None = Field(
+        default=None,
+        description="How long to wait, with the gate closed, for a pod of a shared pool (Uninitialized) that has none that is ready; then "
+        "the next strategy is tried. Who has the higher spec.poolPriority is served first. Absent: the next strategy at once. See "
+        "docs/waiting.md.",
+    )
     verify_within: Duration = Field(
         default="30s",
-        description="How long it may take until outputs are seen from the new instance and from no other; then the next strategy is tried.",
+        description="How long it may take until outputs are seen from the new instance and from no other; then the next strategy is tried. "
+        "What it waited for a pod (waitFor) doesn't count.",
     )
 
 

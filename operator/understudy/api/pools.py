@@ -68,6 +68,15 @@ class KeepUp(Model):
     period: Duration = Field(default="5s", description="Time between two hand-overs of the kept state.")
 
 
+class Reserve(Model):
+    """The last pods of a shared pool, which not every workload may take."""
+
+    pods: int = Field(default=1, ge=1, le=1000, description="How many of the pods that are ready.")
+    pool_priority: int = Field(
+        ge=-999, le=1000, description="The least spec.poolPriority of a RobotWorkload that may take them."
+    )
+
+
 class FallbackPoolSpec(Model):
     """A warm pool."""
 
@@ -92,6 +101,11 @@ class FallbackPoolSpec(Model):
                     f".{field}",
                 )
                 for field in ("initialization", "readinessCheck", "keepUp")
+            ),
+            (
+                "self.readiness == 'Uninitialized' || !has(self.reserve)",
+                "reserve is only for pools with readiness Uninitialized: a standby is of one workload anyway",
+                ".reserve",
             ),
             (
                 "self.readiness != 'Initialized' || has(self.initialization)",
@@ -140,11 +154,20 @@ class FallbackPoolSpec(Model):
         default=None,
         description="Give standbys fresh state while they wait (Initialized), so that the hand-over needs little.",
     )
+    reserve: Reserve | None = Field(
+        default=None,
+        description="Keep the last ready pods for critical workloads (Uninitialized). Absent: whoever fails first has the last one. See "
+        "docs/waiting.md.",
+    )
     warm_paths: list[WarmPath] = Field(
         default_factory=list,
         max_length=16,
         description="Files and folders in the containers to read once while they are held, so that they are in the page cache.",
     )
+
+    def kept_from(self, priority: int) -> int:
+        """How many of the ready pods a workload of a poolPriority may not take."""
+        return self.reserve.pods if self.reserve is not None and priority < self.reserve.pool_priority else 0
 
 
 class FallbackPoolStatus(Model):
@@ -157,11 +180,15 @@ class FallbackPoolStatus(Model):
     desired: int | None = Field(default=None, description="Pods that should exist.")
     ready: int | None = Field(default=None, description="Pods that could take over now.")
     claimed: int | None = Field(default=None, description="Pods of this pool that drive a robot.")
+    waiting: int | None = Field(
+        default=None, description="Workloads that wait for a pod of it; see the condition Available (Uninitialized)."
+    )
     selector: str | None = Field(
         default=None, description="Label selector of the pool's pods, for the scale subresource."
     )
     conditions: list[Condition] | None = Field(
         default=None,
-        description="Accepted: it can be filled. Ready: every pod that should be there could take over now.",
+        description="Accepted: it can be filled. Ready: every pod that should be there could take over now. Available: a pod could be "
+        "claimed now (Uninitialized); while it is Dry, it says who waits, in order.",
         json_schema_extra={"x-kubernetes-list-type": "map", "x-kubernetes-list-map-keys": ["type"]},
     )

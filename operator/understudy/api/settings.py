@@ -20,6 +20,7 @@ class PoolChoice(Model):
     template_hash: str = Field(
         default="", description="Hash of the pool's present template; pods of another are not claimed."
     )
+    reserved: int = Field(default=0, description="The last ready pods of it that this workload may not take.")
     initialization: Procedure | None = Field(default=None, description="What brings its standbys to its readiness.")
     readiness_check: Check | None = Field(default=None, description="What must hold of its standbys.")
     keep_up: str | None = Field(

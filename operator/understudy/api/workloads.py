@@ -270,6 +270,13 @@ class RobotWorkloadSpec(Model):
         "executing standbys, and at a failover after the state was restored. Absent: the application does it by itself.",
     )
     failure_policy_ref: LocalReference = Field(description="The FailurePolicy that protects it.")
+    pool_priority: int = Field(
+        default=0,
+        ge=-1000,
+        le=1000,
+        description="How critical it is that this workload gets a pod of a shared pool (Uninitialized) before others that wait for one: "
+        "higher first; among equals, whoever has waited longest. See docs/waiting.md.",
+    )
     gate: Gate = Field(default_factory=Gate, description="What decides whose outputs reach the robot.")
     monitor: MonitorSettings = Field(default_factory=MonitorSettings, description="The workload's monitor.")
 
@@ -289,6 +296,7 @@ class Moments(Model):
     last_healthy: Time | None = Field(default=None, description="Last healthy output before the failure.")
     detected: Time | None = Field(default=None, description="The health tree failed.")
     decided: Time | None = Field(default=None, description="The strategy that verified was chosen.")
+    queued: Time | None = Field(default=None, description="It began to wait for a pod of a shared pool.")
     fenced: Time | None = Field(default=None, description="The failed pod could no longer reach the robot.")
     claimed: Time | None = Field(default=None, description="The understudy was claimed.")
     started: Time | None = Field(default=None, description="The understudy's processes were up.")

@@ -8,7 +8,7 @@ from typing import Any
 from understudy.checking.documents import Manifest
 from understudy.checking.findings import Finding
 from understudy.controller import objects, selectors
-from understudy.controller.policies import shared
+from understudy.controller.policies import shared, unshared
 
 _MOST_SHOWN = 5
 _IN_THE_CLUSTER = "If it is in the cluster already, all is well"
@@ -27,6 +27,7 @@ def check(manifests: Sequence[Manifest]) -> Iterator[Finding]:
         for index, _ in enumerate(_list(_at(policy.data, "spec", "strategies"))):
             yield from _names(policy, f"spec.strategies[{index}].poolRef.name", "FallbackPool", pools)
         yield from _not_prewarmed(policy, pools)
+        yield from _waits_for_nothing(policy, pools)
     for pool in pools:
         yield from _names(pool, "spec.templateFrom.workload", "RobotWorkload", workloads)
         yield from _selects(pool, workloads)
@@ -104,6 +105,16 @@ def _not_prewarmed(policy: Manifest, pools: Sequence[Manifest]) -> Iterator[Find
         name = _field(policy.data, path)
         if isinstance(name, str) and kinds.get(name) == "Uninitialized":
             yield policy.finding(path, shared(name))
+
+
+def _waits_for_nothing(policy: Manifest, pools: Sequence[Manifest]) -> Iterator[Finding]:
+    """Only the pods of a shared pool are waited for."""
+    kinds = {one.name: _at(one.data, "spec", "readiness") for one in pools if policy.together(one)}
+    for index, strategy in enumerate(_list(_at(policy.data, "spec", "strategies"))):
+        readiness = kinds.get(_at(strategy, "poolRef", "name"))
+        if _at(strategy, "waitFor") is not None and readiness in ("Initialized", "Executing"):
+            name = _at(strategy, "poolRef", "name")
+            yield policy.finding(f"spec.strategies[{index}].waitFor", unshared(name, readiness), warning=True)
 
 
 def _serves(pool: Manifest, workload: Manifest) -> bool:

@@ -60,9 +60,19 @@ def _selector(workload: str, active: str, admitted: str = "") -> Object:
 
 
 async def commit(
-    client: Client, namespace: str, workload: str, *, over: GateRecord, active: str, active_uid: str, recovery: str
+    client: Client,
+    namespace: str,
+    workload: str,
+    *,
+    over: GateRecord,
+    active: str,
+    active_uid: str,
+    recovery: str,
+    waits_for: str = "",
 ) -> Object:
     """Name the one pod that may reach the robot (none if ``active`` is empty), over exactly the record given.
+
+    ``waits_for`` is the shared pool that the workload waits for a pod of, if it does.
 
     One atomic write fences the old pod and routes the new one; a standby that was admitted beside it is let through no
     longer. Raises ApiError: 409 when another commit was first.
@@ -74,6 +84,7 @@ async def commit(
         {
             "metadata": {
                 "resourceVersion": over.version,
+                "labels": {names.WAITS_FOR: waits_for or None},
                 "annotations": {
                     names.EPOCH: str(over.epoch + 1),
                     names.ACTIVE: active,

@@ -9,6 +9,7 @@ NAMES = {"detection": "detection", "cluster": "cluster", "startup": "start-up", 
 
 MOMENTS = (
     ("detected", "detected"),
+    ("queued", "waits for a pod"),
     ("claimed", "claimed"),
     ("fenced", "fenced"),
     ("started", "started"),

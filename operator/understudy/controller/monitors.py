@@ -192,6 +192,7 @@ def access(workload: str, *, source: tuple[str, str], pools: Sequence[str]) -> l
         _rule("", ["pods"], [*watch, "patch", "delete"]),
         _rule("metrics.k8s.io", ["pods"], ["list"]),
         _rule("networking.k8s.io", ["networkpolicies"], [*watch, "patch"], [names.gate(workload)]),
+        _rule("networking.k8s.io", ["networkpolicies"], ["list", "watch"]),  # who else waits for a pod of a pool
         _rule(GROUP, ["robotworkloads"], watch, [workload]),
         _rule(GROUP, ["robotworkloads/status"], ["patch"], [workload]),
         _rule(GROUP, ["failurepolicies", "fallbackpools"], watch),

@@ -130,12 +130,14 @@ class Observer:
         found = store.in_namespace(WORKLOADS, namespace)
         template, selector = await self._source(item, found)
         gates = [store.get(NETWORK_POLICIES, namespace, names.gate(workload)) for workload in found]
+        now = time.time()
         return pools.Observed(
             pool=item,
             workloads=found,
             pods=store.labelled(PODS, namespace, names.POOL, name),
             owned=store.owned(objects.uid(item)),
-            now=time.time(),
+            now=now,
+            waiting=pools.queue(name, [gate for gate in gates if gate is not None], now),
             source=template,
             source_selector=selector,
             active=frozenset(uid for gate in gates if (uid := objects.active(gate)[1])),

@@ -161,7 +161,7 @@ def conditions(policy: Object, pools: Mapping[str, Object], config_maps: Mapping
                 )
                 break
     if found is None:
-        found = _prewarm_problem(policy, pools)
+        found = _prewarm_problem(policy, pools) or _wait_problem(policy, pools)
     if found is not None:
         return [condition("Accepted", False, found.reason, found.message, generation=generation)]
     return [condition("Accepted", True, "Accepted", "It can be followed.", generation=generation)]
@@ -181,6 +181,23 @@ def shared(pool: str) -> str:
     return (
         f"FallbackPool {pool} is Uninitialized, so its pods are of no workload's own; name one that is Initialized or Executing "
         f"(with perWorkload 0 it costs nothing until a workload is degraded)"
+    )
+
+
+def _wait_problem(policy: Object, pools: Mapping[str, Object]) -> Problem | None:
+    for index, strategy in enumerate(spec(policy).strategies):
+        name = strategy.pool_ref.name if strategy.pool_ref is not None else ""
+        if strategy.wait_for is not None and name in pools and readiness(pools[name]) != "Uninitialized":
+            text = unshared(name, readiness(pools[name]))
+            return Problem("PoolNotShared", f"spec.strategies[{index}].waitFor: {text}")
+    return None
+
+
+def unshared(pool: str, readiness: str) -> str:
+    """Why nobody waits for a pod of a pool."""
+    return (
+        f"FallbackPool {pool} is {readiness}, so each workload has standbys of its own and none to wait for; leave waitFor out, or "
+        f"name a pool that is Uninitialized"
     )
 
 

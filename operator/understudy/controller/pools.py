@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from typing import Any
 
 from understudy.api import names
@@ -13,6 +14,8 @@ from understudy.cluster.client import NETWORK_POLICIES, PODS, SECRETS, Object
 from understudy.controller import fleets, gates, instances, objects, ownership, policies, selectors
 from understudy.controller.desired import Apply, Create, Delete, Images, Plan, Problem
 from understudy.controller.troubles import trouble
+from understudy.mitigation.progress import waiter
+from understudy.mitigation.waiting import Waiter, in_order
 
 _MOST_NAMED = 3
 
@@ -44,6 +47,8 @@ class Observed:
     """Pods that were created and haven't been observed yet."""
     prewarmed: int = 0
     """Workloads that are to have a standby more, since they are degraded."""
+    waiting: Sequence[Waiter] = ()
+    """The workloads that wait for a pod of it, who is served first before the others."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +74,18 @@ def unclaimed(pool: Object, pods: Sequence[Object]) -> list[Object]:
         for pod in pods
         if objects.labels(pod).get(names.HELD) == "true" and ownership.controls(objects.uid(pool), pod)
     ]
+
+
+def queue(pool: str, gates: Sequence[Object], now: float) -> list[Waiter]:
+    """The workloads that wait for a pod of a shared pool by what is beside their gates, who is served first before the others."""
+    found = []
+    for gate in gates:
+        if objects.labels(gate).get(names.WAITS_FOR) != pool:
+            continue
+        one = waiter(objects.notes(gate).get(names.RECOVERY, ""))
+        if one is not None and names.gate(one.workload) == objects.name(gate):  # each speaks for itself only
+            found.append(one)
+    return in_order(found, pool, now)
 
 
 def understand(observed: Observed, images: Images) -> Understanding:
@@ -167,11 +184,17 @@ def plan(observed: Observed, understanding: Understanding, fresh: Fresh) -> Plan
     made.writes += [Delete(PODS, pod) for pod in change.delete]
     if change.again_after is not None:
         made.later(change.again_after)
+    for one in observed.waiting:  # a monitor that is gone leaves behind that it waits
+        made.later(one.until - observed.now)
     return made
 
 
 def _until_driving(observed: Observed) -> float:
-    """Seconds to wait for the pods that were claimed just now; 0 when all of them drive, have ended or had their time."""
+    """Seconds to wait for the pods that were claimed just now; 0 when all of them drive, have ended or had their time, and
+    where another robot waits for the one that is to be started.
+    """
+    if observed.waiting:
+        return 0.0
     waits = [
         float(claimed) + FIRST_THE_CLAIMED - observed.now
         for pod in observed.pods
@@ -247,6 +270,9 @@ def status(observed: Observed, understanding: Understanding, problems: Sequence[
             "selector": _selector(objects.name(pool), spec),
         }
         conditions = [accepted, _reconciled(observed, problems, found), _ready(observed, counts, found)]
+        if spec.readiness == "Uninitialized":
+            result["waiting"] = len(observed.waiting)
+            conditions.append(_available(observed, spec, counts))
     else:
         conditions = [accepted]
     return result | {"conditions": [c.to_wire() for c in conditions]}
@@ -301,6 +327,24 @@ def _ready(observed: Observed, counts: Counts, problem: Problem | None) -> Condi
         return no("PodsNotReady", f"{told}.")
     served = sorted(name for name, workload in observed.workloads.items() if serves(pool, workload))
     return no("PodsNotReady", f"{told}; what is being done to them is in the condition BroughtUp of {_named(served)}.")
+
+
+def _available(observed: Observed, spec: FallbackPoolSpec, counts: Counts) -> Condition:
+    """Whether a robot that fails now would be given a pod, and who waits for one."""
+    found = [f"{one.workload} (poolPriority {one.priority}, since {_moment(one.since)})" for one in observed.waiting]
+    told = f"{counts.ready} of {counts.desired} could be claimed now"
+    if spec.reserve is not None:
+        told = f"{told}, the last {spec.reserve.pods} from poolPriority {spec.reserve.pool_priority} upwards"
+    if found:
+        more = f" and {len(found) - _MOST_NAMED} more" if len(found) > _MOST_NAMED else ""
+        told = f"{told}; these wait for one, in this order: {', '.join(found[:_MOST_NAMED])}{more}"
+    free = counts.ready > len(found)
+    generation = objects.generation(observed.pool)
+    return condition("Available", free, "Available" if free else "Dry", f"{told}.", generation=generation)
+
+
+def _moment(seconds: float) -> str:
+    return datetime.fromtimestamp(seconds, UTC).strftime("%H:%M:%S UTC")
 
 
 def _named(workloads: Sequence[str]) -> str:

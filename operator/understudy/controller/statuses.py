@@ -15,9 +15,20 @@ from understudy.controller.troubles import Trouble, trouble
 from understudy.controller.workloads import Observed, Understanding
 
 PROGRESSING = frozenset(
-    {"MonitorNotReady", "StandbyNotReady", "DiscoveryNotReady", "InProgress", "PodsNotReady", "GateMissing"}
+    {
+        "MonitorNotReady",
+        "StandbyNotReady",
+        "PodsReserved",
+        "DiscoveryNotReady",
+        "InProgress",
+        "PodsNotReady",
+        "GateMissing",
+    }
 )
 """Reasons that are in order while something is being built: no Event when they come first."""
+
+UNTOLD = frozenset({"Available"})
+"""Conditions without Events: a pool that runs dry is told of by Ready, and by the monitors of those that wait."""
 
 
 def status(
@@ -54,6 +65,8 @@ def transitions(live: Object, desired: Object) -> list[Object]:
     found = []
     for new in desired["conditions"]:
         before = old.get(new["type"])
+        if new["type"] in UNTOLD:
+            continue
         if before is not None and (before["status"], before["reason"]) == (new["status"], new["reason"]):
             continue
         begun = before is None or before["status"] != "True"
@@ -213,7 +226,8 @@ def _means(observed: Observed, understanding: Understanding, strategy: Strategy)
             found = _standing(observed, label, pool)
             return found if found.available else unfound(label) or found
         case "Uninitialized":
-            return unfound(label) or _uninitialized(observed, label, pool)
+            priority = understanding.spec.pool_priority if understanding.spec is not None else 0
+            return unfound(label) or _uninitialized(observed, label, pool, priority)
     return Means(label, False, "PoolNotAccepted", f"FallbackPool {name} was not accepted: kubectl describe fbp {name}")
 
 
@@ -277,12 +291,18 @@ def _standing(observed: Observed, label: str, pool: Object) -> Means:
     return Means(label, False, "StandbyNotReady", f"no standby of FallbackPool {name} is ready (see BroughtUp)")
 
 
-def _uninitialized(observed: Observed, label: str, pool: Object) -> Means:
+def _uninitialized(observed: Observed, label: str, pool: Object, priority: int) -> Means:
     name = objects.name(pool)
     held = observed.unclaimed.get(name, ())
     ready = pools.claimable_now(held, observed.held_policies.get(name))
+    kept = policies.pool_spec(pool).kept_from(priority) if workloads.refused(observed, name) is None else 0
+    if len(ready) > kept:
+        return Means(label, True, message=f"{len(ready) - kept} ready (Uninitialized)")
     if ready:
-        return Means(label, True, message=f"{len(ready)} ready (Uninitialized)")
+        words = (
+            f"FallbackPool {name} keeps its last {kept} for workloads with a higher spec.poolPriority (spec.reserve)"
+        )
+        return Means(label, False, "PodsReserved", f"{words}, and has {len(ready)} ready")
     if not (pool["spec"].get("replicas") or 0):
         return Means(label, False, "PoolEmpty", f"FallbackPool {name} has spec.replicas 0")
     if bad := _first_trouble(held):

@@ -392,6 +392,7 @@ def _choices(observed: Observed, understanding: Understanding) -> list[PoolChoic
             name=name,
             readiness=readiness,
             template_hash=allowed,
+            reserved=pool.kept_from(understanding.spec.pool_priority),
             initialization=pool.initialization,
             readiness_check=pool.readiness_check,
             keep_up=keep_up,

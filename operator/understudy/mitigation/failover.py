@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from understudy.api.workloads import Attempt
-from understudy.mitigation.interfaces import Instance, NotAvailable, NotVerified, Superseded
+from understudy.mitigation.interfaces import Instance, NotAvailable, NotVerified, Overtaken, Superseded
 from understudy.mitigation.progress import Progress
 from understudy.mitigation.strategies import Means, Strategy
 
@@ -76,8 +76,7 @@ async def _attempt(
     progress: Progress, choice: Choice, means: Means, *, last: bool
 ) -> tuple[Literal["Verified", "NotVerified", "NotAvailable"], str]:
     try:
-        async with asyncio.timeout(choice.verify_within):
-            await _unless_lost(_carry_out(progress, choice, means), progress, means, crashing_counts=not last)
+        await _in_its_time(progress, choice, means, last=last)
     except NotAvailable as reason:
         return "NotAvailable", str(reason)
     except NotVerified as reason:
@@ -86,6 +85,18 @@ async def _attempt(
         return "NotVerified", f"not verified within {choice.verify_within:g} s: {_missing(progress)}"
     progress.epoch = means.gate.state.epoch
     return "Verified", ""
+
+
+async def _in_its_time(progress: Progress, choice: Choice, means: Means, *, last: bool) -> None:
+    """Wait for what the strategy needs, as it says, and carry it out in the time that it has for that."""
+    while True:
+        await choice.strategy.wait(progress, means)
+        try:
+            async with asyncio.timeout(choice.verify_within):
+                await _unless_lost(_carry_out(progress, choice, means), progress, means, crashing_counts=not last)
+            return
+        except Overtaken as reason:
+            _logger.info("%s", reason)
 
 
 async def _carry_out(progress: Progress, choice: Choice, means: Means) -> None:

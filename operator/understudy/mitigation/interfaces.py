@@ -19,6 +19,10 @@ class NotAvailable(Exception):
     """A strategy's means aren't there, such as no ready pod in its pool. Nothing was changed."""
 
 
+class Overtaken(NotAvailable):
+    """Every free pod that it could have taken was claimed by others first. Looking again is worth it."""
+
+
 class NotVerified(Exception):
     """A strategy was carried out, but the robot wasn't seen to be driven by the new instance."""
 
@@ -162,6 +166,9 @@ class Agents(Protocol):
 
     async def restore(self, instance: Instance, state: KeptState, within: float) -> RestoreReport:
         """Give it the state of the last healthy instance, in so many seconds. What can't be given is in the report."""
+
+    def follow(self, instances: Sequence[Instance]) -> None:
+        """Have a connection to each of these that has an agent, and to no other."""
 
     def is_ready(self, instance: Instance) -> tuple[bool, str]:
         """Whether it is what it should be now, and else why not: its health tree holds, or its readiness check does."""

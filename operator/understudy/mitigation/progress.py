@@ -11,12 +11,13 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Literal
 
-from pydantic import Field
+from pydantic import Field, ValidationError
 
 from understudy.api.base import Model
 from understudy.api.kept import RestoreReport
 from understudy.api.states import RestoredState
 from understudy.api.workloads import Attempt, Moments, Parts, Recovery
+from understudy.mitigation.waiting import Waiter
 
 Part = Literal["detection", "cluster", "startup", "reinitialization"]
 
@@ -53,6 +54,8 @@ class Progress(Model):
     moments: dict[str, float] = Field(default_factory=dict)
     state: list[RestoredState] = Field(default_factory=list)
     """What became of the kept state in the present attempt."""
+    waiting: Waiter | None = None
+    """Its place among those that wait for a pod of a shared pool, while it waits: beside the gate others read it too."""
 
     @classmethod
     def begin(
@@ -119,6 +122,7 @@ class Progress(Model):
         """Drop the moments of an attempt that came to nothing; those of the failure stay."""
         self.moments = {name: time for name, time in self.moments.items() if name in ("last_healthy", "detected")}
         self.state = []
+        self.waiting = None
 
     def note_state(self, report: RestoreReport) -> None:
         """Record what the instance that takes over was given, and what not. What was tried again counts as it ended last."""
@@ -160,6 +164,14 @@ class Progress(Model):
 
 
 _PARTS: tuple[Part, ...] = ("detection", "cluster", "startup", "reinitialization")
+
+
+def waiter(recovery: str) -> Waiter | None:
+    """Who waits by a recovery as it stands beside a gate; None where it doesn't wait, or can't be read."""
+    try:
+        return Progress.model_validate_json(recovery).waiting if recovery else None
+    except ValidationError:
+        return None
 
 
 def rfc3339(time: float) -> str:

@@ -9,13 +9,24 @@ from __future__ import annotations
 import asyncio
 import logging
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Coroutine
 from dataclasses import dataclass
+from typing import Any
 
 from understudy.api.kept import KeptState
 from understudy.mitigation.bringing import BringUp
-from understudy.mitigation.interfaces import Agents, ClaimLost, Gate, Instance, Instances, NotAvailable, Outputs
+from understudy.mitigation.interfaces import (
+    Agents,
+    ClaimLost,
+    Gate,
+    Instance,
+    Instances,
+    NotAvailable,
+    Outputs,
+    Overtaken,
+)
 from understudy.mitigation.progress import PodIdentity, Progress
+from understudy.mitigation.waiting import YIELD_MOST, Queue, Waiter, before, in_order, left_by, turn
 
 _logger = logging.getLogger(__name__)
 
@@ -41,6 +52,7 @@ class Means:
     instances: Instances
     agents: Agents
     outputs: Outputs
+    queue: Queue
     clock: Callable[[], float]
     save: Callable[[Progress], None]
     workload_uid: str
@@ -59,6 +71,10 @@ class Strategy(ABC):
     @abstractmethod
     async def prepare(self, progress: Progress, means: Means, *, within: float) -> Instance:
         """Bring an understudy to where it can drive, and open the gate for it. Raises NotAvailable."""
+
+    async def wait(self, progress: Progress, means: Means) -> None:
+        """Wait until what it needs is there, for as long as the policy says. Raises NotAvailable."""
+        return
 
     @abstractmethod
     def available(self, means: Means, progress: Progress | None = None) -> str | None:
@@ -164,13 +180,90 @@ class UninitializedFallback(Strategy):
 
     name = "Fallback/Uninitialized"
 
-    def __init__(self, pool: str, *, recovery: BringUp | None = None) -> None:
-        self.pool, self._recovery = pool, recovery
+    def __init__(self, pool: str, *, recovery: BringUp | None = None, wait_for: float = 0.0, reserved: int = 0) -> None:
+        """``wait_for`` is how many seconds a pod is waited for where the pool has none; of those that are ready it keeps
+        ``reserved`` for others.
+        """
+        self.pool, self._recovery, self._wait_for, self._reserved = pool, recovery, wait_for, reserved
+        self._lost: set[str] = set()
+        """UIDs of pods that others have claimed, which the watch may not have told yet."""
 
     def available(self, means: Means, progress: Progress | None = None) -> str | None:
-        if any(not (progress and progress.has_failed(i.uid)) for i in means.instances.unclaimed(self.pool)):
+        free = self._free(progress, means)
+        waiting = in_order(means.queue.others(self.pool), self.pool, means.clock())
+        if len(free) > len(waiting):
             return None
+        if free:
+            return f"pool {self.pool} has {len(free)} ready, for which others wait: {', '.join(w.workload for w in waiting[:3])}"
+        if unclaimed := len(self._unclaimed(progress, means)):
+            return f"pool {self.pool} keeps its last {unclaimed} ready for workloads with a higher poolPriority"
+        if self._lost:
+            return f"every ready pod of pool {self.pool} was claimed by another workload first"
         return f"pool {self.pool} has no unclaimed pod that is ready"
+
+    def _unclaimed(self, progress: Progress | None, means: Means) -> list[Instance]:
+        found = (i for i in means.instances.unclaimed(self.pool) if i.uid not in self._lost)
+        return [i for i in found if not (progress and progress.has_failed(i.uid))]
+
+    def _free(self, progress: Progress | None, means: Means) -> list[Instance]:
+        """The pods that this workload may take, as far as nobody is before it."""
+        unclaimed = self._unclaimed(progress, means)
+        return unclaimed[: max(0, len(unclaimed) - self._reserved)]
+
+    async def wait(self, progress: Progress, means: Means) -> None:
+        if _committed_target(progress, means) is not None or self._claimed(progress, means) is not None:
+            return
+        if progress.planned:  # nothing failed: it takes no pod that others need
+            if (reason := self.available(means, progress)) is not None:
+                raise NotAvailable(reason)
+            return
+        me = self._place(progress, means)
+
+        def needless() -> bool:
+            means.agents.follow(means.instances.of_workload())  # those that come while it waits too
+            return self._restarted(progress, means) is not None
+
+        try:
+            async with asyncio.timeout(max(0.0, me.until - means.clock()) + 2 * YIELD_MOST):
+                served = await turn(
+                    me,
+                    means.queue,
+                    free=lambda: [i.uid for i in self._free(progress, means)],
+                    clock=means.clock,
+                    join=lambda: _join(me, progress, means),
+                    needless=needless,
+                )
+        except TimeoutError:  # the API server is away, and so is every pod
+            served = False
+        if served:
+            return
+        told = [self.available(means, progress) or f"pool {self.pool} could not be claimed from"]
+        if (restarted := self._restarted(progress, means)) is not None and self._wait_for:
+            told.append(f"{restarted.name} is up already")
+        elif progress.waiting is not None:
+            told.append(f"it got none in {self._wait_for:g} s")
+        if progress.waiting is not None:
+            means.queue.gave_up(me)
+        progress.waiting = None
+        raise NotAvailable("; ".join(told))
+
+    def _restarted(self, progress: Progress, means: Means) -> Instance | None:
+        """An instance that the workload's own controller made meanwhile, and that could drive: then no other is waited for."""
+        own = (
+            i for i in means.instances.of_workload() if i.from_source and i.usable and not progress.has_failed(i.uid)
+        )
+        return next((i for i in own if (means.agents.is_ready(i)[0] if i.has_agent else i.ready)), None)
+
+    def _place(self, progress: Progress, means: Means) -> Waiter:
+        """Its place among those that wait: since it began to, also where an earlier monitor did."""
+        since = progress.moments.get("queued", means.clock())
+        return Waiter(
+            workload=means.queue.workload,
+            pool=self.pool,
+            priority=means.queue.priority,
+            since=since,
+            until=since + self._wait_for,
+        )
 
     async def prepare(self, progress: Progress, means: Means, *, within: float) -> Instance:
         target = _committed_target(progress, means)
@@ -178,37 +271,48 @@ class UninitializedFallback(Strategy):
             await _wait_enforced(target, progress, means)
             return target
         end = _now() + within
-        claim = f"{means.workload_uid}/{progress.id}"
-        target = await self._claimed_or_claim(claim, progress, means)
+        target = await self._claimed_or_claim(progress, means)
         progress.moments["claimed"] = means.clock()
         progress.target = PodIdentity(name=target.name, uid=target.uid)
         progress.charge("cluster", means.clock())
+        waited, progress.waiting = progress.waiting, None
         means.save(progress)
-        await means.agents.start(target)
+        if waited is None:
+            await means.agents.start(target)
+        else:
+            means.queue.served(waited, target.name)
+            # Who waits too learns from the gate that this one doesn't any more; meanwhile the processes start.
+            await _both(means.agents.start(target), means.gate.commit(None, progress))
         await _started(target, progress, means)
         await _bring_up(target, progress, means, self._recovery, end=end)
         return target
 
-    async def _claimed_or_claim(self, claim: str, progress: Progress, means: Means) -> Instance:
-        for instance in means.instances.of_workload():
-            if instance.claim == claim and instance.usable and not progress.has_failed(instance.uid):
-                await _close(progress, means)
-                return instance
-        if (reason := self.available(means, progress)) is not None:
-            raise NotAvailable(reason)
+    def _claimed(self, progress: Progress, means: Means) -> Instance | None:
+        """The pod that an interrupted run of this recovery claimed."""
+        claim = _claim_of(progress, means)
+        found = (i for i in means.instances.of_workload() if i.claim == claim and i.usable)
+        return next((i for i in found if not progress.has_failed(i.uid)), None)
+
+    async def _claimed_or_claim(self, progress: Progress, means: Means) -> Instance:
+        if (claimed := self._claimed(progress, means)) is not None:
+            await _close(progress, means)
+            return claimed
         means.save(progress)  # the claim bears its id: found again by whoever goes on
-        _, target = await asyncio.gather(_close(progress, means), self._claim(claim, progress, means))
+        # Both are waited for, whatever becomes of the claim: who commits next must know of the gate's closing.
+        _, target = await asyncio.gather(_close(progress, means), self._claim(progress, means))
+        if target is None:
+            raise Overtaken(f"every ready pod of pool {self.pool} was claimed by another workload first")
         return target
 
-    async def _claim(self, claim: str, progress: Progress, means: Means) -> Instance:
-        for candidate in means.instances.unclaimed(self.pool):
-            if progress.has_failed(candidate.uid):
-                continue
+    async def _claim(self, progress: Progress, means: Means) -> Instance | None:
+        """One of the pods that it may take; None where others were first."""
+        ahead = before(self._place(progress, means), means.queue.others(self.pool), means.clock())
+        for candidate in left_by(ahead, self._free(progress, means)):
             try:
-                return await means.instances.claim(candidate, claim)
+                return await means.instances.claim(candidate, _claim_of(progress, means))
             except ClaimLost:
-                continue
-        raise NotAvailable(f"every ready pod of pool {self.pool} was claimed by another workload first")
+                self._lost.add(candidate.uid)
+        return None
 
 
 class Restart(Strategy):
@@ -257,6 +361,28 @@ def _committed_target(progress: Progress, means: Means) -> Instance | None:
     if target is not None:
         progress.target = PodIdentity(name=target.name, uid=target.uid)
     return target
+
+
+def _claim_of(progress: Progress, means: Means) -> str:
+    return f"{means.workload_uid}/{progress.id}"
+
+
+async def _join(me: Waiter, progress: Progress, means: Means) -> None:
+    """Say beside the gate that this workload waits. That closes it: an instance that failed doesn't drive meanwhile."""
+    progress.moments["queued"] = me.since
+    progress.waiting = me
+    means.save(progress)
+    state = means.gate.state
+    if not state.closed or state.recovery is None or state.recovery.waiting != me:
+        await means.gate.commit(None, progress)
+    progress.moments.setdefault("fenced", means.clock())
+
+
+async def _both(*work: Coroutine[Any, Any, object]) -> None:
+    """Do things at the same time, and wait for each of them also where another fails: a commit mustn't be left under way."""
+    for result in await asyncio.gather(*work, return_exceptions=True):
+        if isinstance(result, BaseException):
+            raise result
 
 
 async def _close(progress: Progress, means: Means) -> None:

@@ -54,7 +54,9 @@ def choices(policy: FailurePolicySpec, settings: WorkloadSettings, workload: Rob
         elif pool not in readiness:
             strategy = MissingPool(pool)
         elif readiness[pool] == "Uninitialized":
-            strategy = UninitializedFallback(pool, recovery=own or bring_up)
+            wait_for = seconds(spec.wait_for) if spec.wait_for else 0.0
+            kept = next(choice.reserved for choice in settings.pools if choice.name == pool)
+            strategy = UninitializedFallback(pool, recovery=own or bring_up, wait_for=wait_for, reserved=kept)
         elif readiness[pool] == "Initialized":
             first = waiting[0] == pool
             strategy = InitializedFallback(pool, recovery=own or bring_up, others=others, with_source=first)

@@ -85,6 +85,7 @@ class PolicyGate:
         name, uid = (target.name, target.uid) if target else ("", "")
         self._crash_points.step("before commit")
         recovery = progress.model_copy(update={"epoch": begun.epoch + 1}).model_dump_json() if progress else ""
+        waits_for = progress.waiting.pool if progress is not None and progress.waiting is not None else ""
         while True:
             try:
                 policy = await gates.commit(
@@ -95,6 +96,7 @@ class PolicyGate:
                     active=name,
                     active_uid=uid,
                     recovery=recovery,
+                    waits_for=waits_for,
                 )
                 break
             except ApiError as error:

@@ -23,6 +23,12 @@ _LATENESS = Histogram(
     "How long after its deadline a failure was detected.",
     buckets=(0.0005, 0.001, 0.002, 0.005, 0.01, 0.015, 0.05, 0.1, 0.5),
 )
+_WAITS = Histogram(
+    "understudy_pool_wait_seconds",
+    "How long this workload waited for a pod of a shared pool, until it was served or gave up.",
+    ["pool", "result"],
+    buckets=(0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 30, 60, 120, 300),
+)
 _DEGRADATIONS = Counter("understudy_degradations", "How often this workload became degraded.")
 _KEPT_AT = Gauge("understudy_kept_timestamp_seconds", "When the state was taken that would be restored now.", ["name"])
 _KEPT_BYTES = Gauge("understudy_kept_bytes", "Size of the state that would be restored now.", ["name"])
@@ -52,6 +58,11 @@ def kept(entries: Mapping[str, tuple[float | None, int]]) -> None:
         if taken_at is not None:
             _KEPT_AT.labels(name=name).set(taken_at)
             _KEPT_BYTES.labels(name=name).set(size)
+
+
+def waited(pool: str, result: str, seconds: float) -> None:
+    """Note how long a pod of a shared pool was waited for, and what came of it."""
+    _WAITS.labels(pool=pool, result=result).observe(max(0.0, seconds))
 
 
 def lateness(seconds: float) -> None:

@@ -272,8 +272,18 @@ def describe(recovery: Recovery) -> str:
         f"{recovery.reason}. {recovery.to_pod} took over from {recovery.from_pod or 'no pod'} by {recovery.strategy} "
         f"in {recovery.recovery_seconds:.3f} s, epoch {recovery.epoch}"
     )
+    if (waited := _waited(recovery)) is not None:
+        text = f"{text}, of which it waited {waited:.1f} s for a pod"
     failed = in_vain(recovery)
     return f"{text}. Before that: {'; '.join(failed)}" if failed else text
+
+
+def _waited(recovery: Recovery) -> float | None:
+    """Seconds for which a shared pool had no pod for it, by the strategy that recovered it; None where it had one at once."""
+    queued, claimed = recovery.moments.queued, recovery.moments.claimed
+    if queued is None or claimed is None:
+        return None
+    return (datetime.fromisoformat(claimed) - datetime.fromisoformat(queued)).total_seconds()
 
 
 def in_vain(recovery: Recovery) -> list[str]:

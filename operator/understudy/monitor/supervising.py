@@ -43,6 +43,7 @@ from understudy.monitor.safety import SafeCommands, Unattended
 from understudy.monitor.sidecars import Sidecars
 from understudy.monitor.sight import Sight
 from understudy.monitor.view import View
+from understudy.monitor.waiting import Line
 from understudy.trees.debounce import Debounce
 from understudy.trees.health import Verdict
 
@@ -124,6 +125,7 @@ class Supervisor:
         self._unattended = Unattended()
         self._safety = SafeCommands(parts.sight.graph, self._waited_since)
         self._levels = Levels(parts.sight, parts.reporter)
+        self._line = Line(parts.view, parts.reporter)
         self._bringing = Bringing(parts.fleet, parts.sidecars, parts.reporter)
         parts.sidecars.role = self._role
         self._reflexes = Reflexes(
@@ -452,6 +454,7 @@ class Supervisor:
             instances=self._fleet,
             agents=self._sidecars,
             outputs=self._sight.outputs(self._fleet, self._gate),
+            queue=self._line,
             clock=time.time,
             save=self._save,
             workload_uid=settings.uid,

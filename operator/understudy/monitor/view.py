@@ -49,6 +49,8 @@ class View:
         self.gates = Reflector(client, NETWORK_POLICIES, namespace, fields=only(names.gate(workload)))
         self.pods = Reflector(client, PODS, namespace, labels=f"{names.WORKLOAD}={workload}", on_change=on_pod)
         self.held_pods = Reflector(client, PODS, namespace, labels=f"{names.HELD}=true")
+        self.waiting_gates = Reflector(client, NETWORK_POLICIES, namespace, labels=names.WAITS_FOR)
+        """The gates whose workloads wait for a pod of a shared pool: mostly none."""
         self.source_pods: Reflector | None = None
         self._policy: FailurePolicySpec | None = None
         self._policy_version = ""
@@ -62,6 +64,9 @@ class View:
             group.create_task(watch.run())
         for watch in watches:
             await watch.synced.wait()
+        group.create_task(
+            self.waiting_gates.run()
+        )  # without it nothing is wrong: two that wait may take turns less well
         while self.settings is None:
             _logger.info("waiting for ConfigMap %s", names.settings(self.workload))
             await self.settings_maps.changed()

@@ -60,3 +60,12 @@ def test_namespaces_are_kept_apart() -> None:
     assert found(within(POLICY, "a"), within(WORKLOAD, "a")) == []
     assert found(POLICY, within(WORKLOAD, "a")) == []
     assert only(within(POLICY, "b"), within(WORKLOAD, "a")).field == "spec.failurePolicyRef.name"
+
+
+def test_a_wait_for_a_standby_of_the_workload_s_own() -> None:
+    waits = POLICY.replace("{type: Restart}", "{type: Fallback, poolRef: {name: hot}, waitFor: 10s}")
+    finding = only(waits, WORKLOAD, POOL)
+    assert (finding.severity, finding.field) == ("warning", "spec.strategies[0].waitFor")
+    assert "FallbackPool hot is Executing, so each workload has standbys of its own" in finding.message
+    shared = POOL.replace("Executing", "Uninitialized").replace("perWorkload", "replicas")
+    assert found(waits, WORKLOAD, shared + "  templateFrom: {workload: robot-17}\n") == []

@@ -220,6 +220,17 @@ class TestPolicies:
     def test_a_good_one_is_accepted(self) -> None:
         assert policies.conditions(policy("hot", "Restart"), {"hot": hot()}, {})[0].status == "True"
 
+    def test_waiting_for_a_standby_of_one_s_own_is_told_to_be_in_vain(self) -> None:
+        found = policy("hot", "spare")
+        found["spec"]["strategies"][1]["waitFor"] = "10s"
+        given = {"hot": hot(), "spare": spare()}
+        assert policies.conditions(found, given, {})[0].status == "True"
+        found["spec"]["strategies"][0]["waitFor"] = "1s"
+        (accepted,) = policies.conditions(found, given, {})
+        assert (accepted.status, accepted.reason) == ("False", "PoolNotShared")
+        assert accepted.message.startswith("spec.strategies[0].waitFor: FallbackPool hot is Executing")
+        assert policies.problem(found, {}) is None, "the rest of the policy is followed"
+
 
 class TestRobots:
     def test_managed_external_and_multicast(self) -> None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Sequence
+from typing import Any
 
 import pytest
 
@@ -25,9 +27,14 @@ from tests.unit.controller.world import (
     workload,
 )
 from understudy.api import names
-from understudy.cluster.client import Object
+from understudy.cluster.client import NETWORK_POLICIES, POOLS, WORKLOADS, Object
 from understudy.controller import instances, objects, ownership, pools
 from understudy.controller.desired import Plan
+from understudy.controller.expectations import Expectations
+from understudy.controller.observing import Observer
+from understudy.controller.stores import Store
+from understudy.mitigation.progress import Progress
+from understudy.mitigation.waiting import Waiter
 
 
 def observe(
@@ -41,6 +48,7 @@ def observe(
     owned: dict[tuple[str, str], Object] | None = None,
     source: Object | None = None,
     source_selector: Object | None = None,
+    waiting: Sequence[Waiter] = (),
 ) -> pools.Observed:
     return pools.Observed(
         pool=pool,
@@ -52,6 +60,7 @@ def observe(
         active=active,
         source=source,
         source_selector=source_selector,
+        waiting=waiting,
     )
 
 
@@ -330,3 +339,80 @@ def test_standbys_that_are_not_ready_say_where_it_is_told_why() -> None:
         "0 of 1 are ready; what is being done to them is in the condition BroughtUp of RobotWorkload w"
         in told["message"]
     )
+
+
+class TestAPoolThatHasRunDry:
+    def place(self, workload: str, *, priority: int = 0, since: float = NOW - 2, lasts: float = 10) -> Waiter:
+        return Waiter(workload=workload, pool="spare", priority=priority, since=since, until=since + lasts)
+
+    def gate(self, place: Waiter) -> Object:
+        found = gate(workload(place.workload), epoch=3)
+        found["metadata"]["labels"] |= {names.WAITS_FOR: place.pool}
+        progress = Progress.begin("it ended", last_healthy=NOW - 3, detected=NOW - 2)
+        progress.waiting = place
+        found["metadata"]["annotations"][names.RECOVERY] = progress.model_dump_json()
+        return found
+
+    def test_who_waits_stands_beside_the_gates(self) -> None:
+        late = self.place("late", since=NOW - 60)
+        places = [self.place("a"), self.place("b", priority=100), self.place("c", since=NOW - 5), late]
+        posing = self.gate(self.place("x"))  # each speaks for itself only
+        posing["metadata"]["annotations"] = self.gate(self.place("w", priority=1000))["metadata"]["annotations"]
+        gates = [*map(self.gate, places), gate(workload("w")), posing]
+        assert [w.workload for w in pools.queue("spare", gates, NOW)] == ["b", "c", "a"]
+        assert pools.queue("other", gates, NOW) == []
+
+    def test_a_note_that_can_not_be_read_is_none(self) -> None:
+        found = self.gate(self.place("a"))
+        found["metadata"]["annotations"][names.RECOVERY] = "{"
+        assert pools.queue("spare", [found], NOW) == []
+
+    def test_it_says_who_waits_in_order(self) -> None:
+        waiting = [self.place("b", priority=100), self.place("a")]
+        found = observe(spare(replicas=1), workloads=[workload()], waiting=waiting)
+        told = condition(found, "Available")
+        assert (told["status"], told["reason"]) == ("False", "Dry")
+        assert told["message"] == (
+            "0 of 1 could be claimed now; these wait for one, in this order: b (poolPriority 100, since 22:13:18 UTC), "
+            "a (poolPriority 0, since 22:13:18 UTC)."
+        )
+        assert status(found)["waiting"] == 2
+
+    def test_a_last_pod_that_somebody_waits_for_is_nobody_else_s(self) -> None:
+        pool = spare(replicas=1)
+        pod = held_pod("spare-a", of=pool, template_hash=present(pool))
+        assert condition(observe(pool, [pod]), "Available")["status"] == "True"
+        assert condition(observe(pool, [pod], waiting=[self.place("a")]), "Available")["reason"] == "Dry"
+
+    def test_it_says_for_whom_it_keeps_its_last_pods(self) -> None:
+        pool = spare(replicas=2, reserve={"poolPriority": 100})
+        pod = held_pod("spare-a", of=pool, template_hash=present(pool))
+        told = condition(observe(pool, [pod]), "Available")["message"]
+        assert told == "1 of 2 could be claimed now, the last 1 from poolPriority 100 upwards."
+
+    def test_a_pool_of_standbys_has_nobody_that_waits(self) -> None:
+        found = status(observe(hot(), workloads=[workload()]))
+        assert "waiting" not in found
+        assert "Available" not in {c["type"] for c in found["conditions"]}
+
+    def test_where_somebody_waits_the_next_pod_is_started_beside_the_one_that_was_claimed(self) -> None:
+        pool = spare(replicas=1)
+        claimed = claimed_pod("robot-1-claimed", of=pool, by=workload())
+        claimed["metadata"].setdefault("annotations", {})[names.CLAIMED_AT] = str(int(NOW - 1))
+        assert not created(plan(observe(pool, [claimed])), "pods")
+        assert len(created(plan(observe(pool, [claimed], waiting=[self.place("a")])), "pods")) == 1
+
+    def test_it_is_looked_at_again_when_the_time_of_a_waiter_is_over(self) -> None:
+        assert plan(observe(spare(replicas=0), waiting=[self.place("a")])).again_after == pytest.approx(8)
+
+    async def test_the_operator_finds_them_among_the_gates_of_the_namespace(self) -> None:
+        client: Any = None  # of a pool with a template of its own nothing is asked
+        store, now = Store(), time.time()
+        pool, waiting = spare(), self.place("a", since=now, lasts=60)
+        store.put(POOLS, pool)
+        for name in ("a", "b"):
+            store.put(WORKLOADS, workload(name))
+        store.put(NETWORK_POLICIES, self.gate(waiting))
+        store.put(NETWORK_POLICIES, gate(workload("b")))
+        observed = await Observer(client, store, Expectations()).pool(pool)
+        assert list(observed.waiting) == [waiting]

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
 
 from tests.unit.controller.world import (
     World,
+    applied,
     gate,
     held_pod,
     hot,
@@ -117,6 +120,33 @@ def test_a_shared_pool_in_the_column() -> None:
     assert found.condition("Protected")["status"] == "True"
 
 
+@pytest.mark.parametrize(("priority", "status"), [(0, "False"), (100, "True")])
+def test_the_last_pods_that_are_kept_for_others_protect_nobody_else(priority: int, status: str) -> None:
+    pool = spare(replicas=2, reserve={"pods": 1, "poolPriority": 100})
+    made = World(workload(poolPriority=priority), policy("spare", "Restart"), pool)
+    made.build()
+    driving = source_pod("w-a")
+    made.pods = [driving]
+    made.own(gate(made.workload, active=driving, epoch=1))
+    made.unclaimed = {"spare": [held_pod("spare-a", of=pool)]}
+    protected = made.condition("Protected")
+    assert protected["status"] == status
+    if not priority:
+        assert protected["reason"] == "PodsReserved"
+        assert protected["message"] == (
+            "FallbackPool spare keeps its last 1 for workloads with a higher spec.poolPriority (spec.reserve), and has 1 ready. "
+            "If it failed now, Restart would be used."
+        )
+
+
+@pytest.mark.parametrize(("priority", "reserved"), [(99, 2), (100, 0)])
+def test_a_monitor_is_told_how_many_pods_it_may_not_take(priority: int, reserved: int) -> None:
+    pool = spare(replicas=3, reserve={"pods": 2, "poolPriority": 100})
+    made = World(workload(poolPriority=priority), policy("spare"), pool)
+    text = applied(made.plan(), "configmaps")["w-settings"]["data"]["settings.json"]
+    assert [choice["reserved"] for choice in json.loads(text)["pools"]] == [reserved]
+
+
 def test_restart_only_in_the_column() -> None:
     found = world(policy("Restart"))
     assert found.status()["standby"] == "None"
@@ -166,6 +196,9 @@ class TestTransitions:
 
     def test_lost_protection_is_one(self) -> None:
         assert self.told([("Protected", "True", "FirstStrategyReady")], ("Protected", "False", "StandbyNotReady")) == 1
+
+    def test_a_pool_that_runs_dry_is_told_by_those_that_wait(self) -> None:
+        assert self.told([("Available", "True", "Available")], ("Available", "False", "Dry")) == 0
 
     def test_bad_input_is_one_at_once(self) -> None:
         assert self.told([], ("Accepted", "False", "PolicyNotFound")) == 1

@@ -361,8 +361,8 @@ class TestSettings:
         held = {"metadata": {"name": "spare-held", "annotations": {names.TEMPLATE_HASH: "abc"}}}
         world.held_policies = {"spare": held}
         assert self.settings(world)["pools"] == [
-            {"name": "spare", "readiness": "Uninitialized", "templateHash": "abc"},
-            {"name": "hot", "readiness": "Executing", "templateHash": ""},
+            {"name": "spare", "readiness": "Uninitialized", "templateHash": "abc", "reserved": 0},
+            {"name": "hot", "readiness": "Executing", "templateHash": "", "reserved": 0},
         ]
 
     def test_they_have_the_environment_of_a_claimed_pod(self) -> None:

@@ -12,6 +12,7 @@ from understudy.mitigation.bringing import BringUp
 from understudy.mitigation.interfaces import ClaimLost, GateState, Instance, NotVerified, Superseded
 from understudy.mitigation.progress import Progress
 from understudy.mitigation.strategies import Means
+from understudy.mitigation.waiting import Waiter
 
 PERIOD = 0.005  # seconds between commands of a live instance
 
@@ -34,6 +35,8 @@ class Store:
     started: set[str] = field(default_factory=set)
     deleted: list[str] = field(default_factory=list)
     gave_way: list[str] = field(default_factory=list)
+    followed: set[str] = field(default_factory=set)
+    """Pods whose agents a connection was asked for."""
     brought_up: list[tuple[str, str]] = field(default_factory=list)
     """Which pods were brought up by which procedure."""
     unwilling: set[str] = field(default_factory=set)
@@ -49,6 +52,12 @@ class Store:
     """What was kept of the instance that failed."""
     given: dict[str, KeptState] = field(default_factory=dict)
     """State by the name of the pod that was given it."""
+    workload: str = "w"
+    priority: int = 0
+    fleet: list[Store] = field(default_factory=list)
+    """Stores of other workloads of the namespace, this one perhaps among them; its unclaimed pods are also theirs."""
+    told: list[str] = field(default_factory=list)
+    """What people were told of its waiting for a pod."""
 
     def add(self, name: str, **values: object) -> Instance:
         pod = replace(Instance(name=name, uid=f"uid-{name}", ip="10.0.0.1", running=True, ready=True), **values)  # type: ignore[arg-type]
@@ -86,6 +95,7 @@ class World:
             instances=_Instances(self),
             agents=_Agents(self),
             outputs=_Outputs(self),
+            queue=_Queue(self),
             clock=self.clock,
             save=self._save,
             workload_uid="uid-w",
@@ -144,12 +154,14 @@ class _Instances(_Part):
 
     async def claim(self, instance: Instance, claim: str) -> Instance:
         self.world.effect()
-        if instance.name in self.store.others_claim:
+        if instance.name in self.store.others_claim or instance.name not in self.store.pods:
             self.store.pods.pop(instance.name, None)
             raise ClaimLost(instance.name)
         assert instance.name not in self.store.claims, "a pod was claimed twice"
         self.store.claims[instance.name] = claim
         claimed = replace(instance, held=False, claim=claim)
+        for other in self.store.fleet:
+            other.pods.pop(instance.name, None)
         self.store.pods[instance.name] = claimed
         self.world.effect()
         return claimed
@@ -175,6 +187,34 @@ class _Instances(_Part):
                 if predicate(pod):
                     return pod
             await asyncio.sleep(PERIOD)
+
+
+class _Queue(_Part):
+    @property
+    def workload(self) -> str:
+        return self.store.workload
+
+    @property
+    def priority(self) -> int:
+        return self.store.priority
+
+    def others(self, pool: str) -> Sequence[Waiter]:
+        notes = [store.gate.recovery for store in self.store.fleet if store is not self.store]
+        return [note.waiting for note in notes if note is not None and note.waiting and note.waiting.pool == pool]
+
+    def waits(self, me: Waiter, ahead: int, of: int) -> None:
+        place = f"{ahead + 1} of {of}"
+        if self.store.told[-1:] != [place]:
+            self.store.told.append(place)
+
+    def served(self, me: Waiter, pod: str) -> None:
+        self.store.told.append(f"served with {pod}")
+
+    def gave_up(self, me: Waiter) -> None:
+        self.store.told.append("gave up")
+
+    async def changed(self) -> None:
+        await asyncio.sleep(PERIOD)
 
 
 class _Agents(_Part):
@@ -224,6 +264,9 @@ class _Agents(_Part):
             raise NotVerified(f"agent {instance.name}: procedure: {procedure.name}.set_lifecycle: node /amcl is gone")
         self.world.effect()
         return state.not_given("not tried") if state else RestoreReport()
+
+    def follow(self, instances: Sequence[Instance]) -> None:
+        self.store.followed = {instance.name for instance in instances}
 
     def is_ready(self, instance: Instance) -> tuple[bool, str]:
         return instance.ready, "" if instance.ready else "no /cmd_vel for 500 ms"

@@ -1,0 +1,181 @@
+"""Waiting for a pod of a dry pool, between monitors: what one says beside its gate is what the others and people read."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+from tests.unit.cluster.memory import MemoryClient
+from understudy.api import names
+from understudy.api.policies import FailurePolicySpec
+from understudy.api.settings import PoolChoice, WorkloadSettings
+from understudy.api.workloads import RobotWorkloadSpec
+from understudy.cluster.client import NETWORK_POLICIES, Object
+from understudy.mitigation.interfaces import Instance
+from understudy.mitigation.progress import Progress
+from understudy.mitigation.waiting import Waiter
+from understudy.monitor.choosing import choices
+from understudy.monitor.faults import CrashPoints
+from understudy.monitor.gating import PolicyGate
+from understudy.monitor.reporting import Reporter, describe
+from understudy.monitor.view import View
+from understudy.monitor.waiting import Line
+
+NOW = time.time()
+
+
+def place(workload: str, *, pool: str = "spare", priority: int = 0) -> Waiter:
+    return Waiter(workload=workload, pool=pool, priority=priority, since=NOW, until=NOW + 60)
+
+
+def waits(me: Waiter) -> Progress:
+    progress = Progress.begin("no /cmd_vel for 500 ms", last_healthy=NOW - 1, detected=NOW)
+    progress.waiting = me
+    return progress
+
+
+def view(client: MemoryClient, workload: str) -> View:
+    return View(client, "fleet", workload, on_pod=lambda: None)
+
+
+class Said(Reporter):
+    """A reporter whose Events are kept, and go nowhere else."""
+
+    def __init__(self) -> None:
+        nobody: Any = None
+        super().__init__(nobody, "fleet", "w", nobody)
+        self.events: list[tuple[str, str, str]] = []
+
+    def event(self, kind: str, reason: str, message: str) -> None:
+        self.events.append((kind, reason, message))
+
+
+async def gate(client: MemoryClient, found: View, tmp_path: Path) -> PolicyGate:
+    body: Object = {
+        "metadata": {"name": names.gate(found.workload), "labels": {"app": "w"}, "annotations": {names.EPOCH: "4"}},
+        "spec": {"podSelector": {"matchLabels": {names.INSTANCE: "w-1"}}},
+    }
+    found.gates.put(await client.create(NETWORK_POLICIES, "fleet", body))
+
+    async def label(instance: Instance) -> None:
+        return
+
+    fleet: Any = SimpleNamespace(label=label)
+    nobody: Any = None
+    return PolicyGate(client, found, fleet, nobody, CrashPoints(tmp_path))
+
+
+async def test_a_gate_says_for_which_pool_its_workload_waits_until_it_waits_no_longer(tmp_path: Path) -> None:
+    client = MemoryClient()
+    found = view(client, "w")
+    switch = await gate(client, found, tmp_path)
+    progress = waits(place("w"))
+    await switch.commit(None, progress)
+    stored = await client.get(NETWORK_POLICIES, "fleet", "w-gate")
+    assert stored["metadata"]["labels"][names.WAITS_FOR] == "spare"
+    assert switch.state.closed
+    assert switch.state.recovery is not None
+    assert switch.state.recovery.waiting == progress.waiting
+    progress.waiting = None
+    await switch.commit(None, progress)
+    stored = await client.get(NETWORK_POLICIES, "fleet", "w-gate")
+    assert stored["metadata"]["labels"] == {"app": "w"}
+    assert switch.state.epoch == 6
+
+
+async def test_an_instance_that_is_let_through_ends_the_wait_too(tmp_path: Path) -> None:
+    client = MemoryClient()
+    switch = await gate(client, view(client, "w"), tmp_path)
+    await switch.commit(None, waits(place("w")))
+    await switch.commit(Instance(name="w-2", uid="u2"), None)
+    stored = await client.get(NETWORK_POLICIES, "fleet", "w-gate")
+    assert names.WAITS_FOR not in stored["metadata"]["labels"]
+
+
+def noted(gate_name: str, waiter: Waiter, **annotations: str) -> Object:
+    recovery = {names.RECOVERY: waits(waiter).model_dump_json()} | annotations
+    metadata = {
+        "name": gate_name,
+        "resourceVersion": "5",
+        "labels": {names.WAITS_FOR: waiter.pool},
+        "annotations": recovery,
+    }
+    return {"metadata": metadata}
+
+
+async def test_others_are_those_that_wait_for_the_same_pool_each_by_its_own_gate() -> None:
+    found = view(MemoryClient(), "w")
+    for item in (
+        noted("w-gate", place("w")),
+        noted("a-gate", place("a", priority=7)),
+        noted("b-gate", place("b", pool="other")),
+        noted("c-gate", place("a", priority=1000)),  # nobody speaks for another
+        noted("d-gate", place("d"), **{names.RECOVERY: "{"}),
+    ):
+        found.waiting_gates.put(item)
+    line = Line(found, Said())
+    assert [(w.workload, w.priority) for w in line.others("spare")] == [("a", 7)]
+
+
+async def test_people_are_told_of_the_place_and_once_by_an_event() -> None:
+    reporter, me = Said(), place("w", priority=5)
+    line = Line(view(MemoryClient(), "w"), reporter)
+    reporter.condition("Recovering", "True", "FailureDetected", "no /cmd_vel for 500 ms")
+    line.waits(me, 1, 3)
+    said = reporter.find("Recovering")
+    assert said is not None
+    assert (said.status, said.reason) == ("True", "WaitingForPod")
+    assert said.message.startswith("no /cmd_vel for 500 ms; since ")
+    assert "it waits for a pod of FallbackPool spare, number 2 of 3 that wait (poolPriority 5), until " in said.message
+    line.waits(me, 0, 2)
+    assert "number 1 of 2" in reporter.conditions[0].message
+    assert [(kind, reason) for kind, reason, _ in reporter.events] == [("Warning", "WaitingForPod")]
+    line.served(me, "spare-x")
+    said = reporter.find("Recovering")
+    assert said is not None
+    assert (said.status, said.reason) == ("True", "FailureDetected")
+    assert said.message.startswith("no /cmd_vel for 500 ms; claimed spare-x after ")
+    line.waits(me, 0, 1)
+    assert "; claimed" in reporter.conditions[0].message, "a second wait of the same recovery goes on from there"
+    line.gave_up(me)
+    assert "got no pod of FallbackPool spare in " in reporter.conditions[0].message
+    assert len(reporter.events) == 2
+
+
+def test_a_recovery_tells_how_long_it_waited() -> None:
+    progress = waits(place("w"))
+    progress.result, progress.strategy = "Recovered", "Fallback/Uninitialized"
+    assert "waited" not in describe(progress.to_recovery(1))
+    progress.moments |= {"queued": NOW, "claimed": NOW + 2.14}
+    assert describe(progress.to_recovery(1)).endswith(", of which it waited 2.1 s for a pod")
+
+
+def test_a_strategy_waits_for_as_long_as_the_policy_says_and_the_workload_has_its_priority() -> None:
+    policy = FailurePolicySpec.model_validate(
+        {
+            "monitoring": {"yaml": {"topic": {"name": "/cmd_vel", "gap": "500ms"}}},
+            "strategies": [
+                {"type": "Fallback", "poolRef": {"name": "spare"}, "waitFor": "2.5s"},
+                {"type": "Fallback", "poolRef": {"name": "spare"}},
+            ],
+        }
+    )
+    settings = WorkloadSettings(
+        workload="w",
+        namespace="fleet",
+        uid="u",
+        source_kind="ReplicaSet",
+        source_name="w",
+        pools=[PoolChoice(name="spare", readiness="Uninitialized", reserved=2)],
+    )
+    found = choices(policy, settings, None)
+    assert [choice.strategy._wait_for for choice in found] == [2.5, 0.0]  # type: ignore[attr-defined]
+    assert [choice.strategy._reserved for choice in found] == [2, 2]  # type: ignore[attr-defined]
+    spec = RobotWorkloadSpec.model_validate(
+        {"template": {}, "outputs": [{"topic": "/cmd_vel", "type": "a/msg/B"}], "failurePolicyRef": {"name": "p"}}
+    )
+    assert Line(SimpleNamespace(workload="w", spec=spec), Said()).priority == 0  # type: ignore[arg-type]
+    given = spec.model_copy(update={"pool_priority": 100})
+    assert Line(SimpleNamespace(workload="w", spec=given), Said()).priority == 100  # type: ignore[arg-type]

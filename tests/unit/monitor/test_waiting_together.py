@@ -1,0 +1,297 @@
+"""Several monitors' own parts at one pool and one API server in memory, whose watches are late: claims, gates and who waits."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import random
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.unit.cluster.memory import MemoryClient
+from understudy.api import names
+from understudy.api.settings import PoolChoice, WorkloadSettings
+from understudy.cluster.client import NETWORK_POLICIES, PODS, Object, Resource
+from understudy.cluster.watching import Reflector
+from understudy.mitigation import waiting
+from understudy.mitigation.failover import Choice, recover
+from understudy.mitigation.interfaces import Instance
+from understudy.mitigation.progress import PodIdentity, Progress
+from understudy.mitigation.strategies import Means, UninitializedFallback
+from understudy.monitor.faults import CrashPoints
+from understudy.monitor.fleet import Fleet
+from understudy.monitor.gating import PolicyGate
+from understudy.monitor.reporting import Reporter
+from understudy.monitor.view import View
+from understudy.monitor.waiting import REASON, Line
+
+POOL = "spare"
+LAG = 0.03
+"""Most seconds after which a watch tells of a write."""
+
+
+@pytest.fixture(autouse=True)
+def unhurried(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody here has died, so nobody is passed over, however busy the machine is."""
+    monkeypatch.setattr(waiting, "YIELD", 30.0)
+    monkeypatch.setattr(waiting, "YIELD_MOST", 30.0)
+
+
+class Cluster(MemoryClient):
+    """An API server in memory that tells monitors of its writes, each by its own watches and in its own time."""
+
+    def __init__(self, seed: int) -> None:
+        super().__init__()
+        self.monitors: list[Monitor] = []
+        self.names = itertools.count(1)
+        self._random = random.Random(seed)
+
+    async def create(self, resource: Resource, namespace: str | None, body: Object, *, dry_run: bool = False) -> Object:
+        made = await super().create(resource, namespace, body)
+        self._tell(resource, made)
+        return made
+
+    async def patch(self, resource: Resource, namespace: str | None, name: str, body: Any, **more: Any) -> Object:
+        await asyncio.sleep(self._random.uniform(0, LAG / 3))
+        made = await super().patch(resource, namespace, name, body, **more)
+        self._tell(resource, made)
+        await asyncio.sleep(self._random.uniform(0, LAG / 3))
+        return made
+
+    def _tell(self, resource: Resource, item: Object) -> None:
+        loop = asyncio.get_running_loop()
+        for monitor in self.monitors:
+            monitor.heard = max(monitor.heard, loop.time() + self._random.uniform(0, LAG))  # in order
+            loop.call_at(monitor.heard, monitor.hear, resource, item)
+
+    async def add_pod(self) -> str:
+        """A pod of the pool that becomes ready."""
+        name = f"spare-{next(self.names)}"
+        labels = {names.POOL: POOL, names.HELD: "true", names.INSTANCE: name, names.TEMPLATE_HASH: "h"}
+        status = {"phase": "Running", "podIP": "10.0.0.1", "conditions": [{"type": "Ready", "status": "True"}]}
+        body = {
+            "metadata": {"name": name, "labels": labels, "annotations": {}, "creationTimestamp": name},
+            "spec": {"containers": [{"name": names.AGENT_CONTAINER}]},
+            "status": status,
+        }
+        await self.create(PODS, "fleet", body)
+        return name
+
+    def owners(self) -> dict[str, str]:
+        """The workload of each pod that has one."""
+        pods = [item for (plural, _, _), item in self.items.items() if plural == PODS.plural]
+        found = {pod["metadata"]["name"]: pod["metadata"]["labels"].get(names.WORKLOAD, "") for pod in pods}
+        return {pod: workload for pod, workload in found.items() if workload}
+
+    def writes(self, *ending: str) -> int:
+        """Writes to objects whose names end so, refused ones included."""
+        return sum(method == "PATCH" and name.endswith(ending) for method, name, _ in self.requests)
+
+
+class Told(Reporter):
+    """A reporter that keeps its Events to itself."""
+
+    def event(self, kind: str, reason: str, message: str) -> None:
+        return
+
+
+class Monitor:
+    """What of a monitor has to do with pods, gates and others; its instances start at once and drive as soon as they may."""
+
+    def __init__(self, cluster: Cluster, workload: str, priority: int, state: Path) -> None:
+        self.cluster, self.workload = cluster, workload
+        self.heard = 0.0
+        self.view = View(cluster, "fleet", workload, on_pod=lambda: None)
+        self.settings = WorkloadSettings(
+            workload=workload,
+            namespace="fleet",
+            uid=f"uid-{workload}",
+            source_kind="ReplicaSet",
+            source_name=workload,
+            pools=[PoolChoice(name=POOL, readiness="Uninitialized", template_hash="h")],
+        )
+        data = {"settings.json": self.settings.model_dump_json(by_alias=True)}
+        self.view.settings_maps.put(
+            {"metadata": {"name": names.settings(workload), "resourceVersion": "1"}, "data": data}
+        )
+        spec = {
+            "template": {},
+            "outputs": [{"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist"}],
+            "failurePolicyRef": {"name": "p"},
+            "poolPriority": priority,
+        }
+        self.view.workloads.put({"metadata": {"name": workload, "resourceVersion": "1"}, "spec": spec})
+        nobody: Any = None
+        self.reporter = Told(nobody, "fleet", workload, nobody)
+        steps = CrashPoints(state)
+        self.fleet = Fleet(cluster, self.view, steps)
+        self.gate = PolicyGate(cluster, self.view, self.fleet, self, steps)  # type: ignore[arg-type]
+        cluster.monitors.append(self)
+
+    def hear(self, resource: Resource, item: Object) -> None:
+        """What its watches tell it of a write."""
+        labels, name = item["metadata"].get("labels") or {}, item["metadata"]["name"]
+        if resource is PODS:
+            _watched(self.view.held_pods, item, selected=labels.get(names.HELD) == "true")
+            _watched(self.view.pods, item, selected=labels.get(names.WORKLOAD) == self.workload)
+        if resource is NETWORK_POLICIES:
+            _watched(self.view.waiting_gates, item, selected=names.WAITS_FOR in labels)
+            if name == names.gate(self.workload):
+                self.view.gates.put(item)
+
+    async def begin(self) -> None:
+        """Its gate, which lets an instance through that has failed."""
+        annotations = {names.EPOCH: "1", names.ACTIVE: f"{self.workload}-1", names.ACTIVE_UID: f"uid-{self.workload}-1"}
+        metadata = {"name": names.gate(self.workload), "labels": {"app": "x"}, "annotations": annotations}
+        made = await self.cluster.create(NETWORK_POLICIES, "fleet", {"metadata": metadata, "spec": {"podSelector": {}}})
+        self.view.gates.put(made)
+
+    async def fails(self, *, wait_for: float) -> Progress:
+        """A recovery, from its detection to its end."""
+        now = time.time()
+        failed = [PodIdentity(name=f"{self.workload}-1", uid=f"uid-{self.workload}-1")]
+        progress = Progress.begin("it ended", last_healthy=now, detected=now, failed=failed)
+        self.reporter.condition("Recovering", "True", "FailureDetected", progress.reason)
+        ladder = [Choice(UninitializedFallback(POOL, wait_for=wait_for), 2.0)]
+        return await recover(progress, ladder, self.means())
+
+    def means(self) -> Means:
+        return Means(
+            gate=self.gate,
+            instances=self.fleet,
+            agents=self,  # type: ignore[arg-type]
+            outputs=self,  # type: ignore[arg-type]
+            queue=Line(self.view, self.reporter),
+            clock=time.time,
+            save=lambda progress: None,
+            workload_uid=self.settings.uid,
+        )
+
+    @property
+    def waits(self) -> bool:
+        return self.reporter.reason("Recovering") == REASON
+
+    # What is beyond pods and policies: agents, packets and outputs, all of them as quick as can be.
+
+    async def start(self, instance: Instance) -> None:
+        return
+
+    def follow(self, instances: Sequence[Instance]) -> None:
+        return
+
+    async def probe(self, instance: Instance, duration: float) -> None:
+        return
+
+    async def up(self, instance: Instance) -> float:
+        await asyncio.sleep(0.05)
+        return time.time()
+
+    async def ready(self, instance: Instance) -> float:
+        return time.time()
+
+    async def wait(self, uid: str, since: float) -> float:
+        return time.time()
+
+    async def first_from(self, instance: Instance, *, since: float) -> float:
+        return time.time()
+
+    def last(self, uid: str) -> float | None:
+        return None
+
+    def last_from_others(self, instance: Instance) -> tuple[float, str]:
+        return 0.0, ""
+
+
+def _watched(copy: Reflector, item: Object, *, selected: bool) -> None:
+    """What a watch by labels does: an object that no longer has them is gone from it."""
+    if selected:
+        copy.put(item)
+    elif item["metadata"]["name"] in copy.items:
+        copy._set(item["metadata"]["name"], None)
+        copy._notify()
+
+
+async def fleet(cluster: Cluster, priorities: Sequence[int], state: Path) -> list[Monitor]:
+    found = [Monitor(cluster, f"robot-{i}", priority, state) for i, priority in enumerate(priorities)]
+    for monitor in found:
+        await monitor.begin()
+    return found
+
+
+async def all_wait(monitors: Sequence[Monitor]) -> None:
+    async with asyncio.timeout(20):
+        while not all(monitor.waits for monitor in monitors):
+            await asyncio.sleep(0.01)
+    await asyncio.sleep(3 * LAG)
+
+
+@pytest.mark.parametrize("seed", range(4))
+async def test_pods_that_come_one_by_one_go_by_priority_and_then_by_who_has_waited_longest(
+    seed: int, tmp_path: Path
+) -> None:
+    cluster = Cluster(seed)
+    monitors = await fleet(cluster, [0, 5, 0, 100], tmp_path)
+    tasks = []
+    for monitor in monitors:
+        tasks.append(asyncio.create_task(monitor.fails(wait_for=60)))
+        await all_wait([monitor])
+    served = []
+    for _ in monitors:
+        pod = await cluster.add_pod()
+        async with asyncio.timeout(20):
+            while pod not in cluster.owners():
+                await asyncio.sleep(0.005)
+        served.append(cluster.owners()[pod])
+    assert served == ["robot-3", "robot-1", "robot-0", "robot-2"]
+    done = await asyncio.gather(*tasks)
+    assert {progress.result for progress in done} == {"Recovered"}
+    assert [monitor.gate.state.active for monitor in monitors] == [p.target.name for p in done if p.target]
+    assert cluster.writes("-gate") == 3 * len(monitors), (
+        "closed, no longer waiting, open: one more than without waiting"
+    )
+
+
+@pytest.mark.parametrize("seed", range(4))
+async def test_as_many_pods_as_wait_are_taken_at_once_each_by_one(seed: int, tmp_path: Path) -> None:
+    cluster = Cluster(seed)
+    monitors = await fleet(cluster, [0, 0, 7, 7], tmp_path)
+    tasks = [asyncio.create_task(monitor.fails(wait_for=60)) for monitor in monitors]
+    await all_wait(monitors)
+    for _ in monitors:
+        await cluster.add_pod()
+    done = await asyncio.gather(*tasks)
+    assert {progress.result for progress in done} == {"Recovered"}
+    assert sorted(cluster.owners().values()) == [monitor.workload for monitor in monitors]
+
+
+@pytest.mark.parametrize("wait_for", [0.0, 0.3])
+async def test_of_many_that_fail_at_once_as_many_are_served_as_there_are_pods_and_the_others_go_on(
+    wait_for: float, tmp_path: Path
+) -> None:
+    cluster = Cluster(1)
+    monitors = await fleet(cluster, [0, 1, 2, 3, 4], tmp_path)
+    for _ in range(2):
+        await cluster.add_pod()
+    await asyncio.sleep(2 * LAG)
+    done = await asyncio.gather(*(monitor.fails(wait_for=wait_for) for monitor in monitors))
+    assert [progress.result for progress in done].count("Recovered") == 2
+    assert len(set(cluster.owners().values())) == 2
+    lost = [progress.attempts[0] for progress in done if progress.result != "Recovered"]
+    assert {attempt.result for attempt in lost} == {"NotAvailable"}
+    assert all(("it got none in 0.3 s" in attempt.message) == bool(wait_for) for attempt in lost)
+
+
+async def test_without_anybody_waiting_a_claim_costs_what_it_did(tmp_path: Path) -> None:
+    cluster = Cluster(1)
+    (monitor,) = await fleet(cluster, [0], tmp_path)
+    await cluster.add_pod()
+    await asyncio.sleep(2 * LAG)
+    done = await monitor.fails(wait_for=60)
+    assert done.result == "Recovered"
+    assert "queued" not in done.moments
+    assert cluster.writes("-gate") == 2
+    assert cluster.writes("-1") == 1
