@@ -20,7 +20,7 @@ from understudy.cluster.client import (
     Object,
     Resource,
 )
-from understudy.controller import healthtrees, objects, policies
+from understudy.controller import choosing, healthtrees, objects, policies
 from understudy.controller.stores import Sight, Store
 
 
@@ -120,7 +120,7 @@ def _after_trees(config_map: Object, store: Store, namespace: str) -> Iterator[K
 
 def _pool_users(pool: str, store: Store, namespace: str) -> Iterator[Key]:
     for name, policy in store.in_namespace(POLICIES, namespace).items():
-        if pool in policies.named_pools(policy):
+        if choosing.is_auto(policy) or pool in policies.named_pools(policy):
             yield from users(name, store, namespace)
 
 
