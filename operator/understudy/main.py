@@ -1,8 +1,8 @@
 """One command: for the parts that run in pods, ``understudy operator | monitor | agent | tasks | prepare``, and for people.
 
 ``understudy check`` validates manifests without a cluster, ``understudy tree`` shows a workload's live health tree,
-``understudy tracker`` watches robots by a camera, ``understudy size`` says how many fallbacks a fleet needs. What tries a
-policy without a cluster is in ``understudy.trying``.
+``understudy tracker`` watches robots by a camera, ``understudy size`` says how many fallbacks a fleet needs, ``understudy recommend``
+which strategies. What tries a policy without a cluster is in ``understudy.trying``.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ _PARTS = {
     "tree": "understudy.console.tree",
     "tracker": "understudy.tracker.running",
     "size": "understudy.planning.size",
+    "recommend": "understudy.planning.recommend",
 }
 
 

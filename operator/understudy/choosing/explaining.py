@@ -38,22 +38,25 @@ def asked(requirements: Requirements) -> str:
     return ", ".join(parts)
 
 
-def why_first(order: Order) -> str:
-    """Why the first strategy is the first."""
+def why(order: Order, judged: Judged) -> str:
+    """Why a strategy has its place, or none."""
+    if judged == order.first:
+        return _why_first(order)
+    cost = f"{judged.cost:.2g} of a working instance's CPU"
+    if judged in order.costly:
+        return f"would take {cost}, and {_payer(order.requirements)} allows {spent(order.requirements):g}"
+    if judged in order.spared:
+        return f"would take {cost}, which isn't needed: behind the first one come those that take {NEXT_TO_NOTHING:g} at most"
+    return "if those before it fail"
+
+
+def _why_first(order: Order) -> str:
     known = "" if order.requirements.safety == "Low" or not order.safe_enough else " of those that safety asks for"
     if not order.soon_enough:
         return f"the soonest{known}, though not as soon as asked for"
     if spent(order.requirements) == math.inf:
         return f"the soonest{known}"
     return f"the cheapest{known} that is soon enough"
-
-
-def why_left_out(order: Order, judged: Judged) -> str:
-    """Why a strategy isn't taken."""
-    cost = f"{judged.cost:.2g} of a working instance's CPU"
-    if judged in order.costly:
-        return f"would take {cost}, and {_payer(order.requirements)} allows {spent(order.requirements):g}"
-    return f"would take {cost}, which isn't needed: behind the first one only what takes {NEXT_TO_NOTHING:g} or less"
 
 
 def unmet(order: Order) -> list[str]:
@@ -63,7 +66,7 @@ def unmet(order: Order) -> list[str]:
     if not order.soon_enough:
         found.append(
             f"{_sooner(order.requirements)} asks for {_time(soon(order.requirements))}, and {named(first.candidate)}, the soonest that may "
-            f"be taken, needs {_time(first.seconds.value)} ({first.seconds.source}): {_way_out(order)}"
+            f"go first, needs {_time(first.seconds.value)} ({first.seconds.source}): {_way_out(order)}"
         )
     if not order.safe_enough:
         wanted = "Executing" if order.requirements.safety == "High" else "Executing or Initialized"
@@ -81,8 +84,8 @@ def unmet(order: Order) -> list[str]:
 def reason(order: Order) -> str:
     """All of it in some sentences, for a condition."""
     told = [f"{in_short(order)}. Asked for: {asked(order.requirements)}"]
-    told.append(f"{named(order.first.candidate)} is {why_first(order)} ({expected(order.first)})")
-    left_out = [f"{named(one.candidate)} {why_left_out(order, one)}" for one in (*order.costly, *order.spared)]
+    told.append(f"{named(order.first.candidate)} is {why(order, order.first)} ({expected(order.first)})")
+    left_out = [f"{named(one.candidate)} {why(order, one)}" for one in order.left_out]
     if left_out:
         told.append(f"Left out: {'; '.join(left_out)}")
     told += [f"Not met: {one}" for one in unmet(order)]
@@ -109,6 +112,8 @@ def _way_out(order: Order) -> str:
     sooner = [one for one in order.costly if one.seconds.value < order.first.seconds.value]
     if sooner:
         return f"{named(sooner[0].candidate)} would be, with a higher resourceUsage"
+    if order.first.candidate.way == "Executing":
+        return "see in its recoveries what takes so long, or ask for less"
     return "add a FallbackPool of a higher readiness that serves the workload, or ask for less"
 
 

@@ -22,13 +22,8 @@ class Figure:
     """A figure and where it is from."""
 
     value: float
-    measured: int = 0
-    """How many values it is the median of; 0 where it is published."""
-
-    @property
-    def source(self) -> str:
-        """Where it is from, in words."""
-        return f"measured {self.measured} times" if self.measured else "published"
+    source: str = "published"
+    """Where it is from, in words."""
 
 
 PUBLISHED_SECONDS: Mapping[Way, float] = {
@@ -84,7 +79,9 @@ def seen(recoveries: Iterable[Recovery]) -> dict[Way, Figure]:
         if one.strategy == "Restart":
             taken.setdefault("Restart", []).append(_after_detection(one))
     return {
-        way: Figure(statistics.median(values), len(values)) for way, values in taken.items() if len(values) >= LEAST
+        way: Figure(statistics.median(values), f"measured {len(values)} times")
+        for way, values in taken.items()
+        if len(values) >= LEAST
     }
 
 

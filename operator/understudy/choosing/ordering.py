@@ -93,6 +93,11 @@ class Order:
     """Whether the robot is told something while no instance is in control."""
 
     @property
+    def left_out(self) -> tuple[Judged, ...]:
+        """All that aren't taken."""
+        return (*self.costly, *self.spared)
+
+    @property
     def first(self) -> Judged:
         """The one that is counted on."""
         return self.chosen[0]

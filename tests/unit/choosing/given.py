@@ -29,5 +29,5 @@ pools = st.lists(
     unique_by=lambda one: one.pool,
 )
 _values = st.sampled_from([0.0, 0.05, 0.1, 0.5, 0.83, 2.0, 4.0]) | st.floats(0, 100)
-_measured = st.dictionaries(st.sampled_from(WAYS), st.builds(Figure, value=_values, measured=st.integers(1, 10)))
+_measured = st.dictionaries(st.sampled_from(WAYS), st.builds(Figure, value=_values, source=st.just("measured")))
 figures = st.builds(Figures, measured_seconds=_measured, measured_cpu=_measured)

@@ -27,7 +27,7 @@ def recovery(by: str, seconds: float, **more: Any) -> Recovery:
 
 def test_the_median_of_what_comes_after_the_detection_counts():
     found = seen([recovery("Fallback/Executing", seconds) for seconds in (0.02, 0.03, 0.9)])
-    assert found == {"Executing": Figure(pytest.approx(0.03), 3)}
+    assert found == {"Executing": Figure(pytest.approx(0.03), "measured 3 times")}
 
 
 def test_two_recoveries_are_too_few():
@@ -52,11 +52,11 @@ def test_what_tells_nothing_of_a_strategys_time_is_left_out(other):
 
 def test_a_strategy_without_means_took_no_time():
     passed = [Attempt(strategy="Fallback/Executing", result="NotAvailable")]
-    assert seen([recovery("Restart", 1.0, attempts=passed) for _ in range(3)])["Restart"].measured == 3
+    assert seen([recovery("Restart", 1.0, attempts=passed) for _ in range(3)])["Restart"].source == "measured 3 times"
 
 
 def test_what_was_not_measured_is_as_published_and_says_so():
-    known = Figures(measured_seconds={"Restart": Figure(1.5, 4)})
+    known = Figures(measured_seconds={"Restart": Figure(1.5, "measured 4 times")})
     assert (known.seconds("Restart").value, known.seconds("Restart").source) == (1.5, "measured 4 times")
     assert (known.seconds("Executing").value, known.seconds("Executing").source) == (0.05, "published")
     assert known.cpu("Uninitialized") == Figure(0.0)

@@ -149,7 +149,7 @@ def test_high_availability_has_to_be_paid_for():
     assert in_short(found) == "Initialized (warm), Uninitialized (spare), Restart"
     (told,) = unmet(found)
     assert told == (
-        "availability High asks for 500 ms, and Initialized (warm), the soonest that may be taken, needs 830 ms (published): "
+        "availability High asks for 500 ms, and Initialized (warm), the soonest that may go first, needs 830 ms (published): "
         "Executing (hot) would be, with a higher resourceUsage"
     )
 
@@ -169,7 +169,7 @@ def test_two_standbys_cost_twice_as_much(standbys, expected):
 
 def test_what_was_measured_goes_before_what_is_published():
     """An application that starts in a second needs no standby to be back in two."""
-    quick = Figures(measured_seconds={"Restart": Figure(1.2, 4)})
+    quick = Figures(measured_seconds={"Restart": Figure(1.2, "measured 4 times")})
     found = order(*ALL, known=quick)
     assert in_short(found) == "Restart, Uninitialized (spare)"
     assert "Restart is the cheapest that is soon enough (1.2 s, measured 4 times)" in reason(found)
