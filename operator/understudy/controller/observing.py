@@ -20,7 +20,7 @@ from understudy.cluster.client import (
     Client,
     Object,
 )
-from understudy.controller import affected, choosing, levels, objects, pools, references, selectors, workloads
+from understudy.controller import affected, choosing, levels, objects, pools, references, selectors, statuses, workloads
 from understudy.controller.affected import Key
 from understudy.controller.expectations import Expectations
 from understudy.controller.stores import Store
@@ -139,18 +139,15 @@ class Observer:
         )
 
     def _spared(self, pool: Object, workload: Object) -> bool:
-        """Whether a workload that a pool serves has no standby of it, since other strategies were chosen for it."""
-        namespace = pool["metadata"]["namespace"]
-        policy = self._store.get(POLICIES, namespace, affected.used_policy(workload))
+        """Whether a workload that a pool serves has no standby of it, since other strategies were chosen for it.
+
+        By its status, in which that stands once it was chosen: a fleet's orders aren't thought over for every pod of a pool.
+        """
+        policy = self._store.get(POLICIES, pool["metadata"]["namespace"], affected.used_policy(workload))
         if policy is None or not choosing.is_auto(policy) or not pools.serves(pool, workload):
             return False
-        served = {
-            name: other
-            for name, other in self._store.in_namespace(POOLS, namespace).items()
-            if pools.serves(other, workload)
-        }
-        order = choosing.order(policy, workload, served)
-        return order is not None and objects.name(pool) not in {one.candidate.pool for one in order.chosen}
+        chosen = affected.chosen(workload)
+        return bool(chosen) and not statuses.takes_from(chosen, objects.name(pool))
 
     async def _source(
         self, item: Object, found: Mapping[str, Object]

@@ -113,6 +113,11 @@ def _short(observed: Observed, strategy: Strategy) -> str:
     return f"{policies.readiness(pool) if pool is not None else strategy.type} ({name})"
 
 
+def takes_from(strategies: str, pool: str) -> bool:
+    """Whether one of the strategies that a status has in short takes instances from a pool."""
+    return f"({pool})" in strategies
+
+
 def _chosen(observed: Observed, understanding: Understanding) -> list[Condition]:
     """Which order was chosen and why, where the policy leaves it."""
     if understanding.spec is None:

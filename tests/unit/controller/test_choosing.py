@@ -210,10 +210,11 @@ def stored(*policies_and_workloads: Object) -> Store:
 
 
 async def test_a_pool_wants_no_standbys_for_workloads_that_others_were_chosen_for() -> None:
-    written = custom("FailurePolicy", "written", policy("hot")["spec"])
-    other = workload("other", failurePolicyRef={"name": "written"})
-    store = stored(auto(), written, workload("w"), other)
-    observer = Observer(None, store, Expectations())  # type: ignore[arg-type]
+    written = custom("FailurePolicy", "written", policy("warm")["spec"])
+    mine, other = workload("w"), workload("other", failurePolicyRef={"name": "written"})
+    for item, asked in ((mine, auto()), (other, written)):
+        item["status"] = World(item, asked, hot(), warm(), spare()).status()
+    observer = Observer(None, stored(auto(), written, mine, other), Expectations())  # type: ignore[arg-type]
     for pool, desired in ((hot(), 1), (warm(), 2)):
         observed = await observer.pool(pool)
         assert pools.count(observed, policies.pool_spec(pool)).desired == desired
@@ -224,3 +225,14 @@ def test_a_change_of_any_pool_may_mean_another_order() -> None:
     held = held_pod("s-1", of=spare())
     for sight in (Sight(POOLS, None, hot()), Sight(PODS, None, held)):
         assert affected.Key("robotworkloads", "fleet", "w") in affected.keys(sight, store)
+
+
+def test_another_order_may_mean_other_numbers_for_each_pool() -> None:
+    store = stored(auto(), workload("w"))
+    before, after = (
+        workload("w", status={"strategies": "Restart"}),
+        workload("w", status={"strategies": "Executing (hot)"}),
+    )
+    for old, new, expected in ((before, after, {"hot", "warm", "spare"}), (before, before, set())):
+        found = affected.keys(Sight(WORKLOADS, old, new), store)
+        assert {key.name for key in found if key.plural == "fallbackpools"} == expected
