@@ -26,8 +26,8 @@ class Requirements(Model):
     )
     resource_usage: Level = Field(
         default="Medium",
-        description="How much CPU of a working instance its standbys may take. Low: next to nothing (a tenth). Medium: three quarters, "
-        "and no more than it takes to be soon enough. High: all that its pools offer.",
+        description="How much its standbys may take. Low: next to nothing (a tenth of a working instance's CPU). Medium: what it takes to "
+        "recover soon enough, and no more. High: all that its pools offer.",
     )
     task_criticality: Level = Field(
         default="Low",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from understudy.api.requirements import Requirements
-from understudy.choosing.ordering import NEXT_TO_NOTHING, SOON, Candidate, Judged, Order, soon, spent
+from understudy.choosing.ordering import NEXT_TO_NOTHING, SOON, Candidate, Judged, Order, soon, usage
 from understudy.trees.leaves import duration
 
 
@@ -26,9 +26,12 @@ def expected(judged: Judged) -> str:
 
 def asked(requirements: Requirements) -> str:
     """What is asked for, each part with the requirement that it is from."""
-    most, within = spent(requirements), soon(requirements)
-    share = f"with standbys that take at most {most:g} of a working instance's CPU"
-    cost = "whatever its standbys cost" if most == math.inf else share
+    within = soon(requirements)
+    cost = {
+        "Low": f"with standbys that take at most {NEXT_TO_NOTHING:g} of a working instance's CPU",
+        "Medium": "with no more standbys than that takes",
+        "High": "whatever its standbys take",
+    }[usage(requirements)]
     time = "however long it takes" if within == math.inf else f"within {_time(within)} of the detection"
     parts = [f"a recovery {time} ({_sooner(requirements)})", f"{cost} ({_payer(requirements)})"]
     if requirements.safety == "Medium":
@@ -44,9 +47,9 @@ def why(order: Order, judged: Judged) -> str:
         return _why_first(order)
     cost = f"{judged.cost:.2g} of a working instance's CPU"
     if judged in order.costly:
-        return f"would take {cost}, and {_payer(order.requirements)} allows {spent(order.requirements):g}"
+        return f"would take {cost}, and {_payer(order.requirements)} allows {NEXT_TO_NOTHING:g}"
     if judged in order.spared:
-        return f"would take {cost}, which isn't needed: behind the first one come those that take {NEXT_TO_NOTHING:g} at most"
+        return f"would take {cost}, and behind the first one come only those that take {NEXT_TO_NOTHING:g} at most"
     return "if those before it fail"
 
 
@@ -54,7 +57,7 @@ def _why_first(order: Order) -> str:
     known = "" if order.requirements.safety == "Low" or not order.safe_enough else " of those that safety asks for"
     if not order.soon_enough:
         return f"the soonest{known}, though not as soon as asked for"
-    if spent(order.requirements) == math.inf:
+    if usage(order.requirements) == "High":
         return f"the soonest{known}"
     return f"the cheapest{known} that is soon enough"
 

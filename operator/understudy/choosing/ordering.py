@@ -2,12 +2,12 @@
 
 The rules, in full:
 
-1. A strategy costs what its standbys take of a working instance's CPU. Those that cost more than ``resourceUsage`` allows are left
-   out. With safety or taskCriticality High nothing is left out, and a restart, which costs nothing, never is.
+1. A strategy costs what its standbys take of a working instance's CPU. With resourceUsage Low those that cost more than next to nothing
+   are left out. With safety or taskCriticality High it counts as High. A restart costs nothing, so it's never left out.
 2. Of the rest, those go first of whose instances is known what ``safety`` asks for, if there are any.
 3. The first strategy is the cheapest of these that recovers as soon as ``availability`` and ``taskCriticality`` ask for, whichever asks
-   for more. If none does, or resources are no object, it's the one that recovers soonest.
-4. Behind it come those that cost next to nothing (or all, if resources are no object): as safety asks for, then the soonest first.
+   for more. If none does, or with resourceUsage High, it's the one that recovers soonest.
+4. Behind it come those that cost next to nothing, with resourceUsage High all: as safety asks for, then the soonest first.
 
 So whoever asks for more availability never gets a slower first strategy, since the cheapest of fewer that are fast enough is never
 slower than the cheapest of more. Requirements that can't be met don't stop anything: what lacks is told.
@@ -27,12 +27,8 @@ SOON: Mapping[Level, float] = {"Low": math.inf, "Medium": 2.0, "High": 0.5}
 their last command, so that they hardly stop.
 """
 
-SPENT: Mapping[Level, float] = {"Low": 0.1, "Medium": 0.75, "High": math.inf}
-"""What may be kept waiting for one workload, as a share of a working instance's CPU. Low: a process that only waits. Medium: one that
-is up and does nothing yet, but not a second one that does all the work.
-"""
-
-NEXT_TO_NOTHING = SPENT["Low"]
+NEXT_TO_NOTHING = 0.1
+"""What standbys may take, as a share of a working instance's CPU, that nobody minds: processes that only wait."""
 
 _UP: Mapping[Way, int] = {"Executing": 0, "Initialized": 1, "Uninitialized": 2, "Restart": 2}
 """How far what takes over is from having been seen to be healthy. One that only has to start is as far as any other."""
@@ -86,9 +82,9 @@ class Order:
     chosen: tuple[Judged, ...]
     """In order, and never empty."""
     costly: tuple[Judged, ...] = ()
-    """Left out, since they cost more than is allowed."""
+    """Left out, since they cost more than next to nothing, and no more is allowed."""
     spared: tuple[Judged, ...] = ()
-    """Left out, since the first one is soon enough, or no later, without what they cost."""
+    """Left out, since behind the first one they aren't worth what they cost."""
     safe_commands: bool = True
     """Whether the robot is told something while no instance is in control."""
 
@@ -118,11 +114,16 @@ def soon(requirements: Requirements) -> float:
     return min(SOON[requirements.availability], SOON[requirements.task_criticality])
 
 
-def spent(requirements: Requirements) -> float:
-    """What may be kept waiting, as a share of a working instance's CPU; infinite where resources are no object."""
+def usage(requirements: Requirements) -> Level:
+    """How much standbys may take: what is said of it counts less than a robot's safety and what would be lost."""
     if "High" in (requirements.safety, requirements.task_criticality):
-        return math.inf
-    return SPENT[requirements.resource_usage]
+        return "High"
+    return requirements.resource_usage
+
+
+def spent(requirements: Requirements) -> float:
+    """The most that a strategy's standbys may take, as a share of a working instance's CPU."""
+    return NEXT_TO_NOTHING if usage(requirements) == "Low" else math.inf
 
 
 def lacks(requirements: Requirements, way: Way) -> int:
@@ -137,14 +138,10 @@ def ordered(
     """The order of a restart and of fallbacks from these pools."""
     candidates = {*pools, Candidate("Restart")}
     judged = [Judged(one, figures.seconds(one.way), figures.cpu(one.way)) for one in candidates]
-    most = spent(requirements)
-    allowed = [one for one in judged if one.cost <= most or one.candidate.way == "Restart"]
+    allowed = [one for one in judged if one.cost <= spent(requirements)]
     first = _first(requirements, allowed)
-    behind = [
-        one
-        for one in allowed
-        if one is not first and (most == math.inf or one.cost <= NEXT_TO_NOTHING or one.candidate.way == "Restart")
-    ]
+    most = math.inf if usage(requirements) == "High" else NEXT_TO_NOTHING
+    behind = [one for one in allowed if one is not first and one.cost <= most]
     behind.sort(key=lambda one: (lacks(requirements, one.candidate.way), one.speed))
     chosen = (first, *behind)
     return Order(
@@ -160,6 +157,6 @@ def _first(requirements: Requirements, allowed: list[Judged]) -> Judged:
     least = min(lacks(requirements, one.candidate.way) for one in allowed)
     known = [one for one in allowed if lacks(requirements, one.candidate.way) == least]
     enough = [one for one in known if one.seconds.value <= soon(requirements)]
-    if enough and spent(requirements) < math.inf:
+    if enough and usage(requirements) != "High":
         return min(enough, key=lambda one: one.thrift)
     return min(known, key=lambda one: one.speed)

@@ -35,7 +35,7 @@ def draw(file: str, found: Recommendation) -> None:
     within, most = soon(order.requirements), spent(order.requirements)
     axes.fill_between(
         [-0.06 * right, min(most, right)], bottom, min(within, top), color=_ALLOWED, alpha=0.10, linewidth=0,
-        label="soon enough, and no more than may be spent",
+        label="soon enough, and cheap enough",
     )  # fmt: skip
     for one in every:
         _mark(axes, order, one, below=_crowded(one, every), left=one.cost > 0.6 * right)

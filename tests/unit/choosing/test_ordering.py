@@ -12,7 +12,7 @@ from tests.unit.choosing.given import LEVELS, WAYS, figures, levels, pools, requ
 from understudy.api.requirements import Requirements
 from understudy.choosing.explaining import in_short, reason, unmet
 from understudy.choosing.figures import Figure, Figures
-from understudy.choosing.ordering import SPENT, Candidate, Order, ordered, spent
+from understudy.choosing.ordering import NEXT_TO_NOTHING, Candidate, Order, ordered, usage
 
 HOT = Candidate("Executing", "hot", 1)
 WARM = Candidate("Initialized", "warm", 1)
@@ -84,8 +84,12 @@ def test_a_more_critical_task_never_gives_a_slower_first_strategy(asked, offered
 @given(requirements, pools, figures)
 def test_no_strategy_costs_more_than_may_be_spent(asked, offered, known):
     found = ordered(asked, offered, known)
-    assert all(one.cost <= spent(asked) for one in found.chosen)
-    assert all(one.cost <= SPENT["Low"] for one in found.chosen[1:]) or spent(asked) > 1
+    if usage(asked) == "Low":
+        assert all(one.cost <= NEXT_TO_NOTHING for one in found.chosen)
+    if usage(asked) == "Medium":
+        assert all(one.cost <= NEXT_TO_NOTHING for one in found.chosen[1:])
+    if usage(asked) == "High":
+        assert len(found.chosen) == len(offered) + 1
 
 
 @tried
@@ -143,15 +147,23 @@ def test_by_default_the_cheapest_that_only_stops_for_a_moment():
     assert short(*ALL) == "Initialized (warm), Uninitialized (spare), Restart"
 
 
+def test_high_availability_gets_the_one_standby_that_it_takes():
+    assert short(*ALL, availability="High") == "Executing (hot), Uninitialized (spare), Restart"
+
+
 def test_high_availability_has_to_be_paid_for():
-    assert short(*ALL, availability="High", resource_usage="High").startswith("Executing (hot), Initialized")
-    found = order(*ALL, availability="High")
-    assert in_short(found) == "Initialized (warm), Uninitialized (spare), Restart"
+    found = order(*ALL, availability="High", resource_usage="Low")
+    assert in_short(found) == "Uninitialized (spare), Restart"
     (told,) = unmet(found)
     assert told == (
-        "availability High asks for 500 ms, and Initialized (warm), the soonest that may go first, needs 830 ms (published): "
+        "availability High asks for 500 ms, and Uninitialized (spare), the soonest that may go first, needs 3.96 s (published): "
         "Executing (hot) would be, with a higher resourceUsage"
     )
+
+
+def test_all_that_there_is_is_kept_where_resources_are_no_object():
+    found = short(*ALL, availability="Low", resource_usage="High")
+    assert found == "Executing (hot), Initialized (warm), Uninitialized (spare), Restart"
 
 
 def test_safety_high_wants_safe_commands_too():
@@ -161,9 +173,9 @@ def test_safety_high_wants_safe_commands_too():
     ]
 
 
-@pytest.mark.parametrize(("standbys", "expected"), [(1, "Initialized (warm)"), (2, "Restart")])
+@pytest.mark.parametrize(("standbys", "expected"), [(1, "Initialized (warm)"), (2, "Executing (hot)")])
 def test_two_standbys_cost_twice_as_much(standbys, expected):
-    found = order(Candidate("Initialized", "warm", standbys))
+    found = order(Candidate("Initialized", "warm", standbys), HOT)
     assert in_short(found).split(", ")[0] == expected
 
 
@@ -178,7 +190,7 @@ def test_what_was_measured_goes_before_what_is_published():
 def test_the_reason_says_what_was_asked_for_and_what_was_left_out():
     assert reason(order(*ALL)) == (
         "Initialized (warm), Uninitialized (spare), Restart. Asked for: a recovery within 2 s of the detection (availability Medium), "
-        "with standbys that take at most 0.75 of a working instance's CPU (resourceUsage Medium). Initialized (warm) is the cheapest "
-        "that is soon enough (830 ms, published). Left out: Executing (hot) would take 0.96 of a working instance's CPU, and "
-        "resourceUsage Medium allows 0.75."
+        "with no more standbys than that takes (resourceUsage Medium). Initialized (warm) is the cheapest that is soon enough (830 ms, "
+        "published). Left out: Executing (hot) would take 0.96 of a working instance's CPU, and behind the first one come only those "
+        "that take 0.1 at most."
     )
