@@ -20,6 +20,9 @@ PROGRESSING = frozenset(
 )
 """Reasons that are in order while something is being built: no Event when they come first."""
 
+CHOSEN = "StrategiesChosen"
+"""The condition that says which order was chosen and why, of workloads whose policy leaves that."""
+
 
 def status(
     observed: Observed, understanding: Understanding, problems: Sequence[Problem], resized: Condition | None = None
@@ -119,9 +122,10 @@ def takes_from(strategies: str, pool: str) -> bool:
 
 
 def _chosen(observed: Observed, understanding: Understanding) -> list[Condition]:
-    """Which order was chosen and why, where the policy leaves it."""
-    if understanding.spec is None:
-        return []
+    """Which order was chosen and why, where the policy leaves it; what was said last while the policy can't be followed."""
+    if understanding.spec is None or understanding.policy_problem is not None:
+        live = (observed.workload.get("status") or {}).get("conditions") or []
+        return [Condition.model_validate(one) for one in live if one["type"] == CHOSEN]
     order = workloads.order(observed)
     if order is None:
         return []
@@ -130,7 +134,7 @@ def _chosen(observed: Observed, understanding: Understanding) -> list[Condition]
         told += f" Until the recovery that is under way is over, the order stays {present}."
     met = not explaining.unmet(order)
     why = "Chosen" if met else "RequirementsNotMet"
-    return [condition("StrategiesChosen", met, why, told, generation=objects.generation(observed.workload))]
+    return [condition(CHOSEN, met, why, told, generation=objects.generation(observed.workload))]
 
 
 @dataclass(frozen=True)

@@ -145,6 +145,7 @@ def test_while_the_policy_can_not_be_followed_the_order_and_the_standbys_stay() 
     made = world()
     made.build()
     made.pods.append(standby_pod("w-w", of=made.workload, pool="warm"))
+    made.workload["status"] = made.status()
     bad = auto(availability="Low")
     bad["spec"]["monitoring"] = {"yaml": {"topik": {}}}
     for others in ([bad], []):
@@ -152,6 +153,9 @@ def test_while_the_policy_can_not_be_followed_the_order_and_the_standbys_stay() 
         plan = made.plan()
         assert order(plan) == ["warm", "spare", "Restart"]
         assert "hot" not in pools_of(plan)
+        status = made.status()
+        assert status["strategies"] == "Initialized (warm), Uninitialized (spare), Restart"
+        assert made.condition("StrategiesChosen")["message"].startswith("Initialized (warm), ")
 
 
 def test_a_new_template_does_not_wait_for_a_standby_that_is_not_chosen() -> None:

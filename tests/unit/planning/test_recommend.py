@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 import yaml
 
+from tests.unit.controller import test_choosing as chosen
 from understudy.planning.recommend import CANT, DONE, NOT_MET, main
 
 WORKLOAD = """\
@@ -223,6 +224,14 @@ def test_strategies_that_are_written_out_stand_beside_what_would_be_chosen(file,
         "policy     has its strategies written out: Executing, Restart, and states no requirements: the defaults were taken"
         in capsys.readouterr().out
     )
+
+
+@pytest.mark.parametrize("levels", [{}, {"availability": "Low"}, {"taskCriticality": "High"}, {"safety": "Medium"}])
+def test_what_is_recommended_is_what_the_operator_then_chooses(file, capsys, levels):
+    status = {"recoveries": [recovery("Fallback/Initialized", seconds) for seconds in (0.4, 0.5, 2.5)]}
+    made = chosen.world(chosen.auto(**levels), status=status)
+    (found,) = answered(capsys, file(yaml.safe_dump_all([made.workload, *made.others])))
+    assert order(found) == chosen.order(made.plan())
 
 
 @pytest.mark.parametrize("form", ["png", "svg"])
