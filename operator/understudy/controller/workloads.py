@@ -188,7 +188,8 @@ def strategies(observed: Observed) -> list[Strategy]:
 def _chosen(observed: Observed) -> list[Strategy] | None:
     """The strategies that were chosen for the workload; None where its policy says them.
 
-    Those that it has stay while its policy can't be followed, and in the midst of a recovery.
+    Those that it has stay while its policy can't be followed, and in the midst of a recovery, which goes by places in the order. Between
+    two recoveries that failed they don't: what was changed may be what helps.
     """
     policy = _policy(observed)
     if policy is not None and not choosing.is_auto(policy):
@@ -196,7 +197,8 @@ def _chosen(observed: Observed) -> list[Strategy] | None:
     settings = _present_settings(observed)
     present = settings.strategies if settings is not None else None
     found = order(observed)
-    if policy is None or found is None or (present and observed.recovering):
+    health = (observed.workload.get("status") or {}).get("health")
+    if policy is None or found is None or (present and health == "Recovering"):
         return present
     return choosing.strategies(policy, found)
 

@@ -141,6 +141,16 @@ def test_in_the_midst_of_a_recovery_the_order_stays() -> None:
     assert said.endswith("over, the order stays Initialized (warm), Uninitialized (spare), Restart.")
 
 
+def test_after_a_recovery_that_failed_a_pool_that_was_added_is_chosen_from() -> None:
+    made = world(auto(), spare())
+    made.build()
+    made.own(gate(made.workload, epoch=4))
+    made.workload["status"] = {"health": "Failed"}
+    assert made.observed().recovering, "nobody is in control"
+    made.others.append(warm())
+    assert order(made.plan()) == ["warm", "spare", "Restart"]
+
+
 def test_while_the_policy_can_not_be_followed_the_order_and_the_standbys_stay() -> None:
     made = world()
     made.build()
