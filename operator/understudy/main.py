@@ -2,8 +2,8 @@
 
 ``understudy check`` validates manifests without a cluster, ``understudy status`` shows the robots of one, ``understudy
 timeline`` their recoveries, ``understudy explain`` why one is as it is, ``understudy tree`` a workload's live health tree,
-``understudy tracker`` watches robots by a camera, ``understudy size`` says how many fallbacks a fleet needs. What tries a
-policy without a cluster is in ``understudy.trying``.
+``understudy tracker`` watches robots by a camera, ``understudy size`` says how many fallbacks a fleet needs, ``understudy
+recommend`` which strategies. What tries a policy without a cluster is in ``understudy.trying``.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ _PARTS = {
     "explain": "understudy.console.explain",
     "tracker": "understudy.tracker.running",
     "size": "understudy.planning.size",
+    "recommend": "understudy.planning.recommend",
 }
 
 

@@ -227,6 +227,7 @@ def test_printed_columns(cluster: Cluster, make) -> None:
                 "health": "Healthy",
                 "standby": "Executing (1/1)",
                 "strategy": "Executing",
+                "strategies": "Executing (hot), Restart",
                 "recoveryCount": 3,
                 "lastRecoveryTime": workload["metadata"]["creationTimestamp"],
                 "kept": "/amcl_pose, /map",
@@ -250,6 +251,7 @@ def test_printed_columns(cluster: Cluster, make) -> None:
     assert rows[1][:6] == ["robot-17", "robot-17-7k2xq", "Healthy", "Executing (1/1)", "Executing", "3"]
     assert rows[1][6].endswith("s")
     wide = dict(zip(*_table(cluster.kubectl("get", "rw", "--namespace", namespace, "-o", "wide"))[:2], strict=True))
+    assert wide["ORDER"] == "Executing (hot), Restart"
     assert wide["KEPT"] == "/amcl_pose, /map"
     assert wide["TAKEN"].endswith("s")
     rows = _table(cluster.kubectl("get", "fp", "--namespace", namespace))

@@ -1001,3 +1001,54 @@ def test_a_pool_without_standbys_has_one_while_the_workload_is_degraded(fleet: F
     say_degraded(fleet, False)
     until(lambda: not fleet.pods(f"{names.WORKLOAD}=w,{names.POOL}=hot"), "it to go")
     assert fleet.condition("RobotWorkload", "w", "Protected")["status"] == "True"
+
+
+# -- strategies that are left to be chosen ------------------------------------------------------------------------------
+
+
+def requiring(**requirements: str) -> Object:
+    made = policy("Restart")
+    made["spec"]["strategies"] = [{"type": "Auto"}]
+    made["spec"]["requirements"] = requirements
+    return made
+
+
+def chosen(fleet: Fleet) -> list[str]:
+    """What the monitor is told: the pools of the strategies, and Restart."""
+    settings = json.loads(fleet.get("ConfigMap", names.settings("w"), CORE)["data"]["settings.json"])
+    return [one.get("poolRef", {}).get("name", one["type"]) for one in settings["strategies"]]
+
+
+def test_what_is_required_decides_which_standbys_are_kept(fleet: Fleet, operator: Operator) -> None:
+    fleet.create(requiring(taskCriticality="High"), hot(), spare(), workload())
+    fleet.wait_built()
+    until(lambda: fleet.pods(f"{names.WORKLOAD}=w,{names.POOL}=hot"), "a standby")
+    said = fleet.wait_condition("RobotWorkload", "w", "StrategiesChosen", "Chosen", "True")
+    assert said["message"].startswith(
+        "Executing (hot), Uninitialized (spare), Restart. Asked for: a recovery within 500 ms"
+    )
+    assert chosen(fleet) == ["hot", "spare", "Restart"]
+    assert fleet.get("FailurePolicy", "policy")["status"]["strategies"] == "Auto"
+    fleet.cluster.patch(
+        fleet.get("FailurePolicy", "policy"),
+        {"spec": {"requirements": {"taskCriticality": "Low", "availability": "Low"}}},
+    )
+    until(lambda: not fleet.pods(f"{names.WORKLOAD}=w,{names.POOL}=hot"), "the standby to go")
+    until(lambda: chosen(fleet) == ["spare", "Restart"], "the monitor to be told")
+    until(
+        lambda: fleet.get("RobotWorkload", "w")["status"]["strategies"] == "Uninitialized (spare), Restart",
+        "it to be said",
+    )
+    until(lambda: fleet.get("FallbackPool", "hot")["status"]["desired"] == 0, "the pool to want none")
+    assert fleet.settled() == fleet.settled(), "and that is done once"
+    fleet.cluster.patch(fleet.get("FailurePolicy", "policy"), {"spec": {"strategies": [{"type": "Restart"}]}})
+    until(lambda: not fleet.condition("RobotWorkload", "w", "StrategiesChosen"), "nothing to be said of it any more")
+
+
+def test_a_pool_that_comes_later_is_chosen_from(fleet: Fleet, operator: Operator) -> None:
+    fleet.create(requiring(availability="High", resourceUsage="High"), workload())
+    said = fleet.wait_condition("RobotWorkload", "w", "StrategiesChosen", "RequirementsNotMet")
+    assert "Not met: availability High asks for 500 ms, and Restart" in said["message"]
+    fleet.create(hot())
+    fleet.wait_condition("RobotWorkload", "w", "StrategiesChosen", "Chosen", "True")
+    until(lambda: chosen(fleet) == ["hot", "Restart"], "the monitor to be told")

@@ -78,6 +78,7 @@ KINDS = (
             Column("Strategy", ".status.strategy", "The strategy that would be used if it failed now."),
             Column("Recoveries", ".status.recoveryCount", "Recoveries since it was created.", "integer"),
             Column("Last", ".status.lastRecoveryTime", "Time since the last recovery.", "date"),
+            Column("Order", ".status.strategies", "The strategies in order, with their pools.", wide=True),
             Column("Kept", ".status.kept", "What is kept of a healthy instance.", wide=True),
             Column("Taken", ".status.state[0].takenAt", "How old the first of it is.", "date", wide=True),
             AGE,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal, Self, get_args
 
 from pydantic import Field, model_validator
@@ -20,6 +20,7 @@ from understudy.api.base import (
 from understudy.api.conditions import Condition
 from understudy.api.degraded import Degraded
 from understudy.api.procedures import Procedure
+from understudy.api.requirements import Requirements
 from understudy.api.rosnames import RosName
 from understudy.api.states import State
 from understudy.api.written import Form, Written, short_form, text
@@ -132,6 +133,11 @@ class Strategy(Model):
                 ".poolRef",
             ),
             (
+                "self.type != 'Auto' || !has(self.recovery)",
+                "recovery is not for Auto, which may come to any strategy: give the workload a bringUp, or write the strategies out",
+                ".recovery",
+            ),
+            (
                 f"!self.verifyWithin.matches(r'{DURATION_PATTERN}') || duration(self.verifyWithin) >= duration('100ms')",
                 "verifyWithin is at least 100ms",
                 ".verifyWithin",
@@ -144,8 +150,9 @@ class Strategy(Model):
         )
     }
 
-    type: Literal["Fallback", "Restart"] = Field(
-        description="Fallback: an understudy from a pool takes over. Restart: the pod is deleted and a new one starts."
+    type: Literal["Fallback", "Restart", "Auto"] = Field(
+        description="Fallback: an understudy from a pool takes over. Restart: the pod is deleted and a new one starts. Auto, alone: "
+        "Fallbacks from the pools that serve the workload, and Restart, in an order that spec.requirements ask for. See docs/choosing.md."
     )
     pool_ref: LocalReference | None = Field(
         default=None, description="The FallbackPool that the understudy comes from."
@@ -235,6 +242,16 @@ class FailurePolicySpec(Model):
                 "prewarm names a pool that no strategy takes an instance from: name one that a Fallback strategy names",
                 ".degraded.actions",
             ),
+            (
+                "self.strategies.all(s, s.type != 'Auto') || size(self.strategies) == 1",
+                "Auto comes to a whole order: let it stand alone, or write all strategies out",
+                ".strategies",
+            ),
+            (
+                "self.strategies.all(s, s.type != 'Auto') || has(self.requirements)",
+                "required for a strategy of type Auto, which goes by them",
+                ".requirements",
+            ),
         )
     }
 
@@ -243,6 +260,11 @@ class FailurePolicySpec(Model):
         min_length=1,
         max_length=8,
         description="Tried in order; the next one when one isn't available or doesn't verify in its time.",
+    )
+    requirements: Requirements | None = Field(
+        default=None,
+        description="What the order of strategies is chosen by where they are Auto. Where they are written out, only understudy recommend "
+        "goes by it.",
     )
     degraded: Degraded | None = Field(
         default=None,
@@ -260,6 +282,11 @@ class FailurePolicySpec(Model):
     safety: Safety | None = Field(
         default=None, description="What the robot is told while no instance is verified to be in control."
     )
+
+    @property
+    def auto(self) -> bool:
+        """Whether its strategies are left to be chosen."""
+        return any(strategy.type == "Auto" for strategy in self.strategies)
 
 
 class TreeInForce(Model):
@@ -305,3 +332,13 @@ def in_force(spec: FailurePolicySpec, status: Mapping[str, Any] | None) -> Failu
         return None
     monitoring = spec.monitoring.model_copy(update={"config_map_key_ref": None, **found})
     return spec.model_copy(update={"monitoring": monitoring})
+
+
+def following(spec: FailurePolicySpec, chosen: Sequence[Strategy] | None) -> FailurePolicySpec | None:
+    """The policy with strategies that can be carried out: those ``chosen`` for a workload where it leaves that.
+
+    None where they aren't chosen yet.
+    """
+    if not spec.auto:
+        return spec
+    return spec.model_copy(update={"strategies": list(chosen)}) if chosen else None

@@ -8,6 +8,7 @@ from __future__ import annotations
 from pydantic import Field
 
 from understudy.api.base import Model
+from understudy.api.policies import Strategy
 from understudy.api.pools import Readiness
 from understudy.api.procedures import Check, Procedure
 
@@ -54,4 +55,7 @@ class WorkloadSettings(Model):
     )
     pools: list[PoolChoice] = Field(
         default_factory=list, description="Pools named by the policy that serve this workload."
+    )
+    strategies: list[Strategy] | None = Field(
+        default=None, description="The strategies chosen for this workload, in order, where its policy has Auto."
     )

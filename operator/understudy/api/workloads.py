@@ -364,6 +364,11 @@ class RobotWorkloadStatus(Model):
         default=None, description="Readiness of the standby, and how many of how many are ready."
     )
     strategy: str | None = Field(default=None, description="The strategy that would be used if it failed now.")
+    strategies: str | None = Field(
+        default=None,
+        description="The strategies in short, in order, with their pools. Why in this order, where they were chosen, the condition "
+        "StrategiesChosen says.",
+    )
     recovery_count: int | None = Field(default=None, description="Recoveries since it was created.")
     last_recovery_time: Time | None = Field(default=None, description="When the last recovery ended.")
     gate: GateStatus | None = Field(default=None, description="Who may reach the robot.")
@@ -389,9 +394,11 @@ class RobotWorkloadStatus(Model):
     conditions: list[Condition] | None = Field(
         default=None,
         description="Accepted: spec and policy can be followed. Reconciled: everything was built. Protected: the first strategy could "
-        "take over now. Monitored: every topic of the health tree is watched. Healthy: the tree holds. Degraded: it holds, and that of "
-        "spec.degraded doesn't. Resized: the pod in control has what the policy gives it then. GateEnforced: packets show that "
-        "only the pod in control gets through. Recovering: a failure is being dealt with. BroughtUp: bringUp and initializations have "
+        "take over now. StrategiesChosen, where the policy has Auto: which order was chosen, and why; False where it doesn't give what "
+        "spec.requirements of the policy ask for. Monitored: every topic of the health tree is watched. Healthy: the tree holds. "
+        "Degraded: it holds, and that of spec.degraded doesn't. Resized: the pod in control has what the policy gives it then. "
+        "GateEnforced: packets show that only the pod in control gets through. Recovering: a failure is being dealt with. BroughtUp: "
+        "bringUp and initializations have "
         "succeeded on every instance. Reflex: a standby is let through, so that the "
         "robot's readers can fall over to it. StateKept: all that the policy keeps is kept. StateRestored: the last instance that took "
         "over was given all of it.",

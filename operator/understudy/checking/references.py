@@ -7,7 +7,8 @@ from typing import Any
 
 from understudy.checking.documents import Manifest
 from understudy.checking.findings import Finding
-from understudy.controller import objects, selectors
+from understudy.choosing import explaining
+from understudy.controller import choosing, objects, selectors
 from understudy.controller.policies import shared, unshared
 
 _MOST_SHOWN = 5
@@ -22,6 +23,7 @@ def check(manifests: Sequence[Manifest]) -> Iterator[Finding]:
     for workload in workloads:
         yield from _names(workload, "spec.failurePolicyRef.name", "FailurePolicy", policies)
         yield from _unserved(workload, policies, pools)
+        yield from _unmet(workload, policies, pools)
         yield from _never_idle(workload, policies)
     for policy in policies:
         for index, _ in enumerate(_list(_at(policy.data, "spec", "strategies"))):
@@ -78,6 +80,23 @@ def _unserved(workload: Manifest, policies: Sequence[Manifest], pools: Sequence[
                 f"({', '.join(sorted(named))}), so this workload has no standby; give it the labels that one of them selects"
             )
             yield workload.finding("metadata.labels", message, warning=True)
+
+
+def _unmet(workload: Manifest, policies: Sequence[Manifest], pools: Sequence[Manifest]) -> Iterator[Finding]:
+    """The pools that serve a workload must give what its policy requires, where that chooses from them."""
+    name = _field(workload.data, "spec.failurePolicyRef.name")
+    for policy in policies:
+        if policy.name != name or not workload.together(policy) or not choosing.is_auto(policy.data):
+            continue
+        serving = {pool.name: pool.data for pool in pools if workload.together(pool) and _serves(pool, workload)}
+        order = choosing.order(policy.data, workload.data, serving)
+        if order is None:
+            continue
+        # What the pools of these files don't give, another that is in the cluster may.
+        hint = "" if order.soon_enough and order.safe_enough else f". {_IN_THE_CLUSTER}"
+        for problem in explaining.unmet(order):
+            message = f"for RobotWorkload {workload.name} it comes to {explaining.in_short(order)}: {problem}{hint}"
+            yield policy.finding("spec.requirements", message, warning=True)
 
 
 def _never_idle(workload: Manifest, policies: Sequence[Manifest]) -> Iterator[Finding]:

@@ -89,7 +89,7 @@ class Unusable(Exception):
     """Something that was asked for can't be read."""
 
 
-def _contents(argument: str) -> Iterator[tuple[str, bytes]]:
+def contents(argument: str) -> Iterator[tuple[str, bytes]]:
     """The files that an argument stands for. Raises Unusable."""
     if argument == STANDARD_INPUT:
         yield "<stdin>", sys.stdin.buffer.read()
@@ -128,7 +128,7 @@ def main(arguments: list[str]) -> int:
     given = parser.parse_args(arguments)
     try:
         # What is named twice, as by a folder and a pattern, is read once.
-        files = dict(entry for argument in dict.fromkeys(given.files) for entry in _contents(argument))
+        files = dict(entry for argument in dict.fromkeys(given.files) for entry in contents(argument))
     except Unusable as error:
         print(f"understudy check: {error}", file=sys.stderr)
         return 2

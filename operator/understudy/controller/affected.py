@@ -20,7 +20,7 @@ from understudy.cluster.client import (
     Object,
     Resource,
 )
-from understudy.controller import healthtrees, objects, policies
+from understudy.controller import choosing, healthtrees, objects, policies
 from understudy.controller.stores import Sight, Store
 
 
@@ -53,6 +53,9 @@ def _keys(sight: Sight, store: Store) -> Iterator[Key]:
         yield Key(plural, namespace, objects.name(found))
         if _spec_changed(sight):
             yield from _after_spec(sight, store, namespace)
+        elif plural == WORKLOADS.plural and _chosen_anew(sight):
+            for name in store.in_namespace(POOLS, namespace):  # how many standbys it has of each
+                yield Key(POOLS.plural, namespace, name)
     elif plural == PODS.plural:
         yield from _after_pod(sight, store, namespace)
     elif plural == NETWORK_POLICIES.plural:
@@ -66,6 +69,10 @@ def _spec_changed(sight: Sight) -> bool:
         return True
     old, new = sight.old["metadata"], sight.new["metadata"]
     return any(old.get(key) != new.get(key) for key in ("uid", "generation", "labels", "deletionTimestamp"))
+
+
+def _chosen_anew(sight: Sight) -> bool:
+    return sight.old is not None and sight.new is not None and chosen(sight.old) != chosen(sight.new)
 
 
 def _after_spec(sight: Sight, store: Store, namespace: str) -> Iterator[Key]:
@@ -120,7 +127,7 @@ def _after_trees(config_map: Object, store: Store, namespace: str) -> Iterator[K
 
 def _pool_users(pool: str, store: Store, namespace: str) -> Iterator[Key]:
     for name, policy in store.in_namespace(POLICIES, namespace).items():
-        if pool in policies.named_pools(policy):
+        if choosing.is_auto(policy) or pool in policies.named_pools(policy):
             yield from users(name, store, namespace)
 
 
@@ -134,6 +141,12 @@ def users(policy: str, store: Store, namespace: str) -> Iterator[Key]:
 def used_policy(workload: Object) -> str:
     """The policy that a workload names."""
     found: str = ((workload.get("spec") or {}).get("failurePolicyRef") or {}).get("name", "")
+    return found
+
+
+def chosen(workload: Object) -> str:
+    """The strategies in force, in short, as a workload's status has them; empty where that says nothing yet."""
+    found: str = (workload.get("status") or {}).get("strategies") or ""
     return found
 
 

@@ -20,7 +20,7 @@ from understudy.cluster.client import (
     Object,
     Resource,
 )
-from understudy.controller import affected, levels, objects, pools, references, selectors, workloads
+from understudy.controller import affected, choosing, levels, objects, pools, references, selectors, statuses, workloads
 from understudy.controller.affected import Key
 from understudy.controller.expectations import Expectations
 from understudy.controller.stores import Store
@@ -147,7 +147,19 @@ class Observer:
                 and levels.prewarmed(workload, store.get(POLICIES, namespace, affected.used_policy(workload)), name)
                 for workload in found.values()
             ),
+            spared=sum(self._spared(item, workload) for workload in found.values()),
         )
+
+    def _spared(self, pool: Object, workload: Object) -> bool:
+        """Whether a workload that a pool serves has no standby of it, since other strategies were chosen for it.
+
+        By its status, in which that stands once it was chosen: a fleet's orders aren't thought over for every pod of a pool.
+        """
+        policy = self._store.get(POLICIES, pool["metadata"]["namespace"], affected.used_policy(workload))
+        if policy is None or not choosing.is_auto(policy) or not pools.serves(pool, workload):
+            return False
+        chosen = affected.chosen(workload)
+        return bool(chosen) and not statuses.takes_from(chosen, objects.name(pool))
 
     async def _source(
         self, item: Object, found: Mapping[str, Object]

@@ -135,11 +135,11 @@ def pool_spec(pool: Object) -> FallbackPoolSpec:
 
 
 def in_short(policy: Object, pools: Mapping[str, Object]) -> str:
-    """The strategies in order, such as ``Executing, Restart``."""
+    """The strategies in order, such as ``Executing, Restart``; ``Auto`` where they are chosen for each workload."""
     told = []
     for strategy in (policy.get("spec") or {}).get("strategies") or []:
-        if strategy.get("type") == "Restart":
-            told.append("Restart")
+        if strategy.get("type") in ("Restart", "Auto"):
+            told.append(strategy["type"])
             continue
         pool = (strategy.get("poolRef") or {}).get("name", "")
         told.append(readiness(pools[pool]) if pool in pools else f"Fallback/{pool}")

@@ -49,6 +49,8 @@ class Observed:
     """Workloads that are to have a standby more, since they are degraded."""
     waiting: Sequence[Waiter] = ()
     """The workloads that wait for a pod of it, who is served first before the others."""
+    spared: int = 0
+    """Workloads that it serves and that have no standby of it, since other strategies were chosen for them."""
 
 
 @dataclass(frozen=True)
@@ -233,7 +235,7 @@ def count(observed: Observed, spec: FallbackPoolSpec) -> Counts:
     served = sum(serves(observed.pool, workload) for workload in observed.workloads.values())
     return Counts(
         replicas=len(living),
-        desired=served * (spec.per_workload or 0) + observed.prewarmed,
+        desired=(served - observed.spared) * (spec.per_workload or 0) + observed.prewarmed,
         ready=sum(objects.ready(pod) for pod in waiting),
         claimed=len(driving),
     )

@@ -32,13 +32,14 @@ ABSENT = frozenset(
         "NoMatchingWorkload",
         "ReferenceNotFound",
         "TemplateSourceNotFound",
+        "RequirementsNotMet",
     }
 )
 """Reasons that say that another object is missing."""
 TOGETHER_SECONDS = 3.0
 """For so long after an object was created, what it lacks isn't told yet."""
 
-WITHDRAWN = frozenset({resizing.CONDITION})
+WITHDRAWN = frozenset({resizing.CONDITION, statuses.CHOSEN})
 """Conditions of ours that are there only while there is something to be said."""
 
 _RESOURCES = {resource.plural: resource for resource in (WORKLOADS, POLICIES, POOLS)}

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from understudy.api import names
 from understudy.api.conditions import Condition, condition, merged
 from understudy.api.policies import Strategy
+from understudy.choosing import explaining
 from understudy.cluster.client import Object
 from understudy.controller import levels, objects, policies, pools, workloads
 from understudy.controller.desired import Problem
@@ -30,6 +31,9 @@ PROGRESSING = frozenset(
 UNTOLD = frozenset({"Available"})
 """Conditions without Events: a pool that runs dry is told of by Ready, and by the monitors of those that wait."""
 
+CHOSEN = "StrategiesChosen"
+"""The condition that says which order was chosen and why, of workloads whose policy leaves that."""
+
 
 def status(
     observed: Observed, understanding: Understanding, problems: Sequence[Problem], resized: Condition | None = None
@@ -43,11 +47,13 @@ def status(
         _accepted(observed, understanding, problems),
         _reconciled(observed, understanding, problems),
         protected(observed, understanding),
+        *_chosen(observed, understanding),
         *([resized] if resized is not None else []),
     ]
     return {
         "observedGeneration": objects.generation(workload),
         "standby": standby(observed, understanding),
+        **_order(observed, understanding),
         "conditions": [c.to_wire() for c in conditions],
     }
 
@@ -105,6 +111,43 @@ def _reconciled(observed: Observed, understanding: Understanding, problems: Sequ
     if (found := _first_trouble(_instances(observed))) is not None:
         return no(found.reason, f"{found.message.rstrip('.')}. What runs stays as it is until its successor does.")
     return condition("Reconciled", True, "Reconciled", "Everything was built as it says.", generation=generation)
+
+
+def _order(observed: Observed, understanding: Understanding) -> Object:
+    """The strategies in force, in short; what was said last while the policy can't be followed."""
+    if understanding.spec is None or understanding.policy_problem is not None:
+        known = (observed.workload.get("status") or {}).get("strategies")
+        return {"strategies": known} if known else {}
+    return {"strategies": ", ".join(_short(observed, one) for one in workloads.strategies(observed))}
+
+
+def _short(observed: Observed, strategy: Strategy) -> str:
+    if strategy.pool_ref is None:
+        return strategy.type
+    name = strategy.pool_ref.name
+    pool = observed.pools.get(name)
+    return f"{policies.readiness(pool) if pool is not None else strategy.type} ({name})"
+
+
+def takes_from(strategies: str, pool: str) -> bool:
+    """Whether one of the strategies that a status has in short takes instances from a pool."""
+    return f"({pool})" in strategies
+
+
+def _chosen(observed: Observed, understanding: Understanding) -> list[Condition]:
+    """Which order was chosen and why, where the policy leaves it; what was said last while the policy can't be followed."""
+    if understanding.spec is None or understanding.policy_problem is not None:
+        live = (observed.workload.get("status") or {}).get("conditions") or []
+        return [Condition.model_validate(one) for one in live if one["type"] == CHOSEN]
+    order = workloads.order(observed)
+    if order is None:
+        return []
+    told, present = explaining.reason(order), _order(observed, understanding)["strategies"]
+    if present != explaining.in_short(order):
+        told += f" Until the recovery that is under way is over, the order stays {present}."
+    met = not explaining.unmet(order)
+    why = "Chosen" if met else "RequirementsNotMet"
+    return [condition(CHOSEN, met, why, told, generation=objects.generation(observed.workload))]
 
 
 @dataclass(frozen=True)
@@ -167,7 +210,7 @@ def _strategies(observed: Observed, understanding: Understanding) -> list[Strate
     if understanding.spec is None or understanding.policy_problem is not None:
         return []
     policy = observed.policies[understanding.spec.failure_policy_ref.name]
-    found = policies.spec(policy).strategies
+    found = workloads.strategies(observed)
     on_demand = levels.prewarms(policy)
     awake = [s for s in found if s.pool_ref is None or not _asleep(observed, s.pool_ref.name, on_demand)]
     return awake or found

@@ -14,8 +14,10 @@ from typing import Any
 from pydantic import ValidationError
 
 from understudy.api import names
+from understudy.api.policies import Strategy
 from understudy.api.settings import PoolChoice, WorkloadSettings
 from understudy.api.workloads import RobotWorkloadSpec
+from understudy.choosing.ordering import Order
 from understudy.cluster.client import (
     CONFIG_MAPS,
     DEPLOYMENTS,
@@ -31,6 +33,7 @@ from understudy.cluster.client import (
     Resource,
 )
 from understudy.controller import (
+    choosing,
     discovery,
     fleets,
     gates,
@@ -144,9 +147,65 @@ def standby_pools(observed: Observed) -> dict[str, Object]:
 
 def wanted(observed: Observed, pool: str) -> int:
     """How many standbys of a pool the workload is to have now."""
+    return _kept(observed, pool) + levels.prewarmed(observed.workload, _policy(observed), pool)
+
+
+def _kept(observed: Observed, pool: str) -> int:
+    """How many standbys of a pool the workload is to have always: none where others were chosen for it."""
+    chosen = _chosen(observed)
+    if chosen is not None and pool not in _named(chosen):
+        return 0
+    kept: int = observed.pools[pool]["spec"].get("perWorkload") or 0
+    return kept
+
+
+def _policy(observed: Observed) -> Object | None:
     name = ((observed.workload.get("spec") or {}).get("failurePolicyRef") or {}).get("name", "")
-    more = levels.prewarmed(observed.workload, observed.policies.get(name), pool)
-    return (observed.pools[pool]["spec"].get("perWorkload") or 0) + more
+    return observed.policies.get(name)
+
+
+def order(observed: Observed) -> Order | None:
+    """The order of strategies that the workload's policy comes to, where it leaves that and can be followed."""
+    policy = _policy(observed)
+    if policy is None or not choosing.is_auto(policy) or policies.problem(policy, observed.config_maps) is not None:
+        return None
+    # A pool that isn't accepted any more has still what it had: what counts on it goes on.
+    before = {choice.name for choice in _present_choices(observed)}
+    usable = {
+        name: pool for name, pool in serving(observed).items() if refused(observed, name) is None or name in before
+    }
+    return choosing.order(policy, observed.workload, usable)
+
+
+def strategies(observed: Observed) -> list[Strategy]:
+    """The strategies in force, in order. For a policy that can be followed."""
+    policy = _policy(observed)
+    assert policy is not None
+    chosen = _chosen(observed)
+    return policies.spec(policy).strategies if chosen is None else chosen
+
+
+def _chosen(observed: Observed) -> list[Strategy] | None:
+    """The strategies that were chosen for the workload; None where its policy says them.
+
+    Those that it has stay while its policy can't be followed, and in the midst of a recovery, which goes by places in the order. Between
+    two recoveries that failed they don't: what was changed may be what helps.
+    """
+    policy = _policy(observed)
+    if policy is not None and not choosing.is_auto(policy):
+        return None
+    settings = _present_settings(observed)
+    present = settings.strategies if settings is not None else None
+    found = order(observed)
+    health = (observed.workload.get("status") or {}).get("health")
+    if policy is None or found is None or (present and health == "Recovering"):
+        return present
+    return choosing.strategies(policy, found)
+
+
+def _named(strategies: Sequence[Strategy]) -> list[str]:
+    """The pools that strategies take instances from, in order."""
+    return list(dict.fromkeys(one.pool_ref.name for one in strategies if one.pool_ref is not None))
 
 
 def policy_problem(observed: Observed, spec: RobotWorkloadSpec) -> Problem | None:
@@ -357,6 +416,7 @@ def _settings(observed: Observed, understanding: Understanding, environment: Map
         instance_profiles=understanding.profiles,
         tasks_problem=tasking.problem(objects.name(workload), understanding.spec, understanding.template),
         pools=_choices(observed, understanding),
+        strategies=_chosen(observed),
     )
     # sorted and indented, since people read it when they look for why
     text = json.dumps(settings.to_wire(), indent=1, sort_keys=True)
@@ -369,15 +429,14 @@ def _settings(observed: Observed, understanding: Understanding, environment: Map
 
 
 def _choices(observed: Observed, understanding: Understanding) -> list[PoolChoice]:
-    """The pools that the policy names and that serve the workload. While the policy can't be followed, as they were."""
+    """The pools that the strategies name and that serve the workload. While the policy can't be followed, as they were."""
     assert understanding.spec is not None
     if understanding.policy_problem is not None:
         return _present_choices(observed)
-    policy = observed.policies[understanding.spec.failure_policy_ref.name]
     served = serving(observed)
     present = {choice.name: choice for choice in _present_choices(observed)}
     found = []
-    for name in dict.fromkeys(policies.named_pools(policy)):
+    for name in _named(strategies(observed)):
         if name not in served:
             continue
         if refused(observed, name) is not None:
@@ -402,12 +461,18 @@ def _choices(observed: Observed, understanding: Understanding) -> list[PoolChoic
 
 
 def _present_choices(observed: Observed) -> list[PoolChoice]:
+    present = _present_settings(observed)
+    return present.pools if present is not None else []
+
+
+def _present_settings(observed: Observed) -> WorkloadSettings | None:
+    """What the monitor was told last."""
     present = observed.owned.get(("configmaps", names.settings(objects.name(observed.workload))))
     text = ((present or {}).get("data") or {}).get("settings.json")
     try:
-        return WorkloadSettings.model_validate_json(text).pools if text else []
+        return WorkloadSettings.model_validate_json(text) if text else None
     except ValidationError:
-        return []
+        return None
 
 
 def _source(observed: Observed, understanding: Understanding) -> tuple[str, str]:
@@ -452,8 +517,8 @@ def waits_for_standby(observed: Observed, understanding: Understanding) -> str |
         return None
     pools_first = {
         name: instances.template_hash(understanding.builts[name])
-        for name, pool in standby_pools(observed).items()
-        if pool["spec"].get("perWorkload")
+        for name in standby_pools(observed)
+        if _kept(observed, name)
     }
     if not pools_first or any(
         objects.ready(pod) and pools_first.get(objects.labels(pod).get(names.POOL, "")) == fleets.hash_of(pod)

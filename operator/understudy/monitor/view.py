@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pydantic import ValidationError
 
 from understudy.api import names
-from understudy.api.policies import FailurePolicySpec, in_force
+from understudy.api.policies import FailurePolicySpec, following, in_force
 from understudy.api.procedures import Procedure
 from understudy.api.settings import WorkloadSettings
 from understudy.api.workloads import RobotWorkloadSpec
@@ -54,6 +54,7 @@ class View:
         self.source_pods: Reflector | None = None
         self._policy: FailurePolicySpec | None = None
         self._policy_version = ""
+        self._followed: tuple[FailurePolicySpec | None, WorkloadSettings | None, FailurePolicySpec | None] = (None,) * 3
         self._spec: tuple[int, RobotWorkloadSpec | None] = (-1, None)
         self._settings: tuple[int, WorkloadSettings | None] = (-1, None)
 
@@ -119,9 +120,25 @@ class View:
     def policy(self) -> FailurePolicySpec | None:
         """The policy in force: the one referred to, or, while that is missing or can't be followed, the last good one.
 
-        Where there was none before, one with a recovery that doesn't load is better than none: it is that strategy that
-        fails then, and not the watching.
+        Where it leaves its strategies to be chosen, it has those that the operator chose for this workload. Where there was none before,
+        one with a recovery that doesn't load is better than none: it is that strategy that fails then, and not the watching.
         """
+        given, settings = self._given_policy(), self.settings
+        if given is None or not given.auto:
+            self._followed = (given, settings, given)
+        elif self._followed[0] is not given or self._followed[1] is not settings:
+            before = self._followed[2]
+            found = following(given, settings.strategies if settings is not None else None)
+            if found is None:
+                _logger.error(
+                    "no strategies were chosen yet, keeping the last ones: see the condition StrategiesChosen"
+                )
+            # The same object as long as it says the same: who has followed it once needn't again.
+            self._followed = (given, settings, before if found is None or found == before else found)
+        return self._followed[2]
+
+    def _given_policy(self) -> FailurePolicySpec | None:
+        """The last good policy, as it was written."""
         spec = self.spec
         item = self.policies.items.get(spec.failure_policy_ref.name) if spec else None
         if item is not None and (version := item["metadata"]["uid"] + item["metadata"]["resourceVersion"]) != (

@@ -138,12 +138,16 @@ def test_conditions_are_a_map_by_type(kind: Kind) -> None:
     assert conditions["x-kubernetes-list-map-keys"] == ["type"]
 
 
-def test_what_is_kept_and_how_old_it_is_is_in_the_wide_columns() -> None:
+def test_the_order_and_what_is_kept_and_how_old_it_is_are_in_the_wide_columns() -> None:
     (version,) = definition(BY_NAME["RobotWorkload"])["spec"]["versions"]
     wide = {
         c["name"]: (c["jsonPath"], c["type"]) for c in version["additionalPrinterColumns"] if c.get("priority") == 1
     }
-    assert wide == {"Kept": (".status.kept", "string"), "Taken": (".status.state[0].takenAt", "date")}
+    assert wide == {
+        "Order": (".status.strategies", "string"),
+        "Kept": (".status.kept", "string"),
+        "Taken": (".status.state[0].takenAt", "date"),
+    }
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,8 @@ MANIFESTS = [yaml.safe_load(text) for text in (POLICY, WORKLOAD, POOL)]
 often = settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 _FIELDS = """apiVersion kind metadata name labels spec monitoring yaml xml strategies type topic outputs readiness template
-workloadSelector matchExpressions containers Restart 500ms /scan recovery bringUp items List poolRef failurePolicyRef"""
+workloadSelector matchExpressions containers Restart 500ms /scan recovery bringUp items List poolRef failurePolicyRef
+Auto requirements safety"""
 _WORDS = st.sampled_from([*_FIELDS.split(), *KINDS, *COMPOSITES, *CONDITIONS, *DECORATORS, *STEPS])
 _SCALARS = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8) | st.dates() | _WORDS
 _VALUES = st.recursive(

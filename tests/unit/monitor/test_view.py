@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+from understudy.api import names
 from understudy.monitor.view import View
 
 GOOD = {"yaml": {"set_lifecycle": {"node": "/nav", "state": "active"}}}
@@ -88,3 +90,54 @@ def test_a_bring_up_in_another_language_is_loaded_as_well(view: View) -> None:
     assert before is not None
     give_workload(view, bringUp={"osc": text.replace("set_", "get_")})
     assert view.spec == before
+
+
+AUTO = {"strategies": [{"type": "Auto"}], "requirements": {"availability": "High"}}
+
+
+def give_auto(view: View, version: str) -> None:
+    give_policy(view, version)
+    view.policies.items["p"]["spec"] |= AUTO
+
+
+def give_settings(view: View, *pools: str) -> None:
+    """What the operator chose: a fallback from each of these pools, and a restart."""
+    chosen = [*({"type": "Fallback", "poolRef": {"name": pool}} for pool in pools), {"type": "Restart"}]
+    said = {"workload": "w", "namespace": "n", "uid": "u", "sourceKind": "ReplicaSet", "sourceName": "w"}
+    text = json.dumps(said | {"strategies": chosen})
+    revision = getattr(view.settings_maps, "revision", 0) + 1
+    item = {"data": {"settings.json": text}}
+    view.settings_maps = SimpleNamespace(revision=revision, items={names.settings("w"): item})  # type: ignore[assignment]
+
+
+def pools(view: View) -> list[str]:
+    assert view.policy is not None
+    return [one.pool_ref.name for one in view.policy.strategies if one.pool_ref is not None]
+
+
+def test_strategies_that_are_left_to_be_chosen_are_those_that_the_operator_chose(view: View) -> None:
+    give_workload(view)
+    give_auto(view, "1")
+    assert view.policy is None, "nothing was chosen yet, and nothing was in force before"
+    give_settings(view, "hot", "spare")
+    assert pools(view) == ["hot", "spare"]
+    assert view.policy is not None
+    assert [one.type for one in view.policy.strategies] == ["Fallback", "Fallback", "Restart"]
+    before = view.policy
+    give_settings(view, "hot", "spare")
+    assert view.policy is before, "told again"
+    give_settings(view, "spare")
+    assert pools(view) == ["spare"]
+
+
+def test_until_others_are_chosen_the_last_strategies_are_in_force(view: View) -> None:
+    give_workload(view)
+    give_policy(view, "1", verifyWithin="9s")
+    before = view.policy
+    assert before is not None
+    give_auto(view, "2")
+    assert view.policy == before
+    give_settings(view, "hot")
+    assert pools(view) == ["hot"]
+    give_policy(view, "3")
+    assert pools(view) == [], "and written out again"
