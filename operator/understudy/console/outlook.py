@@ -205,7 +205,8 @@ def _failing(known: Known) -> Iterator[_Entry]:
     for number, (strategy, means) in enumerate(considered, 1):
         head = f"{number}. {means.name}"
         if not means.available:
-            yield _Entry(f"{head} can't be carried out ({means.reason}): {means.message.rstrip('.')}.", "Failed")
+            waits = f" It would wait for a pod for up to {strategy.wait_for}." if strategy.wait_for else ""
+            yield _Entry(f"{head} can't be carried out ({means.reason}): {means.message.rstrip('.')}.{waits}", "Failed")
             continue
         ready = f": {means.message}" if means.message else ""
         if before is None:

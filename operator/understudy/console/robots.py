@@ -39,6 +39,8 @@ _ABOUT = {
     "GateEnforced": "gate not enforced",
     "BroughtUp": "not brought up",
     "Resized": "not resized",
+    "StrategiesChosen": "requirements not met",
+    "Available": "no pod is free",
     "Reflex": "no reflex",
     "StateKept": "state not kept",
     "StateRestored": "state not restored",
