@@ -16,7 +16,7 @@ from understudy_demo import robotview
 from understudy_demo.robotview import Motion, RobotLog
 
 from tests.e2e.kubectl import Kubectl, Object
-from tests.e2e.scenario import CONTAINER, SIGNAL, Robot, eventually
+from tests.e2e.scenario import CONTAINER, SIGNAL, Late, Robot, eventually
 
 MANIFESTS = Path(__file__).parents[2] / "examples" / "tracker" / "manifests"
 APPLICATION = "tracker_application"
@@ -98,7 +98,12 @@ class Supervised(Robot):
             "exec", "deployment/tracker", "--", "python3", "-c", LOOK, f"{within:g}", f"{FAST:g}", str(driving),
             str(int(again)), timeout=within + 60,
         )  # fmt: skip
-        return [Sighting(*entry) for entry in json.loads(said.splitlines()[-1])]
+        found = [Sighting(*entry) for entry in json.loads(said.splitlines()[-1])]
+        if (times := sum(sighting.forward > FAST for sighting in found)) < driving:
+            raise Late(
+                f"not within {within:g} s: the robot is seen to drive {driving} times, but {times}. {self.describe()}"
+            )
+        return found
 
     def wait_straight(self, within: float = 120.0) -> None:
         """Wait until the robot has just set out on the leg that is wholly in the picture."""

