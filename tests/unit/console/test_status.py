@@ -129,8 +129,7 @@ class Watching:
 
     def close(self) -> None:
         if self.process.poll() is None:
-            self.process.kill()
-            self.process.wait()
+            self.end()  # killed outright, it would leave behind the kubectl that watches for it
         os.close(self._reading)
 
 
