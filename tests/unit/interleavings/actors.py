@@ -1,0 +1,175 @@
+"""The monitors and the operator as processes that can be killed: their real code over the simulated network."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import random
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, cast
+
+import aiohttp
+
+from tests.unit.interleavings.network import Network, SimulatedClient
+from tests.unit.interleavings.robots import Robots
+from tests.unit.interleavings.scheduling import Killed, Process
+from tests.unit.interleavings.senses import Keeping, Probes, Sidecars, Sight
+from understudy.cluster.client import ApiError, Expired, Object, Resource
+from understudy.cluster.events import Recorder
+from understudy.controller import affected, handlers
+from understudy.controller.desired import Images
+from understudy.controller.executing import Executor
+from understudy.controller.expectations import Expectations
+from understudy.controller.observing import Observer
+from understudy.controller.operating import Operator
+from understudy.controller.pools import Fresh
+from understudy.controller.reconciling import Reconciler
+from understudy.controller.stores import Sight as Seen
+from understudy.controller.stores import Store
+from understudy.mitigation.journal import Journal
+from understudy.monitor.faults import CrashPoints
+from understudy.monitor.fleet import Fleet
+from understudy.monitor.gating import PolicyGate
+from understudy.monitor.reporting import Reporter
+from understudy.monitor.supervising import Parts, Supervisor
+from understudy.monitor.view import View
+
+NAMESPACE = "fleet"
+RESYNC = 30.0
+
+
+class Silent(Recorder):
+    """Events aren't what is looked at here."""
+
+    def __init__(self) -> None:
+        return
+
+    async def normal(self, item: Object, reason: str, message: str) -> None:
+        return
+
+    async def warning(self, item: Object, reason: str, message: str) -> None:
+        return
+
+
+class Fuse(CrashPoints):
+    """Kills its monitor at the crash point after so many."""
+
+    def __init__(self, process: Process, kill: Callable[[Process], None]) -> None:
+        self._process, self._kill = process, kill
+        self.left: int | None = None
+
+    def step(self, name: str) -> None:
+        if not self._process.alive:
+            raise Killed
+        if self.left is None:
+            return
+        self.left -= 1
+        if self.left < 0:
+            self._kill(self._process)
+            raise Killed
+
+
+class Monitor:
+    """One monitor of one workload, from its start to its end."""
+
+    def __init__(
+        self,
+        process: Process,
+        network: Network,
+        robots: Robots,
+        workload: str,
+        journal: Path,
+        kill: Callable[[Process], None],
+    ) -> None:
+        self.process, self.workload = process, workload
+        self._network, self._robots, self._journal = network, robots, journal
+        self.fuse = Fuse(process, kill)
+        self.supervisor: Supervisor | None = None
+        self.sidecars = Sidecars(robots, workload, self.fuse.step)
+
+    async def run(self) -> None:
+        """As ``understudy.monitor.running`` puts it together."""
+        client = self._network.client(self.process)
+        async with asyncio.TaskGroup() as group:
+            view = View(client, NAMESPACE, self.workload, on_pod=self.wake)
+            await view.run(group)
+            fleet = Fleet(client, view, self.fuse)
+            probes: Any = Probes(self._robots, self.workload)
+            gate = PolicyGate(client, view, fleet, probes, self.fuse)
+            reporter = Reporter(client, NAMESPACE, self.workload, Silent())
+            if (item := view.object) is not None:
+                reporter.adopt(item)
+            parts = Parts(
+                view=view,
+                fleet=fleet,
+                gate=gate,
+                sidecars=cast(Any, self.sidecars),
+                sight=cast(Any, Sight(self._robots, self.workload)),
+                probes=probes,
+                reporter=reporter,
+                journal=Journal(self._journal),
+                crash_points=self.fuse,
+                keeping=cast(Any, Keeping()),
+            )
+            self.supervisor = Supervisor(parts)
+            group.create_task(reporter.run())
+            await self.supervisor.run()
+
+    def wake(self) -> None:
+        """Have it look at once."""
+        if self.supervisor is not None:
+            self.supervisor.wake.set()
+
+
+class OperatorProcess:
+    """One operator, from its start to its end: what it expects is lost with it."""
+
+    def __init__(self, process: Process, network: Network, names: itertools.count[int], choices: random.Random) -> None:
+        self.process = process
+        self._network, self._choices = network, choices
+        client = network.client(process, timeout=20)
+        self._client: SimulatedClient = client
+        clock = network.loop.time
+        self._store, expectations = Store(clock=clock), Expectations(clock=clock)
+        reconciler = Reconciler(
+            client,
+            self._store,
+            Observer(client, self._store, expectations),
+            Executor(client, self._store, expectations, may_write=lambda: True),
+            Silent(),
+            Images("registry/understudy:1"),
+        )
+        reconciler._fresh = Fresh(name=lambda prefix: f"{prefix}-{next(names):04}", token=lambda: "token")
+        self._operator = Operator(client, self._store, reconciler, namespaces=[NAMESPACE], resync_every=RESYNC)
+        self._store.noticed = self._enqueue
+        self.silent: set[str] = set()
+        """Resources whose watch says nothing any more, without an error."""
+
+    def _enqueue(self, sight: Seen) -> None:
+        for key in sorted(affected.keys(sight, self._store)):  # a set's order differs from run to run
+            self._operator._add(key)
+
+    async def run(self) -> None:
+        """As ``understudy.controller.running`` puts it together, but for the lease."""
+        async with asyncio.TaskGroup() as group:
+            for resource in handlers.WATCHED:
+                group.create_task(self._watch(resource))
+            group.create_task(self._operator.keep_listing())
+            group.create_task(self._operator.lead())
+
+    async def _watch(self, resource: Resource) -> None:
+        """What kopf does for it."""
+        while True:
+            try:
+                answer = await self._client.list(resource, NAMESPACE)
+                for item in answer["items"]:
+                    self._operator.see(resource, item, False)
+                version = answer["metadata"]["resourceVersion"]
+                while True:
+                    async for kind, item in self._client.watch(resource, NAMESPACE, version=version):
+                        version = item["metadata"]["resourceVersion"]
+                        if resource.plural not in self.silent:
+                            self._operator.see(resource, item, kind == "DELETED")
+            except (ApiError, aiohttp.ClientError, TimeoutError, OSError, Expired):
+                await asyncio.sleep(self._choices.random() * 2)

@@ -1,0 +1,198 @@
+"""What must hold after every write and whenever what reaches a robot changes, and what must be so once all is calm."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+from tests.unit.interleavings.apiserver import ApiServer
+from tests.unit.interleavings.robots import Robots
+from understudy.api import names
+from understudy.cluster import gates
+from understudy.cluster.applying import controller_of
+from understudy.cluster.client import Object
+
+
+class Invariants:
+    """Looks at everything; what doesn't hold is told."""
+
+    def __init__(
+        self, server: ApiServer, robots: Robots, *, broken: Callable[[str], None], alive: Callable[[str], bool]
+    ) -> None:
+        """``alive`` tells whether the process of a name is."""
+        self._server, self._robots, self._broken, self._alive = server, robots, broken, alive
+        self._stragglers: set[str] = set()
+        """Pods that an operator had asked for and that came when it was gone: nobody could count with them."""
+        self.commits = self.claims = self.creations = 0
+
+    # -- at every write ---------------------------------------------------------------------------------------------
+
+    def see(self, plural: str, old: Object | None, new: Object | None, by: str) -> None:
+        """A write was made."""
+        if plural == "pods":
+            self._owners(old, new)
+            if old is None and new is not None and by.startswith("operator"):
+                self._created(new, by)
+            if by.startswith("operator") and old is not None and _claimed(old) and (new is None or _leaving(new)):
+                if not _leaving(old):
+                    self._broken(f"{by} deleted {_name(old)}, which is claimed")
+        elif plural == "networkpolicies" and new is not None and _name(new).endswith("-gate"):
+            self._gate(old, new)
+
+    def _owners(self, old: Object | None, new: Object | None) -> None:
+        """No pod has two owners, and a used understudy is never free again."""
+        if new is None:
+            return
+        controllers = [o for o in new["metadata"].get("ownerReferences") or [] if o.get("controller")]
+        if len(controllers) != 1:
+            self._broken(f"pod {_name(new)} has {len(controllers)} controllers")
+        if old is None:
+            return
+        before, after = _labels(old), _labels(new)
+        if names.HELD not in before and names.HELD in after:
+            self._broken(f"pod {_name(new)} was used and is free again")
+        was, now = (item["metadata"].get("annotations") or {} for item in (old, new))
+        if names.CLAIM not in was and names.CLAIM in now:
+            self.claims += 1
+        if names.CLAIM in was and was[names.CLAIM] != now.get(names.CLAIM):
+            self._broken(f"pod {_name(new)} was claimed by {was[names.CLAIM]} and then by {now.get(names.CLAIM)}")
+        if names.WORKLOAD in before and before[names.WORKLOAD] != after.get(names.WORKLOAD):
+            self._broken(f"pod {_name(new)} was of {before[names.WORKLOAD]} and then of {after.get(names.WORKLOAD)}")
+        if names.CLAIM in now and controllers and controllers[0]["name"] != after.get(names.WORKLOAD):
+            self._broken(f"pod {_name(new)} is owned by {controllers[0]['name']} and of {after.get(names.WORKLOAD)}")
+
+    def _gate(self, old: Object | None, new: Object) -> None:
+        """Each commit is of the next epoch, and lets exactly the pod through that it names."""
+        after = gates.read(new)
+        through = gates.selected(new)
+        if through != ((after.active,) if after.active else ()):
+            self._broken(f"{_name(new)} lets {through} through and names {after.active!r}")
+        if old is not None:
+            before = gates.read(old)
+            changed = (before.active_uid, gates.selected(old)) != (after.active_uid, through)
+            if after.epoch != before.epoch + changed and (changed or after.epoch != before.epoch + 1):
+                self._broken(f"{_name(new)} went from epoch {before.epoch} to {after.epoch}")
+            self.commits += changed
+        routed = self._routed(_name(new).removesuffix("-gate"), through)
+        if len(routed) > 1:
+            self._broken(f"{_name(new)} lets several through at once: {', '.join(routed)}")
+
+    def _routed(self, workload: str, through: tuple[str, ...]) -> list[str]:
+        found = []
+        for pod in self._server.items["pods"].values():
+            labels = _labels(pod)
+            if labels.get(names.WORKLOAD) == workload and labels.get(names.INSTANCE) in through:
+                found.append(_name(pod))
+        return found
+
+    def _created(self, pod: Object, by: str) -> None:
+        """A pool never gets more free pods than it is to have, nor a workload more standbys."""
+        self.creations += 1
+        if not self._alive(by):
+            self._stragglers.add(pod["metadata"]["uid"])
+        labels = _labels(pod)
+        pool, workload = labels[names.POOL], labels.get(names.WORKLOAD)
+        same = [
+            other
+            for other in self._server.items["pods"].values()
+            if _labels(other).get(names.POOL) == pool
+            and _labels(other).get(names.WORKLOAD) == workload
+            and not _claimed(other)
+            and _living(other)
+        ]
+        spec = self._server.items["fallbackpools"][(pod["metadata"]["namespace"], pool)]["spec"]
+        most = (spec.get("perWorkload") if workload else spec.get("replicas")) or 0
+        most += sum(other["metadata"]["uid"] in self._stragglers for other in same)
+        if len(same) > most:
+            whose = f"pool {pool}" + (f" has standbys of {workload}" if workload else " has free pods")
+            self._broken(f"{whose}, {len(same)} of them instead of {most}: {', '.join(map(_name, same))}")
+
+    # -- whenever what reaches a robot changes ----------------------------------------------------------------------
+
+    def routed(self, robot: str) -> None:
+        """No two pods reach a robot at once, but for what is left of one whose object is gone: no gate can hold that back."""
+        found = [r for r in self._robots.running.values() if r.robot == robot and r.through and r.exists]
+        if len(found) > 1:
+            self._broken(f"{robot} is driven by {' and '.join(r.name for r in found)} at once")
+
+    def started(self, workload: str, uid: str, place: tuple[str, str]) -> None:
+        """A monitor starts the processes of a pod: it must be the monitor's own."""
+        pod = self._server.get("pods", place)
+        if pod is not None and pod["metadata"]["uid"] == uid and _labels(pod).get(names.WORKLOAD) != workload:
+            self._broken(f"{workload} starts {place[1]}, which is of {_labels(pod).get(names.WORKLOAD, 'nobody')}")
+
+    # -- once all is calm -------------------------------------------------------------------------------------------
+
+    def unrest(self) -> list[str]:
+        """What isn't as it should be in the end; nothing where every robot is driven and every pod belongs somewhere."""
+        return [*self._undriven(), *self._unfilled(), *self._leaked()]
+
+    def _undriven(self) -> Iterator[str]:
+        for (namespace, workload), _ in sorted(self._server.items["robotworkloads"].items()):
+            gate = self._server.get("networkpolicies", (namespace, names.gate(workload)))
+            uid = gates.read(gate).active_uid if gate is not None else ""
+            found = self._robots.running.get(uid)
+            if found is None or not found.through:
+                yield f"{workload} isn't driven"
+
+    def _unfilled(self) -> Iterator[str]:
+        pods = self._server.items["pods"].values()
+        for (_, pool), item in sorted(self._server.items["fallbackpools"].items()):
+            mine = [pod for pod in pods if _labels(pod).get(names.POOL) == pool and _living(pod) and not _claimed(pod)]
+            spec = item["spec"]
+            if spec["readiness"] == "Uninitialized":
+                free = [pod for pod in mine if names.HELD in _labels(pod)]
+                if len(free) != spec["replicas"]:
+                    yield f"pool {pool} has {len(free)} free pods instead of {spec['replicas']}"
+                continue
+            for _, workload in sorted(self._server.items["robotworkloads"]):
+                standing = [pod for pod in mine if _labels(pod).get(names.WORKLOAD) == workload]
+                if len(standing) != spec["perWorkload"]:
+                    yield f"pool {pool} has {len(standing)} pods of {workload} instead of {spec['perWorkload']}"
+
+    def _leaked(self) -> Iterator[str]:
+        in_control = {
+            gates.read(policy).active_uid
+            for (_, name), policy in self._server.items["networkpolicies"].items()
+            if name.endswith("-gate")
+        }
+        for _, pod in sorted(self._server.items["pods"].items()):
+            owner = controller_of(pod)
+            if _leaving(pod):
+                yield f"pod {_name(pod)} is on its way out"
+            elif pod["metadata"]["uid"] in in_control or names.HELD in _labels(pod):
+                continue
+            elif _claimed(pod):
+                yield f"pod {_name(pod)} was claimed, isn't in control, and nobody deletes it"
+            elif owner is not None and owner["kind"] == "ReplicaSet":
+                if not self._standbys(pod):
+                    yield f"pod {_name(pod)} is neither in control nor a standby"
+        for uid, found in self._robots.running.items():
+            if not found.ended and not found.exists:
+                yield f"processes of {found.name} ({uid}) live on"
+
+    def _standbys(self, pod: Object) -> bool:
+        """Whether what the workload's own controller makes is a standby, or has ended and is only a record."""
+        pools = self._server.items["fallbackpools"].values()
+        ended = (pod.get("status") or {}).get("phase") in ("Failed", "Succeeded")
+        return ended or any(pool["spec"]["readiness"] != "Uninitialized" for pool in pools)
+
+
+def _name(item: Object) -> str:
+    found: str = item["metadata"]["name"]
+    return found
+
+
+def _labels(item: Object) -> dict[str, str]:
+    return item["metadata"].get("labels") or {}
+
+
+def _claimed(pod: Object) -> bool:
+    return names.CLAIM in (pod["metadata"].get("annotations") or {})
+
+
+def _leaving(pod: Object) -> bool:
+    return "deletionTimestamp" in pod["metadata"]
+
+
+def _living(pod: Object) -> bool:
+    return not _leaving(pod) and (pod.get("status") or {}).get("phase") not in ("Failed", "Succeeded")
