@@ -133,7 +133,10 @@ class SimulatedClient(Client):
             network.noted(f"{process}: {short}: {fate}")
 
         def answered(result: Object | ApiError | Exception) -> None:
-            if answer.done() or process in network.cut_off:
+            if answer.done():
+                return
+            if process in network.cut_off:
+                network.later(self._seconds, self._gave_up, answer, process=process)
                 return
             if isinstance(result, BaseException):
                 answer.set_exception(result)
