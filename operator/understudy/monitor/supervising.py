@@ -35,6 +35,7 @@ from understudy.monitor.faults import CrashPoints
 from understudy.monitor.fleet import Fleet
 from understudy.monitor.gating import PolicyGate
 from understudy.monitor.keeping import StateKeeping
+from understudy.monitor.leftovers import Leftovers
 from understudy.monitor.levels import Levels
 from understudy.monitor.looking import TICK, WAKE_LATE, Looks
 from understudy.monitor.reflexes import Reflexes
@@ -125,6 +126,7 @@ class Supervisor:
         self._safety = SafeCommands(parts.sight.graph, self._waited_since)
         self._levels = Levels(parts.sight, parts.reporter)
         self._bringing = Bringing(parts.fleet, parts.sidecars, parts.reporter)
+        self._leftovers = Leftovers(parts.fleet, parts.gate, parts.reporter)
         parts.sidecars.role = self._role
         self._reflexes = Reflexes(
             parts.view, parts.fleet, parts.gate, parts.sidecars, parts.sight, parts.probes, parts.reporter
@@ -383,6 +385,7 @@ class Supervisor:
             self._bringing.housekeeping(
                 instances, policy, spec, settings, active, lambda: self._keeping.select(time.time())
             )
+        self._leftovers.housekeeping(instances, time.monotonic())
         self._keeping.housekeeping(self._fleet.find(self._gate.state.active_uid), self._kept_up(instances, settings))
         active_uid = self._gate.state.active_uid
         last = {i.uid: found for i in instances if (found := self._parts.probes.last(i.uid)) is not None}

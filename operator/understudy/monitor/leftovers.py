@@ -1,0 +1,57 @@
+"""Deletes what recoveries that came to nothing have left: pods of a shared pool that were claimed and that nobody brings up.
+
+A claim may be carried out after its monitor has given it up, or has died together with its journal. Such a pod is of no
+use to anybody: it belongs to this workload, no recovery knows it, and no pool counts it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+from collections.abc import Sequence
+
+import aiohttp
+
+from understudy.cluster.client import ApiError
+from understudy.mitigation.interfaces import Instance
+from understudy.monitor.fleet import Fleet
+from understudy.monitor.gating import PolicyGate
+from understudy.monitor.reporting import Reporter
+
+_logger = logging.getLogger(__name__)
+
+LEFT_FOR = 30.0
+"""Seconds for which a claimed pod must not have been in control: another monitor of this workload may be bringing it up, while
+this one is about to be replaced by it.
+"""
+
+
+class Leftovers:
+    """Claimed pods of one workload that aren't in control."""
+
+    def __init__(self, fleet: Fleet, gate: PolicyGate, reporter: Reporter) -> None:
+        self._fleet, self._gate, self._reporter = fleet, gate, reporter
+        self._since: dict[str, float] = {}
+        self._deleting: asyncio.Task[None] | None = None
+
+    def housekeeping(self, instances: Sequence[Instance], now: float) -> None:
+        """Look at every instance while nothing is being recovered; ``now`` is by a clock that is never set. Returns at once."""
+        state = self._gate.state
+        in_use = (state.active_uid, state.admitted_uid)
+        left = [i for i in instances if i.claim and not i.terminating and i.uid not in in_use and not state.closed]
+        self._since = {i.uid: self._since.get(i.uid, now) for i in left}
+        due = [i for i in left if now - self._since[i.uid] >= LEFT_FOR]
+        if due and (self._deleting is None or self._deleting.done()):
+            self._deleting = asyncio.create_task(self._delete(due))
+
+    async def _delete(self, due: Sequence[Instance]) -> None:
+        for instance in due:
+            with contextlib.suppress(ApiError, aiohttp.ClientError, TimeoutError, OSError):
+                # What was seen of the gate may be old.
+                if await self._gate.lets_through(instance):
+                    continue
+                await self._fleet.retire(instance)
+                _logger.warning("%s was claimed and left behind: deleted", instance.name)
+                text = f"{instance.name} was claimed by a recovery that came to nothing: it is deleted"
+                self._reporter.event("Normal", "LeftoverDeleted", text)

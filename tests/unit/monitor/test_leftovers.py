@@ -1,0 +1,83 @@
+"""Claimed pods that nobody brings up are deleted, and no others."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import replace
+from typing import Any
+
+import aiohttp
+
+from understudy.mitigation.interfaces import GateState, Instance
+from understudy.monitor.leftovers import LEFT_FOR, Leftovers
+
+DRIVES = Instance(name="spare-1", uid="uid-1", pool="spare", running=True, claim="uid-w/1")
+LEFT = replace(DRIVES, name="spare-2", uid="uid-2", claim="uid-w/2")
+STANDBY = Instance(name="w-1", uid="uid-3", pool="hot", running=True)
+
+
+class Cluster:
+    """The fleet, the gate and the reporter in one."""
+
+    def __init__(self, **gate: str) -> None:
+        self.state = GateState(epoch=3, **{"active": "spare-1", "active_uid": "uid-1", **gate})  # type: ignore[arg-type]
+        self.named = "uid-1"
+        self.away = False
+        self.deleted: list[str] = []
+        self.events: list[str] = []
+
+    async def lets_through(self, instance: Instance) -> bool:
+        if self.away:
+            raise aiohttp.ClientConnectionError
+        return instance.uid == self.named
+
+    async def retire(self, instance: Instance) -> None:
+        self.deleted.append(instance.name)
+
+    def event(self, kind: str, reason: str, message: str) -> None:
+        self.events.append(reason)
+
+
+async def look(cluster: Any, *instances: Instance, seconds: float = LEFT_FOR, leftovers: Leftovers | None = None) -> None:
+    found = leftovers or Leftovers(cluster, cluster, cluster)
+    found.housekeeping(instances, 100.0)
+    found.housekeeping(instances, 100.0 + seconds)
+    for _ in range(5):
+        await asyncio.sleep(0)
+
+
+async def test_a_claimed_pod_that_is_not_in_control_for_long_is_deleted() -> None:
+    cluster = Cluster()
+    await look(cluster, DRIVES, LEFT, STANDBY)
+    assert cluster.deleted == ["spare-2"]
+    assert cluster.events == ["LeftoverDeleted"]
+
+
+async def test_one_that_may_be_about_to_drive_is_left_alone() -> None:
+    cluster = Cluster()
+    await look(cluster, DRIVES, LEFT, seconds=LEFT_FOR - 1)
+    assert not cluster.deleted
+
+
+async def test_while_the_gate_is_closed_somebody_may_be_at_it() -> None:
+    cluster = Cluster(active="", active_uid="")
+    await look(cluster, LEFT)
+    assert not cluster.deleted
+
+
+async def test_what_was_seen_of_the_gate_may_be_old() -> None:
+    cluster = Cluster()
+    cluster.named = "uid-2"  # another monitor has put it in control
+    await look(cluster, DRIVES, LEFT)
+    assert not cluster.deleted
+
+
+async def test_without_an_answer_it_is_tried_again() -> None:
+    cluster: Any = Cluster()
+    leftovers = Leftovers(cluster, cluster, cluster)
+    cluster.away = True
+    await look(cluster, DRIVES, LEFT, leftovers=leftovers)
+    assert not cluster.deleted
+    cluster.away = False
+    await look(cluster, DRIVES, LEFT, leftovers=leftovers)
+    assert cluster.deleted == ["spare-2"]
