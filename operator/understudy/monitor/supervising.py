@@ -116,6 +116,7 @@ class Supervisor:
         self._backoff = BACKOFF_FIRST
         self._given: tuple[object, ...] = ()
         self._next_slow = 0.0
+        self._next_asked = 0.0
         self._gate_changed = self._since
         self._let_through = ("", "")
         self._cooldown_told = False
@@ -344,6 +345,9 @@ class Supervisor:
         self._reporter.set(
             active="", health="Starting" if running else "Unknown", gate=GateStatus(epoch=self._gate.state.epoch)
         )
+        if not running:
+            await self._ask_for_one(now)
+            return
         ready = [i for i in running if not i.has_agent or self._sidecars.is_ready(i)[0]]
         # An application may need an answer of the robot before its outputs flow, and the workload's own pod comes before
         # a standby: but neither is waited for too long.
@@ -363,6 +367,18 @@ class Supervisor:
         _logger.info("gate opened for %s, epoch %d", first.name, self._gate.state.epoch)
         self._reporter.event("Normal", "InControl", f"{first.name} is in control, epoch {self._gate.state.epoch}")
         self._since = time.time()
+
+    async def _ask_for_one(self, now: float) -> None:
+        """No pod runs and no recovery is under way. The workload's own controller may have been told to run none, while a pod of
+        a shared pool drove: nobody else tells it otherwise while the gate is closed.
+        """
+        if now < self._next_asked:
+            return
+        self._next_asked = now + BACKOFF_FIRST
+        try:
+            await self._fleet.replace([])
+        except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
+            _logger.warning("no pod runs, and none can be asked for: %s", error)
 
     def _housekeeping(self) -> None:
         """What has time: labels on new pods, links to agents, whether the gate is enforced, what would be done now."""
