@@ -5,17 +5,19 @@ from __future__ import annotations
 import asyncio
 import itertools
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, cast
 
 import aiohttp
 
+from tests.unit.interleavings.apiserver import ApiServer
 from tests.unit.interleavings.network import Network, SimulatedClient
 from tests.unit.interleavings.robots import Robots
 from tests.unit.interleavings.scheduling import Killed, Process
 from tests.unit.interleavings.senses import Keeping, Probes, Sidecars, Sight
-from understudy.cluster.client import ApiError, Expired, Object, Resource
+from understudy.api import names
+from understudy.cluster.client import NETWORK_POLICIES, PODS, ApiError, Expired, Object, Resource
 from understudy.cluster.events import Recorder
 from understudy.controller import affected, handlers
 from understudy.controller.desired import Images
@@ -86,13 +88,14 @@ class Monitor:
         self._network, self._robots, self._journal = network, robots, journal
         self.fuse = Fuse(process, kill)
         self.supervisor: Supervisor | None = None
+        self._view: View | None = None
         self.sidecars = Sidecars(robots, workload, self.fuse.step)
 
     async def run(self) -> None:
         """As ``understudy.monitor.running`` puts it together."""
         client = self._network.client(self.process)
         async with asyncio.TaskGroup() as group:
-            view = View(client, NAMESPACE, self.workload, on_pod=self.wake)
+            view = self._view = View(client, NAMESPACE, self.workload, on_pod=self.wake)
             await view.run(group)
             fleet = Fleet(client, view, self.fuse)
             probes: Any = Probes(self._robots, self.workload)
@@ -116,16 +119,40 @@ class Monitor:
             group.create_task(reporter.run())
             await self.supervisor.run()
 
+    def mistaken(self, server: ApiServer) -> Iterator[str]:
+        """What it takes to be so of its pods and its gate, and isn't."""
+        view = self._view
+        if view is None:
+            return
+        pods = server.items["pods"].values()
+        for reflector, label, value in (
+            (view.pods, names.WORKLOAD, self.workload),
+            (view.held_pods, names.HELD, "true"),
+        ):
+            found = {p["metadata"]["name"]: p for p in pods if (p["metadata"].get("labels") or {}).get(label) == value}
+            yield from _differences(str(self.process), reflector.items, found)
+        gate = names.gate(self.workload)
+        policies = server.items["networkpolicies"]
+        found = {gate: policies[(NAMESPACE, gate)]} if (NAMESPACE, gate) in policies else {}
+        yield from _differences(str(self.process), view.gates.items, found)
+
     def wake(self) -> None:
         """Have it look at once."""
         if self.supervisor is not None:
             self.supervisor.wake.set()
 
 
+def _differences(who: str, known: Mapping[str, Object], found: Mapping[str, Object]) -> Iterator[str]:
+    for name in sorted(known.keys() | found.keys()):
+        mine, real = (side[name]["metadata"]["resourceVersion"] if name in side else "none" for side in (known, found))
+        if mine != real:
+            yield f"{who} knows version {mine} of {name}, and there is {real}"
+
+
 class OperatorProcess:
     """One operator, from its start to its end: what it expects is lost with it."""
 
-    def __init__(self, process: Process, network: Network, names: itertools.count[int], choices: random.Random) -> None:
+    def __init__(self, process: Process, network: Network, numbers: itertools.count[int], choices: random.Random) -> None:
         self.process = process
         self._network, self._choices = network, choices
         client = network.client(process, timeout=20)
@@ -140,7 +167,7 @@ class OperatorProcess:
             Silent(),
             Images("registry/understudy:1"),
         )
-        reconciler._fresh = Fresh(name=lambda prefix: f"{prefix}-{next(names):04}", token=lambda: "token")
+        reconciler._fresh = Fresh(name=lambda prefix: f"{prefix}-{next(numbers):04}", token=lambda: "token")
         self._operator = Operator(client, self._store, reconciler, namespaces=[NAMESPACE], resync_every=RESYNC)
         self._store.noticed = self._enqueue
         self.silent: set[str] = set()
@@ -149,6 +176,13 @@ class OperatorProcess:
     def _enqueue(self, sight: Seen) -> None:
         for key in sorted(affected.keys(sight, self._store)):  # a set's order differs from run to run
             self._operator._add(key)
+
+    def mistaken(self, server: ApiServer) -> Iterator[str]:
+        """What it takes to be so of pods and gates, and isn't."""
+        for resource in (PODS, NETWORK_POLICIES):
+            found = {name: item for (_, name), item in server.items[resource.plural].items()}
+            known = self._store.in_namespace(resource, NAMESPACE)
+            yield from _differences(str(self.process), known, found)
 
     async def run(self) -> None:
         """As ``understudy.controller.running`` puts it together, but for the lease."""

@@ -379,7 +379,7 @@ class Simulation:
         """Once it's calm, see whether all is well, and stays so."""
         if self._calm:
             calm_since = self.loop.time() if calm_since is None else calm_since
-            unrest = self.invariants.unrest()
+            unrest = [*self.invariants.unrest(), *self._mistaken()]
             well = well + 1 if not unrest else 0
             if well >= 3:
                 self._over = True
@@ -388,6 +388,13 @@ class Simulation:
                 self._broken(f"after {CALM:.0f} s of calm: {'; '.join(unrest)}")
                 return
         self.later(LOOK, self._look, well, calm_since)
+
+    def _mistaken(self) -> Iterator[str]:
+        """What processes take to be so, and isn't."""
+        for monitor in self.monitors:
+            yield from monitor.mistaken(self.server)
+        if self.operator is not None:
+            yield from self.operator.mistaken(self.server)
 
     def _create(self) -> None:
         scene = self.scene
