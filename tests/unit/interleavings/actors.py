@@ -83,8 +83,11 @@ class Monitor:
         workload: str,
         journal: Path,
         kill: Callable[[Process], None],
+        broken: Callable[[str], None],
     ) -> None:
+        """``kill`` kills a process; ``broken`` is called with what doesn't hold."""
         self.process, self.workload = process, workload
+        self._broken, self._epoch = broken, 0
         self._network, self._robots, self._journal = network, robots, journal
         self.fuse = Fuse(process, kill)
         self.supervisor: Supervisor | None = None
@@ -108,7 +111,7 @@ class Monitor:
                 fleet=fleet,
                 gate=gate,
                 sidecars=cast(Any, self.sidecars),
-                sight=cast(Any, Sight(self._robots, self.workload)),
+                sight=cast(Any, Sight(self._robots, self.workload, lambda: self._look(gate.state.epoch))),
                 probes=probes,
                 reporter=reporter,
                 journal=Journal(self._journal),
@@ -118,6 +121,12 @@ class Monitor:
             self.supervisor = Supervisor(parts)
             group.create_task(reporter.run())
             await self.supervisor.run()
+
+    def _look(self, epoch: int) -> None:
+        """What it knows of its gate never goes back."""
+        if epoch < self._epoch:
+            self._broken(f"{self.process} knew epoch {self._epoch} of its gate, and then {epoch}")
+        self._epoch = epoch
 
     def mistaken(self, server: ApiServer) -> Iterator[str]:
         """What it takes to be so of its pods and its gate, and isn't."""

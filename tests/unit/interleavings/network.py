@@ -195,7 +195,7 @@ class SimulatedClient(Client):
         while True:
             while at == len(history):
                 await network.wait(plural)
-            lag = network.choices.random() < network.weather.lag
+            last, lag = len(history), network.choices.random() < network.weather.lag
             await asyncio.sleep(network.delay() if not lag else network.choices.random() * 6)
             while self._process in network.cut_off:
                 await asyncio.sleep(1)
@@ -205,7 +205,8 @@ class SimulatedClient(Client):
                 if how is None:
                     return
                 raise how
-            last = len(history)  # what has come meanwhile comes with it
+            if network.choices.random() < 0.5:
+                last = len(history)  # what has come meanwhile comes with it
             while at < last:
                 event = history[at]
                 at += 1

@@ -32,8 +32,9 @@ class Sight:
     summary = "Watching what reaches the robot."
     addresses: Mapping[str, str] = {}
 
-    def __init__(self, robots: Robots, workload: str) -> None:
-        self._robots, self._workload = robots, workload
+    def __init__(self, robots: Robots, workload: str, looked: Callable[[], None]) -> None:
+        """``looked`` is called with every look of the monitor."""
+        self._robots, self._workload, self._looked = robots, workload, looked
         self._active = ""
 
     def _named(self, name: str) -> Running | None:
@@ -45,6 +46,7 @@ class Sight:
 
     def drain(self, instances: Sequence[Instance], active: str) -> None:
         self._active = active
+        self._looked()
 
     def _last(self, found: Running | None) -> float | None:
         if found is None or (not found.through and found.through_last < 0):

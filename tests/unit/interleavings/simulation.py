@@ -176,7 +176,7 @@ class Simulation:
         """A new monitor; the journal is of the node where it runs."""
         process = self.loop.process(f"monitor-{next(self._incarnations)} of {workload}")
         file = self._folder / f"{self.outcome.seed}-{workload}-{journal}.json"
-        monitor = Monitor(process, self.network, self.robots, workload, file, self.kill)
+        monitor = Monitor(process, self.network, self.robots, workload, file, self.kill, self._broken)
         monitor.sidecars.started = lambda instance: self.invariants.started(
             workload, instance.uid, (NAMESPACE, instance.name)
         )
