@@ -10,6 +10,11 @@ from understudy.api import names
 from understudy.cluster import gates
 from understudy.cluster.applying import controller_of
 from understudy.cluster.client import Object
+from understudy.controller import objects
+
+
+KNOWN = 70.0
+"""Seconds within which an operator knows of a pool's new size: two of its lists, and their longest waits."""
 
 
 class Invariants:
@@ -22,6 +27,8 @@ class Invariants:
         self._server, self._robots, self._broken, self._alive = server, robots, broken, alive
         self._stragglers: set[str] = set()
         """Pods that an operator had asked for and that came when it was gone: nobody could count with them."""
+        self._sizes: dict[str, list[tuple[float, int]]] = {}
+        """By pool, since when it was to have how many pods."""
         self.commits = self.claims = self.creations = 0
 
     # -- at every write ---------------------------------------------------------------------------------------------
@@ -35,6 +42,9 @@ class Invariants:
             if by.startswith("operator") and old is not None and _claimed(old) and (new is None or _leaving(new)):
                 if not _leaving(old):
                     self._broken(f"{by} deleted {_name(old)}, which is claimed")
+        elif plural == "fallbackpools" and new is not None and old is not None:
+            sizes = self._sizes.setdefault(_name(new), [(self._robots.now, _size(old))])
+            sizes += [(self._robots.now, _size(old)), (self._robots.now, _size(new))]
         elif plural == "networkpolicies" and new is not None and _name(new).endswith("-gate"):
             self._gate(old, new)
 
@@ -85,7 +95,7 @@ class Invariants:
         return found
 
     def _created(self, pod: Object, by: str) -> None:
-        """A pool never gets more free pods than it is to have, nor a workload more standbys."""
+        """A pool never gets more free pods than it is to have, nor a workload more standbys, by what could be known."""
         self.creations += 1
         if not self._alive(by):
             self._stragglers.add(pod["metadata"]["uid"])
@@ -99,8 +109,9 @@ class Invariants:
             and not _claimed(other)
             and _living(other)
         ]
-        spec = self._server.items["fallbackpools"][(pod["metadata"]["namespace"], pool)]["spec"]
-        most = (spec.get("perWorkload") if workload else spec.get("replicas")) or 0
+        wanted = _size(self._server.items["fallbackpools"][(pod["metadata"]["namespace"], pool)])
+        of_late = [size for since, size in self._sizes.get(pool, []) if self._robots.now - since < KNOWN]
+        most = max([wanted, *of_late])
         most += sum(other["metadata"]["uid"] in self._stragglers for other in same)
         if len(same) > most:
             whose = f"pool {pool}" + (f" has standbys of {workload}" if workload else " has free pods")
@@ -143,11 +154,18 @@ class Invariants:
                 free = [pod for pod in mine if names.HELD in _labels(pod)]
                 if len(free) != spec["replicas"]:
                     yield f"pool {pool} has {len(free)} free pods instead of {spec['replicas']}"
+                yield from (f"pod {_name(pod)} isn't ready" for pod in free if not objects.ready(pod))
                 continue
             for _, workload in sorted(self._server.items["robotworkloads"]):
                 standing = [pod for pod in mine if _labels(pod).get(names.WORKLOAD) == workload]
                 if len(standing) != spec["perWorkload"]:
                     yield f"pool {pool} has {len(standing)} pods of {workload} instead of {spec['perWorkload']}"
+                yield from (f"pod {_name(pod)} isn't up" for pod in standing if not self._up(pod))
+
+    def _up(self, pod: Object) -> bool:
+        """Whether its application is healthy, or never will be."""
+        found = self._robots.running.get(pod["metadata"]["uid"])
+        return found is not None and (found.sends or found.broken)
 
     def _leaked(self) -> Iterator[str]:
         in_control = {
@@ -184,6 +202,11 @@ def _name(item: Object) -> str:
 
 def _labels(item: Object) -> dict[str, str]:
     return item["metadata"].get("labels") or {}
+
+
+def _size(pool: Object) -> int:
+    found: int = pool["spec"].get("replicas", pool["spec"].get("perWorkload", 0))
+    return found
 
 
 def _claimed(pod: Object) -> bool:

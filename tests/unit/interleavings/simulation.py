@@ -17,6 +17,7 @@ from pathlib import Path
 from unittest import mock
 
 from tests.unit.controller import world
+from tests.unit.interleavings import apiserver
 from tests.unit.interleavings.actors import NAMESPACE, Monitor, OperatorProcess
 from tests.unit.interleavings.apiserver import EPOCH, ApiServer
 from tests.unit.interleavings.invariants import Invariants
@@ -50,14 +51,36 @@ class Scene:
     strategies: tuple[str, ...]
     spares: int = 0
     standbys: int = 0
+    troubles: tuple[str, ...] = ()
+    """All that goes wrong with processes and pods; everything, where nothing is named."""
+    weather: tuple[float, ...] = (0.0, 0.5, 1.0, 2.0, 3.0)
+    """How bad the network may be."""
 
 
 SCENES = (
     Scene("shared", workloads=3, strategies=("spare", "Restart"), spares=2),
-    Scene("scarce", workloads=3, strategies=("spare", "Restart"), spares=1),
+    Scene("scarce", workloads=2, strategies=("spare", "Restart"), spares=1),
     Scene("executing", workloads=2, strategies=("hot", "Restart"), standbys=1),
     Scene("both", workloads=2, strategies=("hot", "spare", "Restart"), spares=1, standbys=1),
 )
+
+
+TROUBLES = {
+    "one_fails": 6,
+    "all_fail": 3,
+    "understudy_fails": 3,
+    "monitor_dies": 4,
+    "monitor_dies_at_a_step": 5,
+    "second_monitor": 2,
+    "operator_dies": 3,
+    "somebody_stalls": 3,
+    "somebody_is_cut_off": 2,
+    "watch_falls_silent": 2,
+    "kubelets_write": 4,
+    "pool_is_resized": 3,
+    "node": 1,
+}
+"""What goes wrong, and how often in comparison."""
 
 
 @dataclass
@@ -222,32 +245,16 @@ class Simulation:
     def _plan_trouble(self) -> float:
         """Have things go wrong for a while; until when."""
         choices = self.choices
-        bad = choices.choice([0.0, 0.5, 1.0, 2.0, 4.0])
-        self.network.weather = Weather.of(bad)
+        bad = choices.choice(self.scene.weather)
+        # Not before the operator has listed everything, which it does again and again where any of it fails.
+        self.later(0.5, setattr, self.network, "weather", Weather.of(bad))
         self.robots.luck = Luck(broken=choices.choice([0.0, 0.0, 0.1, 0.3]))
         self.note(f"weather {bad}, {self.robots.luck}")
         lasts = TROUBLE[0] + (TROUBLE[1] - TROUBLE[0]) * choices.random()
-        for _ in range(choices.randint(2, 9)):
-            work = choices.choices([work for work, _ in self._troubles], [weight for _, weight in self._troubles])[0]
-            self.later(1 + choices.random() * lasts, work)
+        troubles = {name: weight for name, weight in TROUBLES.items() if name in (self.scene.troubles or TROUBLES)}
+        for name in choices.choices(list(troubles), list(troubles.values()), k=choices.randint(2, 9)):
+            self.later(1 + choices.random() * lasts, getattr(self, f"_{name}"))
         return lasts
-
-    @property
-    def _troubles(self) -> list[tuple[Callable[[], None], int]]:
-        return [
-            (self._one_fails, 6),
-            (self._all_fail, 3),
-            (self._understudy_fails, 3),
-            (self._monitor_dies, 4),
-            (self._monitor_dies_at_a_step, 5),
-            (self._second_monitor, 2),
-            (self._operator_dies, 3),
-            (self._somebody_stalls, 3),
-            (self._somebody_is_cut_off, 2),
-            (self._watch_falls_silent, 2),
-            (self._kubelets_write, 4),
-            (self._node, 1),
-        ]
 
     def _active(self, workload: str) -> str:
         gate = self.server.get("networkpolicies", (NAMESPACE, names.gate(workload)))
@@ -329,6 +336,14 @@ class Simulation:
     def _kubelets_write(self) -> None:
         for uid in sorted(self.robots.running):
             self.later(self.choices.random(), self.robots.heartbeat, uid)
+
+    def _pool_is_resized(self) -> None:
+        """By somebody: free pods are deleted while they may be claimed."""
+        place, item = self.choices.choice(sorted(self.server.items["fallbackpools"].items()))
+        field_, sizes = ("replicas", (0, 1, 2, 3)) if "replicas" in item["spec"] else ("perWorkload", (1, 2))
+        size = self.choices.choice(sizes)
+        self.note(f"pool {place[1]} is to have {size} pods")
+        self.server.update("fallbackpools", place, lambda pool: apiserver.merged(pool, {"spec": {field_: size}}), "somebody")
 
     def _node(self) -> None:
         node = self.choices.choice(NODES)
@@ -466,8 +481,13 @@ def _logging(simulation: Simulation) -> Iterator[None]:
         logger.setLevel(level)
 
 
+def prepared(scene: Scene) -> Base:
+    """The cluster of a scene at rest. It is made once, and many runs begin from it."""
+    return _prepared(dataclasses.replace(scene, troubles=(), weather=()))
+
+
 @functools.cache
-def _base(scene: Scene) -> Base:
+def _prepared(scene: Scene) -> Base:
     with tempfile.TemporaryDirectory() as folder:
         simulation = Simulation(scene, 0, None, Path(folder))
         try:
@@ -481,7 +501,7 @@ def _base(scene: Scene) -> Base:
 def run(seed: int, *, tracing: bool = False, scene: Scene | None = None) -> Outcome:
     """The run of a seed. What doesn't hold is in its outcome; with ``tracing`` it also tells all that happened."""
     scene = scene or SCENES[seed % len(SCENES)]
-    base = _base(scene)
+    base = prepared(scene)
     with tempfile.TemporaryDirectory() as folder:
         simulation = Simulation(scene, seed, base, Path(folder), tracing=tracing)
         try:
