@@ -106,6 +106,7 @@ class Invariants:
             for other in self._server.items["pods"].values()
             if _labels(other).get(names.POOL) == pool
             and _labels(other).get(names.WORKLOAD) == workload
+            and _labels(other)[names.TEMPLATE_HASH] == labels[names.TEMPLATE_HASH]
             and not _claimed(other)
             and _living(other)
         ]
@@ -158,9 +159,14 @@ class Invariants:
                 continue
             for _, workload in sorted(self._server.items["robotworkloads"]):
                 standing = [pod for pod in mine if _labels(pod).get(names.WORKLOAD) == workload]
-                if len(standing) != spec["perWorkload"]:
+                # Where one of a new template never gets up, the one before it stays.
+                if len(standing) != spec["perWorkload"] and all(self._sends(pod) for pod in standing):
                     yield f"pool {pool} has {len(standing)} pods of {workload} instead of {spec['perWorkload']}"
                 yield from (f"pod {_name(pod)} isn't up" for pod in standing if not self._up(pod))
+
+    def _sends(self, pod: Object) -> bool:
+        found = self._robots.running.get(pod["metadata"]["uid"])
+        return found is not None and found.sends
 
     def _up(self, pod: Object) -> bool:
         """Whether its application is healthy, or never will be."""

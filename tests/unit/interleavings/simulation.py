@@ -78,6 +78,7 @@ TROUBLES = {
     "watch_falls_silent": 2,
     "kubelets_write": 4,
     "pool_is_resized": 3,
+    "template_changes": 2,
     "node": 1,
 }
 """What goes wrong, and how often in comparison."""
@@ -344,6 +345,25 @@ class Simulation:
         size = self.choices.choice(sizes)
         self.note(f"pool {place[1]} is to have {size} pods")
         self.server.update("fallbackpools", place, lambda pool: apiserver.merged(pool, {"spec": {field_: size}}), "somebody")
+
+    def _template_changes(self) -> None:
+        """Somebody gives a pool or a workload another image: its pods are replaced while they may be needed."""
+        found = [
+            (plural, place)
+            for plural in ("fallbackpools", "robotworkloads")
+            for place, item in sorted(self.server.items[plural].items())
+            if "template" in item["spec"]
+        ]
+        plural, place = self.choices.choice(found)
+        image = f"app:{next(self._ids) + 1}"
+        self.note(f"{plural} {place[1]} is to run {image}")
+
+        def change(item: Object) -> Object:
+            (container,) = item["spec"]["template"]["spec"]["containers"]
+            containers = [{**container, "image": image}]
+            return apiserver.merged(item, {"spec": {"template": {"spec": {"containers": containers}}}})
+
+        self.server.update(plural, place, change, "somebody")
 
     def _node(self) -> None:
         node = self.choices.choice(NODES)
