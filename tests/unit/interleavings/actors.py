@@ -84,6 +84,8 @@ class Monitor:
         journal: Path,
         kill: Callable[[Process], None],
         broken: Callable[[str], None],
+        *,
+        initializes: bool,
     ) -> None:
         """``kill`` kills a process; ``broken`` is called with what doesn't hold."""
         self.process, self.workload = process, workload
@@ -92,7 +94,7 @@ class Monitor:
         self.fuse = Fuse(process, kill)
         self.supervisor: Supervisor | None = None
         self._view: View | None = None
-        self.sidecars = Sidecars(robots, workload, self.fuse.step)
+        self.sidecars = Sidecars(robots, workload, self.fuse.step, initializes=initializes)
 
     async def run(self) -> None:
         """As ``understudy.monitor.running`` puts it together."""

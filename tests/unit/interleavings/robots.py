@@ -48,6 +48,8 @@ class Running:
     through_last: float = -1.0
     routed_at: float | None = None
     restarts: int = 0
+    brought: str = ""
+    """What a procedure has brought it to, as its monitor called it."""
 
 
 @dataclass
@@ -265,7 +267,7 @@ class Robots:
         found = self.running.get(uid)
         if found is None or found.ended:
             return
-        found.sends, found.restarts = False, found.restarts + 1
+        found.sends, found.restarts, found.brought = False, found.restarts + 1, ""
         found.broken = self.choices.random() < 0.4
         self._route(found.robot)
         self.status(uid, "Running", ready=False, reason="CrashLoopBackOff" if found.broken else "")

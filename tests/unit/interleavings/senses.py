@@ -10,7 +10,8 @@ from typing import Any
 from tests.unit.interleavings.robots import Robots, Running
 from understudy.api.agents import AgentStatus
 from understudy.api.kept import KeptState, RestoreReport
-from understudy.mitigation.interfaces import Instance
+from understudy.mitigation.bringing import BringUp
+from understudy.mitigation.interfaces import Instance, NotVerified
 from understudy.trees.health import Verdict
 
 GAP = 0.5
@@ -125,8 +126,10 @@ class Probes:
 class Sidecars:
     """The agents of a workload's instances."""
 
-    def __init__(self, robots: Robots, workload: str, step: Callable[[str], None]) -> None:
+    def __init__(self, robots: Robots, workload: str, step: Callable[[str], None], *, initializes: bool) -> None:
+        """``initializes``: a standby is ready once a procedure has brought it there."""
         self._robots, self._workload, self._step = robots, workload, step
+        self._initializes = initializes
         self.role: Any = None
         self.on_status: Callable[[], None] = lambda: None
         self._known: set[str] = set()
@@ -150,7 +153,14 @@ class Sidecars:
             return None
         at = found.sends_since if found.sends else None
         phase: Any = "Held" if found.held else "Running"
-        return AgentStatus(phase=phase, configured=True, ready=found.sends, ready_at=at, process_up_at=found.up_at)
+        return AgentStatus(
+            phase=phase,
+            configured=True,
+            ready=found.sends and (bool(found.brought) or not self._initializes),
+            ready_at=at,
+            process_up_at=found.up_at,
+            initialized=found.brought,
+        )
 
     def is_ready(self, instance: Instance) -> tuple[bool, str]:
         status = self.status(instance)
@@ -184,6 +194,15 @@ class Sidecars:
         while (found := self._found(instance)) is None or not found.sends:
             await self._robots.wait(self._workload)
         return found.sends_since
+
+    async def run(
+        self, instance: Instance, procedure: BringUp, *, within: float, state: KeptState, brought: str
+    ) -> RestoreReport:
+        await asyncio.sleep(0.1 + self._robots.network.delay())
+        if (found := self._found(instance)) is None:
+            raise NotVerified(f"{procedure.name} of {instance.name}: its agent isn't connected")
+        found.brought = brought
+        return RestoreReport()
 
     async def restore(self, instance: Instance, state: KeptState, within: float) -> RestoreReport:
         return RestoreReport()

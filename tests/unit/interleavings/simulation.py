@@ -51,6 +51,8 @@ class Scene:
     strategies: tuple[str, ...]
     spares: int = 0
     standbys: int = 0
+    initializes: bool = False
+    """Whether standbys wait initialized, and not executing."""
     troubles: tuple[str, ...] = ()
     """All that goes wrong with processes and pods; everything, where nothing is named."""
     weather: tuple[float, ...] = (0.0, 0.5, 1.0, 2.0, 3.0)
@@ -61,6 +63,7 @@ SCENES = (
     Scene("shared", workloads=3, strategies=("spare", "Restart"), spares=2),
     Scene("scarce", workloads=2, strategies=("spare", "Restart"), spares=1),
     Scene("executing", workloads=2, strategies=("hot", "Restart"), standbys=1),
+    Scene("initialized", workloads=2, strategies=("hot", "Restart"), standbys=1, initializes=True),
     Scene("both", workloads=2, strategies=("hot", "spare", "Restart"), spares=1, standbys=1),
 )
 
@@ -200,7 +203,7 @@ class Simulation:
         """A new monitor; the journal is of the node where it runs."""
         process = self.loop.process(f"monitor-{next(self._incarnations)} of {workload}")
         file = self._folder / f"{self.outcome.seed}-{workload}-{journal}.json"
-        monitor = Monitor(process, self.network, self.robots, workload, file, self.kill, self._broken)
+        monitor = Monitor(process, self.network, self.robots, workload, file, self.kill, self._broken, initializes=self.scene.initializes)
         monitor.sidecars.started = lambda instance: self.invariants.started(
             workload, instance.uid, (NAMESPACE, instance.name)
         )
@@ -441,7 +444,9 @@ class Simulation:
         if scene.spares:
             items.append(world.spare(replicas=scene.spares))
         if scene.standbys:
-            items.append(world.hot(per_workload=scene.standbys))
+            initialization = {"initialization": {"yaml": {"wait_for": {"node": "/localization"}}}}
+            more = {"readiness": "Initialized", **initialization} if scene.initializes else {}
+            items.append(world.hot(per_workload=scene.standbys, **more))
         items += [world.workload(name, ros={"discovery": {"mode": "Multicast"}}) for name in self.workloads]
         plurals = {"FailurePolicy": "failurepolicies", "FallbackPool": "fallbackpools", "RobotWorkload": "robotworkloads"}
         for item in items:

@@ -29,7 +29,7 @@ RUNS, CHUNK = 160, 20
 """The short share; seeds from 100,000 on, which scripts/bench doesn't run by itself."""
 FIRST = 100_000
 
-SHARED, SCARCE, EXECUTING, BOTH = SCENES
+SHARED, SCARCE, EXECUTING, _, _ = SCENES
 
 
 @pytest.mark.parametrize("first", range(FIRST, FIRST + RUNS, CHUNK))
