@@ -17,6 +17,7 @@ from tests.unit.interleavings.robots import Robots
 from tests.unit.interleavings.scheduling import Killed, Process
 from tests.unit.interleavings.senses import Keeping, Probes, Sidecars, Sight
 from understudy.api import names
+from understudy.cluster import gates
 from understudy.cluster.client import NETWORK_POLICIES, PODS, ApiError, Expired, Object, Resource
 from understudy.cluster.events import Recorder
 from understudy.controller import affected, handlers
@@ -89,7 +90,7 @@ class Monitor:
     ) -> None:
         """``kill`` kills a process; ``broken`` is called with what doesn't hold."""
         self.process, self.workload = process, workload
-        self._broken, self._epoch = broken, 0
+        self._broken, self._gate = broken, cast("Object | None", None)
         self._network, self._robots, self._journal = network, robots, journal
         self.fuse = Fuse(process, kill)
         self.supervisor: Supervisor | None = None
@@ -113,7 +114,7 @@ class Monitor:
                 fleet=fleet,
                 gate=gate,
                 sidecars=cast(Any, self.sidecars),
-                sight=cast(Any, Sight(self._robots, self.workload, lambda: self._look(gate.state.epoch))),
+                sight=cast(Any, Sight(self._robots, self.workload, self._look_at_gate)),
                 probes=probes,
                 reporter=reporter,
                 journal=Journal(self._journal),
@@ -124,11 +125,19 @@ class Monitor:
             group.create_task(reporter.run())
             await self.supervisor.run()
 
-    def _look(self, epoch: int) -> None:
-        """What it knows of its gate never goes back."""
-        if epoch < self._epoch:
-            self._broken(f"{self.process} knew epoch {self._epoch} of its gate, and then {epoch}")
-        self._epoch = epoch
+    def _look_at_gate(self) -> None:
+        if self._view is not None:
+            self._look(self._view.gates.items.get(names.gate(self.workload)))
+
+    def _look(self, gate: Object | None) -> None:
+        """What it knows of its gate never goes back, unless somebody has deleted the gate."""
+        before, self._gate = self._gate, gate
+        if before is None or gate is None or before["metadata"]["uid"] != gate["metadata"]["uid"]:
+            return
+        old, new = (int(found["metadata"]["resourceVersion"]) for found in (before, gate))
+        if new < old:
+            epochs = [gates.read(found).epoch for found in (before, gate)]
+            self._broken(f"{self.process} knew epoch {epochs[0]} of its gate, and then {epochs[1]}")
 
     def mistaken(self, server: ApiServer) -> Iterator[str]:
         """What it takes to be so of its pods and its gate, and isn't."""

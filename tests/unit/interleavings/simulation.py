@@ -25,7 +25,7 @@ from tests.unit.interleavings.network import Network, Weather
 from tests.unit.interleavings.robots import NODES, Luck, Robots, Running
 from tests.unit.interleavings.scheduling import Killed, Process, VirtualLoop
 from understudy.api import names
-from understudy.cluster import gates
+from understudy.cluster import applying, gates
 from understudy.cluster.client import Object
 from understudy.monitor import supervising
 
@@ -82,6 +82,7 @@ TROUBLES = {
     "kubelets_write": 4,
     "pool_is_resized": 3,
     "template_changes": 2,
+    "something_is_deleted": 1,
     "node": 1,
 }
 """What goes wrong, and how often in comparison."""
@@ -367,6 +368,21 @@ class Simulation:
             return apiserver.merged(item, {"spec": {"template": {"spec": {"containers": containers}}}})
 
         self.server.update(plural, place, change, "somebody")
+
+    def _something_is_deleted(self) -> None:
+        """By somebody: what the operator makes again."""
+        found = [
+            (plural, place)
+            for plural in ("networkpolicies", "replicasets", "configmaps")
+            for place in sorted(self.server.items[plural])
+        ]
+        plural, place = self.choices.choice(found)
+        self.note(f"{plural} {place[1]}: deleted by somebody")
+        self.server.write(plural, place, None, "somebody")
+        for pod_place, pod in sorted(self.server.items["pods"].items()):
+            owner = applying.controller_of(pod)
+            if plural == "replicasets" and owner is not None and (owner["kind"], owner["name"]) == ("ReplicaSet", place[1]):
+                self.robots.delete(pod, by=f"the garbage collector, of {pod_place[1]}")
 
     def _node(self) -> None:
         node = self.choices.choice(NODES)
