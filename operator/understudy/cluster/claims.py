@@ -11,7 +11,6 @@ from understudy.api import names
 from understudy.api.base import API_VERSION
 from understudy.cluster.client import PODS, ApiError, Client, Object
 
-
 RETRY_FIRST, RETRY_MOST = 0.05, 1.0  # seconds
 
 

@@ -172,7 +172,9 @@ def _differences(who: str, known: Mapping[str, Object], found: Mapping[str, Obje
 class OperatorProcess:
     """One operator, from its start to its end: what it expects is lost with it."""
 
-    def __init__(self, process: Process, network: Network, numbers: itertools.count[int], choices: random.Random) -> None:
+    def __init__(
+        self, process: Process, network: Network, numbers: itertools.count[int], choices: random.Random
+    ) -> None:
         self.process = process
         self._network, self._choices = network, choices
         client = network.client(process, timeout=20)

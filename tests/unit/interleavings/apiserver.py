@@ -262,8 +262,10 @@ def applied(live: Any, before: Any, given: Any) -> Any:
         known = before if isinstance(before, dict) else {}
         made = {key: value for key, value in live.items() if key not in known or key in given}
         for key, value in given.items():
-            made[key] = _conditions(live, known, given) if key == "conditions" else applied(
-                live.get(key), known.get(key), value
+            made[key] = (
+                _conditions(live, known, given)
+                if key == "conditions"
+                else applied(live.get(key), known.get(key), value)
             )
         return made
     return given

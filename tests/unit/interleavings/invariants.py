@@ -12,7 +12,6 @@ from understudy.cluster.applying import controller_of
 from understudy.cluster.client import Object
 from understudy.controller import objects
 
-
 KNOWN = 70.0
 """Seconds within which an operator knows of a pool's new size: two of its lists, and their longest waits."""
 
@@ -39,9 +38,8 @@ class Invariants:
             self._owners(old, new)
             if old is None and new is not None and by.startswith("operator"):
                 self._created(new, by)
-            if by.startswith("operator") and old is not None and _claimed(old) and (new is None or _leaving(new)):
-                if not _leaving(old):
-                    self._broken(f"{by} deleted {_name(old)}, which is claimed")
+            if by.startswith("operator") and old is not None and _claimed(old) and _deleted(old, new):
+                self._broken(f"{by} deleted {_name(old)}, which is claimed")
         elif plural == "fallbackpools" and new is not None and old is not None:
             sizes = self._sizes.setdefault(_name(new), [(self._robots.now, _size(old))])
             sizes += [(self._robots.now, _size(old)), (self._robots.now, _size(new))]
@@ -113,6 +111,8 @@ class Invariants:
         wanted = _size(self._server.items["fallbackpools"][(pod["metadata"]["namespace"], pool)])
         of_late = [size for since, size in self._sizes.get(pool, []) if self._robots.now - since < KNOWN]
         most = max([wanted, *of_late])
+        if workload is not None and self._refers(pod["metadata"]["namespace"], workload):
+            most += 1  # what the referred controller makes is no standby, so one in control doesn't count
         most += sum(other["metadata"]["uid"] in self._stragglers for other in same)
         if len(same) > most:
             whose = f"pool {pool}" + (f" has standbys of {workload}" if workload else " has free pods")
@@ -157,11 +157,14 @@ class Invariants:
                     yield f"pool {pool} has {len(free)} free pods instead of {spec['replicas']}"
                 yield from (f"pod {_name(pod)} isn't ready" for pod in free if not objects.ready(pod))
                 continue
-            for _, workload in sorted(self._server.items["robotworkloads"]):
+            for namespace, workload in sorted(self._server.items["robotworkloads"]):
                 standing = [pod for pod in mine if _labels(pod).get(names.WORKLOAD) == workload]
+                wanted = spec["perWorkload"]
+                if self._refers(namespace, workload):
+                    wanted += sum(pod["metadata"]["uid"] in self._in_control() for pod in standing)
                 # Where one of a new template never gets up, the one before it stays.
-                if len(standing) != spec["perWorkload"] and all(self._sends(pod) for pod in standing):
-                    yield f"pool {pool} has {len(standing)} pods of {workload} instead of {spec['perWorkload']}"
+                if len(standing) != wanted and all(self._sends(pod) for pod in standing):
+                    yield f"pool {pool} has {len(standing)} pods of {workload} instead of {wanted}"
                 yield from (f"pod {_name(pod)} isn't up" for pod in standing if not self._up(pod))
 
     def _sends(self, pod: Object) -> bool:
@@ -173,12 +176,15 @@ class Invariants:
         found = self._robots.running.get(pod["metadata"]["uid"])
         return found is not None and (found.sends or found.broken)
 
+    def _refers(self, namespace: str, workload: str) -> bool:
+        return "workloadRef" in self._server.items["robotworkloads"][(namespace, workload)]["spec"]
+
+    def _in_control(self) -> set[str]:
+        policies = self._server.items["networkpolicies"]
+        return {gates.read(policy).active_uid for (_, name), policy in policies.items() if name.endswith("-gate")}
+
     def _leaked(self) -> Iterator[str]:
-        in_control = {
-            gates.read(policy).active_uid
-            for (_, name), policy in self._server.items["networkpolicies"].items()
-            if name.endswith("-gate")
-        }
+        in_control = self._in_control()
         for _, pod in sorted(self._server.items["pods"].items()):
             owner = controller_of(pod)
             if _leaving(pod):
@@ -187,15 +193,18 @@ class Invariants:
                 continue
             elif _claimed(pod):
                 yield f"pod {_name(pod)} was claimed, isn't in control, and nobody deletes it"
-            elif owner is not None and owner["kind"] == "ReplicaSet":
-                if not self._standbys(pod):
-                    yield f"pod {_name(pod)} is neither in control nor a standby"
+            elif owner is not None and owner["kind"] == "ReplicaSet" and not self._standbys(pod):
+                yield f"pod {_name(pod)} is neither in control nor a standby"
         for uid, found in self._robots.running.items():
             if not found.ended and not found.exists:
                 yield f"processes of {found.name} ({uid}) live on"
 
     def _standbys(self, pod: Object) -> bool:
-        """Whether what the workload's own controller makes is a standby, or has ended and is only a record."""
+        """Whether what the workload's own controller makes is a standby, or has ended and is only a record. What a referred one
+        makes is its own business.
+        """
+        if names.SOURCE not in _labels(pod):
+            return True
         pools = self._server.items["fallbackpools"].values()
         ended = (pod.get("status") or {}).get("phase") in ("Failed", "Succeeded")
         return ended or any(pool["spec"]["readiness"] != "Uninitialized" for pool in pools)
@@ -221,6 +230,10 @@ def _claimed(pod: Object) -> bool:
 
 def _leaving(pod: Object) -> bool:
     return "deletionTimestamp" in pod["metadata"]
+
+
+def _deleted(old: Object, new: Object | None) -> bool:
+    return not _leaving(old) and (new is None or _leaving(new))
 
 
 def _living(pod: Object) -> bool:

@@ -17,6 +17,8 @@ from understudy.cluster.client import Object
 
 BY = "the cluster"
 NODES = ("a", "b", "c")
+REFERRED = "of"
+"""Label of pods that a Deployment makes, with the workload that refers to it: they have none of ours at first."""
 
 
 @dataclass
@@ -204,7 +206,7 @@ class Robots:
             name=place[1],
             place=place,
             node=self.choices.choice(NODES),
-            robot=labels.get(names.WORKLOAD, ""),
+            robot=labels.get(names.WORKLOAD) or labels.get(REFERRED, ""),
             held=labels.get(names.HELD) == "true",
             ip=f"10.0.{self._addresses // 250}.{self._addresses % 250 + 1}",
             broken=self.choices.random() < self.luck.broken,
@@ -330,7 +332,9 @@ class Robots:
 
     def _enforce(self, workload: str) -> None:
         """The network acts by a gate as it is now."""
-        policy = next((p for (_, n), p in self.server.items["networkpolicies"].items() if n == names.gate(workload)), None)
+        policy = next(
+            (p for (_, n), p in self.server.items["networkpolicies"].items() if n == names.gate(workload)), None
+        )
         self.let_through[workload] = gates.selected(policy) if policy is not None else ()
         self._route(workload)
 

@@ -149,7 +149,7 @@ class Sidecars:
 
     def status(self, instance: Instance) -> AgentStatus | None:
         found = self._found(instance)
-        if found is None or instance.uid not in self._known:
+        if found is None or instance.uid not in self._known or not instance.has_agent:
             return None
         at = found.sends_since if found.sends else None
         phase: Any = "Held" if found.held else "Running"

@@ -22,11 +22,12 @@ from tests.unit.interleavings.actors import NAMESPACE, Monitor, OperatorProcess
 from tests.unit.interleavings.apiserver import EPOCH, ApiServer
 from tests.unit.interleavings.invariants import Invariants
 from tests.unit.interleavings.network import Network, Weather
-from tests.unit.interleavings.robots import NODES, Luck, Robots, Running
+from tests.unit.interleavings.robots import NODES, REFERRED, Luck, Robots, Running
 from tests.unit.interleavings.scheduling import Killed, Process, VirtualLoop
 from understudy.api import names
 from understudy.cluster import applying, gates
 from understudy.cluster.client import Object
+from understudy.controller import objects
 from understudy.monitor import supervising
 
 TROUBLE = (4.0, 14.0)
@@ -53,6 +54,8 @@ class Scene:
     standbys: int = 0
     initializes: bool = False
     """Whether standbys wait initialized, and not executing."""
+    refers: bool = False
+    """Whether workloads refer to Deployments, and have no template."""
     troubles: tuple[str, ...] = ()
     """All that goes wrong with processes and pods; everything, where nothing is named."""
     weather: tuple[float, ...] = (0.0, 0.5, 1.0, 2.0, 3.0)
@@ -64,6 +67,7 @@ SCENES = (
     Scene("scarce", workloads=2, strategies=("spare", "Restart"), spares=1),
     Scene("executing", workloads=2, strategies=("hot", "Restart"), standbys=1),
     Scene("initialized", workloads=2, strategies=("hot", "Restart"), standbys=1, initializes=True),
+    Scene("referred", workloads=2, strategies=("hot", "spare", "Restart"), spares=1, standbys=1, refers=True),
     Scene("both", workloads=2, strategies=("hot", "spare", "Restart"), spares=1, standbys=1),
 )
 
@@ -204,7 +208,16 @@ class Simulation:
         """A new monitor; the journal is of the node where it runs."""
         process = self.loop.process(f"monitor-{next(self._incarnations)} of {workload}")
         file = self._folder / f"{self.outcome.seed}-{workload}-{journal}.json"
-        monitor = Monitor(process, self.network, self.robots, workload, file, self.kill, self._broken, initializes=self.scene.initializes)
+        monitor = Monitor(
+            process,
+            self.network,
+            self.robots,
+            workload,
+            file,
+            self.kill,
+            self._broken,
+            initializes=self.scene.initializes,
+        )
         monitor.sidecars.started = lambda instance: self.invariants.started(
             workload, instance.uid, (NAMESPACE, instance.name)
         )
@@ -348,7 +361,9 @@ class Simulation:
         field_, sizes = ("replicas", (0, 1, 2, 3)) if "replicas" in item["spec"] else ("perWorkload", (1, 2))
         size = self.choices.choice(sizes)
         self.note(f"pool {place[1]} is to have {size} pods")
-        self.server.update("fallbackpools", place, lambda pool: apiserver.merged(pool, {"spec": {field_: size}}), "somebody")
+        self.server.update(
+            "fallbackpools", place, lambda pool: apiserver.merged(pool, {"spec": {field_: size}}), "somebody"
+        )
 
     def _template_changes(self) -> None:
         """Somebody gives a pool or a workload another image: its pods are replaced while they may be needed."""
@@ -374,14 +389,19 @@ class Simulation:
         found = [
             (plural, place)
             for plural in ("networkpolicies", "replicasets", "configmaps")
-            for place in sorted(self.server.items[plural])
+            for place, item in sorted(self.server.items[plural].items())
+            if objects.MANAGED_BY.items() <= objects.labels(item).items()
         ]
         plural, place = self.choices.choice(found)
         self.note(f"{plural} {place[1]}: deleted by somebody")
         self.server.write(plural, place, None, "somebody")
         for pod_place, pod in sorted(self.server.items["pods"].items()):
             owner = applying.controller_of(pod)
-            if plural == "replicasets" and owner is not None and (owner["kind"], owner["name"]) == ("ReplicaSet", place[1]):
+            if (
+                plural == "replicasets"
+                and owner is not None
+                and (owner["kind"], owner["name"]) == ("ReplicaSet", place[1])
+            ):
                 self.robots.delete(pod, by=f"the garbage collector, of {pod_place[1]}")
 
     def _node(self) -> None:
@@ -463,13 +483,39 @@ class Simulation:
             initialization = {"initialization": {"yaml": {"wait_for": {"node": "/localization"}}}}
             more = {"readiness": "Initialized", **initialization} if scene.initializes else {}
             items.append(world.hot(per_workload=scene.standbys, **more))
-        items += [world.workload(name, ros={"discovery": {"mode": "Multicast"}}) for name in self.workloads]
-        plurals = {"FailurePolicy": "failurepolicies", "FallbackPool": "fallbackpools", "RobotWorkload": "robotworkloads"}
+        for name in self.workloads:
+            more = {"workloadRef": {"kind": "Deployment", "name": f"app-{name}"}} if scene.refers else {}
+            items.append(world.workload(name, ros={"discovery": {"mode": "Multicast"}}, **more))
+            if scene.refers:
+                self._deploy(name)
+        plurals = {
+            "FailurePolicy": "failurepolicies",
+            "FallbackPool": "fallbackpools",
+            "RobotWorkload": "robotworkloads",
+        }
         for item in items:
             metadata = {**item["metadata"], "namespace": NAMESPACE, "generation": 1}
             self.server.write(
                 plurals[item["kind"]], (NAMESPACE, metadata["name"]), {**item, "metadata": metadata}, "somebody"
             )
+
+    def _deploy(self, workload: str) -> None:
+        """A Deployment that somebody has, and its ReplicaSet."""
+        name = f"app-{workload}"
+        labels = {REFERRED: workload}
+        template = {"metadata": {"labels": {**labels, "pod-template-hash": "1"}}, "spec": world.TEMPLATE["spec"]}
+        metadata = {"name": name, "namespace": NAMESPACE, "uid": f"uid-{name}", "generation": 1}
+        spec = {"replicas": 1, "selector": {"matchLabels": labels}, "template": template}
+        self.server.write("deployments", (NAMESPACE, name), {"metadata": metadata, "spec": spec}, "somebody")
+        owner = {"apiVersion": "apps/v1", "kind": "Deployment", "name": name, "uid": f"uid-{name}", "controller": True}
+        metadata = {
+            **metadata,
+            "name": f"{name}-1",
+            "uid": f"uid-{name}-1",
+            "labels": labels,
+            "ownerReferences": [owner],
+        }
+        self.server.write("replicasets", (NAMESPACE, f"{name}-1"), {"metadata": metadata, "spec": spec}, "somebody")
 
     def base(self) -> Base:
         """What other runs may begin from."""

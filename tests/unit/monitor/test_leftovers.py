@@ -38,7 +38,9 @@ class Cluster:
         self.events.append(reason)
 
 
-async def look(cluster: Any, *instances: Instance, seconds: float = LEFT_FOR, leftovers: Leftovers | None = None) -> None:
+async def look(
+    cluster: Any, *instances: Instance, seconds: float = LEFT_FOR, leftovers: Leftovers | None = None
+) -> None:
     found = leftovers or Leftovers(cluster, cluster, cluster)
     found.housekeeping(instances, 100.0)
     found.housekeeping(instances, 100.0 + seconds)
