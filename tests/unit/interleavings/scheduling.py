@@ -23,8 +23,16 @@ MANY = 100
 """Tasks of a process after which those that are done are forgotten."""
 
 
+PATIENCE = 10_000
+"""How often a process may ask for the time within one step."""
+
+
 class Killed(BaseException):
     """The process ends here, whatever it was about to catch."""
+
+
+class Stuck(BaseException):
+    """A process goes on and on, and never lets another one go on."""
 
 
 class Process:
@@ -60,7 +68,7 @@ class VirtualLoop(asyncio.AbstractEventLoop):
         self._now = 0.0
         self._timers: list[tuple[float, int, asyncio.TimerHandle]] = []
         self._count = 0
-        self.steps = 0
+        self.steps = self._asked = 0
         self._processes: list[Process] = []
         self._everybody: list[Process] = []
         self.surprised: Callable[[Process, BaseException | None, str], None] = lambda process, error, message: None
@@ -87,6 +95,7 @@ class VirtualLoop(asyncio.AbstractEventLoop):
     def step(self) -> None:
         """One callback of one process, or else the passing of time."""
         self.steps += 1
+        self._asked = 0
         ready = [p for p in self._processes if p.ready and p.alive and not p.stalled]
         if not ready:
             self._advance()
@@ -129,6 +138,13 @@ class VirtualLoop(asyncio.AbstractEventLoop):
         self.run(lambda: any(process.ready for process in self._everybody))
 
     # -- for asyncio ------------------------------------------------------------------------------------------------
+
+    def clock(self) -> float:
+        """The time, for code that may ask for it again and again. Raises Stuck."""
+        self._asked += 1
+        if self._asked > PATIENCE:
+            raise Stuck
+        return self._now
 
     def time(self) -> float:
         return self._now

@@ -534,8 +534,8 @@ def _in_virtual_time(simulation: Simulation) -> Iterator[None]:
     loop, choices = simulation.loop, simulation.choices
     with contextlib.ExitStack() as stack:
         for target, attribute, value in (
-            (time, "time", lambda: EPOCH + loop.time()),
-            (time, "monotonic", loop.time),
+            (time, "time", lambda: EPOCH + loop.clock()),
+            (time, "monotonic", loop.clock),
             (uuid, "uuid4", lambda: uuid.UUID(int=choices.getrandbits(128))),
             (supervising, "TICK", TICK),
         ):
