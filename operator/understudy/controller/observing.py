@@ -51,7 +51,9 @@ class Observer:
                 if (policy := store.get(NETWORK_POLICIES, namespace, names.held(pool))) is not None
             },
             owned=store.owned(objects.uid(item)),
+            # In one moment with the next: a pod that comes while something is waited for must be in one of the two.
             pods=store.labelled(PODS, namespace, names.WORKLOAD, name),
+            expected={pool: self._expected(key, pool) for pool in serving},
             monitors=self._serving(item, "monitor"),
             discovery=self._serving(item, "discovery"),
             unclaimed={
@@ -60,7 +62,6 @@ class Observer:
             },
             reference=await self._referred(item),
             rivals=self._rivals(item),
-            expected={pool: self._expected(key, pool) for pool in serving},
             resized=await self._resized(item),
         )
 
