@@ -143,3 +143,9 @@ async def test_where_nothing_runs_and_nothing_is_recovered_a_pod_is_asked_for(le
     await watching._bootstrap(policy(1), 1000.0 + BACKOFF_FIRST)
     await watching._bootstrap(policy(1), 1000.0 + 2 * BACKOFF_FIRST)
     assert fleet.asked == 3, "again and again, until one comes"
+
+
+async def test_a_pod_that_is_on_its_way_is_waited_for() -> None:
+    fleet = Asked(replace(ACTIVE, running=False, ready=False))
+    await at_a_closed_gate(fleet)._bootstrap(policy(1), 1000.0)
+    assert fleet.asked == 0
