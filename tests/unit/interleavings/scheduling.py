@@ -55,9 +55,9 @@ class Process:
         return self.name
 
 
-def current() -> Process:
+def current() -> Process | None:
     """The process whose code is running."""
-    return _process.get()
+    return _process.get(None)
 
 
 class VirtualLoop(asyncio.AbstractEventLoop):

@@ -23,7 +23,7 @@ from tests.unit.interleavings.apiserver import EPOCH, ApiServer
 from tests.unit.interleavings.invariants import Invariants
 from tests.unit.interleavings.network import Network, Weather
 from tests.unit.interleavings.robots import NODES, REFERRED, Luck, Robots, Running
-from tests.unit.interleavings.scheduling import Killed, Process, VirtualLoop
+from tests.unit.interleavings.scheduling import Killed, Process, VirtualLoop, current
 from understudy.api import names
 from understudy.cluster import applying, gates
 from understudy.cluster.client import Object
@@ -152,6 +152,7 @@ class Simulation:
         self.monitors: list[Monitor] = []
         self.operator: OperatorProcess | None = None
         self._dead: set[str] = set()
+        self._journals: dict[str, str] = {}
         self._calm = base is None
         self._over = self._disposed = False
         self._ids = itertools.count(1)
@@ -222,6 +223,7 @@ class Simulation:
             workload, instance.uid, (NAMESPACE, instance.name)
         )
         self.monitors.append(monitor)
+        self._journals[process.name] = journal
         self.note(f"{process} starts")
         self._follow(process, monitor.run())
 
@@ -249,7 +251,7 @@ class Simulation:
         self.monitors.remove(monitor)
         if not any(m.workload == monitor.workload for m in self.monitors):
             moved = self.choices.random() < 0.25
-            journal = f"other-{next(self._ids)}" if moved else monitor._journal.stem.rpartition("-")[2]
+            journal = f"other-{next(self._ids)}" if moved else self._journals[process.name]
             if moved:
                 self.note(f"the next monitor of {monitor.workload} starts elsewhere, its journal is lost")
             self.later(0.1 + self.choices.random() * 2, self.start_monitor, monitor.workload, journal)
@@ -552,9 +554,7 @@ def _logging(simulation: Simulation) -> Iterator[None]:
 
     class Tracing(logging.Handler):
         def emit(self, record: logging.LogRecord) -> None:
-            from tests.unit.interleavings.scheduling import _process
-
-            simulation.note(f"{_process.get(simulation.world)}: {record.levelname}: {record.getMessage()}")
+            simulation.note(f"{current()}: {record.levelname}: {record.getMessage()}")
 
     handler = Tracing()
     logger.addHandler(handler)
