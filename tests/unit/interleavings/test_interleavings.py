@@ -24,7 +24,7 @@ from understudy.controller.expectations import Expectations
 from understudy.monitor.leftovers import Leftovers
 
 REPOSITORY = Path(__file__).parents[3]
-RUNS, CHUNK = 300, 30
+RUNS, CHUNK = 250, 25
 """The short share; seeds from 100,000 on, which scripts/bench doesn't run by itself."""
 FIRST = 100_000
 
