@@ -28,6 +28,8 @@ class Invariants:
         """Pods that an operator had asked for and that came when it was gone: nobody could count with them."""
         self._sizes: dict[str, list[tuple[float, int]]] = {}
         """By pool, since when it was to have how many pods."""
+        self.failed: set[str] = set()
+        """Pods that failed for good while they were in control."""
         self.commits = self.claims = self.creations = 0
 
     # -- at every write ---------------------------------------------------------------------------------------------
@@ -191,6 +193,8 @@ class Invariants:
                 yield f"pod {_name(pod)} is on its way out"
             elif pod["metadata"]["uid"] in in_control or names.HELD in _labels(pod):
                 continue
+            elif pod["metadata"]["uid"] in self.failed:
+                yield f"pod {_name(pod)} has failed in control, and nobody deletes it"
             elif _claimed(pod):
                 yield f"pod {_name(pod)} was claimed, isn't in control, and nobody deletes it"
             elif owner is not None and owner["kind"] == "ReplicaSet" and not self._standbys(pod):

@@ -14,6 +14,7 @@ import uuid
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import SimpleNamespace
 from unittest import mock
 
 from tests.unit.controller import world
@@ -28,6 +29,7 @@ from understudy.api import names
 from understudy.cluster import applying, gates
 from understudy.cluster.client import Object
 from understudy.controller import objects
+from understudy.mitigation import progress
 from understudy.monitor import supervising
 
 TROUBLE = (4.0, 14.0)
@@ -291,6 +293,8 @@ class Simulation:
                 self.robots.delete(pod, by="somebody", force=how != "deleted")
         else:
             {"freezes": self.robots.freeze, "crashes": self.robots.crash, "fails": self.robots.fail}[how](uid)
+            if found.broken and uid in {self._active(workload) for workload in self.workloads}:
+                self.invariants.failed.add(uid)
 
     def _one_fails(self) -> None:
         how = self.choices.choice(["freezes", "crashes", "fails", "deleted", "deleted by force"])
@@ -538,7 +542,8 @@ def _in_virtual_time(simulation: Simulation) -> Iterator[None]:
         for target, attribute, value in (
             (time, "time", lambda: EPOCH + loop.clock()),
             (time, "monotonic", loop.clock),
-            (uuid, "uuid4", lambda: uuid.UUID(int=choices.getrandbits(128))),
+            # Only there: trees have identifiers too, and are remembered from one run to the next.
+            (progress, "uuid", SimpleNamespace(uuid4=lambda: uuid.UUID(int=choices.getrandbits(128)))),
             (supervising, "TICK", TICK),
         ):
             stack.enter_context(mock.patch.object(target, attribute, value))

@@ -39,18 +39,18 @@ def test_whatever_the_order_everything_holds(first: int) -> None:
 
 
 def test_a_seed_says_all_that_happens() -> None:
-    """Also in another process, where sets have another order."""
-    text = "from tests.unit.interleavings.simulation import run; print(run(100_003, tracing=True))"
+    """Also in another process, where sets have another order, and whatever was run in it before."""
+    text = "from tests.unit.interleavings.simulation import run; {before}; print(run(100_003, tracing=True))"
     told = {
         subprocess.run(
-            [sys.executable, "-c", text],
+            [sys.executable, "-c", text.format(before=before)],
             cwd=REPOSITORY,
             env={**os.environ, "PYTHONPATH": f"{REPOSITORY}:{REPOSITORY / 'operator'}", "PYTHONHASHSEED": order},
             capture_output=True,
             text=True,
             check=True,
         ).stdout
-        for order in ("1", "2")
+        for order, before in (("1", "pass"), ("2", "run(0), run(1)"))
     }
     assert len(told) == 1
     assert "monitor" in told.pop()
