@@ -193,7 +193,7 @@ class Invariants:
                 yield f"pod {_name(pod)} is on its way out"
             elif pod["metadata"]["uid"] in in_control or names.HELD in _labels(pod):
                 continue
-            elif pod["metadata"]["uid"] in self.failed:
+            elif pod["metadata"]["uid"] in self.failed and _living(pod):
                 yield f"pod {_name(pod)} has failed in control, and nobody deletes it"
             elif _claimed(pod):
                 yield f"pod {_name(pod)} was claimed, isn't in control, and nobody deletes it"

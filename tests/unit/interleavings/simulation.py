@@ -13,6 +13,7 @@ import time
 import uuid
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from datetime import datetime
 from pathlib import Path
 from types import SimpleNamespace
 from unittest import mock
@@ -25,7 +26,7 @@ from tests.unit.interleavings.invariants import Invariants
 from tests.unit.interleavings.network import Network, Weather
 from tests.unit.interleavings.robots import NODES, REFERRED, Luck, Robots, Running
 from tests.unit.interleavings.scheduling import Killed, Process, VirtualLoop, current
-from understudy.api import names
+from understudy.api import conditions, names
 from understudy.cluster import applying, gates
 from understudy.cluster.client import Object
 from understudy.controller import objects
@@ -544,6 +545,7 @@ def _in_virtual_time(simulation: Simulation) -> Iterator[None]:
             (time, "monotonic", loop.clock),
             # Only there: trees have identifiers too, and are remembered from one run to the next.
             (progress, "uuid", SimpleNamespace(uuid4=lambda: uuid.UUID(int=choices.getrandbits(128)))),
+            (conditions, "datetime", SimpleNamespace(now=lambda zone: datetime.fromtimestamp(EPOCH + loop.time(), zone))),
             (supervising, "TICK", TICK),
         ):
             stack.enter_context(mock.patch.object(target, attribute, value))
