@@ -1,7 +1,8 @@
-"""Deletes what recoveries that came to nothing have left: pods of a shared pool that were claimed and that nobody brings up.
+"""Deletes what recoveries have left: pods that were claimed and that nobody brings up, and failed ones whose deletion failed.
 
 A claim may be carried out after its monitor has given it up, or has died together with its journal. Such a pod is of no
-use to anybody: it belongs to this workload, no recovery knows it, and no pool counts it.
+use to anybody: it belongs to this workload, no recovery knows it, and no pool counts it. A failed one counts as a
+standby, and would keep its place.
 """
 
 from __future__ import annotations
@@ -27,21 +28,44 @@ this one is about to be replaced by it.
 """
 
 
+FAILED_FOR = 2.0
+"""Seconds after which a pod that has failed is deleted again: that it was deleted before may be seen only then."""
+
+
 class Leftovers:
-    """Claimed pods of one workload that aren't in control."""
+    """Pods of one workload that aren't in control, and of no use."""
 
     def __init__(self, fleet: Fleet, gate: PolicyGate, reporter: Reporter) -> None:
         self._fleet, self._gate, self._reporter = fleet, gate, reporter
         self._since: dict[str, float] = {}
+        self._failed: set[str] = set()
+        """Pods that failed in the recovery which put the present one in control, or in one before."""
         self._deleting: asyncio.Task[None] | None = None
+
+    def remember(self) -> None:
+        """Note the pods that failed in the recovery which put the present one in control, as the gate says: the next recovery
+        may begin at once.
+        """
+        state = self._gate.state
+        if state.recovery is not None and not state.closed:
+            self._failed |= {pod.uid for pod in state.recovery.failed}
 
     def housekeeping(self, instances: Sequence[Instance], now: float) -> None:
         """Look at every instance while nothing is being recovered; ``now`` is by a clock that is never set. Returns at once."""
         state = self._gate.state
         in_use = (state.active_uid, state.admitted_uid)
-        left = [i for i in instances if i.claim and not i.terminating and i.uid not in in_use and not state.closed]
+        self.remember()
+        self._failed &= {i.uid for i in instances if i.uid not in in_use}
+        left = [
+            i
+            for i in instances
+            if not i.terminating
+            and i.uid not in in_use
+            and not state.closed
+            and (i.claim or (i.uid in self._failed and i.usable))
+        ]
         self._since = {i.uid: self._since.get(i.uid, now) for i in left}
-        due = [i for i in left if now - self._since[i.uid] >= LEFT_FOR]
+        due = [i for i in left if now - self._since[i.uid] >= (FAILED_FOR if i.uid in self._failed else LEFT_FOR)]
         if due and (self._deleting is None or self._deleting.done()):
             self._deleting = asyncio.create_task(self._delete(due))
 
@@ -52,6 +76,6 @@ class Leftovers:
                 if await self._gate.lets_through(instance):
                     continue
                 await self._fleet.retire(instance)
-                _logger.warning("%s was claimed and left behind: deleted", instance.name)
-                text = f"{instance.name} was claimed by a recovery that came to nothing: it is deleted"
-                self._reporter.event("Normal", "LeftoverDeleted", text)
+                _logger.warning("%s was left behind by a recovery: deleted", instance.name)
+                why = "has failed" if instance.uid in self._failed else "was claimed by a recovery that came to nothing"
+                self._reporter.event("Normal", "LeftoverDeleted", f"{instance.name} {why}: it is deleted")

@@ -517,11 +517,14 @@ class Supervisor:
             self._after(0.0)
             return
         except (ApiError, aiohttp.ClientError, OSError) as error:
-            _logger.exception("recovery %s stopped", progress.id)
-            self._reporter.condition("Recovering", "False", "Error", f"{progress.reason}: {error}")
-            self._reporter.event("Warning", "RecoveryError", f"{progress.reason}: {error}")
-            self._after(BACKOFF_FIRST)
-            return
+            if progress.result != "Recovered":
+                _logger.exception("recovery %s stopped", progress.id)
+                self._reporter.condition("Recovering", "False", "Error", f"{progress.reason}: {error}")
+                self._reporter.event("Warning", "RecoveryError", f"{progress.reason}: {error}")
+                self._after(BACKOFF_FIRST)
+                return
+            _logger.warning("the failed pod is not deleted yet: %s", error)
+            done = progress
         self._parts.crash_points.step("before record")
         self._escalation.note(done)
         recovery = self._reporter.record(done)
@@ -532,6 +535,7 @@ class Supervisor:
         _logger.warning("recovery %d: %s", recovery.number, text)
         urgent = policy.priority == "Safety"
         if done.result == "Recovered":
+            self._leftovers.remember()
             self._unattended.driven()
             self._reporter.condition("Recovering", "False", "Recovered", text)
             self._reporter.event("Normal", "Recovered", text)

@@ -545,7 +545,11 @@ def _in_virtual_time(simulation: Simulation) -> Iterator[None]:
             (time, "monotonic", loop.clock),
             # Only there: trees have identifiers too, and are remembered from one run to the next.
             (progress, "uuid", SimpleNamespace(uuid4=lambda: uuid.UUID(int=choices.getrandbits(128)))),
-            (conditions, "datetime", SimpleNamespace(now=lambda zone: datetime.fromtimestamp(EPOCH + loop.time(), zone))),
+            (
+                conditions,
+                "datetime",
+                SimpleNamespace(now=lambda zone: datetime.fromtimestamp(EPOCH + loop.time(), zone)),
+            ),
             (supervising, "TICK", TICK),
         ):
             stack.enter_context(mock.patch.object(target, attribute, value))

@@ -1,4 +1,4 @@
-"""Claimed pods that nobody brings up are deleted, and no others."""
+"""Claimed pods that nobody brings up, and failed ones, are deleted, and no others."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from typing import Any
 import aiohttp
 
 from understudy.mitigation.interfaces import GateState, Instance
-from understudy.monitor.leftovers import LEFT_FOR, Leftovers
+from understudy.mitigation.progress import PodIdentity, Progress
+from understudy.monitor.leftovers import FAILED_FOR, LEFT_FOR, Leftovers
 
 DRIVES = Instance(name="spare-1", uid="uid-1", pool="spare", running=True, claim="uid-w/1")
 LEFT = replace(DRIVES, name="spare-2", uid="uid-2", claim="uid-w/2")
@@ -83,3 +84,37 @@ async def test_without_an_answer_it_is_tried_again() -> None:
     cluster.away = False
     await look(cluster, DRIVES, LEFT, leftovers=leftovers)
     assert cluster.deleted == ["spare-2"]
+
+
+def recovered_from(*uids: str) -> Progress:
+    failed = [PodIdentity(name=uid, uid=uid) for uid in uids]
+    return Progress.begin("it ended", last_healthy=1.0, detected=2.0, failed=failed)
+
+
+async def test_a_failed_pod_whose_deletion_failed_is_deleted_soon() -> None:
+    cluster: Any = Cluster()
+    cluster.state = replace(cluster.state, recovery=recovered_from("uid-3", "uid-gone"))
+    await look(cluster, DRIVES, STANDBY, seconds=FAILED_FOR)
+    assert cluster.deleted == ["w-1"]
+
+
+async def test_one_that_has_failed_and_drives_again_is_left_alone() -> None:
+    cluster: Any = Cluster()
+    leftovers = Leftovers(cluster, cluster, cluster)
+    cluster.state = replace(cluster.state, recovery=recovered_from("uid-1", "uid-3"))
+    await look(cluster, DRIVES, leftovers=leftovers)
+    cluster.state = GateState(epoch=4, active="w-1", active_uid="uid-3")
+    await look(cluster, STANDBY, seconds=FAILED_FOR, leftovers=leftovers)
+    cluster.state = GateState(epoch=5, active="spare-1", active_uid="uid-1")
+    await look(cluster, DRIVES, STANDBY, seconds=FAILED_FOR, leftovers=leftovers)
+    assert not cluster.deleted, "what it is now is judged anew"
+
+
+async def test_a_failed_pod_is_remembered_over_the_next_recovery() -> None:
+    cluster: Any = Cluster()
+    leftovers = Leftovers(cluster, cluster, cluster)
+    cluster.state = replace(cluster.state, recovery=recovered_from("uid-3"))
+    leftovers.remember()
+    cluster.state = replace(cluster.state, recovery=recovered_from("uid-4"))
+    await look(cluster, DRIVES, STANDBY, seconds=FAILED_FOR, leftovers=leftovers)
+    assert cluster.deleted == ["w-1"]
