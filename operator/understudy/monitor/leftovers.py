@@ -39,16 +39,14 @@ class Leftovers:
         self._fleet, self._gate, self._reporter = fleet, gate, reporter
         self._since: dict[str, float] = {}
         self._failed: set[str] = set()
-        """Pods that failed in the recovery which put the present one in control, or in one before."""
+        """Pods that failed in the last recovery, or in one before."""
         self._deleting: asyncio.Task[None] | None = None
 
     def remember(self) -> None:
-        """Note the pods that failed in the recovery which put the present one in control, as the gate says: the next recovery
-        may begin at once.
-        """
-        state = self._gate.state
-        if state.recovery is not None and not state.closed:
-            self._failed |= {pod.uid for pod in state.recovery.failed}
+        """Note the pods that failed in the recovery which the gate tells of: the next one may begin at once."""
+        recovery = self._gate.state.recovery
+        if recovery is not None:
+            self._failed |= {pod.uid for pod in recovery.failed}
 
     def housekeeping(self, instances: Sequence[Instance], now: float) -> None:
         """Look at every instance while nothing is being recovered; ``now`` is by a clock that is never set. Returns at once."""

@@ -358,8 +358,13 @@ class Supervisor:
         if not ready:
             return
         first = min(ready, key=lambda i: (not i.from_source, i.created, i.name))
+        # A recovery that closed it and came to nothing isn't gone on with, but which other pods had failed is still true.
+        left = self._gate.state.recovery
+        if left is not None:
+            failed = [pod for pod in left.failed if pod.uid != first.uid]
+            left = left.model_copy(update={"result": "Failed", "failed": failed})
         try:
-            await self._gate.commit(first, None)
+            await self._gate.commit(first, left)
         except (Superseded, ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
             _logger.warning("opening the gate for %s: %s", first.name, error)
             await asyncio.sleep(1)

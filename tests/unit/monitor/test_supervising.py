@@ -149,3 +149,24 @@ async def test_a_pod_that_is_on_its_way_is_waited_for() -> None:
     fleet = Asked(replace(ACTIVE, running=False, ready=False))
     await at_a_closed_gate(fleet)._bootstrap(policy(1), 1000.0)
     assert fleet.asked == 0
+
+
+async def test_a_gate_that_is_opened_after_a_recovery_came_to_nothing_still_tells_which_pods_had_failed() -> None:
+    watching = at_a_closed_gate(Asked(replace(ACTIVE, has_agent=False)))
+    committed: list[tuple[Instance, Progress]] = []
+
+    class Gate:
+        exists = True
+        state = GateState(epoch=4, recovery=took_over(0, 1.0).model_copy(update={"failed": [], "result": "Running"}))
+
+        async def commit(self, target: Instance, progress: Progress) -> None:
+            committed.append((target, progress))
+
+    for pod in (PodIdentity(name="w-0", uid="uid-0"), PodIdentity(name="w-1", uid="uid-1")):
+        Gate.state.recovery.failed.append(pod)  # type: ignore[union-attr]
+    watching._gate = cast(Any, Gate())
+    watching._reporter = cast(Any, SimpleNamespace(set=lambda **_: None, event=lambda *_: None))
+    await watching._bootstrap(policy(1), 1000.0)
+    ((target, progress),) = committed
+    assert target.name == "w-1"
+    assert ([pod.name for pod in progress.failed], progress.result) == (["w-0"], "Failed"), "nobody goes on with it"
