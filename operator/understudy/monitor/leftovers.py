@@ -16,6 +16,7 @@ import aiohttp
 
 from understudy.cluster.client import ApiError
 from understudy.mitigation.interfaces import Instance
+from understudy.mitigation.progress import PodIdentity
 from understudy.monitor.fleet import Fleet
 from understudy.monitor.gating import PolicyGate
 from understudy.monitor.reporting import Reporter
@@ -38,22 +39,30 @@ class Leftovers:
     def __init__(self, fleet: Fleet, gate: PolicyGate, reporter: Reporter) -> None:
         self._fleet, self._gate, self._reporter = fleet, gate, reporter
         self._since: dict[str, float] = {}
-        self._failed: set[str] = set()
-        """Pods that failed in the last recovery, or in one before."""
+        self._failed: dict[str, PodIdentity] = {}
+        """Pods that failed in the last recovery, or in one before, by UID."""
         self._deleting: asyncio.Task[None] | None = None
 
     def remember(self) -> None:
         """Note the pods that failed in the recovery which the gate tells of: the next one may begin at once."""
         recovery = self._gate.state.recovery
         if recovery is not None:
-            self._failed |= {pod.uid for pod in recovery.failed}
+            self._failed |= {pod.uid: pod for pod in recovery.failed}
+
+    def failed(self) -> list[PodIdentity]:
+        """Pods that failed in earlier recoveries and are there still: the next one deletes them too, whoever finishes it."""
+        self.remember()
+        active = self._gate.state.active_uid
+        there = {i.uid for i in self._fleet.of_workload() if i.usable}
+        return [pod for uid, pod in self._failed.items() if uid in there and uid != active]
 
     def housekeeping(self, instances: Sequence[Instance], now: float) -> None:
         """Look at every instance while nothing is being recovered; ``now`` is by a clock that is never set. Returns at once."""
         state = self._gate.state
         in_use = (state.active_uid, state.admitted_uid)
         self.remember()
-        self._failed &= {i.uid for i in instances if i.uid not in in_use}
+        there = {i.uid for i in instances if i.uid not in in_use}
+        self._failed = {uid: pod for uid, pod in self._failed.items() if uid in there}
         left = [
             i
             for i in instances

@@ -159,7 +159,7 @@ class Supervisor:
                 failure.reason,
                 last_healthy=failure.onset,
                 detected=failure.detected,
-                failed=failed,
+                failed=[*failed, *self._leftovers.failed()],
                 planned=failure.planned,
             )
             if (first := self._first(failure, state.active_uid)) is not None:

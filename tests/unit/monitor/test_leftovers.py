@@ -20,12 +20,17 @@ STANDBY = Instance(name="w-1", uid="uid-3", pool="hot", running=True)
 class Cluster:
     """The fleet, the gate and the reporter in one."""
 
+    instances = (DRIVES, STANDBY)
+
     def __init__(self, **gate: str) -> None:
         self.state = GateState(epoch=3, **{"active": "spare-1", "active_uid": "uid-1", **gate})  # type: ignore[arg-type]
         self.named = "uid-1"
         self.away = False
         self.deleted: list[str] = []
         self.events: list[str] = []
+
+    def of_workload(self) -> tuple[Instance, ...]:
+        return self.instances
 
     async def lets_through(self, instance: Instance) -> bool:
         if self.away:
@@ -114,7 +119,7 @@ async def test_a_failed_pod_is_remembered_over_the_next_recovery() -> None:
     cluster: Any = Cluster()
     leftovers = Leftovers(cluster, cluster, cluster)
     cluster.state = replace(cluster.state, recovery=recovered_from("uid-3"))
-    leftovers.remember()
+    assert [pod.uid for pod in leftovers.failed()] == ["uid-3"], "the next recovery tells of it, and deletes it"
     cluster.state = replace(cluster.state, recovery=recovered_from("uid-4"))
     await look(cluster, DRIVES, STANDBY, seconds=FAILED_FOR, leftovers=leftovers)
     assert cluster.deleted == ["w-1"]
