@@ -2,29 +2,60 @@
 
 from __future__ import annotations
 
+import asyncio
 import time
+
+import aiohttp
 
 from understudy.api import names
 from understudy.api.base import API_VERSION
 from understudy.cluster.client import PODS, ApiError, Client, Object
 
+RETRY_FIRST, RETRY_MOST = 0.05, 1.0  # seconds
+
 
 async def claim(client: Client, pod: Object, *, workload: str, workload_uid: str, claim: str) -> Object:
     """Make an unclaimed pod an instance of a workload, which from then on owns it.
 
-    A pod that has changed since it was read but is still unclaimed (the kubelet writes its status) is tried again.
-    Raises ApiError: 409 when another workload's claim was first, 404 when the pod is gone.
+    A pod that has changed since it was read but is still unclaimed (the kubelet writes its status) is tried again. So is a
+    claim that got no answer, once it is known that it wasn't carried out: else the pod would belong to a workload that
+    doesn't know of it. Raises ApiError: 409 when another workload's claim was first, 404 when the pod is gone.
     """
+    retry = RETRY_FIRST
     while True:
         try:
             return await _write(client, pod, workload, workload_uid, claim)
-        except ApiError as error:
-            if not error.conflict:
+        except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
+            changed = isinstance(error, ApiError) and error.conflict
+            if not changed and not _unanswered(error):
                 raise
-            fresh = await client.get(PODS, pod["metadata"]["namespace"], pod["metadata"]["name"])
+            if not changed:
+                await asyncio.sleep(retry)
+                retry = min(2 * retry, RETRY_MOST)
+            fresh = await _reread(client, pod)
+            if (fresh["metadata"].get("annotations") or {}).get(names.CLAIM) == claim:
+                return fresh
             if not unclaimed(fresh) or fresh["metadata"]["uid"] != pod["metadata"]["uid"]:
-                raise
+                raise ApiError(409, "Conflict", f"pod {pod['metadata']['name']} isn't free any more") from error
             pod = fresh
+
+
+def _unanswered(error: Exception) -> bool:
+    """Whether nobody knows if a request was carried out, or it is worth being sent again."""
+    return not isinstance(error, ApiError) or error.status >= 500 or error.status == 429
+
+
+async def _reread(client: Client, pod: Object) -> Object:
+    """The pod as it is. Waits while the API server is away."""
+    retry = RETRY_FIRST
+    while True:
+        try:
+            return await client.get(PODS, pod["metadata"]["namespace"], pod["metadata"]["name"])
+        except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
+            if not _unanswered(error):
+                raise
+            await asyncio.sleep(retry)
+            retry = min(2 * retry, RETRY_MOST)
 
 
 def unclaimed(pod: Object) -> bool:

@@ -1,4 +1,8 @@
-"""A local copy of a collection, kept by list and watch, so that the fast path never has to ask."""
+"""A local copy of a collection, kept by list and watch, so that the fast path never has to ask.
+
+What a write of ours returned is put into it too, and comes before or after what the watch tells of it. Versions decide
+which of the two is newer (they are comparable within a resource, KEP-5504).
+"""
 
 from __future__ import annotations
 
@@ -34,6 +38,8 @@ class Reflector:
         self._labels, self._fields = labels, fields
         self._on_change = on_change
         self._changed = asyncio.Event()
+        self._told = 0
+        """The version up to which the last list and the watch have told everything."""
         self.items: dict[str, Object] = {}
         self.revision = 0
         """Grows with every change, for caches of what is made of the objects."""
@@ -57,19 +63,21 @@ class Reflector:
                 retry = min(retry * 2, RETRY_MOST)
 
     async def _relist(self) -> str:
+        before = dict(self.items)
         answer = await self._client.list(self._resource, self._namespace, labels=self._labels, fields=self._fields)
+        version: str = answer["metadata"]["resourceVersion"]
+        self._told = _version(answer)
         fresh = {item["metadata"]["name"]: item for item in answer.get("items") or []}
-        for name in [n for n in self.items if n not in fresh]:
+        # What was put while the list was under way may be newer than it.
+        newer = {n for n, i in self.items.items() if before.get(n) is not i and _version(i) > self._told}
+        for name in [n for n in self.items if n not in fresh and n not in newer]:
             self._set(name, None)
         for name, item in fresh.items():
-            if (
-                self.items.get(name, {}).get("metadata", {}).get("resourceVersion")
-                != item["metadata"]["resourceVersion"]
-            ):
+            known = self.items.get(name, {}).get("metadata", {}).get("resourceVersion")
+            if name not in newer and known != item["metadata"]["resourceVersion"]:
                 self._set(name, item)
         self.synced.set()
         self._notify()
-        version: str = answer["metadata"]["resourceVersion"]
         return version
 
     async def _follow(self, version: str) -> str:
@@ -79,17 +87,20 @@ class Reflector:
         async with contextlib.aclosing(events):  # type: ignore[type-var]
             async for kind, item in events:
                 version = item["metadata"]["resourceVersion"]
-                if kind == "BOOKMARK":
+                self._told = max(self._told, _version(item))
+                if kind == "BOOKMARK" or _version(self.items.get(item["metadata"]["name"])) > _version(item):
                     continue
                 self._set(item["metadata"]["name"], None if kind == "DELETED" else item)
                 self._notify()
         return version
 
     def put(self, item: Object) -> None:
-        """Take in an object that a write of ours returned, unless the watch brought a newer one already."""
+        """Take in an object that a write of ours returned, unless the watch told of it already: maybe that it's gone."""
         name = item["metadata"]["name"]
         known = self.items.get(name)
         if known is not None and _version(known) >= _version(item):
+            return
+        if 0 < _version(item) <= self._told:
             return
         self._set(name, item)
         self._notify()
@@ -113,7 +124,7 @@ class Reflector:
         await self._changed.wait()
 
 
-def _version(item: Object) -> int:
-    """Comparable within one resource (KEP-5504); 0 where it isn't a number."""
-    text = item["metadata"].get("resourceVersion", "0")
+def _version(item: Object | None) -> int:
+    """The version of an object, or of a list; 0 where there is none or it isn't a number."""
+    text = item["metadata"].get("resourceVersion", "0") if item is not None else "0"
     return int(text) if text.isdigit() else 0

@@ -27,12 +27,12 @@ class Expectations:
         """It was observed, or the API server said that it won't be."""
         self._names.get((key, pool), {}).pop(name, None)
 
-    def count(self, key: Key, pool: str) -> int:
-        """How many are still expected."""
+    def count(self, key: Key, pool: str, *, observed: Callable[[str], bool] = lambda name: False) -> int:
+        """How many are still expected; those that were observed meanwhile, by their names, no longer are."""
         known = self._names.get((key, pool))
         if not known:
             return 0
         now = self._clock()
-        for name in [name for name, since in known.items() if now - since >= LASTS]:
+        for name in [name for name, since in known.items() if now - since >= LASTS or observed(name)]:
             del known[name]
         return len(known)

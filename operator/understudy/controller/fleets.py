@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from understudy.api import names
 from understudy.cluster.client import Object
 from understudy.controller import objects
+from understudy.controller.expectations import LASTS
 
 REST_SECONDS = 10.0
 """A pod that ended (such as one that its node refused) is replaced after so long: no busy loop of refusals."""
@@ -34,7 +35,8 @@ def change(
 ) -> Change:
     """The change that leads to ``want`` pods of the present template.
 
-    ``expected`` pods were created and haven't been observed yet: they count, so a stale read never makes too many.
+    ``expected`` pods were created and haven't been observed yet: they count, so a stale read never makes too many. Nothing
+    tells of one that was never made, so it is looked again once it isn't expected any more.
     ``kept`` pods (the active one) count at any template and are never deleted. Pods of an old template go only as
     far as ready ones of the present one have come: make before break. With ``hold`` (a recovery is under way, which
     may be about to use any of them) nothing is deleted.
@@ -46,9 +48,10 @@ def change(
     present = [pod for pod in live if kept(pod) or hash_of(pod) == template_hash]
     old = [pod for pod in live if not kept(pod) and hash_of(pod) != template_hash]
     rest = max((REST_SECONDS - (now - objects.created(pod)) for pod in resting), default=None)
+    again = min((delay for delay in (rest, LASTS if expected else None) if delay is not None), default=None)
     create = max(0, want - len(present) - len(resting) - expected)
     if hold:
-        return Change(create=create, again_after=rest)
+        return Change(create=create, again_after=again)
     delete = over
     free = sorted(
         (pod for pod in present if not kept(pod)), key=lambda pod: (objects.ready(pod), -objects.created(pod))
@@ -56,7 +59,7 @@ def change(
     delete += free[: max(0, len(present) - want)]
     staying = max(0, want - sum(objects.ready(pod) for pod in present))
     delete += sorted(old, key=lambda pod: not objects.ready(pod))[staying:]
-    return Change(create=create, delete=delete, again_after=rest)
+    return Change(create=create, delete=delete, again_after=again)
 
 
 def hash_of(pod: Object) -> str:

@@ -61,7 +61,9 @@ class Observer:
                 if (policy := store.get(NETWORK_POLICIES, namespace, names.held(pool))) is not None
             },
             owned=store.owned(objects.uid(item)),
+            # In one moment with the next: a pod that comes while something is waited for must be in one of the two.
             pods=store.labelled(PODS, namespace, names.WORKLOAD, name),
+            expected={pool: self._expected(key, pool) for pool in serving},
             monitors=self._serving(item, "monitor"),
             discovery=self._serving(item, "discovery"),
             unclaimed={
@@ -70,8 +72,13 @@ class Observer:
             },
             reference=await self._referred(item),
             rivals=self._rivals(item),
-            expected={pool: self._expectations.count(key, pool) for pool in serving},
             resized=await self._resized(item),
+        )
+
+    def _expected(self, key: Key, pool: str) -> int:
+        """Pods that were asked for, and of which neither an answer nor a watch has told."""
+        return self._expectations.count(
+            key, pool, observed=lambda name: self._store.get(PODS, key.namespace, name) is not None
         )
 
     async def _resized(self, item: Object) -> Object | None:
@@ -141,7 +148,7 @@ class Observer:
             source=template,
             source_selector=selector,
             active=frozenset(uid for gate in gates if (uid := objects.active(gate)[1])),
-            expected=self._expectations.count(Key(POOLS.plural, namespace, name), name),
+            expected=self._expected(Key(POOLS.plural, namespace, name), name),
             prewarmed=sum(
                 pools.serves(item, workload)
                 and levels.prewarmed(workload, store.get(POLICIES, namespace, affected.used_policy(workload)), name)

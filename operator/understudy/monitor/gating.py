@@ -158,6 +158,12 @@ class PolicyGate:
         self._view.gates.put(policy)
         return record
 
+    async def lets_through(self, instance: Instance) -> bool:
+        """Whether it lets an instance through as the API server has it now. Raises what a request raises."""
+        policy = await self._client.get(NETWORK_POLICIES, self._view.namespace, names.gate(self._view.workload))
+        record = gates.read(policy)
+        return instance.uid in (record.active_uid, record.admitted_uid)
+
     async def enforced(self, target: Instance, *, since: float) -> float:
         """Wait until a probe of the instance gets through; when the first one did, in unix seconds."""
         return await self._probes.wait(target.uid, since)

@@ -35,6 +35,7 @@ from understudy.monitor.faults import CrashPoints
 from understudy.monitor.fleet import Fleet
 from understudy.monitor.gating import PolicyGate
 from understudy.monitor.keeping import StateKeeping
+from understudy.monitor.leftovers import Leftovers
 from understudy.monitor.levels import Levels
 from understudy.monitor.looking import TICK, WAKE_LATE, Looks
 from understudy.monitor.reflexes import Reflexes
@@ -116,6 +117,7 @@ class Supervisor:
         self._backoff = BACKOFF_FIRST
         self._given: tuple[object, ...] = ()
         self._next_slow = 0.0
+        self._next_asked = 0.0
         self._gate_changed = self._since
         self._let_through = ("", "")
         self._cooldown_told = False
@@ -127,6 +129,7 @@ class Supervisor:
         self._levels = Levels(parts.sight, parts.reporter)
         self._line = Line(parts.view, parts.reporter)
         self._bringing = Bringing(parts.fleet, parts.sidecars, parts.reporter)
+        self._leftovers = Leftovers(parts.fleet, parts.gate, parts.reporter)
         parts.sidecars.role = self._role
         self._reflexes = Reflexes(
             parts.view, parts.fleet, parts.gate, parts.sidecars, parts.sight, parts.probes, parts.reporter
@@ -158,7 +161,7 @@ class Supervisor:
                 failure.reason,
                 last_healthy=failure.onset,
                 detected=failure.detected,
-                failed=failed,
+                failed=[*failed, *self._leftovers.failed()],
                 planned=failure.planned,
             )
             if (first := self._first(failure, state.active_uid)) is not None:
@@ -344,6 +347,9 @@ class Supervisor:
         self._reporter.set(
             active="", health="Starting" if running else "Unknown", gate=GateStatus(epoch=self._gate.state.epoch)
         )
+        if not running:
+            await self._ask_for_one(now)
+            return
         ready = [i for i in running if not i.has_agent or self._sidecars.is_ready(i)[0]]
         # An application may need an answer of the robot before its outputs flow, and the workload's own pod comes before
         # a standby: but neither is waited for too long.
@@ -354,8 +360,13 @@ class Supervisor:
         if not ready:
             return
         first = min(ready, key=lambda i: (not i.from_source, i.created, i.name))
+        # A recovery that closed it and came to nothing isn't gone on with, but which other pods had failed is still true.
+        left = self._gate.state.recovery
+        if left is not None:
+            failed = [pod for pod in left.failed if pod.uid != first.uid]
+            left = left.model_copy(update={"result": "Failed", "failed": failed, "waiting": None})
         try:
-            await self._gate.commit(first, None)
+            await self._gate.commit(first, left)
         except (Superseded, ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
             _logger.warning("opening the gate for %s: %s", first.name, error)
             await asyncio.sleep(1)
@@ -363,6 +374,19 @@ class Supervisor:
         _logger.info("gate opened for %s, epoch %d", first.name, self._gate.state.epoch)
         self._reporter.event("Normal", "InControl", f"{first.name} is in control, epoch {self._gate.state.epoch}")
         self._since = time.time()
+
+    async def _ask_for_one(self, now: float) -> None:
+        """No pod runs and no recovery is under way. The workload's own controller may have been told to run none, while a pod of
+        a shared pool drove: nobody else tells it otherwise while the gate is closed.
+        """
+        coming = any(i.from_source and not i.terminating for i in self._fleet.of_workload())
+        if coming or now < self._next_asked:
+            return
+        self._next_asked = now + BACKOFF_FIRST
+        try:
+            await self._fleet.replace([])
+        except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
+            _logger.warning("no pod runs, and none can be asked for: %s", error)
 
     def _housekeeping(self) -> None:
         """What has time: labels on new pods, links to agents, whether the gate is enforced, what would be done now."""
@@ -385,6 +409,7 @@ class Supervisor:
             self._bringing.housekeeping(
                 instances, policy, spec, settings, active, lambda: self._keeping.select(time.time())
             )
+        self._leftovers.housekeeping(instances, time.monotonic())
         self._keeping.housekeeping(self._fleet.find(self._gate.state.active_uid), self._kept_up(instances, settings))
         active_uid = self._gate.state.active_uid
         last = {i.uid: found for i in instances if (found := self._parts.probes.last(i.uid)) is not None}
@@ -500,11 +525,14 @@ class Supervisor:
             self._after(0.0)
             return
         except (ApiError, aiohttp.ClientError, OSError) as error:
-            _logger.exception("recovery %s stopped", progress.id)
-            self._reporter.condition("Recovering", "False", "Error", f"{progress.reason}: {error}")
-            self._reporter.event("Warning", "RecoveryError", f"{progress.reason}: {error}")
-            self._after(BACKOFF_FIRST)
-            return
+            if progress.result != "Recovered":
+                _logger.exception("recovery %s stopped", progress.id)
+                self._reporter.condition("Recovering", "False", "Error", f"{progress.reason}: {error}")
+                self._reporter.event("Warning", "RecoveryError", f"{progress.reason}: {error}")
+                self._after(BACKOFF_FIRST)
+                return
+            _logger.warning("the failed pod is not deleted yet: %s", error)
+            done = progress
         self._parts.crash_points.step("before record")
         self._escalation.note(done)
         recovery = self._reporter.record(done)
@@ -515,6 +543,7 @@ class Supervisor:
         _logger.warning("recovery %d: %s", recovery.number, text)
         urgent = policy.priority == "Safety"
         if done.result == "Recovered":
+            self._leftovers.remember()
             self._unattended.driven()
             self._reporter.condition("Recovering", "False", "Recovered", text)
             self._reporter.event("Normal", "Recovered", text)

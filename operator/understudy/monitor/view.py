@@ -109,10 +109,12 @@ class View:
 
     @property
     def settings(self) -> WorkloadSettings | None:
-        """What the operator resolved for this monitor."""
+        """What the operator resolved for this monitor; while somebody has deleted it, as it was last."""
         if self._settings[0] != self.settings_maps.revision:
             item = self.settings_maps.items.get(names.settings(self.workload))
-            found = WorkloadSettings.model_validate_json(item["data"]["settings.json"]) if item else None
+            found = self._settings[1]
+            if item is not None:
+                found = WorkloadSettings.model_validate_json(item["data"]["settings.json"])
             self._settings = (self.settings_maps.revision, found)
         return self._settings[1]
 

@@ -30,7 +30,7 @@ from understudy.api import names
 from understudy.cluster.client import NETWORK_POLICIES, POOLS, WORKLOADS, Object
 from understudy.controller import instances, objects, ownership, pools
 from understudy.controller.desired import Plan
-from understudy.controller.expectations import Expectations
+from understudy.controller.expectations import LASTS, Expectations
 from understudy.controller.observing import Observer
 from understudy.controller.stores import Store
 from understudy.mitigation.progress import Progress
@@ -96,6 +96,13 @@ def test_an_empty_pool_is_filled() -> None:
 
 def test_pods_that_were_created_and_not_seen_yet_count() -> None:
     assert len(created(plan(observe(spare(replicas=3), expected=2)), "pods")) == 1
+
+
+def test_it_is_looked_again_once_a_pod_that_was_perhaps_never_made_is_not_expected_any_more() -> None:
+    # Of a request that got no answer nothing may ever tell: no watch does where nothing was made.
+    made = plan(observe(spare(replicas=1), expected=1))
+    assert not created(made, "pods")
+    assert made.again_after == LASTS
 
 
 @pytest.mark.parametrize("extra", [0, 1, 5])

@@ -190,6 +190,15 @@ def test_expectations_last_until_they_are_settled_or_too_old() -> None:
     assert expectations.count(key, "spare") == 0
 
 
+def test_what_was_observed_is_not_expected_any_more_though_its_answer_was_lost() -> None:
+    expectations = Expectations()
+    key = Key("fallbackpools", "fleet", "spare")
+    expectations.expect(key, "spare", "spare-a")
+    expectations.expect(key, "spare", "spare-b")
+    assert expectations.count(key, "spare", observed=lambda name: name == "spare-a") == 1
+    assert expectations.count(key, "spare") == 1
+
+
 def test_whoever_brings_a_change_it_is_noticed_once() -> None:
     store, noticed = Store(), list[Sight]()
     store.noticed = noticed.append

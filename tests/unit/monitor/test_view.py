@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from understudy.api import names
+from understudy.api.settings import WorkloadSettings
 from understudy.monitor.view import View
 
 GOOD = {"yaml": {"set_lifecycle": {"node": "/nav", "state": "active"}}}
@@ -49,6 +50,19 @@ def test_a_spec_that_can_not_be_followed_leaves_the_last_one_in_force(view: View
     view.workloads.items.clear()  # type: ignore[attr-defined]
     view.workloads.revision += 1  # type: ignore[misc]
     assert view.spec is None
+
+
+def test_settings_that_somebody_deletes_stay_in_force_until_the_operator_gives_them_again(view: View) -> None:
+    settings = WorkloadSettings(workload="w", namespace="n", uid="u", source_kind="ReplicaSet", source_name="w")
+    item = {"data": {"settings.json": settings.model_dump_json(by_alias=True)}}
+    view.settings_maps = SimpleNamespace(revision=0, items={})  # type: ignore[assignment]
+    assert view.settings is None
+    view.settings_maps.items["w-settings"] = item  # type: ignore[index]
+    view.settings_maps.revision = 1  # type: ignore[misc]
+    assert view.settings == settings
+    view.settings_maps.items.clear()  # type: ignore[attr-defined]
+    view.settings_maps.revision = 2  # type: ignore[misc]
+    assert view.settings == settings, "without them nothing can be recovered"
 
 
 def test_a_recovery_that_does_not_load_leaves_the_last_policy_in_force(view: View) -> None:

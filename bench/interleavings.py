@@ -1,0 +1,114 @@
+"""Whether claims, gates and pools hold, whatever order requests, answers, watches, failures and deaths come in.
+
+    scripts/bench interleavings [RUNS] [--first SEED] [--processes N]
+    scripts/bench interleavings --seed SEED
+
+Each run is the real code of monitors and operator over a modelled API server, network and cluster, in virtual time
+(tests/unit/interleavings); all of it follows from its seed. With --seed that one run is made, and all that happened is told.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from collections import Counter
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field
+
+from bench.results import Report
+from tests.unit.interleavings.simulation import run
+
+CHUNK = 100
+"""Runs of which the figures are taken together."""
+
+SHOWN = 10
+"""Failed runs that are named."""
+
+UNANSWERED = ("lost", "unanswered", "unheard", "late", "gateway")
+"""What becomes of requests of which their sender doesn't know whether they were carried out."""
+
+
+@dataclass
+class Chunk:
+    """So many runs."""
+
+    runs: int = 0
+    faults: dict[int, str] = field(default_factory=dict)
+    """By seed."""
+    counts: Counter[str] = field(default_factory=Counter)
+    processor: float = 0.0
+
+
+def chunk(seeds: range) -> Chunk:
+    """Make the runs of some seeds."""
+    found, begun = Chunk(len(seeds)), time.process_time()
+    for seed in seeds:
+        outcome = run(seed)
+        if outcome.faults:
+            found.faults[seed] = outcome.faults[0]
+        found.counts += Counter(outcome.requests)
+        found.counts += Counter(
+            steps=outcome.steps,
+            claims=outcome.claims,
+            commits=outcome.commits,
+            creations=outcome.creations,
+            seconds=round(outcome.seconds),
+        )
+    found.processor = time.process_time() - begun
+    return found
+
+
+def told(chunks: Sequence[Chunk]) -> Report:
+    """The figures of all runs."""
+    report = Report("interleavings")
+
+    def counted(name: str, *outcomes: str, unit: str) -> None:
+        report.figure(name, [sum(c.counts[o] for o in outcomes) / c.runs for c in chunks], unit=unit)
+
+    report.figure("runs in which something didn't hold", [len(c.faults) for c in chunks], unit="", must={"max": 0})
+    counted("steps of a process", "steps", unit="per run")
+    counted("claims", "claims", unit="per run")
+    counted("commits to gates", "commits", unit="per run")
+    counted("pods made for pools", "creations", unit="per run")
+    counted("conflicts", "conflict", unit="per run")
+    counted("requests without an answer", *UNANSWERED, unit="per run")
+    counted("requests refused or turned away", "refused", "busy", unit="per run")
+    counted("virtual time", "seconds", unit="s per run")
+    report.figure("processor time", [1000 * c.processor / c.runs for c in chunks], unit="ms per run")
+    runs, steps = sum(c.runs for c in chunks), sum(c.counts["steps"] for c in chunks)
+    return report.note("runs", f"{runs}, of {steps} steps together; a value of each figure is of {CHUNK} runs")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("runs", type=int, nargs="?", default=10_000)
+    parser.add_argument("--first", type=int, default=0, metavar="SEED", help="the seed of the first run")
+    parser.add_argument("--processes", type=int, default=os.cpu_count(), metavar="N")
+    parser.add_argument("--seed", type=int, help="make this run alone, and tell all that happens")
+    options = parser.parse_args()
+    if options.seed is not None:
+        outcome = run(options.seed, tracing=True)
+        print(outcome)
+        sys.exit(1 if outcome.faults else 0)
+    end = options.first + options.runs
+    ranges = [range(first, min(end, first + CHUNK)) for first in range(options.first, end, CHUNK)]
+    chunks = []
+    with ProcessPoolExecutor(options.processes) as pool:
+        for found in pool.map(chunk, ranges):
+            chunks.append(found)
+            for seed, fault in found.faults.items():
+                print(f"seed {seed}: {fault}", flush=True)
+    report = told(chunks)
+    print(report.table())
+    failed = sorted(seed for found in chunks for seed in found.faults)
+    for seed in failed[:SHOWN]:
+        print(f"scripts/bench interleavings --seed {seed}")
+    print(report.write())
+    sys.exit(0 if report.held else 1)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,80 @@
+"""Claims whose answers are lost: the pod has one owner, and that one knows it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import aiohttp
+import pytest
+
+from tests.unit.cluster.memory import MemoryClient
+from understudy.api import names
+from understudy.cluster import claims
+from understudy.cluster.client import PODS, ApiError, Object
+
+UNANSWERED: list[Exception] = [
+    ApiError(504, "Timeout", "the server did not answer in time"),
+    ApiError(429, "TooManyRequests", "try again"),
+    aiohttp.ServerDisconnectedError(),
+    TimeoutError(),
+]
+
+
+class Lossy(MemoryClient):
+    """Loses answers to patches, or the patches themselves."""
+
+    def __init__(self, *losses: tuple[Exception, bool]) -> None:
+        super().__init__()
+        self.losses = list(losses)
+        self.meanwhile: Callable[[], None] = lambda: None
+
+    async def patch(self, *args: object, **more: object) -> Object:
+        if not self.losses:
+            return await super().patch(*args, **more)  # type: ignore[arg-type]
+        error, carried_out = self.losses.pop(0)
+        if carried_out:
+            await super().patch(*args, **more)  # type: ignore[arg-type]
+        self.meanwhile()
+        raise error
+
+
+async def free_pod(client: MemoryClient) -> Object:
+    metadata = {"name": "spare-1", "labels": {names.HELD: "true"}}
+    return await client.create(PODS, "fleet", {"metadata": metadata})
+
+
+async def claimed(client: MemoryClient, pod: Object, by: str = "w") -> Object:
+    return await claims.claim(client, pod, workload=by, workload_uid=f"uid-{by}", claim=f"uid-{by}/1")
+
+
+@pytest.mark.parametrize("carried_out", [True, False])
+@pytest.mark.parametrize("error", UNANSWERED, ids=repr)
+async def test_a_claim_without_an_answer_ends_with_the_pod_claimed_once(error: Exception, carried_out: bool) -> None:
+    client = Lossy((error, carried_out))
+    found = await claimed(client, await free_pod(client))
+    assert found["metadata"]["annotations"][names.CLAIM] == "uid-w/1"
+    assert names.HELD not in found["metadata"]["labels"]
+    writes = [name for method, name, _ in client.requests if method == "PATCH"]
+    assert len(writes) == 1, "one that was carried out isn't made again"
+
+
+async def test_a_pod_that_another_workload_got_meanwhile_is_not_taken_for_ours() -> None:
+    client = Lossy((TimeoutError(), False))
+    pod = await free_pod(client)
+    item = client.items[(PODS.plural, "fleet", "spare-1")]
+
+    def another() -> None:
+        item["metadata"] |= {"labels": {names.WORKLOAD: "v"}, "annotations": {names.CLAIM: "uid-v/1"}}
+
+    client.meanwhile = another
+    with pytest.raises(ApiError) as refused:
+        await claimed(client, pod)
+    assert refused.value.conflict
+
+
+async def test_what_the_api_server_refuses_for_good_is_not_tried_again() -> None:
+    client = Lossy((ApiError(403, "Forbidden", "not yours"), False))
+    with pytest.raises(ApiError) as refused:
+        await claimed(client, await free_pod(client))
+    assert refused.value.status == 403
+    assert [method for method, _, _ in client.requests] == ["POST"]

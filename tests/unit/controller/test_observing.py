@@ -1,0 +1,31 @@
+"""What is seen around an object fits together, also where something is waited for in between."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+from tests.unit.controller.world import hot, standby_pod, workload
+from understudy.cluster.client import PODS, POOLS, WORKLOADS, Client
+from understudy.controller.affected import Key
+from understudy.controller.expectations import Expectations
+from understudy.controller.observing import Observer
+from understudy.controller.stores import Store
+
+
+async def test_a_standby_that_is_seen_while_a_deployment_is_read_counts_once() -> None:
+    store, expectations = Store(), Expectations()
+    item = workload("w", workloadRef={"kind": "Deployment", "name": "nav2"})
+    for resource, found in ((WORKLOADS, item), (POOLS, hot())):
+        store.put(resource, found)
+    expectations.expect(Key(WORKLOADS.plural, "fleet", "w"), "hot", "w-1")
+
+    class Slow:
+        """While it answers, a watch brings the pod whose creation got no answer."""
+
+        async def find(self, *_: Any) -> None:
+            store.put(PODS, standby_pod("w-1", of=item))
+
+    observed = await Observer(cast(Client, Slow()), store, expectations).workload(item)
+    assert len(observed.pods) + observed.expected["hot"] == 1
+    again = await Observer(cast(Client, Slow()), store, expectations).workload(item)
+    assert (len(again.pods), again.expected["hot"]) == (1, 0)

@@ -1,0 +1,231 @@
+"""The monitors and the operator as processes that can be killed: their real code over the simulated network."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import random
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, cast
+
+import aiohttp
+
+from tests.unit.interleavings.apiserver import ApiServer
+from tests.unit.interleavings.network import Network, SimulatedClient
+from tests.unit.interleavings.robots import Robots
+from tests.unit.interleavings.scheduling import Killed, Process
+from tests.unit.interleavings.senses import Keeping, Probes, Sidecars, Sight
+from understudy.api import names
+from understudy.cluster import gates
+from understudy.cluster.client import NETWORK_POLICIES, PODS, ApiError, Expired, Object, Resource
+from understudy.cluster.events import Recorder
+from understudy.controller import affected, handlers
+from understudy.controller.desired import Images
+from understudy.controller.executing import Executor
+from understudy.controller.expectations import Expectations
+from understudy.controller.observing import Observer
+from understudy.controller.operating import Operator
+from understudy.controller.pools import Fresh
+from understudy.controller.reconciling import Reconciler
+from understudy.controller.stores import Sight as Seen
+from understudy.controller.stores import Store
+from understudy.mitigation.journal import Journal
+from understudy.monitor.faults import CrashPoints
+from understudy.monitor.fleet import Fleet
+from understudy.monitor.gating import PolicyGate
+from understudy.monitor.reporting import Reporter
+from understudy.monitor.supervising import Parts, Supervisor
+from understudy.monitor.view import View
+
+NAMESPACE = "fleet"
+RESYNC = 30.0
+
+
+class Silent(Recorder):
+    """Events aren't what is looked at here."""
+
+    def __init__(self) -> None:
+        return
+
+    async def normal(self, item: Object, reason: str, message: str) -> None:
+        return
+
+    async def warning(self, item: Object, reason: str, message: str) -> None:
+        return
+
+
+class Fuse(CrashPoints):
+    """Kills its monitor at the crash point after so many."""
+
+    def __init__(self, process: Process, kill: Callable[[Process], None]) -> None:
+        self._process, self._kill = process, kill
+        self.left: int | None = None
+
+    def step(self, name: str) -> None:
+        if not self._process.alive:
+            raise Killed
+        if self.left is None:
+            return
+        self.left -= 1
+        if self.left < 0:
+            self._kill(self._process)
+            raise Killed
+
+
+class Monitor:
+    """One monitor of one workload, from its start to its end."""
+
+    def __init__(
+        self,
+        process: Process,
+        network: Network,
+        robots: Robots,
+        workload: str,
+        journal: Path,
+        kill: Callable[[Process], None],
+        broken: Callable[[str], None],
+        *,
+        initializes: bool,
+    ) -> None:
+        """``kill`` kills a process; ``broken`` is called with what doesn't hold."""
+        self.process, self.workload = process, workload
+        self._broken, self._gate = broken, cast("Object | None", None)
+        self._network, self._robots, self._journal = network, robots, journal
+        self.fuse = Fuse(process, kill)
+        self.supervisor: Supervisor | None = None
+        self._view: View | None = None
+        self.sidecars = Sidecars(robots, workload, self.fuse.step, initializes=initializes)
+
+    async def run(self) -> None:
+        """As ``understudy.monitor.running`` puts it together."""
+        client = self._network.client(self.process)
+        async with asyncio.TaskGroup() as group:
+            view = self._view = View(client, NAMESPACE, self.workload, on_pod=self.wake)
+            await view.run(group)
+            fleet = Fleet(client, view, self.fuse)
+            probes: Any = Probes(self._robots, self.workload)
+            gate = PolicyGate(client, view, fleet, probes, self.fuse)
+            reporter = Reporter(client, NAMESPACE, self.workload, Silent())
+            if (item := view.object) is not None:
+                reporter.adopt(item)
+            parts = Parts(
+                view=view,
+                fleet=fleet,
+                gate=gate,
+                sidecars=cast(Any, self.sidecars),
+                sight=cast(Any, Sight(self._robots, self.workload, self._look_at_gate)),
+                probes=probes,
+                reporter=reporter,
+                journal=Journal(self._journal),
+                crash_points=self.fuse,
+                keeping=cast(Any, Keeping()),
+            )
+            self.supervisor = Supervisor(parts)
+            group.create_task(reporter.run())
+            await self.supervisor.run()
+
+    def _look_at_gate(self) -> None:
+        if self._view is not None:
+            self._look(self._view.gates.items.get(names.gate(self.workload)))
+
+    def _look(self, gate: Object | None) -> None:
+        """What it knows of its gate never goes back, unless somebody has deleted the gate."""
+        before, self._gate = self._gate, gate
+        if before is None or gate is None or before["metadata"]["uid"] != gate["metadata"]["uid"]:
+            return
+        old, new = (int(found["metadata"]["resourceVersion"]) for found in (before, gate))
+        if new < old:
+            epochs = [gates.read(found).epoch for found in (before, gate)]
+            self._broken(f"{self.process} knew epoch {epochs[0]} of its gate, and then {epochs[1]}")
+
+    def mistaken(self, server: ApiServer) -> Iterator[str]:
+        """What it takes to be so of its pods and its gate, and isn't."""
+        view = self._view
+        if view is None:
+            return
+        pods = server.items["pods"].values()
+        for reflector, label, value in (
+            (view.pods, names.WORKLOAD, self.workload),
+            (view.held_pods, names.HELD, "true"),
+        ):
+            found = {p["metadata"]["name"]: p for p in pods if (p["metadata"].get("labels") or {}).get(label) == value}
+            yield from _differences(str(self.process), reflector.items, found)
+        gate = names.gate(self.workload)
+        policies = server.items["networkpolicies"]
+        found = {gate: policies[(NAMESPACE, gate)]} if (NAMESPACE, gate) in policies else {}
+        yield from _differences(str(self.process), view.gates.items, found)
+
+    def wake(self) -> None:
+        """Have it look at once."""
+        if self.supervisor is not None:
+            self.supervisor.wake.set()
+
+
+def _differences(who: str, known: Mapping[str, Object], found: Mapping[str, Object]) -> Iterator[str]:
+    for name in sorted(known.keys() | found.keys()):
+        mine, real = (side[name]["metadata"]["resourceVersion"] if name in side else "none" for side in (known, found))
+        if mine != real:
+            yield f"{who} knows version {mine} of {name}, and there is {real}"
+
+
+class OperatorProcess:
+    """One operator, from its start to its end: what it expects is lost with it."""
+
+    def __init__(
+        self, process: Process, network: Network, numbers: itertools.count[int], choices: random.Random
+    ) -> None:
+        self.process = process
+        self._network, self._choices = network, choices
+        client = network.client(process, timeout=20)
+        self._client: SimulatedClient = client
+        clock = network.loop.time
+        self._store, expectations = Store(clock=clock), Expectations(clock=clock)
+        reconciler = Reconciler(
+            client,
+            self._store,
+            Observer(client, self._store, expectations),
+            Executor(client, self._store, expectations, may_write=lambda: True),
+            Silent(),
+            Images("registry/understudy:1"),
+        )
+        reconciler._fresh = Fresh(name=lambda prefix: f"{prefix}-{next(numbers):04}", token=lambda: "token")
+        self._operator = Operator(client, self._store, reconciler, namespaces=[NAMESPACE], resync_every=RESYNC)
+        self._store.noticed = self._enqueue
+        self.silent: set[str] = set()
+        """Resources whose watch says nothing any more, without an error."""
+
+    def _enqueue(self, sight: Seen) -> None:
+        for key in sorted(affected.keys(sight, self._store)):  # a set's order differs from run to run
+            self._operator._add(key)
+
+    def mistaken(self, server: ApiServer) -> Iterator[str]:
+        """What it takes to be so of pods and gates, and isn't."""
+        for resource in (PODS, NETWORK_POLICIES):
+            found = {name: item for (_, name), item in server.items[resource.plural].items()}
+            known = self._store.in_namespace(resource, NAMESPACE)
+            yield from _differences(str(self.process), known, found)
+
+    async def run(self) -> None:
+        """As ``understudy.controller.running`` puts it together, but for the lease."""
+        async with asyncio.TaskGroup() as group:
+            for resource in handlers.WATCHED:
+                group.create_task(self._watch(resource))
+            group.create_task(self._operator.keep_listing())
+            group.create_task(self._operator.lead())
+
+    async def _watch(self, resource: Resource) -> None:
+        """What kopf does for it."""
+        while True:
+            try:
+                answer = await self._client.list(resource, NAMESPACE)
+                for item in answer["items"]:
+                    self._operator.see(resource, item, False)
+                version = answer["metadata"]["resourceVersion"]
+                while True:
+                    async for kind, item in self._client.watch(resource, NAMESPACE, version=version):
+                        version = item["metadata"]["resourceVersion"]
+                        if resource.plural not in self.silent:
+                            self._operator.see(resource, item, kind == "DELETED")
+            except (ApiError, aiohttp.ClientError, TimeoutError, OSError, Expired):
+                await asyncio.sleep(self._choices.random() * 2)

@@ -1,0 +1,244 @@
+"""What must hold after every write and whenever what reaches a robot changes, and what must be so once all is calm."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+from tests.unit.interleavings.apiserver import ApiServer
+from tests.unit.interleavings.robots import Robots
+from understudy.api import names
+from understudy.cluster import gates
+from understudy.cluster.applying import controller_of
+from understudy.cluster.client import Object
+from understudy.controller import objects
+
+KNOWN = 70.0
+"""Seconds within which an operator knows of a pool's new size: two of its lists, and their longest waits."""
+
+
+class Invariants:
+    """Looks at everything; what doesn't hold is told."""
+
+    def __init__(
+        self, server: ApiServer, robots: Robots, *, broken: Callable[[str], None], alive: Callable[[str], bool]
+    ) -> None:
+        """``alive`` tells whether the process of a name is."""
+        self._server, self._robots, self._broken, self._alive = server, robots, broken, alive
+        self._stragglers: set[str] = set()
+        """Pods that an operator had asked for and that came when it was gone: nobody could count with them."""
+        self._sizes: dict[str, list[tuple[float, int]]] = {}
+        """By pool, since when it was to have how many pods."""
+        self.failed: set[str] = set()
+        """Pods that failed for good while they were in control."""
+        self.commits = self.claims = self.creations = 0
+
+    # -- at every write ---------------------------------------------------------------------------------------------
+
+    def see(self, plural: str, old: Object | None, new: Object | None, by: str) -> None:
+        """A write was made."""
+        if plural == "pods":
+            self._owners(old, new)
+            if old is None and new is not None and by.startswith("operator"):
+                self._created(new, by)
+            if by.startswith("operator") and old is not None and _claimed(old) and _deleted(old, new):
+                self._broken(f"{by} deleted {_name(old)}, which is claimed")
+        elif plural == "fallbackpools" and new is not None and old is not None:
+            sizes = self._sizes.setdefault(_name(new), [(self._robots.now, _size(old))])
+            sizes += [(self._robots.now, _size(old)), (self._robots.now, _size(new))]
+        elif plural == "networkpolicies" and new is not None and _name(new).endswith("-gate"):
+            self._gate(old, new)
+
+    def _owners(self, old: Object | None, new: Object | None) -> None:
+        """No pod has two owners, and a used understudy is never free again."""
+        if new is None:
+            return
+        controllers = [o for o in new["metadata"].get("ownerReferences") or [] if o.get("controller")]
+        if len(controllers) != 1:
+            self._broken(f"pod {_name(new)} has {len(controllers)} controllers")
+        if old is None:
+            return
+        before, after = _labels(old), _labels(new)
+        if names.HELD not in before and names.HELD in after:
+            self._broken(f"pod {_name(new)} was used and is free again")
+        was, now = (item["metadata"].get("annotations") or {} for item in (old, new))
+        if names.CLAIM not in was and names.CLAIM in now:
+            self.claims += 1
+        if names.CLAIM in was and was[names.CLAIM] != now.get(names.CLAIM):
+            self._broken(f"pod {_name(new)} was claimed by {was[names.CLAIM]} and then by {now.get(names.CLAIM)}")
+        if names.WORKLOAD in before and before[names.WORKLOAD] != after.get(names.WORKLOAD):
+            self._broken(f"pod {_name(new)} was of {before[names.WORKLOAD]} and then of {after.get(names.WORKLOAD)}")
+        if names.CLAIM in now and controllers and controllers[0]["name"] != after.get(names.WORKLOAD):
+            self._broken(f"pod {_name(new)} is owned by {controllers[0]['name']} and of {after.get(names.WORKLOAD)}")
+
+    def _gate(self, old: Object | None, new: Object) -> None:
+        """Each commit is of the next epoch, and lets exactly the pod through that it names."""
+        after = gates.read(new)
+        through = gates.selected(new)
+        if through != ((after.active,) if after.active else ()):
+            self._broken(f"{_name(new)} lets {through} through and names {after.active!r}")
+        if old is not None:
+            before = gates.read(old)
+            changed = (before.active_uid, gates.selected(old)) != (after.active_uid, through)
+            if after.epoch != before.epoch + changed and (changed or after.epoch != before.epoch + 1):
+                self._broken(f"{_name(new)} went from epoch {before.epoch} to {after.epoch}")
+            self.commits += changed
+        routed = self._routed(_name(new).removesuffix("-gate"), through)
+        if len(routed) > 1:
+            self._broken(f"{_name(new)} lets several through at once: {', '.join(routed)}")
+
+    def _routed(self, workload: str, through: tuple[str, ...]) -> list[str]:
+        found = []
+        for pod in self._server.items["pods"].values():
+            labels = _labels(pod)
+            if labels.get(names.WORKLOAD) == workload and labels.get(names.INSTANCE) in through:
+                found.append(_name(pod))
+        return found
+
+    def _created(self, pod: Object, by: str) -> None:
+        """A pool never gets more free pods than it is to have, nor a workload more standbys, by what could be known."""
+        self.creations += 1
+        if not self._alive(by):
+            self._stragglers.add(pod["metadata"]["uid"])
+        labels = _labels(pod)
+        pool, workload = labels[names.POOL], labels.get(names.WORKLOAD)
+        same = [
+            other
+            for other in self._server.items["pods"].values()
+            if _labels(other).get(names.POOL) == pool
+            and _labels(other).get(names.WORKLOAD) == workload
+            and _labels(other)[names.TEMPLATE_HASH] == labels[names.TEMPLATE_HASH]
+            and not _claimed(other)
+            and _living(other)
+        ]
+        wanted = _size(self._server.items["fallbackpools"][(pod["metadata"]["namespace"], pool)])
+        of_late = [size for since, size in self._sizes.get(pool, []) if self._robots.now - since < KNOWN]
+        most = max([wanted, *of_late])
+        if workload is not None and self._refers(pod["metadata"]["namespace"], workload):
+            most += 1  # what the referred controller makes is no standby, so one in control doesn't count
+        most += sum(other["metadata"]["uid"] in self._stragglers for other in same)
+        if len(same) > most:
+            whose = f"pool {pool}" + (f" has standbys of {workload}" if workload else " has free pods")
+            self._broken(f"{whose}, {len(same)} of them instead of {most}: {', '.join(map(_name, same))}")
+
+    # -- whenever what reaches a robot changes ----------------------------------------------------------------------
+
+    def routed(self, robot: str) -> None:
+        """No two pods reach a robot at once, but for what is left of one whose object is gone: no gate can hold that back."""
+        found = [r for r in self._robots.running.values() if r.robot == robot and r.through and r.exists]
+        if len(found) > 1:
+            self._broken(f"{robot} is driven by {' and '.join(r.name for r in found)} at once")
+
+    def started(self, workload: str, uid: str, place: tuple[str, str]) -> None:
+        """A monitor starts the processes of a pod: it must be the monitor's own."""
+        pod = self._server.get("pods", place)
+        if pod is not None and pod["metadata"]["uid"] == uid and _labels(pod).get(names.WORKLOAD) != workload:
+            self._broken(f"{workload} starts {place[1]}, which is of {_labels(pod).get(names.WORKLOAD, 'nobody')}")
+
+    # -- once all is calm -------------------------------------------------------------------------------------------
+
+    def unrest(self) -> list[str]:
+        """What isn't as it should be in the end; nothing where every robot is driven and every pod belongs somewhere."""
+        return [*self._undriven(), *self._unfilled(), *self._leaked()]
+
+    def _undriven(self) -> Iterator[str]:
+        for (namespace, workload), _ in sorted(self._server.items["robotworkloads"].items()):
+            gate = self._server.get("networkpolicies", (namespace, names.gate(workload)))
+            uid = gates.read(gate).active_uid if gate is not None else ""
+            found = self._robots.running.get(uid)
+            if found is None or not found.through:
+                yield f"{workload} isn't driven"
+
+    def _unfilled(self) -> Iterator[str]:
+        pods = self._server.items["pods"].values()
+        for (_, pool), item in sorted(self._server.items["fallbackpools"].items()):
+            mine = [pod for pod in pods if _labels(pod).get(names.POOL) == pool and _living(pod) and not _claimed(pod)]
+            spec = item["spec"]
+            if spec["readiness"] == "Uninitialized":
+                free = [pod for pod in mine if names.HELD in _labels(pod)]
+                if len(free) != spec["replicas"]:
+                    yield f"pool {pool} has {len(free)} free pods instead of {spec['replicas']}"
+                yield from (f"pod {_name(pod)} isn't ready" for pod in free if not objects.ready(pod))
+                continue
+            for namespace, workload in sorted(self._server.items["robotworkloads"]):
+                standing = [pod for pod in mine if _labels(pod).get(names.WORKLOAD) == workload]
+                wanted = spec["perWorkload"]
+                if self._refers(namespace, workload):
+                    wanted += sum(pod["metadata"]["uid"] in self._in_control() for pod in standing)
+                # Where one of a new template never gets up, the one before it stays.
+                if len(standing) != wanted and all(self._sends(pod) for pod in standing):
+                    yield f"pool {pool} has {len(standing)} pods of {workload} instead of {wanted}"
+                yield from (f"pod {_name(pod)} isn't up" for pod in standing if not self._up(pod))
+
+    def _sends(self, pod: Object) -> bool:
+        found = self._robots.running.get(pod["metadata"]["uid"])
+        return found is not None and found.sends
+
+    def _up(self, pod: Object) -> bool:
+        """Whether its application is healthy, or never will be."""
+        found = self._robots.running.get(pod["metadata"]["uid"])
+        return found is not None and (found.sends or found.broken)
+
+    def _refers(self, namespace: str, workload: str) -> bool:
+        return "workloadRef" in self._server.items["robotworkloads"][(namespace, workload)]["spec"]
+
+    def _in_control(self) -> set[str]:
+        policies = self._server.items["networkpolicies"]
+        return {gates.read(policy).active_uid for (_, name), policy in policies.items() if name.endswith("-gate")}
+
+    def _leaked(self) -> Iterator[str]:
+        in_control = self._in_control()
+        for _, pod in sorted(self._server.items["pods"].items()):
+            owner = controller_of(pod)
+            if _leaving(pod):
+                yield f"pod {_name(pod)} is on its way out"
+            elif pod["metadata"]["uid"] in in_control or names.HELD in _labels(pod):
+                continue
+            elif pod["metadata"]["uid"] in self.failed and _living(pod):
+                yield f"pod {_name(pod)} has failed in control, and nobody deletes it"
+            elif _claimed(pod):
+                yield f"pod {_name(pod)} was claimed, isn't in control, and nobody deletes it"
+            elif owner is not None and owner["kind"] == "ReplicaSet" and not self._standbys(pod):
+                yield f"pod {_name(pod)} is neither in control nor a standby"
+        for uid, found in self._robots.running.items():
+            if not found.ended and not found.exists:
+                yield f"processes of {found.name} ({uid}) live on"
+
+    def _standbys(self, pod: Object) -> bool:
+        """Whether what the workload's own controller makes is a standby, or has ended and is only a record. What a referred one
+        makes is its own business.
+        """
+        if names.SOURCE not in _labels(pod):
+            return True
+        pools = self._server.items["fallbackpools"].values()
+        ended = (pod.get("status") or {}).get("phase") in ("Failed", "Succeeded")
+        return ended or any(pool["spec"]["readiness"] != "Uninitialized" for pool in pools)
+
+
+def _name(item: Object) -> str:
+    found: str = item["metadata"]["name"]
+    return found
+
+
+def _labels(item: Object) -> dict[str, str]:
+    return item["metadata"].get("labels") or {}
+
+
+def _size(pool: Object) -> int:
+    found: int = pool["spec"].get("replicas", pool["spec"].get("perWorkload", 0))
+    return found
+
+
+def _claimed(pod: Object) -> bool:
+    return names.CLAIM in (pod["metadata"].get("annotations") or {})
+
+
+def _leaving(pod: Object) -> bool:
+    return "deletionTimestamp" in pod["metadata"]
+
+
+def _deleted(old: Object, new: Object | None) -> bool:
+    return not _leaving(old) and (new is None or _leaving(new))
+
+
+def _living(pod: Object) -> bool:
+    return not _leaving(pod) and (pod.get("status") or {}).get("phase") not in ("Failed", "Succeeded")

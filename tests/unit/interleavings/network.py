@@ -1,0 +1,214 @@
+"""What lies between a process and the API server: delays, lost requests, lost answers, errors, watches that lag and break."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+from collections.abc import AsyncIterator, Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import aiohttp
+
+from tests.unit.interleavings.apiserver import ApiServer, selecting, told
+from tests.unit.interleavings.scheduling import Process, VirtualLoop
+from understudy.cluster.client import ApiError, Client, Expired, Object, Resource
+
+
+@dataclass
+class Weather:
+    """How bad it is: how often each thing goes wrong, of all requests or of all deliveries by a watch."""
+
+    refused: float = 0.0
+    """The request never arrives, and that is known at once."""
+    lost: float = 0.0
+    """The request never arrives, and nobody says so."""
+    unanswered: float = 0.0
+    """It is carried out, and the connection breaks before the answer."""
+    unheard: float = 0.0
+    """It is carried out, and nobody says so."""
+    late: float = 0.0
+    """It is carried out after its sender has given it up."""
+    busy: float = 0.0
+    """429, 500 or 503, and it isn't carried out."""
+    gateway: float = 0.0
+    """504, and it is carried out."""
+    slow: float = 0.0
+    """It takes up to seconds to arrive, or to be answered."""
+    lag: float = 0.0
+    """A watch brings things only after up to seconds."""
+    broken: float = 0.0
+    """A watch ends, or is refused since it's too old."""
+
+    @classmethod
+    def of(cls, bad: float) -> Weather:
+        """As bad as this factor says."""
+        return cls(
+            refused=0.015 * bad,
+            lost=0.01 * bad,
+            unanswered=0.015 * bad,
+            unheard=0.01 * bad,
+            late=0.005 * bad,
+            busy=0.015 * bad,
+            gateway=0.01 * bad,
+            slow=0.06 * bad,
+            lag=0.08 * bad,
+            broken=0.01 * bad,
+        )
+
+
+class Network:
+    """The network and the weather in it."""
+
+    def __init__(self, loop: VirtualLoop, server: ApiServer, choices: random.Random, world: Process) -> None:
+        self.loop, self.server, self.choices, self._world = loop, server, choices, world
+        self.weather = Weather()
+        self.noted: Callable[[str], None] = lambda text: None
+        self.cut_off: set[Process] = set()
+        """Processes of which nothing arrives, and to which nothing comes."""
+        self._waiting: dict[str, list[asyncio.Future[None]]] = {}
+        self.outcomes: dict[str, int] = {}
+
+    def client(self, process: Process, *, timeout: float = 10.0) -> SimulatedClient:
+        """The client of a process."""
+        return SimulatedClient(self, process, timeout)
+
+    def delay(self) -> float:
+        """Seconds for one way."""
+        roll = self.choices.random()
+        return roll * 2.0 if self.choices.random() < self.weather.slow else 0.0005 + roll * 0.006
+
+    def fate(self) -> str:
+        """What becomes of a request."""
+        roll = self.choices.random()
+        weather = self.weather
+        for name in ("refused", "lost", "unanswered", "unheard", "late", "busy", "gateway"):
+            roll -= getattr(weather, name)
+            if roll < 0:
+                return name
+        return "answered"
+
+    def later(self, seconds: float, work: Callable[..., None], *args: Any, process: Process | None = None) -> None:
+        """Do something after so many seconds, in a process or in the world."""
+        self.loop.call_later(seconds, work, *args, context=(process or self._world).context)
+
+    def written(self, plural: str) -> None:
+        """Wake the watches of a resource."""
+        for future in self._waiting.pop(plural, []):
+            if not future.done():
+                future.set_result(None)
+
+    async def wait(self, plural: str) -> None:
+        """Wait for a write of a resource."""
+        future: asyncio.Future[None] = self.loop.create_future()
+        self._waiting.setdefault(plural, []).append(future)
+        await future
+
+    def count(self, outcome: str) -> None:
+        """Count what became of requests."""
+        self.outcomes[outcome] = self.outcomes.get(outcome, 0) + 1
+
+
+class SimulatedClient(Client):
+    """The real client's methods over the simulated network."""
+
+    def __init__(self, network: Network, process: Process, timeout: float) -> None:
+        self._network, self._process, self._seconds = network, process, timeout
+
+    async def request(
+        self,
+        method: str,
+        path: str,
+        *,
+        params: Mapping[str, str] | None = None,
+        body: Any = None,
+        content_type: str = "application/json",
+    ) -> Object:
+        network, process = self._network, self._process
+        answer: asyncio.Future[Object] = network.loop.create_future()
+        fate = "lost" if process in network.cut_off else network.fate()
+        short = f"{method} {path.rpartition('/namespaces/')[2]}"
+        network.count(fate)
+        if fate != "answered":
+            network.noted(f"{process}: {short}: {fate}")
+
+        def answered(result: Object | ApiError | Exception) -> None:
+            if answer.done():
+                return
+            if process in network.cut_off:
+                network.later(self._seconds, self._gave_up, answer, process=process)
+                return
+            if isinstance(result, BaseException):
+                answer.set_exception(result)
+            else:
+                answer.set_result(result)
+
+        def arrive() -> None:
+            result: Object | ApiError | Exception
+            try:
+                result = network.server.request(method, path, params, body, content_type, process.name)
+            except ApiError as error:
+                result = error
+                if error.conflict:
+                    network.count("conflict")
+            if method != "GET":
+                network.noted(f"{process}: {short}: {result if isinstance(result, ApiError) else 'done'}")
+            if fate == "unanswered":
+                result = aiohttp.ServerDisconnectedError()
+            elif fate == "gateway":
+                result = ApiError(504, "Timeout", "the server did not answer in time")
+            elif fate in ("unheard", "late"):
+                return
+            network.later(network.delay(), answered, result, process=process)
+
+        if fate == "refused":
+            network.later(0.001, answered, aiohttp.ClientConnectionError("refused"), process=process)
+        elif fate == "busy":
+            status = network.choices.choice([429, 500, 503])
+            network.later(network.delay(), answered, ApiError(status, "Busy", "try again"), process=process)
+        elif fate == "late":
+            network.later(self._seconds + network.choices.random() * 4, arrive)
+        elif fate != "lost":
+            network.later(network.delay(), arrive)
+        if fate not in ("answered", "refused", "busy"):
+            network.later(self._seconds, self._gave_up, answer, process=process)
+        return await answer
+
+    @staticmethod
+    def _gave_up(answer: asyncio.Future[Object]) -> None:
+        if not answer.done():
+            answer.set_exception(TimeoutError())
+
+    async def watch(
+        self,
+        resource: Resource,
+        namespace: str | None = None,
+        *,
+        version: str,
+        labels: str | None = None,
+        fields: str | None = None,
+        lifetime: int = 300,
+    ) -> AsyncIterator[tuple[str, Object]]:
+        network, plural = self._network, resource.plural
+        chosen, history = selecting(labels, fields), network.server.history[plural]
+        at = network.server.since(plural, int(version))
+        while True:
+            while at == len(history):
+                await network.wait(plural)
+            last, lag = len(history), network.choices.random() < network.weather.lag
+            await asyncio.sleep(network.delay() if not lag else network.choices.random() * 6)
+            while self._process in network.cut_off:
+                await asyncio.sleep(1)
+            if network.choices.random() < network.weather.broken:
+                how = network.choices.choice([None, Expired(), aiohttp.ClientPayloadError("broken")])
+                network.noted(f"{self._process}: the watch of {plural} ends: {how!r}")
+                if how is None:
+                    return
+                raise how
+            if network.choices.random() < 0.5:
+                last = len(history)  # what has come meanwhile comes with it
+            while at < last:
+                event = history[at]
+                at += 1
+                if (found := told(event, chosen)) is not None:
+                    yield found

@@ -1,0 +1,385 @@
+"""Nodes and robots: pods come up, break down and end, and what they send goes through the gate as the network has it by now."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from tests.unit.interleavings.apiserver import EPOCH, ApiServer, Place, stamp
+from tests.unit.interleavings.network import Network
+from tests.unit.interleavings.scheduling import Process, VirtualLoop
+from understudy.api import names
+from understudy.cluster import gates
+from understudy.cluster.applying import controller_of
+from understudy.cluster.client import Object
+
+BY = "the cluster"
+NODES = ("a", "b", "c")
+REFERRED = "of"
+"""Label of pods that a Deployment makes, with the workload that refers to it: they have none of ours at first."""
+
+
+@dataclass
+class Running:
+    """A pod's processes on its node."""
+
+    uid: str
+    name: str
+    place: Place
+    node: str
+    robot: str
+    """The workload whose robot it sends to; empty while it's held."""
+    held: bool
+    ip: str
+    up: bool = False
+    """Whether its containers run."""
+    sends: bool = False
+    """Whether its application is healthy: what it sends, it sends now."""
+    sends_since: float = 0.0
+    broken: bool = False
+    """Whether it will never send."""
+    ended: bool = False
+    up_at: float | None = None
+    exists: bool = True
+    """Whether there is an object of it still."""
+    through: bool = False
+    """Whether what it sends reaches the robot."""
+    through_since: float = -1.0
+    through_last: float = -1.0
+    routed_at: float | None = None
+    restarts: int = 0
+    brought: str = ""
+    """What a procedure has brought it to, as its monitor called it."""
+
+
+@dataclass
+class Luck:
+    """What becomes of new pods."""
+
+    broken: float = 0.0
+    slow: float = 0.1
+
+
+@dataclass
+class Robots:
+    """All nodes, pods' processes and robots."""
+
+    loop: VirtualLoop
+    server: ApiServer
+    network: Network
+    choices: random.Random
+    world: Process
+    running: dict[str, Running] = field(default_factory=dict)
+    """By UID."""
+    luck: Luck = field(default_factory=Luck)
+    let_through: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    """By workload, the instances that the network lets through by now."""
+    changed: Callable[[str], None] = lambda robot: None
+    """Called when what reaches a robot has changed."""
+    noted: Callable[[str], None] = lambda text: None
+    _waiting: dict[str, list[asyncio.Future[None]]] = field(default_factory=dict)
+    _addresses: int = 0
+
+    @property
+    def now(self) -> float:
+        return EPOCH + self.loop.time()
+
+    def later(self, seconds: float, work: Callable[..., None], *args: object) -> None:
+        self.loop.call_later(seconds, work, *args, context=self.world.context)
+
+    def between(self, least: float, most: float) -> float:
+        return least + (most - least) * self.choices.random()
+
+    # -- what the API server tells ----------------------------------------------------------------------------------
+
+    def see(self, plural: str, old: Object | None, new: Object | None) -> None:
+        """A write was made."""
+        if plural == "pods":
+            self._pod(old, new)
+        elif plural == "networkpolicies":
+            item = new or old
+            assert item is not None
+            name = item["metadata"]["name"]
+            if name.endswith("-gate"):
+                self.later(self.between(0.001, 0.02), self._enforce, name.removesuffix("-gate"))
+        elif plural == "replicasets" and new is not None:
+            self.later(self.between(0.005, 0.1), self._replicate, _place(new))
+
+    def _pod(self, old: Object | None, new: Object | None) -> None:
+        item = new or old
+        assert item is not None
+        uid = item["metadata"]["uid"]
+        if old is None:
+            self.later(self.between(0.02, 0.1), self._run, uid, _place(item))
+        elif new is None:
+            if (found := self.running.get(uid)) is not None:
+                found.exists = False
+                self._route(found.robot)
+                # One that was ended already has nothing left; one that was deleted by force lives on for a moment.
+                self.later(self.between(0.02, 0.4), self._end, uid)
+        elif "deletionTimestamp" in new["metadata"] and "deletionTimestamp" not in old["metadata"]:
+            self.later(self.between(0.02, 1.0), self._end, uid)
+        elif uid in self.running and _labels(old) != _labels(new):
+            self.later(self.between(0.001, 0.02), self._route, self.running[uid].robot)
+        owner = controller_of(item)
+        if owner is not None and owner["kind"] == "ReplicaSet":
+            place = (item["metadata"]["namespace"], owner["name"])
+            self.later(self.between(0.005, 0.1), self._replicate, place)
+
+    # -- what Kubernetes does ---------------------------------------------------------------------------------------
+
+    def _replicate(self, place: Place) -> None:
+        """What the ReplicaSets' own controller does; it is taken to see everything at once."""
+        replicas = self.server.get("replicasets", place)
+        if replicas is None:
+            return
+        uid = replicas["metadata"]["uid"]
+        mine = [
+            pod
+            for pod in self.server.items["pods"].values()
+            if (owner := controller_of(pod)) is not None
+            and owner["uid"] == uid
+            and "deletionTimestamp" not in pod["metadata"]
+            and (pod.get("status") or {}).get("phase") not in ("Failed", "Succeeded")
+        ]
+        wanted = replicas["spec"]["replicas"]
+        for _ in range(wanted - len(mine)):
+            self._addresses += 1
+            template = replicas["spec"]["template"]
+            owner = {"apiVersion": "apps/v1", "kind": "ReplicaSet", "name": place[1], "uid": uid, "controller": True}
+            metadata = {**template["metadata"], "name": f"{place[1]}-r{self._addresses:03}", "ownerReferences": [owner]}
+            self.server.request(
+                "POST",
+                f"/api/v1/namespaces/{place[0]}/pods",
+                None,
+                {"metadata": metadata, "spec": template["spec"]},
+                "",
+                BY,
+            )
+        for pod in sorted(mine, key=lambda pod: pod["metadata"]["name"])[: max(0, len(mine) - wanted)]:
+            self.delete(pod)
+
+    def delete(self, pod: Object, *, by: str = BY, force: bool = False) -> None:
+        """Delete a pod, as anybody may."""
+        metadata = pod["metadata"]
+        if self.server.get("pods", _place(pod)) is None:
+            return
+        options: Object = {"preconditions": {"uid": metadata["uid"]}}
+        if force:
+            options["gracePeriodSeconds"] = 0
+        path = f"/api/v1/namespaces/{metadata['namespace']}/pods/{metadata['name']}"
+        self.server.request("DELETE", path, None, options, "", by)
+
+    def status(self, uid: str, phase: str, ready: bool, reason: str = "") -> None:
+        """The kubelet says how a pod is."""
+        found = self.running.get(uid)
+        if found is None or not found.exists:
+            return
+
+        def change(pod: Object) -> Object:
+            if pod["metadata"]["uid"] != uid:
+                return pod
+            waiting = {"waiting": {"reason": reason}} if reason else {"running": {}}
+            conditions = [{"type": "Ready", "status": "True" if ready else "False"}]
+            container = {"name": "app", "restartCount": found.restarts, "state": waiting}
+            status = {
+                "phase": phase,
+                "podIP": found.ip,
+                "conditions": conditions + [c for c in _conditions(pod) if c["type"] != "Ready"],
+                "containerStatuses": [container],
+            }
+            return {**pod, "spec": {**pod["spec"], "nodeName": found.node}, "status": status}
+
+        self.server.update("pods", found.place, change, BY)
+
+    def _run(self, uid: str, place: Place) -> None:
+        """A node takes a new pod."""
+        pod = self.server.get("pods", place)
+        if pod is None or pod["metadata"]["uid"] != uid or "deletionTimestamp" in pod["metadata"]:
+            return
+        labels = _labels(pod)
+        self._addresses += 1
+        found = Running(
+            uid=uid,
+            name=place[1],
+            place=place,
+            node=self.choices.choice(NODES),
+            robot=labels.get(names.WORKLOAD) or labels.get(REFERRED, ""),
+            held=labels.get(names.HELD) == "true",
+            ip=f"10.0.{self._addresses // 250}.{self._addresses % 250 + 1}",
+            broken=self.choices.random() < self.luck.broken,
+        )
+        self.running[uid] = found
+        slow = self.choices.random() < self.luck.slow
+        self.later(self.between(0.1, 0.6) if not slow else self.between(1, 5), self._up, uid)
+
+    def _up(self, uid: str) -> None:
+        found = self.running.get(uid)
+        if found is None or found.ended:
+            return
+        found.up, found.up_at = True, self.now
+        self.status(uid, "Running", ready=found.held)
+        if not found.held:
+            self.later(self.between(0.1, 0.8), self._send, uid)
+
+    def start(self, uid: str, workload: str) -> None:
+        """An agent starts the held processes of a claimed pod."""
+        found = self.running.get(uid)
+        if found is None or found.ended or not found.held:
+            return
+        found.held, found.robot, found.up_at = False, workload, self.now
+        self.later(self.between(0.1, 0.8), self._send, uid)
+
+    def _send(self, uid: str) -> None:
+        found = self.running.get(uid)
+        if found is None or found.ended or found.broken or found.sends or not found.up:
+            return
+        found.sends, found.sends_since = True, self.now
+        self.status(uid, "Running", ready=True)
+        self._route(found.robot)
+
+    def _end(self, uid: str) -> None:
+        """A pod's processes end; what is left of its object goes a moment later."""
+        found = self.running.get(uid)
+        if found is None:
+            return
+        found.ended, found.up, found.sends = True, False, False
+        self._route(found.robot)
+        self.later(self.between(0.01, 0.1), self._forget, uid)
+
+    def _forget(self, uid: str) -> None:
+        found = self.running[uid]
+        pod = self.server.get("pods", found.place)
+        if pod is not None and pod["metadata"]["uid"] == uid:
+            self.server.write("pods", found.place, None, BY)
+
+    # -- what goes wrong --------------------------------------------------------------------------------------------
+
+    def freeze(self, uid: str) -> None:
+        """Its application stops and to Kubernetes still runs."""
+        found = self.running.get(uid)
+        if found is not None:
+            found.sends, found.broken = False, True
+            self._route(found.robot)
+
+    def crash(self, uid: str) -> None:
+        """A container of it ends and is started again, or ends again and again."""
+        found = self.running.get(uid)
+        if found is None or found.ended:
+            return
+        found.sends, found.restarts, found.brought = False, found.restarts + 1, ""
+        found.broken = self.choices.random() < 0.4
+        self._route(found.robot)
+        self.status(uid, "Running", ready=False, reason="CrashLoopBackOff" if found.broken else "")
+        if not found.held:
+            self.later(self.between(0.5, 3.0), self._send, uid)
+
+    def fail(self, uid: str) -> None:
+        """Its node ends it for good: phase Failed."""
+        found = self.running.get(uid)
+        if found is None or found.ended:
+            return
+        found.ended, found.up, found.sends = True, False, False
+        self._route(found.robot)
+        self.status(uid, "Failed", ready=False)
+
+    def heartbeat(self, uid: str) -> None:
+        """The kubelet writes something that doesn't matter: versions grow."""
+        found = self.running.get(uid)
+        if found is None:
+            return
+        beat = {"type": "ContainersReady", "status": "True", "lastProbeTime": f"{self.loop.time():.3f}"}
+
+        def change(pod: Object) -> Object:
+            others = [c for c in _conditions(pod) if c["type"] != "ContainersReady"]
+            return {**pod, "status": {**(pod.get("status") or {}), "conditions": [*others, beat]}}
+
+        self.server.update("pods", found.place, change, BY)
+
+    def lose(self, node: str) -> None:
+        """A node is gone: its processes end at once, Kubernetes notices late and evicts."""
+        for found in [f for f in self.running.values() if f.node == node and not f.ended]:
+            found.up = found.sends = False
+            found.ended = True
+            self._route(found.robot)
+            self.later(3.0, self.status, found.uid, "Running", False)
+            self.later(6.0, self._evict, found.uid)
+
+    def _evict(self, uid: str) -> None:
+        found = self.running[uid]
+
+        def change(pod: Object) -> Object:
+            if pod["metadata"]["uid"] != uid or "deletionTimestamp" in pod["metadata"]:
+                return pod
+            told = {"type": "DisruptionTarget", "status": "True", "reason": "DeletionByTaintManager"}
+            status = {**(pod.get("status") or {}), "conditions": [*_conditions(pod), told]}
+            metadata = {**pod["metadata"], "deletionTimestamp": stamp(self.now)}
+            return {**pod, "metadata": metadata, "status": status}
+
+        self.server.update("pods", found.place, change, BY)
+        self.later(4.0, self._forget, uid)
+
+    def drain(self, node: str) -> None:
+        """A node's pods are evicted, in order."""
+        for found in [f for f in self.running.values() if f.node == node and f.exists]:
+            pod = self.server.get("pods", found.place)
+            if pod is not None and pod["metadata"]["uid"] == found.uid:
+                self.delete(pod)
+
+    # -- what reaches the robots ------------------------------------------------------------------------------------
+
+    def _enforce(self, workload: str) -> None:
+        """The network acts by a gate as it is now."""
+        policy = next(
+            (p for (_, n), p in self.server.items["networkpolicies"].items() if n == names.gate(workload)), None
+        )
+        self.let_through[workload] = gates.selected(policy) if policy is not None else ()
+        self._route(workload)
+
+    def _route(self, robot: str) -> None:
+        if not robot:
+            return
+        allowed = self.let_through.get(robot, ())
+        for found in self.running.values():
+            if found.robot != robot:
+                continue
+            routed = found.up and self._selected(found, robot, allowed)
+            found.routed_at = (found.routed_at or self.now) if routed else None
+            through = found.sends and routed
+            if through and not found.through:
+                found.through_since = self.now
+            elif found.through and not through:
+                found.through_last = self.now
+            found.through = through
+        self.changed(robot)
+        for future in self._waiting.pop(robot, []):
+            if not future.done():
+                future.set_result(None)
+
+    def _selected(self, found: Running, robot: str, allowed: tuple[str, ...]) -> bool:
+        if not found.exists:
+            return found.sends  # no policy holds back what isn't there
+        pod = self.server.get("pods", found.place)
+        labels = _labels(pod) if pod is not None else {}
+        return labels.get(names.WORKLOAD) == robot and labels.get(names.INSTANCE) in allowed
+
+    async def wait(self, robot: str) -> None:
+        """Wait until what reaches a robot may have changed."""
+        future: asyncio.Future[None] = self.loop.create_future()
+        self._waiting.setdefault(robot, []).append(future)
+        await future
+
+
+def _place(item: Object) -> Place:
+    return item["metadata"]["namespace"], item["metadata"]["name"]
+
+
+def _labels(item: Object) -> dict[str, str]:
+    return item["metadata"].get("labels") or {}
+
+
+def _conditions(pod: Object) -> list[Object]:
+    found: list[Object] = (pod.get("status") or {}).get("conditions") or []
+    return found

@@ -1,0 +1,224 @@
+"""What a monitor knows of its robot and of its instances' agents, where the real one has DDS and connections."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from typing import Any
+
+from tests.unit.interleavings.robots import Robots, Running
+from understudy.api.agents import AgentStatus
+from understudy.api.kept import KeptState, RestoreReport
+from understudy.mitigation.bringing import BringUp
+from understudy.mitigation.interfaces import Instance, NotVerified
+from understudy.trees.health import Verdict
+
+GAP = 0.5
+"""Seconds of silence after which an instance in control has failed."""
+
+GRACE = 5.0
+"""Seconds that a new instance has to be heard for the first time."""
+
+TOPIC = "/cmd_vel"
+
+
+class Sight:
+    """What arrives at the gated readers of one robot."""
+
+    graph = None
+    coming = None
+    problems: Sequence[str] = ()
+    waiting: Sequence[str] = ()
+    summary = "Watching what reaches the robot."
+    addresses: Mapping[str, str] = {}
+
+    def __init__(self, robots: Robots, workload: str, looked: Callable[[], None]) -> None:
+        """``looked`` is called with every look of the monitor."""
+        self._robots, self._workload, self._looked = robots, workload, looked
+        self._active = ""
+
+    def _named(self, name: str) -> Running | None:
+        found = [r for r in self._robots.running.values() if r.name == name and r.robot == self._workload]
+        return found[-1] if found else None
+
+    def follow(self, policy: Any, spec: Any) -> None:
+        return
+
+    def drain(self, instances: Sequence[Instance], active: str) -> None:
+        self._active = active
+        self._looked()
+
+    def _last(self, found: Running | None) -> float | None:
+        if found is None or (not found.through and found.through_last < 0):
+            return None
+        return self._robots.now if found.through else found.through_last
+
+    def last_from(self, pod: str) -> float | None:
+        return self._last(self._named(pod))
+
+    last_well = last_from
+
+    def _heard(self, since: float) -> float | None:
+        last = self.last_from(self._active)
+        return last if last is not None and last >= since else None
+
+    def verdict(self, *, now: float, since: float) -> Verdict:
+        last = self._heard(since)
+        if last is None:
+            if now - since < GRACE:
+                return Verdict("Starting", "not heard yet", "topic", None)
+            return Verdict("Failed", f"{TOPIC} was never heard", "topic", self.last_from(self._active))
+        if now - last >= GAP:
+            return Verdict("Failed", f"no {TOPIC} for {GAP} s", "topic", last)
+        return Verdict("Healthy", "", "", None)
+
+    def deadline(self, *, now: float, since: float) -> float | None:
+        last = self._heard(since)
+        if last is None:
+            return since + GRACE
+        return last + GAP if last < now else None
+
+    def outputs(self, fleet: Any, gate: Any) -> Outputs:
+        return Outputs(self._robots, self._workload)
+
+
+class Outputs:
+    """What the failover protocol sees of it."""
+
+    expected: Sequence[str] = (TOPIC,)
+
+    def __init__(self, robots: Robots, workload: str) -> None:
+        self._robots, self._workload = robots, workload
+
+    async def first_from(self, instance: Instance, *, since: float) -> float | None:
+        while True:
+            found = self._robots.running.get(instance.uid)
+            if found is not None and found.through:
+                return max(since, found.through_since)
+            await self._robots.wait(self._workload)
+
+    def last_from_others(self, instance: Instance) -> tuple[float, str]:
+        others = [r for r in self._robots.running.values() if r.robot == self._workload and r.uid != instance.uid]
+        lasts = [(self._robots.now if r.through else r.through_last, r.name) for r in others]
+        last, name = max(lasts, default=(0.0, ""))
+        return (last, name) if last > 0 else (0.0, "")
+
+
+class Probes:
+    """What gets through the gate, whether the application sends or not."""
+
+    def __init__(self, robots: Robots, workload: str) -> None:
+        self._robots, self._workload = robots, workload
+
+    async def wait(self, uid: str, after: float, within: float | None = None) -> float:
+        while True:
+            found = self._robots.running.get(uid)
+            if found is not None and found.routed_at is not None:
+                return max(after, found.routed_at)
+            await self._robots.wait(self._workload)
+
+    def last(self, uid: str) -> float | None:
+        found = self._robots.running.get(uid)
+        return self._robots.now if found is not None and found.routed_at is not None else None
+
+
+class Sidecars:
+    """The agents of a workload's instances."""
+
+    def __init__(self, robots: Robots, workload: str, step: Callable[[str], None], *, initializes: bool) -> None:
+        """``initializes``: a standby is ready once a procedure has brought it there."""
+        self._robots, self._workload, self._step = robots, workload, step
+        self._initializes = initializes
+        self.role: Any = None
+        self.on_status: Callable[[], None] = lambda: None
+        self._known: set[str] = set()
+        self.started: Callable[[Instance], None] = lambda instance: None
+        """Called when the processes of a claimed instance are started."""
+
+    def follow(self, instances: Sequence[Instance]) -> None:
+        self._known = {i.uid for i in instances if i.ip and not i.held and not i.leaving}
+
+    async def settle(self, instances: Sequence[Instance], within: float) -> None:
+        await asyncio.sleep(0.05)
+        self.follow(instances)
+
+    def _found(self, instance: Instance) -> Running | None:
+        found = self._robots.running.get(instance.uid)
+        return found if found is not None and found.up else None
+
+    def status(self, instance: Instance) -> AgentStatus | None:
+        found = self._found(instance)
+        if found is None or instance.uid not in self._known or not instance.has_agent:
+            return None
+        at = found.sends_since if found.sends else None
+        phase: Any = "Held" if found.held else "Running"
+        return AgentStatus(
+            phase=phase,
+            configured=True,
+            ready=found.sends and (bool(found.brought) or not self._initializes),
+            ready_at=at,
+            process_up_at=found.up_at,
+            initialized=found.brought,
+        )
+
+    def is_ready(self, instance: Instance) -> tuple[bool, str]:
+        status = self.status(instance)
+        if status is None:
+            return False, "its agent isn't connected"
+        return status.ready, "" if status.ready else "its outputs are not healthy"
+
+    async def probe(self, instance: Instance, duration: float) -> None:
+        return
+
+    async def give_way(self, instance: Instance) -> None:
+        return
+
+    async def start(self, instance: Instance) -> None:
+        self._step("before start")
+        while self._found(instance) is None:
+            await asyncio.sleep(0.1)
+        await asyncio.sleep(self._robots.network.delay())
+        self.started(instance)
+        self._robots.start(instance.uid, self._workload)
+        await asyncio.sleep(self._robots.network.delay())
+        self._step("after start")
+
+    async def up(self, instance: Instance) -> float:
+        while (found := self._found(instance)) is None or found.held:
+            await asyncio.sleep(0.1)
+        assert found.up_at is not None
+        return found.up_at
+
+    async def ready(self, instance: Instance) -> float:
+        while (found := self._found(instance)) is None or not found.sends:
+            await self._robots.wait(self._workload)
+        return found.sends_since
+
+    async def run(
+        self, instance: Instance, procedure: BringUp, *, within: float, state: KeptState, brought: str
+    ) -> RestoreReport:
+        await asyncio.sleep(0.1 + self._robots.network.delay())
+        if (found := self._found(instance)) is None:
+            raise NotVerified(f"{procedure.name} of {instance.name}: its agent isn't connected")
+        found.brought = brought
+        return RestoreReport()
+
+    async def restore(self, instance: Instance, state: KeptState, within: float) -> RestoreReport:
+        return RestoreReport()
+
+
+class Keeping:
+    """Nothing is kept."""
+
+    def take(self, *_: Any) -> None:
+        return
+
+    follow = judge = tell = housekeeping = take
+
+    def select(self, onset: float) -> KeptState:
+        return KeptState()
+
+    @contextlib.asynccontextmanager
+    async def recovering(self) -> AsyncIterator[None]:
+        yield

@@ -1,0 +1,143 @@
+"""Claims, gates and pools hold under whatever order requests, answers, watches, failures and deaths come in.
+
+A run that fails says its seed; ``scripts/bench interleavings --seed SEED`` tells all that happened in it, and ten thousand
+of them are ``scripts/bench interleavings``.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import pytest
+
+from tests.unit.interleavings import simulation
+from tests.unit.interleavings.simulation import SCENES, Outcome, Scene
+from understudy.cluster import applying, claims, gates
+from understudy.cluster.client import Client, Object
+from understudy.controller.expectations import Expectations
+from understudy.monitor.leftovers import Leftovers
+
+REPOSITORY = Path(__file__).parents[3]
+RUNS, CHUNK = 250, 25
+"""The short share; seeds from 100,000 on, which scripts/bench doesn't run by itself."""
+FIRST = 100_000
+
+SHARED, SCARCE, EXECUTING = SCENES[:3]
+
+
+@pytest.mark.parametrize("first", range(FIRST, FIRST + RUNS, CHUNK))
+def test_whatever_the_order_everything_holds(first: int) -> None:
+    for seed in range(first, first + CHUNK):
+        outcome = simulation.run(seed)
+        assert not outcome.faults, str(simulation.run(seed, tracing=True))
+
+
+def test_a_seed_says_all_that_happens() -> None:
+    """Also in another process, where sets have another order, and whatever was run in it before."""
+    text = "from tests.unit.interleavings.simulation import run; {before}; print(run(100_003, tracing=True))"
+    told = {
+        subprocess.run(
+            [sys.executable, "-c", text.format(before=before)],
+            cwd=REPOSITORY,
+            env={**os.environ, "PYTHONPATH": f"{REPOSITORY}:{REPOSITORY / 'operator'}", "PYTHONHASHSEED": order},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for order, before in (("1", "pass"), ("2", "[run(seed) for seed in range(6)]"))
+    }
+    assert len(told) == 1
+    assert "monitor" in told.pop()
+
+
+# -- the simulation finds faults ------------------------------------------------------------------------------------
+
+
+@pytest.fixture(autouse=True)
+def _prepared() -> None:
+    """What runs begin from is made by code without faults."""
+    for scene in SCENES:
+        simulation.prepared(scene)
+
+
+def found(words: str, scene: Scene, *troubles: str, weather: float = 1.0, within: int = 100) -> Outcome:
+    """The first run of a scene, with only these troubles, in which something of these words doesn't hold."""
+    only = replace(scene, troubles=troubles, weather=(weather,))
+    for seed in range(within):
+        outcome = simulation.run(seed, scene=only)
+        if any(words in fault for fault in outcome.faults):
+            return outcome
+    pytest.fail(f"no {words!r} in {within} runs")
+
+
+def without(*keys: str) -> Any:
+    """A client's patch that loses preconditions."""
+    real = Client.patch
+
+    async def patch(self: Client, resource: Any, namespace: Any, name: str, body: Any, **more: Any) -> Object:
+        metadata = {key: value for key, value in (body.get("metadata") or {}).items() if key not in keys}
+        return await real(self, resource, namespace, name, {**body, "metadata": metadata}, **more)
+
+    return patch
+
+
+def test_a_claim_without_its_precondition_is_found() -> None:
+    write = claims._write
+
+    async def careless(client: Client, pod: Object, *rest: Any) -> Object:
+        with mock.patch.object(client, "patch", without("resourceVersion", "uid").__get__(client)):
+            return await write(client, pod, *rest)
+
+    with mock.patch.object(claims, "_write", careless):
+        assert found("was claimed by", SCARCE, "all_fail")
+
+
+def test_a_commit_without_its_precondition_is_found() -> None:
+    commit = gates.commit
+
+    async def careless(client: Client, *rest: Any, **more: Any) -> Object:
+        with mock.patch.object(client, "patch", without("resourceVersion").__get__(client)):
+            return await commit(client, *rest, **more)
+
+    with mock.patch.object(gates, "commit", careless):
+        assert found("went from epoch", EXECUTING, "second_monitor", "all_fail")
+
+
+def test_a_gate_that_is_opened_before_the_failed_pod_is_fenced_is_found() -> None:
+    commit = gates.commit
+
+    async def careless(client: Client, *rest: Any, over: gates.GateRecord, active: str, **more: Any) -> Object:
+        both = gates._selector(rest[1], active, over.active)
+        with mock.patch.object(gates, "_selector", lambda *_: both if active and over.active else _selector(*_)):
+            return await commit(client, *rest, over=over, active=active, **more)
+
+    _selector = gates._selector
+    with mock.patch.object(gates, "commit", careless):
+        assert found("through and names", EXECUTING, "all_fail")
+
+
+def test_forgotten_expectations_are_found() -> None:
+    with mock.patch.object(Expectations, "expect"):
+        assert found("free pods, ", SHARED, "understudy_fails", "watch_falls_silent", weather=3.0)
+
+
+def test_a_claim_whose_lost_answer_is_taken_for_a_refusal_is_found() -> None:
+    with (
+        mock.patch.object(claims, "_unanswered", return_value=False),
+        mock.patch.object(Leftovers, "housekeeping"),
+    ):
+        assert found("nobody deletes it", SHARED, "all_fail", weather=3.0)
+
+
+def test_a_claimed_pod_that_is_deleted_as_if_it_were_free_is_found() -> None:
+    async def careless(client: Client, resource: Any, item: Object) -> None:
+        await client.delete(resource, item["metadata"]["namespace"], item["metadata"]["name"])
+
+    with mock.patch.object(applying, "delete_exactly", careless):
+        assert found("which is claimed", SHARED, "all_fail", "pool_is_resized")
