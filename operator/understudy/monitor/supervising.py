@@ -379,8 +379,7 @@ class Supervisor:
         """No pod runs and no recovery is under way. The workload's own controller may have been told to run none, while a pod of
         a shared pool drove: nobody else tells it otherwise while the gate is closed.
         """
-        coming = any(i.from_source and not i.terminating for i in self._fleet.of_workload())
-        if coming or now < self._next_asked:
+        if now < self._next_asked:
             return
         self._next_asked = now + BACKOFF_FIRST
         try:

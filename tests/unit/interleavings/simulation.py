@@ -402,6 +402,8 @@ class Simulation:
         plural, place = self.choices.choice(found)
         self.note(f"{plural} {place[1]}: deleted by somebody")
         self.server.write(plural, place, None, "somebody")
+        if place[1].endswith("-gate"):
+            self.invariants.failed.clear()  # with its gate goes the record of what has failed
         for pod_place, pod in sorted(self.server.items["pods"].items()):
             owner = applying.controller_of(pod)
             if (

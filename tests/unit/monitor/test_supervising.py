@@ -130,7 +130,7 @@ def at_a_closed_gate(fleet: Asked) -> Supervisor:
     return watching
 
 
-@pytest.mark.parametrize("left", [(), (replace(ACTIVE, terminating=True),)])
+@pytest.mark.parametrize("left", [(), (replace(ACTIVE, terminating=True),), (replace(ACTIVE, running=False),)])
 async def test_where_nothing_runs_and_nothing_is_recovered_a_pod_is_asked_for(left: tuple[Instance, ...]) -> None:
     # The operator may have scaled the workload's own ReplicaSet to none, for a pod of a shared pool that drove then.
     fleet = Asked(*left)
@@ -143,12 +143,6 @@ async def test_where_nothing_runs_and_nothing_is_recovered_a_pod_is_asked_for(le
     await watching._bootstrap(policy(1), 1000.0 + BACKOFF_FIRST)
     await watching._bootstrap(policy(1), 1000.0 + 2 * BACKOFF_FIRST)
     assert fleet.asked == 3, "again and again, until one comes"
-
-
-async def test_a_pod_that_is_on_its_way_is_waited_for() -> None:
-    fleet = Asked(replace(ACTIVE, running=False, ready=False))
-    await at_a_closed_gate(fleet)._bootstrap(policy(1), 1000.0)
-    assert fleet.asked == 0
 
 
 async def test_a_gate_that_is_opened_after_a_recovery_came_to_nothing_still_tells_which_pods_had_failed() -> None:
