@@ -76,6 +76,7 @@ def test_defaults_are_filled_in(make) -> None:
         "ros": {"domainId": 0, "discovery": {"mode": "Managed"}},
         "gate": {"kind": "NetworkPolicy"},
         "monitor": {"diagnostics": False, "snapshots": False},
+        "poolPriority": 0,
     }
     policy = make("policy-short")["spec"]
     assert policy["monitoring"]["debounce"] == "0s"
