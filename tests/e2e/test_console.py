@@ -3,26 +3,9 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
-from pathlib import Path
 
-from tests.e2e.kubectl import Kubectl
+from tests.e2e.console import understudy
 from tests.e2e.scenario import Robot
-
-REPOSITORY = Path(__file__).parents[2]
-
-
-def understudy(kubectl: Kubectl, command: str, *arguments: str) -> subprocess.CompletedProcess[str]:
-    where = [f"--namespace={kubectl.namespace}", f"--kubeconfig={kubectl.kubeconfig}"]
-    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY / "operator")}
-    done = subprocess.run(
-        [sys.executable, "-m", "understudy", command, *arguments, *where],
-        capture_output=True, text=True, timeout=60, check=False, env=environment,
-    )  # fmt: skip
-    print(f"\n{done.stdout}{done.stderr}")
-    return done
 
 
 def test_a_robot_is_told_before_and_after_a_failure(executing: Robot) -> None:

@@ -3,29 +3,15 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
-from pathlib import Path
 
-from tests.e2e.kubectl import Kubectl
+from tests.e2e.console import understudy
 from tests.e2e.scenario import Robot, eventually
-
-REPOSITORY = Path(__file__).parents[2]
-
-
-def understudy(kubectl: Kubectl, *arguments: str) -> subprocess.CompletedProcess[str]:
-    where = [f"--namespace={kubectl.namespace}", f"--kubeconfig={kubectl.kubeconfig}"]
-    command = [sys.executable, "-m", "understudy", "tree", *arguments, *where]
-    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY / "operator")}
-    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False, env=environment)
 
 
 def live(robot: Robot) -> str | None:
     """What is shown, once the tree is healthy: a machine that is busy with the robot's start may be slow to answer."""
-    done = understudy(robot.kubectl, robot.workload)
+    done = understudy(robot.kubectl, "tree", robot.workload)
     if done.returncode != 0:
-        print(done.stderr)
         return None
     return done.stdout if commands(done.stdout).split()[1] == "healthy" else None
 
@@ -37,7 +23,7 @@ def commands(shown: str) -> str:
 
 def conditions(robot: Robot) -> dict[str, str]:
     """Those that the live tree comes with, with their status."""
-    state = json.loads(understudy(robot.kubectl, robot.workload, "-o", "json").stdout or "{}")
+    state = json.loads(understudy(robot.kubectl, "tree", robot.workload, "-o", "json").stdout or "{}")
     return {c["type"]: c["status"] for c in state.get("conditions", [])}
 
 
@@ -46,12 +32,11 @@ def test_the_live_tree_is_asked_for_through_kubectl(executing: Robot) -> None:
     shown = eventually(
         lambda: live(executing), within=60, every=2.0, what="the live tree is healthy", note=executing.describe
     )
-    print(f"\n{shown}")
     assert f"in control: {active} (epoch 1)" in shown
     assert "if it failed now: Executing" in shown
     assert " Hz, " in commands(shown)
     good = {"GateEnforced": "True", "Monitored": "True", "Healthy": "True"}.items()
     eventually(lambda: good <= conditions(executing).items(), within=60, every=2.0, what="all is well by the live tree")
-    missing = understudy(executing.kubectl, "robot-2-drive")
+    missing = understudy(executing.kubectl, "tree", "robot-2-drive")
     assert missing.returncode == 2
     assert '"robot-2-drive" not found' in missing.stderr

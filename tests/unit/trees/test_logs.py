@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 import time as clock
 from typing import Any
@@ -12,9 +11,15 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from tests.unit.trees.messages import Log
-from tests.unit.trees.world import START, World, states_in_both_forms, written
+from tests.unit.trees.world import (
+    START,
+    World,
+    assert_deadline_is_the_first_worse_moment,
+    states_in_both_forms,
+    written,
+)
 from understudy.trees.btcpp.trees import load_xml
-from understudy.trees.health import BADNESS, Verdict
+from understudy.trees.health import Verdict
 from understudy.trees.loading import TreeError, load
 
 ROOT = "spec.monitoring.yaml"
@@ -268,17 +273,7 @@ def test_the_deadline_is_the_first_moment_that_is_worse(node, said, tasked, task
             judged.task = task / 100 if task is not None and task <= time else None
             say(judged, time / 100, level=level).at(time / 100)
     judged.task = task / 100 if task is not None and task <= now else None
-    present = BADNESS[judged.at(now / 100).state]
-    deadline = judged.deadline(now / 100)
-    assert BADNESS[judged.at(now / 100).state] == present
-    later = [now / 100 + step / 100 for step in range(1, 500)]
-    worse = next((time for time in later if BADNESS[judged.at(time).state] > present), None)
-    if deadline is None:
-        assert worse is None
-    else:
-        assert math.isclose(worse, deadline, abs_tol=0.011)
-        assert BADNESS[judged.at(deadline + 1e-5).state] > present
-        assert BADNESS[judged.at(deadline - 1e-5).state] <= present
+    assert_deadline_is_the_first_worse_moment(judged, now / 100)
 
 
 @settings(max_examples=150, deadline=None)
