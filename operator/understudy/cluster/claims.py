@@ -42,7 +42,7 @@ async def claim(client: Client, pod: Object, *, workload: str, workload_uid: str
 
 def _unanswered(error: Exception) -> bool:
     """Whether nobody knows if a request was carried out, or it is worth being sent again."""
-    return not isinstance(error, ApiError) or error.status >= 500 or error.status == 429
+    return not isinstance(error, ApiError) or error.passing
 
 
 async def _reread(client: Client, pod: Object) -> Object:

@@ -47,6 +47,11 @@ class ApiError(Exception):
         """Whether another writer was first (or the object exists already)."""
         return self.status == 409
 
+    @property
+    def passing(self) -> bool:
+        """Whether it says nothing of the request: the server was busy or failed, and may even have carried it out."""
+        return self.status == 429 or self.status >= 500
+
 
 class Expired(Exception):
     """The watch's resourceVersion is too old (410 Gone): list again."""

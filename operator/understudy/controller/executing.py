@@ -61,7 +61,7 @@ class Executor:
                 if error.status == 409 or (error.status == 404 and _gone(write)):
                     stale = error
                     continue
-                if error.status == 429 or error.status >= 500:
+                if error.passing:
                     raise
                 problems.append(refused(write, error))
         if stale is not None:

@@ -65,9 +65,8 @@ class View:
             group.create_task(watch.run())
         for watch in watches:
             await watch.synced.wait()
-        group.create_task(
-            self.waiting_gates.run()
-        )  # without it nothing is wrong: two that wait may take turns less well
+        # It isn't waited for: without it nothing is wrong, but two that wait may take turns less well.
+        group.create_task(self.waiting_gates.run())
         while self.settings is None:
             _logger.info("waiting for ConfigMap %s", names.settings(self.workload))
             await self.settings_maps.changed()

@@ -79,12 +79,7 @@ def _recorded(given: argparse.Namespace, manifests: Sequence[Manifest]) -> dict[
     found: dict[tuple[str, str], Object] = {}
     try:
         for namespace in sorted({one.namespace for one in manifests if one.kind == "RobotWorkload"}):
-            options = {
-                "namespace": namespace or given.namespace,
-                "context": given.context,
-                "kubeconfig": given.kubeconfig,
-            }
-            asking = kubectl.Kubectl(argparse.Namespace(**options))
+            asking = kubectl.Kubectl(argparse.Namespace(**{**vars(given), "namespace": namespace or given.namespace}))
             for item in asking.get("robotworkloads")["items"]:
                 found[(namespace, item["metadata"]["name"])] = item
     except kubectl.Unusable as error:

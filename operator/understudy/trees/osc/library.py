@@ -147,6 +147,10 @@ MODIFIERS: Mapping[str, Behavior] = {
 COMPOSITIONS: Mapping[str, str] = {"serial": "sequence", "parallel": "parallel", "one_of": "selector"}
 """What the operators of the language are in the short form."""
 
+_STATUSES = ("failure", "running", "success")
+STATUS_CHANGES = tuple(f"{one}_is_{other}" for one in _STATUSES for other in _STATUSES)
+"""What scenario-execution calls the modifiers by which one status counts as another."""
+
 _ONCE = "a health tree is asked again and again anyway; leave it out, and give the leaf in it a longer gap or window"
 _LATER = (
     "how long something may be missing is said by gap, window and settle, and by debounce of the policy; leave it out"
@@ -164,14 +168,7 @@ _OTHERS: Mapping[str, str] = {
     "retry": _ONCE,
     "repeat": _ONCE,
     "timeout": _LATER,
-    **dict.fromkeys(
-        [
-            f"{one}_is_{other}"
-            for one in ("failure", "running", "success")
-            for other in ("failure", "running", "success")
-        ],
-        _CERTAIN,
-    ),
+    **dict.fromkeys(STATUS_CHANGES, _CERTAIN),
     "topic_monitor": "write topic()",
     "assert_topic_latency": "write age()",
     "wait_for_topics": "write topic(), or publisher() for one that says something seldom",

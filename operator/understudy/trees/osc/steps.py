@@ -8,7 +8,7 @@ from understudy.trees import spelling, subjects, vocabulary
 from understudy.trees.btcpp.library import tag_of
 from understudy.trees.osc import tokens
 from understudy.trees.osc.dialects import Dialect
-from understudy.trees.osc.library import ACTIONS, MODIFIERS, Argument, Behavior
+from understudy.trees.osc.library import ACTIONS, MODIFIERS, STATUS_CHANGES, Argument, Behavior
 from understudy.trees.procedures import HEALTH
 
 _TYPES: Mapping[str, str] = {
@@ -79,14 +79,7 @@ _OTHERS: Mapping[str, str] = {
     **dict.fromkeys(("increment", "decrement"), _STORE),
     "compare": "values of messages are compared by value(); write that",
     "repeat": _ONCE,
-    **dict.fromkeys(
-        [
-            f"{one}_is_{other}"
-            for one in ("failure", "running", "success")
-            for other in ("failure", "running", "success")
-        ],
-        _CERTAIN,
-    ),
+    **dict.fromkeys(STATUS_CHANGES, _CERTAIN),
     "action_call": "write resend_goals() for the goals that the robot had, or call_service()",
     "service_call": "write call_service()",
     "topic_publish": "write publish()",
