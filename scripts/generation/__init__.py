@@ -8,12 +8,13 @@ from typing import Any
 
 import yaml
 
-from scripts.generation import reference, scenarios, values
+from scripts.generation import metrics, reference, scenarios, values
 from understudy.api.crds import definitions
 
 CHART = Path("charts/understudy")
 SCENARIOS = Path("docs/trees-osc.md")
 PROCEDURES = Path("docs/procedures.md")
+METRICS = Path("docs/metrics.md")
 LIBRARY = Path("operator/understudy/trees/osc/lib_osc/understudy.osc")
 
 
@@ -56,4 +57,5 @@ def outputs(root: Path) -> dict[Path, str]:
     result[PROCEDURES] = values.between_markers(
         (root / PROCEDURES).read_text(), scenarios.languages(), scenarios.PROCEDURES_BEGIN, scenarios.PROCEDURES_END
     )
+    result[METRICS] = values.between_markers((root / METRICS).read_text(), metrics.table(), metrics.BEGIN, metrics.END)
     return result

@@ -26,6 +26,7 @@ from understudy.controller import handlers, lending, metrics, serving
 from understudy.controller.desired import Images
 from understudy.controller.executing import MANAGER, Executor
 from understudy.controller.expectations import Expectations
+from understudy.controller.fleetmetrics import FleetMetrics
 from understudy.controller.observing import Observer
 from understudy.controller.operating import Operator
 from understudy.controller.reconciling import Reconciler
@@ -66,6 +67,8 @@ async def run(access: Access, options: Options, *, stop: asyncio.Event | None = 
             options.images,
         )
         operator = Operator(client, store, reconciler, namespaces=options.namespaces, resync_every=options.resync_every)
+        fleet = FleetMetrics(store, lambda: lease.held)
+        metrics.REGISTRY.register(fleet)
         server = await serving.serve(
             options.port,
             alive=lambda: "nothing could be listed for long" if operator.stalled else None,
@@ -83,6 +86,7 @@ async def run(access: Access, options: Options, *, stop: asyncio.Event | None = 
             return await _first(tasks)
         finally:
             metrics.LEADER.set(0)
+            metrics.REGISTRY.unregister(fleet)
             await _cancel(tasks)
             await lease.release()
             await server.cleanup()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import time
 from collections.abc import Callable, Sequence
 
 from understudy.api import names
@@ -11,6 +12,7 @@ from understudy.api.settings import WorkloadSettings
 from understudy.cluster import claims
 from understudy.cluster.client import PODS, REPLICA_SETS, ApiError, Client, Object
 from understudy.mitigation.interfaces import ClaimLost, Instance
+from understudy.monitor import metrics
 from understudy.monitor.faults import CrashPoints
 from understudy.monitor.view import View
 from understudy.trees.observations import PodCondition
@@ -105,6 +107,7 @@ class Fleet:
         if pod is None or pod["metadata"]["uid"] != instance.uid:
             raise ClaimLost(instance.name)
         self._crash_points.step("before claim")
+        begun = time.monotonic()
         try:
             claimed = await claims.claim(
                 self._client, pod, workload=self._view.workload, workload_uid=self._settings.uid, claim=claim
@@ -112,8 +115,10 @@ class Fleet:
         except ApiError as error:
             if error.status in (403, 404, 409, 422):
                 _logger.info("claim of %s lost: %s", instance.name, error.message)
+                metrics.claimed("Lost", time.monotonic() - begun)
                 raise ClaimLost(instance.name) from error
             raise
+        metrics.claimed("Won", time.monotonic() - begun)
         self._view.pods.put(claimed)
         self._crash_points.step("after claim")
         return instance_of(claimed)

@@ -16,6 +16,7 @@ from understudy.cluster.client import NETWORK_POLICIES, ApiError, Client
 from understudy.cluster.probes import ProbeReceiver
 from understudy.mitigation.interfaces import GateState, Instance, Superseded
 from understudy.mitigation.progress import Progress
+from understudy.monitor import metrics
 from understudy.monitor.faults import CrashPoints
 from understudy.monitor.fleet import Fleet
 from understudy.monitor.view import View
@@ -86,6 +87,7 @@ class PolicyGate:
         self._crash_points.step("before commit")
         recovery = progress.model_copy(update={"epoch": begun.epoch + 1}).model_dump_json() if progress else ""
         waits_for = progress.waiting.pool if progress is not None and progress.waiting is not None else ""
+        asked = time.monotonic()
         while True:
             try:
                 policy = await gates.commit(
@@ -114,6 +116,7 @@ class PolicyGate:
             record = await self._reread(begun, uid, recovery) or record
             if record.epoch > begun.epoch:
                 return self.state
+        metrics.committed(time.monotonic() - asked)
         self._view.gates.put(policy)
         self._crash_points.step("after commit")
         return self.state

@@ -9,6 +9,7 @@ import asyncio
 import contextlib
 import time
 
+from understudy.monitor import metrics
 from understudy.ros.arrivals import Arrivals
 
 TICK = 0.1
@@ -54,6 +55,7 @@ class Looks:
             self._arrivals.clear()
         now = self._begun = time.time()
         self.late = max(0.0, now - self._next) if self._next is not None else 0.0
+        metrics.looked(overrun=self.late > STALLED)
         if self.late > STALLED:
             self.trusted_from = now + min(self.late, STALL_MOST)
         return now

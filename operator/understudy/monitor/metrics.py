@@ -9,12 +9,22 @@ from prometheus_client import Counter, Gauge, Histogram
 
 from understudy.api.workloads import Health, Recovery
 
+_WRITES = (0.002, 0.005, 0.01, 0.02, 0.03, 0.05, 0.1, 0.2, 0.3, 0.5, 1, 2, 5)
+"""Buckets for answers of the API server, in seconds."""
+
 _RECOVERIES = Counter("understudy_recoveries", "Recoveries of this workload.", ["strategy", "result"])
+_TIMES = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 60)
+_SECONDS = Histogram(
+    "understudy_recovery_seconds",
+    "From the last healthy output of the failed instance until the gate was open for the next one (the sum of the parts).",
+    ["strategy"],
+    buckets=_TIMES,
+)
 _PARTS = Histogram(
     "understudy_recovery_part_seconds",
     "Parts of the recovery time (equation 1 of the paper).",
     ["strategy", "part"],
-    buckets=(0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 60),
+    buckets=_TIMES,
 )
 _HEALTH = Gauge("understudy_health", "1 for the present health of this workload.", ["health"])
 _EPOCH = Gauge("understudy_gate_epoch", "Epoch of the gate.")
@@ -28,6 +38,20 @@ _WAITS = Histogram(
     "How long this workload waited for a pod of a shared pool, until it was served or gave up.",
     ["pool", "result"],
     buckets=(0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 30, 60, 120, 300),
+)
+_LOOKS = Counter("understudy_tree_evaluations", "Looks at the health tree.")
+_OVERRUNS = Counter(
+    "understudy_tree_overruns",
+    "Looks at the health tree that came so late that silence can't be judged by them at once.",
+)
+_CLAIMS = Histogram(
+    "understudy_claim_seconds",
+    "How long the claim of a pod of a shared pool took, by what came of it.",
+    ["result"],
+    buckets=_WRITES,
+)
+_GATES = Histogram(
+    "understudy_gate_commit_seconds", "How long the API server took for a change of the gate.", buckets=_WRITES
 )
 _DEGRADATIONS = Counter("understudy_degradations", "How often this workload became degraded.")
 _KEPT_AT = Gauge("understudy_kept_timestamp_seconds", "When the state was taken that would be restored now.", ["name"])
@@ -70,10 +94,29 @@ def lateness(seconds: float) -> None:
     _LATENESS.observe(max(0.0, seconds))
 
 
+def looked(overrun: bool) -> None:
+    """Count a look at the health tree, and whether it was much too late."""
+    _LOOKS.inc()
+    if overrun:
+        _OVERRUNS.inc()
+
+
+def claimed(result: str, seconds: float) -> None:
+    """Note how long a claim took: Won, or Lost to another workload."""
+    _CLAIMS.labels(result=result).observe(max(0.0, seconds))
+
+
+def committed(seconds: float) -> None:
+    """Note how long a change of the gate took."""
+    _GATES.observe(max(0.0, seconds))
+
+
 def recovered(recovery: Recovery) -> None:
     """Count a finished recovery and its parts."""
     strategy = recovery.strategy or "none"
     _RECOVERIES.labels(strategy=strategy, result=recovery.result).inc()
+    if recovery.recovery_seconds is not None and recovery.result == "Recovered":
+        _SECONDS.labels(strategy=strategy).observe(recovery.recovery_seconds)
     if recovery.parts is not None and recovery.result == "Recovered":
         for part, seconds in recovery.parts.model_dump().items():
             _PARTS.labels(strategy=strategy, part=part).observe(seconds)

@@ -35,6 +35,7 @@ from understudy.monitor.sight import Sight
 from understudy.monitor.supervising import Parts, Supervisor
 from understudy.monitor.tasks import TaskLink
 from understudy.monitor.telling import Telling
+from understudy.monitor.topicmetrics import TopicMetrics
 from understudy.monitor.view import View
 
 _logger = logging.getLogger(__name__)
@@ -96,6 +97,7 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
         sidecars = Sidecars(client, view, os.environ.get("UNDERSTUDY_POD_IP", "127.0.0.1"), crash_points)
         sight = Sight()
         sight.meter = Meter(client, namespace, workload)
+        REGISTRY.register(TopicMetrics(lambda: sight.heard))
         parts = Parts(
             view=view,
             fleet=fleet,

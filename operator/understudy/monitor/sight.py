@@ -21,7 +21,7 @@ from understudy.ros.types import TypeNotInstalled, interface_class, message_fiel
 from understudy.ros.watching import Watching
 from understudy.trees.forms import load_monitoring
 from understudy.trees.health import HealthTree, Verdict, WatchedTopic
-from understudy.trees.observations import Observations, PodState
+from understudy.trees.observations import Observations, PodState, TopicRecord
 from understudy.trees.problems import TreeError
 from understudy.trees.snapshots import Snapshot, snapshot
 
@@ -113,6 +113,13 @@ class Sight:
     def observations(self) -> Observations:
         """What was received, for health trees."""
         return self._watching
+
+    @property
+    def heard(self) -> dict[str, TopicRecord]:
+        """What was received of each topic that the health tree judges, of what counts for the instance in control."""
+        judged = self._tree.judged if self._tree is not None else []
+        found = {topic.name: self._watching.topic(topic.name) for topic in judged if topic.heard}
+        return {name: record for name, record in found.items() if record is not None}
 
     @property
     def problems(self) -> list[str]:

@@ -1,0 +1,44 @@
+"""How the watched topics are doing, as metrics that are worked out when somebody asks for them: a look costs nothing more."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
+from prometheus_client.registry import Collector
+
+from understudy.trees.observations import TopicRecord
+
+
+class TopicMetrics(Collector):
+    """Messages of each topic that the health tree watches, of those that count for the instance in control."""
+
+    def __init__(self, records: Callable[[], Mapping[str, TopicRecord]]) -> None:
+        """``records`` gives what was received by topic."""
+        self._records = records
+
+    def describe(self) -> Iterable[Metric]:
+        """Their names, without looking at anything: asked for when it is registered."""
+        return _families({})
+
+    def collect(self) -> Iterable[Metric]:
+        """All of them as of now."""
+        return _families(self._records())
+
+
+def _families(records: Mapping[str, TopicRecord]) -> list[Metric]:
+    messages = CounterMetricFamily(
+        "understudy_topic_messages",
+        "Messages of a watched topic that count for the instance in control; their rate is the topic's.",
+        labels=["topic"],
+    )
+    last = GaugeMetricFamily(
+        "understudy_topic_last_message_timestamp_seconds",
+        "When the last of them was received (Unix time).",
+        labels=["topic"],
+    )
+    for topic, record in records.items():
+        messages.add_metric([topic], record.count)
+        if record.last is not None:
+            last.add_metric([topic], record.last)
+    return [messages, last]

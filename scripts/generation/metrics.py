@@ -1,0 +1,55 @@
+"""The table of metrics, out of the metrics themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from types import ModuleType
+
+from prometheus_client.core import Metric
+from prometheus_client.metrics import MetricWrapperBase
+
+from understudy.controller import metrics as operator
+from understudy.controller.fleetmetrics import FleetMetrics
+from understudy.controller.stores import Store
+from understudy.monitor import metrics as monitor
+from understudy.monitor.topicmetrics import TopicMetrics
+
+BEGIN = "<!-- metrics: written by scripts/generate -->"
+END = "<!-- /metrics -->"
+
+
+def table() -> str:
+    """All metrics of ours in Markdown, by who tells them."""
+    lines = ["| metric | kind | labels | what it says |", "| --- | --- | --- | --- |"]
+    for who, described in (("operator", _operator()), ("monitor", _monitor())):
+        lines.append(f"| **of the {who}** | | | |")
+        for metric, labels in sorted(described, key=lambda pair: pair[0].name):
+            name = f"{metric.name}_total" if metric.type == "counter" else metric.name
+            lines.append(f"| `{name}` | {metric.type} | {', '.join(labels)} | {metric.documentation} |")
+    return "\n".join(lines)
+
+
+def exposed() -> set[str]:
+    """The names of all series of ours, as Prometheus stores them."""
+    endings = {"counter": ("_total",), "histogram": ("_bucket", "_sum", "_count")}
+    return {m.name + end for m, _ in (*_operator(), *_monitor()) for end in endings.get(m.type, ("",))}
+
+
+def _operator() -> list[tuple[Metric, tuple[str, ...]]]:
+    return [*_of_module(operator), *_of(FleetMetrics(Store(), lambda: False).describe())]
+
+
+def _monitor() -> list[tuple[Metric, tuple[str, ...]]]:
+    return [*_of_module(monitor), *_of(TopicMetrics(dict).describe())]
+
+
+def _of_module(module: ModuleType) -> Iterator[tuple[Metric, tuple[str, ...]]]:
+    for found in vars(module).values():
+        if isinstance(found, MetricWrapperBase):
+            for metric in found.describe():
+                yield metric, tuple(found._labelnames)
+
+
+def _of(families: Iterable[Metric]) -> Iterator[tuple[Metric, tuple[str, ...]]]:
+    for family in families:
+        yield family, tuple(getattr(family, "_labelnames", ()))

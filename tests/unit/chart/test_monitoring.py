@@ -1,0 +1,83 @@
+"""PodMonitors, alerts and dashboards: what they select and ask for is what there is."""
+
+from __future__ import annotations
+
+import json
+import re
+from typing import Any, get_args
+
+import pytest
+import yaml
+
+from scripts.generation.metrics import exposed
+from tests.unit.chart.conftest import CHART, Object, Render, one
+from understudy.api import names
+from understudy.api.workloads import Health
+from understudy.controller import fleetmetrics, monitors
+
+ALERTS = yaml.safe_load((CHART / "files" / "alerts.yaml").read_text())
+DASHBOARDS = {path.name: json.loads(path.read_text()) for path in (CHART / "files" / "dashboards").glob("*.json")}
+OTHERS = {"process_cpu_seconds_total", "process_resident_memory_bytes"}
+
+
+def alerts() -> list[Object]:
+    return [rule for group in ALERTS["groups"] for rule in group["rules"]]
+
+
+def expressions() -> list[str]:
+    panels = [panel for board in DASHBOARDS.values() for panel in board["panels"]]
+    return [rule["expr"] for rule in alerts()] + [t["expr"] for panel in panels for t in panel["targets"]]
+
+
+@pytest.mark.parametrize("expression", expressions())
+def test_every_series_that_is_asked_for_is_told_by_someone(expression: str) -> None:
+    asked = set(re.findall(r"\b(?:understudy|process)_[a-z_]+", expression))
+    assert asked
+    assert asked <= exposed() | OTHERS
+
+
+@pytest.mark.parametrize("expression", expressions())
+def test_states_and_conditions_that_are_asked_for_are_those_that_there_are(expression: str) -> None:
+    for label, known in (("health", get_args(Health)), ("condition", fleetmetrics.CONDITIONS)):
+        for value in re.findall(rf'\b{label}=~?"([^"$]+)"', expression):
+            assert set(value.split("|")) <= set(known)
+
+
+@pytest.mark.parametrize("alert", alerts(), ids=lambda alert: alert["alert"])
+def test_an_alert_says_how_grave_it_is_and_where_to_look(alert: Object) -> None:
+    assert alert["labels"]["severity"] in ("critical", "warning")
+    assert alert["annotations"]["summary"].endswith(".")
+    assert alert["annotations"]["description"]
+    assert alert["alert"] in (CHART.parents[1] / "docs" / "metrics.md").read_text()
+
+
+def test_without_the_prometheus_operator_nothing_of_its_kinds_is_made(render: Render) -> None:
+    assert not [item for item in render() if item["apiVersion"].startswith("monitoring.coreos.com")]
+    assert not [item for item in render() if item["kind"] == "ConfigMap"]
+
+
+def test_pod_monitors_select_the_operator_and_every_monitor(render: Render) -> None:
+    items = render("metrics.podMonitors.enabled=true", "metrics.podMonitors.labels.release=mine")
+    made = {item["metadata"]["name"]: item for item in items if item["kind"] == "PodMonitor"}
+    assert made.keys() == {"understudy-operator", "understudy-monitors"}
+    assert all(item["metadata"]["labels"]["release"] == "mine" for item in made.values())
+    pods = one(items, "Deployment")["spec"]["template"]["metadata"]["labels"]
+    selected = made["understudy-operator"]["spec"]["selector"]["matchLabels"]
+    assert selected.items() <= pods.items()
+    watching = made["understudy-monitors"]["spec"]
+    assert watching["namespaceSelector"] == {"any": True}
+    assert watching["selector"]["matchLabels"].items() <= monitors.labels("w").items()
+    (relabelled,) = watching["podMetricsEndpoints"][0]["relabelings"]
+    discovered = re.sub(r"[^a-zA-Z0-9_]", "_", names.MONITORED)
+    assert relabelled["sourceLabels"] == [f"__meta_kubernetes_pod_label_{discovered}"]
+
+
+def test_the_rules_are_the_file_as_it_is(render: Render) -> None:
+    assert one(render("metrics.rules.enabled=true"), "PrometheusRule")["spec"] == ALERTS
+
+
+def test_the_dashboards_are_found_by_grafanas_sidecar(render: Render) -> None:
+    found = one(render("metrics.dashboards.enabled=true"), "ConfigMap")
+    assert found["metadata"]["labels"]["grafana_dashboard"] == "1"
+    told: dict[str, Any] = {name.removeprefix("understudy-"): json.loads(text) for name, text in found["data"].items()}
+    assert told == DASHBOARDS
