@@ -20,12 +20,12 @@ class Invariants:
     """Looks at everything; what doesn't hold is told."""
 
     def __init__(
-        self, server: ApiServer, robots: Robots, *, broken: Callable[[str], None], alive: Callable[[str], bool]
+        self, server: ApiServer, robots: Robots, *, broken: Callable[[str], None], leads: Callable[[str], bool]
     ) -> None:
-        """``alive`` tells whether the process of a name is."""
-        self._server, self._robots, self._broken, self._alive = server, robots, broken, alive
+        """``leads`` tells whether the operator of a name does."""
+        self._server, self._robots, self._broken, self._leads = server, robots, broken, leads
         self._stragglers: set[str] = set()
-        """Pods that an operator had asked for and that came when it was gone: nobody could count with them."""
+        """Pods that an operator had asked for and that came when it led no longer: nobody could count with them."""
         self._sizes: dict[str, list[tuple[float, int]]] = {}
         """By pool, since when it was to have how many pods."""
         self.failed: set[str] = set()
@@ -97,7 +97,7 @@ class Invariants:
     def _created(self, pod: Object, by: str) -> None:
         """A pool never gets more free pods than it is to have, nor a workload more standbys, by what could be known."""
         self.creations += 1
-        if not self._alive(by):
+        if not self._leads(by):
             self._stragglers.add(pod["metadata"]["uid"])
         labels = _labels(pod)
         pool, workload = labels[names.POOL], labels.get(names.WORKLOAD)
