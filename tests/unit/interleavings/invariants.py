@@ -165,18 +165,18 @@ class Invariants:
                 if self._refers(namespace, workload):
                     wanted += sum(pod["metadata"]["uid"] in self._in_control() for pod in standing)
                 # Where one of a new template never gets up, the one before it stays.
-                if len(standing) != wanted and all(self._sends(pod) for pod in standing):
+                if len(standing) != wanted and all(self._stands_by(pod) for pod in standing):
                     yield f"pool {pool} has {len(standing)} pods of {workload} instead of {wanted}"
                 yield from (f"pod {_name(pod)} isn't up" for pod in standing if not self._up(pod))
 
-    def _sends(self, pod: Object) -> bool:
+    def _stands_by(self, pod: Object) -> bool:
         found = self._robots.running.get(pod["metadata"]["uid"])
-        return found is not None and found.sends
+        return found is not None and found.stands_by
 
     def _up(self, pod: Object) -> bool:
         """Whether its application is healthy, or never will be."""
         found = self._robots.running.get(pod["metadata"]["uid"])
-        return found is not None and (found.sends or found.broken)
+        return found is not None and (found.stands_by or found.broken)
 
     def _refers(self, namespace: str, workload: str) -> bool:
         return "workloadRef" in self._server.items["robotworkloads"][(namespace, workload)]["spec"]

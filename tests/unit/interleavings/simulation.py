@@ -60,6 +60,8 @@ class Scene:
     standbys: int = 0
     initializes: bool = False
     """Whether standbys wait initialized, and not executing."""
+    activates: bool = False
+    """Whether an application has to be brought up by a procedure before it sends."""
     refers: bool = False
     """Whether workloads refer to Deployments, and have no template."""
     troubles: tuple[str, ...] = ()
@@ -74,6 +76,15 @@ SCENES = (
     Scene("executing", workloads=2, strategies=("hot", "Restart"), standbys=1),
     Scene("initialized", workloads=2, strategies=("hot", "Restart"), standbys=1, initializes=True),
     Scene("referred", workloads=2, strategies=("hot", "spare", "Restart"), spares=1, standbys=1, refers=True),
+    Scene(
+        "procedures",
+        workloads=2,
+        strategies=("hot", "spare", "Restart"),
+        spares=1,
+        standbys=1,
+        initializes=True,
+        activates=True,
+    ),
     Scene("both", workloads=2, strategies=("hot", "spare", "Restart"), spares=1, standbys=1),
 )
 
@@ -144,7 +155,7 @@ class Simulation:
         clock: Callable[[], float] = lambda: EPOCH + self.loop.time()  # noqa: E731
         self.server = base.server.restored(clock) if base else ApiServer(clock)
         self.network = Network(self.loop, self.server, self.choices, self.world)
-        self.robots = Robots(self.loop, self.server, self.network, self.choices, self.world)
+        self.robots = Robots(self.loop, self.server, self.network, self.choices, self.world, activated=scene.activates)
         if base is not None:
             self.loop._now = base.time
             self.robots.running = {uid: dataclasses.replace(found) for uid, found in base.running.items()}
@@ -264,7 +275,12 @@ class Simulation:
             journal = f"other-{next(self._ids)}" if moved else self._journals[process.name]
             if moved:
                 self.note(f"the next monitor of {monitor.workload} starts elsewhere, its journal is lost")
-            self.later(0.1 + self.choices.random() * 2, self.start_monitor, monitor.workload, journal)
+            self.later(0.1 + self.choices.random() * 2, self._start_again, monitor.workload, journal)
+
+    def _start_again(self, workload: str, journal: str) -> None:
+        # Meanwhile its Deployment may have made another one.
+        if not self._calm or not any(monitor.workload == workload for monitor in self.monitors):
+            self.start_monitor(workload, journal)
 
     def later(self, seconds: float, work: Callable[..., object], *args: object) -> None:
         """Do something in the world after so many seconds."""
@@ -278,7 +294,8 @@ class Simulation:
         bad = choices.choice(self.scene.weather)
         # Not before the operator has listed everything, which it does again and again where any of it fails.
         self.later(0.5, setattr, self.network, "weather", Weather.of(bad))
-        self.robots.luck = Luck(broken=choices.choice([0.0, 0.0, 0.1, 0.3]))
+        failing = choices.choice([0.0, 0.2, 0.5])
+        self.robots.luck = Luck(broken=choices.choice([0.0, 0.0, 0.1, 0.3]), failing=failing)
         self.note(f"weather {bad}, {self.robots.luck}")
         lasts = TROUBLE[0] + (TROUBLE[1] - TROUBLE[0]) * choices.random()
         troubles = {name: weight for name, weight in TROUBLES.items() if name in (self.scene.troubles or TROUBLES)}
@@ -510,6 +527,8 @@ class Simulation:
             items.append(world.hot(per_workload=scene.standbys, **more))
         for name in self.workloads:
             more = {"workloadRef": {"kind": "Deployment", "name": f"app-{name}"}} if scene.refers else {}
+            if scene.activates:
+                more["bringUp"] = {"yaml": {"wait_for": {"node": "/controller"}}}
             items.append(world.workload(name, ros={"discovery": {"mode": "Multicast"}}, **more))
             if scene.refers:
                 self._deploy(name)
