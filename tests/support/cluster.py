@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
@@ -50,25 +50,34 @@ class Cluster:
         user: str | None = None,
     ) -> Object:
         """One request, as another user if one is named. Raises Refused."""
-        headers = {"Content-Type": content_type, "Accept": "application/json"}
-        if user is not None:
-            headers["Impersonate-User"] = user
-        for setting in self._api.configuration.auth_settings().values():  # a token, where there is one
-            if setting["in"] == "header":
-                headers[setting["key"]] = setting["value"]
-        query = f"?{urlencode(params)}" if params else ""
-        response = self._api.rest_client.pool_manager.request(
-            method,
-            f"{self._api.configuration.host}{path}{query}",
-            body=None if body is None else json.dumps(body).encode(),
-            headers=headers,
-            timeout=30.0,
-            retries=False,
-        )
+        headers = {"Content-Type": content_type} | ({"Impersonate-User": user} if user is not None else {})
+        data = None if body is None else json.dumps(body).encode()
+        response = self._send(method, path, params, headers, body=data, timeout=30.0)
         if not 200 <= response.status <= 299:
             raise _refused(response.status, response.data)
         answer: Object = json.loads(response.data)
         return answer
+
+    def _send(
+        self, method: str, path: str, params: Mapping[str, str] | None, headers: Mapping[str, str], **more: Any
+    ) -> Any:
+        found = {"Accept": "application/json", **headers}
+        for setting in self._api.configuration.auth_settings().values():  # a token, where there is one
+            if setting["in"] == "header":
+                found[setting["key"]] = setting["value"]
+        url = f"{self._api.configuration.host}{path}{f'?{urlencode(params)}' if params else ''}"
+        return self._api.rest_client.pool_manager.request(method, url, headers=found, retries=False, **more)
+
+    def watch(self, api_version: str, kind: str, namespace: str) -> Iterator[tuple[str, Object]]:
+        """What is so now, as added, and then every change, for as long as the API server tells of them."""
+        path = self.path(api_version, kind, namespace)
+        response = self._send("GET", path, {"watch": "true"}, {}, preload_content=False, timeout=None)
+        rest = b""
+        with response:
+            for part in response.stream(amt=None, decode_content=False):
+                *lines, rest = (rest + part).split(b"\n")
+                for event in map(json.loads, lines):
+                    yield event["type"], event["object"]
 
     def path(self, api_version: str, kind: str, namespace: str | None, name: str = "", subresource: str = "") -> str:
         """The path of an object, or of its collection."""

@@ -66,10 +66,10 @@ class Reflector:
         before = dict(self.items)
         answer = await self._client.list(self._resource, self._namespace, labels=self._labels, fields=self._fields)
         version: str = answer["metadata"]["resourceVersion"]
-        self._told = _version(answer)
+        self._told = version_of(answer)
         fresh = {item["metadata"]["name"]: item for item in answer.get("items") or []}
         # What was put while the list was under way may be newer than it.
-        newer = {n for n, i in self.items.items() if before.get(n) is not i and _version(i) > self._told}
+        newer = {n for n, i in self.items.items() if before.get(n) is not i and version_of(i) > self._told}
         for name in [n for n in self.items if n not in fresh and n not in newer]:
             self._set(name, None)
         for name, item in fresh.items():
@@ -87,8 +87,8 @@ class Reflector:
         async with contextlib.aclosing(events):  # type: ignore[type-var]
             async for kind, item in events:
                 version = item["metadata"]["resourceVersion"]
-                self._told = max(self._told, _version(item))
-                if kind == "BOOKMARK" or _version(self.items.get(item["metadata"]["name"])) > _version(item):
+                self._told = max(self._told, version_of(item))
+                if kind == "BOOKMARK" or version_of(self.items.get(item["metadata"]["name"])) > version_of(item):
                     continue
                 self._set(item["metadata"]["name"], None if kind == "DELETED" else item)
                 self._notify()
@@ -98,9 +98,9 @@ class Reflector:
         """Take in an object that a write of ours returned, unless the watch told of it already: maybe that it's gone."""
         name = item["metadata"]["name"]
         known = self.items.get(name)
-        if known is not None and _version(known) >= _version(item):
+        if known is not None and version_of(known) >= version_of(item):
             return
-        if 0 < _version(item) <= self._told:
+        if 0 < version_of(item) <= self._told:
             return
         self._set(name, item)
         self._notify()
@@ -124,7 +124,7 @@ class Reflector:
         await self._changed.wait()
 
 
-def _version(item: Object | None) -> int:
+def version_of(item: Object | None) -> int:
     """The version of an object, or of a list; 0 where there is none or it isn't a number."""
     text = item["metadata"].get("resourceVersion", "0") if item is not None else "0"
     return int(text) if text.isdigit() else 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
+import time
 from collections.abc import Callable, Sequence
 from datetime import datetime
 
@@ -17,6 +18,7 @@ from understudy.api.tasks import TaskStatus
 from understudy.api.workloads import GateStatus, Health, Recovery, RobotWorkloadStatus
 from understudy.cluster.client import WORKLOADS, ApiError, Client, Object
 from understudy.cluster.events import Recorder
+from understudy.cluster.watching import version_of
 from understudy.mitigation.progress import Progress, rfc3339
 from understudy.monitor import metrics
 
@@ -34,6 +36,9 @@ QUIET = 0.25
 
 RETRY = 2.0  # seconds
 
+AGAIN = 10.0
+"""Seconds before what was written over is said again once more: of two monitors of one workload neither keeps the other writing."""
+
 
 class Reporter:
     """Collects what is to be said and applies it when it has changed: a healthy workload costs no writes."""
@@ -45,6 +50,11 @@ class Reporter:
         """Called at once when the health, or a condition, is another; also in the midst of a failover."""
         self._changed = asyncio.Event()
         self._applied = ""
+        self._said: Object = {}
+        """The status that was applied last."""
+        self._answer: Object | None = None
+        """The object as that made it; None while nobody knows."""
+        self._again_from = 0.0
         self._conditions: dict[str, Condition] = {}
         self._kept: list[KeptStatus] = []
         self._tasks: list[TaskStatus] = []
@@ -162,6 +172,21 @@ class Reporter:
             self._tasks = list(tasks)
             self._changed.set()
 
+    def look(self, item: Object | None) -> None:
+        """Have what was said said again where the object, as the watch has it now, says something else.
+
+        A write is sometimes carried out after it was given up: an earlier one of this monitor, or the last one of a monitor
+        that died.
+        """
+        if item is None or self._answer is None or version_of(item) <= version_of(self._answer):
+            return
+        if _share(item, self._said) == _share(self._answer, self._said) or time.monotonic() < self._again_from:
+            return
+        _logger.warning("the status of %s was written over: it is written again", self._workload)
+        self._again_from = time.monotonic() + AGAIN
+        self._applied, self._answer = "", None
+        self._changed.set()
+
     def withdraw(self, type_: str) -> None:
         """Say a condition no longer: what it is about isn't there any more."""
         if self._conditions.pop(type_, None) is not None:
@@ -248,9 +273,20 @@ class Reporter:
         """Apply the status now, if it isn't what was applied last."""
         body = self._body()
         text = json.dumps(body, sort_keys=True)
-        if text != self._applied:
-            await self._client.apply(WORKLOADS, self._namespace, body, manager=MANAGER, subresource="status")
-            self._applied = text
+        if text == self._applied:
+            return
+        # What was applied before is so no longer, even where no answer comes.
+        self._applied, self._answer = "", None
+        answer = await self._client.apply(WORKLOADS, self._namespace, body, manager=MANAGER, subresource="status")
+        self._applied, self._said, self._answer = text, body["status"], answer
+
+
+def _share(item: Object, said: Object) -> Object:
+    """What an object has of a status that was applied to it: the rest is the operator's."""
+    status = item.get("status") or {}
+    types = {c["type"] for c in said["conditions"]}
+    found = {key: status[key] for key in said if key in status}
+    return found | {"conditions": {c["type"]: c for c in status.get("conditions") or [] if c["type"] in types}}
 
 
 _background: set[asyncio.Future[None]] = set()

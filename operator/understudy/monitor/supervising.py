@@ -401,6 +401,7 @@ class Supervisor:
         usable = next((s.name.split("/")[-1] for s, reason in reasons if reason is None), "None")
         item = self._view.object
         self._reporter.generation = item["metadata"].get("generation") if item else None
+        self._reporter.look(item)
         self._reporter.set(strategy=usable)
         self._say_watched()
         if (spec := self._view.spec) is not None:

@@ -20,7 +20,8 @@ from understudy.api import names
 from understudy.cluster import gates
 from understudy.cluster.client import NETWORK_POLICIES, PODS, ApiError, Expired, Object, Resource
 from understudy.cluster.events import Recorder
-from understudy.controller import affected, handlers
+from understudy.cluster.leases import LeadershipLost, Lease, Timing
+from understudy.controller import affected, handlers, running
 from understudy.controller.desired import Images
 from understudy.controller.executing import Executor
 from understudy.controller.expectations import Expectations
@@ -40,6 +41,9 @@ from understudy.monitor.view import View
 
 NAMESPACE = "fleet"
 RESYNC = 30.0
+LEASE = "understudy-operator"
+TIMING = Timing(lasts=4.0, renew_within=2.5, every=1.0)
+"""Of the operators' lease: shorter than it really is, since trouble doesn't last long."""
 
 
 class Silent(Recorder):
@@ -95,6 +99,7 @@ class Monitor:
         self.fuse = Fuse(process, kill)
         self.supervisor: Supervisor | None = None
         self._view: View | None = None
+        self._reporter: Reporter | None = None
         self.sidecars = Sidecars(robots, workload, self.fuse.step, initializes=initializes)
 
     async def run(self) -> None:
@@ -106,7 +111,7 @@ class Monitor:
             fleet = Fleet(client, view, self.fuse)
             probes: Any = Probes(self._robots, self.workload)
             gate = PolicyGate(client, view, fleet, probes, self.fuse)
-            reporter = Reporter(client, NAMESPACE, self.workload, Silent())
+            reporter = self._reporter = Reporter(client, NAMESPACE, self.workload, Silent())
             if (item := view.object) is not None:
                 reporter.adopt(item)
             parts = Parts(
@@ -140,10 +145,18 @@ class Monitor:
             self._broken(f"{self.process} knew epoch {epochs[0]} of its gate, and then {epochs[1]}")
 
     def mistaken(self, server: ApiServer) -> Iterator[str]:
-        """What it takes to be so of its pods and its gate, and isn't."""
+        """What it takes to be so of its pods and its gate, and isn't; and what it says, and nobody reads."""
         view = self._view
         if view is None:
             return
+        if self._reporter is not None:
+            status = server.items["robotworkloads"][(NAMESPACE, self.workload)].get("status") or {}
+            said = self._reporter._body()["status"]
+            for key in [key for key in said if key != "conditions" and said[key] != status.get(key)]:
+                yield f"{self.process} says another {key} than the status"
+            for condition in said["conditions"]:
+                if condition not in (status.get("conditions") or []):
+                    yield f"{self.process} says another condition {condition['type']} than the status"
         pods = server.items["pods"].values()
         for reflector, label, value in (
             (view.pods, names.WORKLOAD, self.workload),
@@ -170,22 +183,30 @@ def _differences(who: str, known: Mapping[str, Object], found: Mapping[str, Obje
 
 
 class OperatorProcess:
-    """One operator, from its start to its end: what it expects is lost with it."""
+    """One replica of the operator, from its start to its end: what it expects is lost with it."""
 
     def __init__(
-        self, process: Process, network: Network, numbers: itertools.count[int], choices: random.Random
+        self,
+        process: Process,
+        network: Network,
+        replica: str,
+        numbers: itertools.count[int],
+        choices: random.Random,
+        kill: Callable[[Process], None],
     ) -> None:
-        self.process = process
+        """``replica`` is the same after a restart; ``kill`` is called when it ends by itself."""
+        self.process, self.replica, self._kill = process, replica, kill
         self._network, self._choices = network, choices
         client = network.client(process, timeout=20)
         self._client: SimulatedClient = client
         clock = network.loop.time
         self._store, expectations = Store(clock=clock), Expectations(clock=clock)
+        self._lease = Lease(client, NAMESPACE, LEASE, replica, timing=TIMING, clock=clock)
         reconciler = Reconciler(
             client,
             self._store,
             Observer(client, self._store, expectations),
-            Executor(client, self._store, expectations, may_write=lambda: True),
+            Executor(client, self._store, expectations, may_write=lambda: self._lease.held),
             Silent(),
             Images("registry/understudy:1"),
         )
@@ -194,6 +215,7 @@ class OperatorProcess:
         self._store.noticed = self._enqueue
         self.silent: set[str] = set()
         """Resources whose watch says nothing any more, without an error."""
+        self._told_to_end = network.loop.create_future()
 
     def _enqueue(self, sight: Seen) -> None:
         for key in sorted(affected.keys(sight, self._store)):  # a set's order differs from run to run
@@ -207,12 +229,29 @@ class OperatorProcess:
             yield from _differences(str(self.process), known, found)
 
     async def run(self) -> None:
-        """As ``understudy.controller.running`` puts it together, but for the lease."""
-        async with asyncio.TaskGroup() as group:
-            for resource in handlers.WATCHED:
-                group.create_task(self._watch(resource))
-            group.create_task(self._operator.keep_listing())
-            group.create_task(self._operator.lead())
+        """As ``understudy.controller.running`` puts it together."""
+        work = [*map(self._watch, handlers.WATCHED), self._operator.keep_listing()]
+        tasks = [
+            asyncio.create_task(one) for one in (*work, running._lead(self._lease, self._operator), self._until_told())
+        ]
+        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        ended = [task.exception() for task in tasks if task.done()]
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        await self._lease.release()
+        for error in ended:
+            if error is not None and not (isinstance(error, BaseExceptionGroup) and error.subgroup(LeadershipLost)):
+                raise error
+        self._kill(self.process)
+
+    async def _until_told(self) -> None:
+        await self._told_to_end
+
+    def end(self) -> None:
+        """As SIGTERM does."""
+        if not self._told_to_end.done():
+            self._told_to_end.set_result(None)
 
     async def _watch(self, resource: Resource) -> None:
         """What kopf does for it."""

@@ -33,6 +33,7 @@ KINDS = {
     "robotworkloads": ("understudy.dev/v1alpha1", "RobotWorkload"),
     "failurepolicies": ("understudy.dev/v1alpha1", "FailurePolicy"),
     "fallbackpools": ("understudy.dev/v1alpha1", "FallbackPool"),
+    "leases": ("coordination.k8s.io/v1", "Lease"),
 }
 _PATH = re.compile(r"/(?:api|apis/[^/]+)/v[^/]+(?:/namespaces/([^/]+))?/([a-z]+)(?:/([^/]+))?(?:/([^/]+))?$")
 

@@ -20,12 +20,12 @@ class Invariants:
     """Looks at everything; what doesn't hold is told."""
 
     def __init__(
-        self, server: ApiServer, robots: Robots, *, broken: Callable[[str], None], alive: Callable[[str], bool]
+        self, server: ApiServer, robots: Robots, *, broken: Callable[[str], None], leads: Callable[[str], bool]
     ) -> None:
-        """``alive`` tells whether the process of a name is."""
-        self._server, self._robots, self._broken, self._alive = server, robots, broken, alive
+        """``leads`` tells whether the operator of a name does."""
+        self._server, self._robots, self._broken, self._leads = server, robots, broken, leads
         self._stragglers: set[str] = set()
-        """Pods that an operator had asked for and that came when it was gone: nobody could count with them."""
+        """Pods that an operator had asked for and that came when it led no longer: nobody could count with them."""
         self._sizes: dict[str, list[tuple[float, int]]] = {}
         """By pool, since when it was to have how many pods."""
         self.failed: set[str] = set()
@@ -97,7 +97,7 @@ class Invariants:
     def _created(self, pod: Object, by: str) -> None:
         """A pool never gets more free pods than it is to have, nor a workload more standbys, by what could be known."""
         self.creations += 1
-        if not self._alive(by):
+        if not self._leads(by):
             self._stragglers.add(pod["metadata"]["uid"])
         labels = _labels(pod)
         pool, workload = labels[names.POOL], labels.get(names.WORKLOAD)
@@ -165,18 +165,18 @@ class Invariants:
                 if self._refers(namespace, workload):
                     wanted += sum(pod["metadata"]["uid"] in self._in_control() for pod in standing)
                 # Where one of a new template never gets up, the one before it stays.
-                if len(standing) != wanted and all(self._sends(pod) for pod in standing):
+                if len(standing) != wanted and all(self._stands_by(pod) for pod in standing):
                     yield f"pool {pool} has {len(standing)} pods of {workload} instead of {wanted}"
                 yield from (f"pod {_name(pod)} isn't up" for pod in standing if not self._up(pod))
 
-    def _sends(self, pod: Object) -> bool:
+    def _stands_by(self, pod: Object) -> bool:
         found = self._robots.running.get(pod["metadata"]["uid"])
-        return found is not None and found.sends
+        return found is not None and found.stands_by
 
     def _up(self, pod: Object) -> bool:
         """Whether its application is healthy, or never will be."""
         found = self._robots.running.get(pod["metadata"]["uid"])
-        return found is not None and (found.sends or found.broken)
+        return found is not None and (found.stands_by or found.broken)
 
     def _refers(self, namespace: str, workload: str) -> bool:
         return "workloadRef" in self._server.items["robotworkloads"][(namespace, workload)]["spec"]

@@ -53,6 +53,11 @@ class Running:
     brought: str = ""
     """What a procedure has brought it to, as its monitor called it."""
 
+    @property
+    def stands_by(self) -> bool:
+        """Whether it is as far as a standby has to be: it may have to be activated before it sends."""
+        return self.sends or (self.up and self.brought.startswith("init:") and not self.broken)
+
 
 @dataclass
 class Luck:
@@ -60,6 +65,8 @@ class Luck:
 
     broken: float = 0.0
     slow: float = 0.1
+    failing: float = 0.0
+    """And of procedures."""
 
 
 @dataclass
@@ -76,6 +83,8 @@ class Robots:
     luck: Luck = field(default_factory=Luck)
     let_through: dict[str, tuple[str, ...]] = field(default_factory=dict)
     """By workload, the instances that the network lets through by now."""
+    activated: bool = False
+    """Whether an application sends only once a procedure has brought it to driving."""
     changed: Callable[[str], None] = lambda robot: None
     """Called when what reaches a robot has changed."""
     noted: Callable[[str], None] = lambda text: None
@@ -232,9 +241,22 @@ class Robots:
         found.held, found.robot, found.up_at = False, workload, self.now
         self.later(self.between(0.1, 0.8), self._send, uid)
 
+    def bring(self, uid: str, brought: str) -> None:
+        """A procedure has brought a pod's processes to where they belong."""
+        found = self.running.get(uid)
+        if found is None or found.ended or not found.up:
+            return
+        found.brought = brought
+        if self.activated and brought.startswith("up:"):
+            self.later(self.between(0.01, 0.2), self._send, uid)
+        elif found.stands_by:
+            self.status(uid, "Running", ready=True)
+
     def _send(self, uid: str) -> None:
         found = self.running.get(uid)
         if found is None or found.ended or found.broken or found.sends or not found.up:
+            return
+        if self.activated and not found.brought.startswith("up:"):
             return
         found.sends, found.sends_since = True, self.now
         self.status(uid, "Running", ready=True)

@@ -156,7 +156,7 @@ class Sidecars:
         return AgentStatus(
             phase=phase,
             configured=True,
-            ready=found.sends and (bool(found.brought) or not self._initializes),
+            ready=found.stands_by and (bool(found.brought) or not self._initializes),
             ready_at=at,
             process_up_at=found.up_at,
             initialized=found.brought,
@@ -198,11 +198,24 @@ class Sidecars:
     async def run(
         self, instance: Instance, procedure: BringUp, *, within: float, state: KeptState, brought: str
     ) -> RestoreReport:
-        await asyncio.sleep(0.1 + self._robots.network.delay())
-        if (found := self._found(instance)) is None:
+        choices, failing = self._robots.choices, self._robots.luck.failing
+        fails = choices.random() < failing
+        await asyncio.sleep(within if fails and choices.random() < 0.5 else 0.1 + self._robots.network.delay())
+        if fails:
+            raise NotVerified(f"{procedure.name} of {instance.name} failed")
+        if self._found(instance) is None:
             raise NotVerified(f"{procedure.name} of {instance.name}: its agent isn't connected")
-        found.brought = brought
+        self._robots.bring(instance.uid, brought)
         return RestoreReport()
+
+    async def bring_up(
+        self, instance: Instance, procedure: BringUp, *, within: float, state: KeptState
+    ) -> RestoreReport:
+        self._step("before bring up")
+        brought = f"up:{procedure.digest}:{instance.restarts}"
+        report = await self.run(instance, procedure, within=within, state=state, brought=brought)
+        self._step("after bring up")
+        return report
 
     async def restore(self, instance: Instance, state: KeptState, within: float) -> RestoreReport:
         return RestoreReport()

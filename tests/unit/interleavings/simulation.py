@@ -20,18 +20,21 @@ from unittest import mock
 
 from tests.unit.controller import world
 from tests.unit.interleavings import apiserver
-from tests.unit.interleavings.actors import NAMESPACE, Monitor, OperatorProcess
+from tests.unit.interleavings.actors import LEASE, NAMESPACE, Monitor, OperatorProcess
 from tests.unit.interleavings.apiserver import EPOCH, ApiServer
 from tests.unit.interleavings.invariants import Invariants
 from tests.unit.interleavings.network import Network, Weather
 from tests.unit.interleavings.robots import NODES, REFERRED, Luck, Robots, Running
 from tests.unit.interleavings.scheduling import Killed, Process, VirtualLoop, current
 from understudy.api import conditions, names
-from understudy.cluster import applying, gates
+from understudy.cluster import applying, gates, leases
 from understudy.cluster.client import Object
 from understudy.controller import objects
 from understudy.mitigation import progress
 from understudy.monitor import supervising
+
+REPLICAS = ("a", "b")
+"""Of the operator."""
 
 TROUBLE = (4.0, 14.0)
 """Seconds, at least and at most, for which things go wrong."""
@@ -57,6 +60,8 @@ class Scene:
     standbys: int = 0
     initializes: bool = False
     """Whether standbys wait initialized, and not executing."""
+    activates: bool = False
+    """Whether an application has to be brought up by a procedure before it sends."""
     refers: bool = False
     """Whether workloads refer to Deployments, and have no template."""
     troubles: tuple[str, ...] = ()
@@ -71,6 +76,15 @@ SCENES = (
     Scene("executing", workloads=2, strategies=("hot", "Restart"), standbys=1),
     Scene("initialized", workloads=2, strategies=("hot", "Restart"), standbys=1, initializes=True),
     Scene("referred", workloads=2, strategies=("hot", "spare", "Restart"), spares=1, standbys=1, refers=True),
+    Scene(
+        "procedures",
+        workloads=2,
+        strategies=("hot", "spare", "Restart"),
+        spares=1,
+        standbys=1,
+        initializes=True,
+        activates=True,
+    ),
     Scene("both", workloads=2, strategies=("hot", "spare", "Restart"), spares=1, standbys=1),
 )
 
@@ -83,6 +97,7 @@ TROUBLES = {
     "monitor_dies_at_a_step": 5,
     "second_monitor": 2,
     "operator_dies": 3,
+    "operator_is_ended": 1,
     "somebody_stalls": 3,
     "somebody_is_cut_off": 2,
     "watch_falls_silent": 2,
@@ -140,21 +155,20 @@ class Simulation:
         clock: Callable[[], float] = lambda: EPOCH + self.loop.time()  # noqa: E731
         self.server = base.server.restored(clock) if base else ApiServer(clock)
         self.network = Network(self.loop, self.server, self.choices, self.world)
-        self.robots = Robots(self.loop, self.server, self.network, self.choices, self.world)
+        self.robots = Robots(self.loop, self.server, self.network, self.choices, self.world, activated=scene.activates)
         if base is not None:
             self.loop._now = base.time
             self.robots.running = {uid: dataclasses.replace(found) for uid, found in base.running.items()}
             self.robots.let_through = dict(base.let_through)
             self.robots._addresses = len(base.running) * 10
         self.robots.changed = self._heard
-        self.invariants = Invariants(self.server, self.robots, broken=self._broken, alive=self._alive)
+        self.invariants = Invariants(self.server, self.robots, broken=self._broken, leads=self._leads)
         self.server.changed = self._written
         self.network.noted = self.robots.noted = self.note
         self._names = itertools.count(1 if base is None else 1001)
         self._incarnations = itertools.count(1)
         self.monitors: list[Monitor] = []
-        self.operator: OperatorProcess | None = None
-        self._dead: set[str] = set()
+        self.operators: list[OperatorProcess] = []
         self._journals: dict[str, str] = {}
         self._calm = base is None
         self._over = self._disposed = False
@@ -177,8 +191,11 @@ class Simulation:
         self.outcome.faults.append(f"at {self.loop.time():.4f} s: {text}")
         self._over = True
 
-    def _alive(self, name: str) -> bool:
-        return name not in self._dead
+    def _leads(self, name: str) -> bool:
+        """Whether an operator of that name holds the lease, and lives."""
+        lease = self.server.get("leases", (NAMESPACE, LEASE))
+        holder = lease["spec"]["holderIdentity"] if lease is not None else ""
+        return any(operator.process.name == name and operator.replica == holder for operator in self.operators)
 
     def _surprised(self, process: Process | None, error: BaseException | None, message: str) -> None:
         if not isinstance(error, Killed) and (process is None or process.alive):
@@ -201,12 +218,13 @@ class Simulation:
 
     # -- processes --------------------------------------------------------------------------------------------------
 
-    def start_operator(self) -> None:
-        """A new operator, which expects nothing."""
-        process = self.loop.process(f"operator-{next(self._incarnations)}")
-        self.operator = OperatorProcess(process, self.network, self._names, self.choices)
+    def start_operator(self, replica: str) -> None:
+        """A replica of the operator, which expects nothing."""
+        process = self.loop.process(f"operator-{next(self._incarnations)} ({replica})")
+        operator = OperatorProcess(process, self.network, replica, self._names, self.choices, self.kill)
+        self.operators.append(operator)
         self.note(f"{process} starts")
-        self._follow(process, self.operator.run())
+        self._follow(process, operator.run())
 
     def start_monitor(self, workload: str, journal: str) -> None:
         """A new monitor; the journal is of the node where it runs."""
@@ -245,10 +263,10 @@ class Simulation:
         if not process.alive:
             return
         self.note(f"{process} is killed")
-        self._dead.add(process.name)
         process.kill()
-        if self.operator is not None and process is self.operator.process:
-            self.later(self.choices.random() * 2, self.start_operator)
+        for operator in [o for o in self.operators if o.process is process]:
+            self.operators.remove(operator)
+            self.later(self.choices.random() * 2, self.start_operator, operator.replica)
             return
         monitor = next(m for m in self.monitors if m.process is process)
         self.monitors.remove(monitor)
@@ -257,7 +275,12 @@ class Simulation:
             journal = f"other-{next(self._ids)}" if moved else self._journals[process.name]
             if moved:
                 self.note(f"the next monitor of {monitor.workload} starts elsewhere, its journal is lost")
-            self.later(0.1 + self.choices.random() * 2, self.start_monitor, monitor.workload, journal)
+            self.later(0.1 + self.choices.random() * 2, self._start_again, monitor.workload, journal)
+
+    def _start_again(self, workload: str, journal: str) -> None:
+        # Meanwhile its Deployment may have made another one.
+        if not self._calm or not any(monitor.workload == workload for monitor in self.monitors):
+            self.start_monitor(workload, journal)
 
     def later(self, seconds: float, work: Callable[..., object], *args: object) -> None:
         """Do something in the world after so many seconds."""
@@ -271,7 +294,8 @@ class Simulation:
         bad = choices.choice(self.scene.weather)
         # Not before the operator has listed everything, which it does again and again where any of it fails.
         self.later(0.5, setattr, self.network, "weather", Weather.of(bad))
-        self.robots.luck = Luck(broken=choices.choice([0.0, 0.0, 0.1, 0.3]))
+        failing = choices.choice([0.0, 0.2, 0.5])
+        self.robots.luck = Luck(broken=choices.choice([0.0, 0.0, 0.1, 0.3]), failing=failing)
         self.note(f"weather {bad}, {self.robots.luck}")
         lasts = TROUBLE[0] + (TROUBLE[1] - TROUBLE[0]) * choices.random()
         troubles = {name: weight for name, weight in TROUBLES.items() if name in (self.scene.troubles or TROUBLES)}
@@ -332,16 +356,23 @@ class Simulation:
             self.later(self.choices.random() * 8, self.kill, old.process)
 
     def _operator_dies(self) -> None:
-        if self.operator is not None:
-            self.kill(self.operator.process)
+        if self.operators:
+            self.kill(self.choices.choice(self.operators).process)
+
+    def _operator_is_ended(self) -> None:
+        """As when it's upgraded: it lets go of the lease, and the other one acts at once."""
+        if self.operators:
+            operator = self.choices.choice(self.operators)
+            self.note(f"{operator.process} is to end")
+            self.loop.call_soon(operator.end, context=operator.process.context)
 
     def _anybody(self) -> Process:
-        found = [monitor.process for monitor in self.monitors]
-        return self.choices.choice([*found, self.operator.process] if self.operator is not None else found)
+        return self.choices.choice([actor.process for actor in (*self.monitors, *self.operators)])
 
     def _somebody_stalls(self) -> None:
         process = self._anybody()
-        seconds = self.choices.random() * 3
+        # An operator for so long that the other one takes over, and that one has yet to notice.
+        seconds = self.choices.random() * (8 if any(o.process is process for o in self.operators) else 3)
         self.note(f"{process} gets no processor for {seconds:.1f} s")
         self.loop.stall(process, seconds, self.world)
 
@@ -353,10 +384,11 @@ class Simulation:
         self.later(seconds, self.network.cut_off.discard, process)
 
     def _watch_falls_silent(self) -> None:
-        if self.operator is not None:
+        if self.operators:
+            operator = self.choices.choice(self.operators)
             plural = self.choices.choice(["pods", "networkpolicies", "robotworkloads", "fallbackpools"])
-            self.note(f"{self.operator.process}: the watch of {plural} falls silent")
-            self.operator.silent.add(plural)
+            self.note(f"{operator.process}: the watch of {plural} falls silent")
+            operator.silent.add(plural)
 
     def _kubelets_write(self) -> None:
         for uid in sorted(self.robots.running):
@@ -441,7 +473,8 @@ class Simulation:
         with _in_virtual_time(self):
             if self.loop.time() == 0.0:
                 self._create()
-            self.start_operator()
+            for replica in REPLICAS:
+                self.start_operator(replica)
             for workload in self.workloads:
                 self.start_monitor(workload, "first")
             if not self._calm:
@@ -476,8 +509,8 @@ class Simulation:
         """What processes take to be so, and isn't."""
         for monitor in self.monitors:
             yield from monitor.mistaken(self.server)
-        if self.operator is not None:
-            yield from self.operator.mistaken(self.server)
+        for operator in self.operators:
+            yield from operator.mistaken(self.server)
 
     def _create(self) -> None:
         scene = self.scene
@@ -494,6 +527,8 @@ class Simulation:
             items.append(world.hot(per_workload=scene.standbys, **more))
         for name in self.workloads:
             more = {"workloadRef": {"kind": "Deployment", "name": f"app-{name}"}} if scene.refers else {}
+            if scene.activates:
+                more["bringUp"] = {"yaml": {"wait_for": {"node": "/controller"}}}
             items.append(world.workload(name, ros={"discovery": {"mode": "Multicast"}}, **more))
             if scene.refers:
                 self._deploy(name)
@@ -552,6 +587,7 @@ def _in_virtual_time(simulation: Simulation) -> Iterator[None]:
                 "datetime",
                 SimpleNamespace(now=lambda zone: datetime.fromtimestamp(EPOCH + loop.time(), zone)),
             ),
+            (leases, "_now", lambda: f"{loop.time():.6f}"),
             (supervising, "TICK", TICK),
         ):
             stack.enter_context(mock.patch.object(target, attribute, value))

@@ -22,6 +22,7 @@ from understudy.cluster import applying, claims, gates
 from understudy.cluster.client import Client, Object
 from understudy.controller.expectations import Expectations
 from understudy.monitor.leftovers import Leftovers
+from understudy.monitor.reporting import Reporter
 
 REPOSITORY = Path(__file__).parents[3]
 RUNS, CHUNK = 250, 25
@@ -144,3 +145,8 @@ def test_a_claimed_pod_that_is_deleted_as_if_it_were_free_is_found() -> None:
 
     with mock.patch.object(applying, "delete_exactly", careless):
         assert found("which is claimed", SHARED, "all_fail", "pool_is_resized")
+
+
+def test_a_status_that_a_dead_monitor_overwrites_for_good_is_found() -> None:
+    with mock.patch.object(Reporter, "look"):
+        assert found("than the status", SCARCE, "monitor_dies_at_a_step", "all_fail", weather=3.0)

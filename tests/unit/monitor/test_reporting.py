@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
+import pytest
+
+from tests.unit.interleavings.apiserver import ApiServer
 from understudy.api.tasks import TaskStatus
-from understudy.cluster.client import Object
+from understudy.cluster.client import Client, Object
 from understudy.mitigation.progress import Progress
+from understudy.monitor import reporting
 from understudy.monitor.reporting import Reporter
 
 
@@ -51,3 +55,142 @@ async def test_goals_are_those_that_the_proxy_has_worked_on_or_not() -> None:
     found = reporter()
     found.tasks([TaskStatus(action="/go", active=0), TaskStatus(action="/dock", active=2)])
     assert found.goals == ["/dock"]
+
+
+# -- what the object says ---------------------------------------------------------------------------------------------
+
+PLACE = ("fleet", "w")
+
+
+class Applied(Client):
+    """A client whose server is a model that knows which manager has applied which fields."""
+
+    def __init__(self) -> None:
+        self.server, self.writes, self.unanswered = ApiServer(lambda: 0.0), 0, False
+        metadata = {"name": "w", "namespace": "fleet", "uid": "u", "generation": 1}
+        self.server.write("robotworkloads", PLACE, {"metadata": metadata}, "somebody")
+
+    async def request(
+        self, method: str, path: str, *, params: Any = None, body: Any = None, content_type: str = "application/json"
+    ) -> Object:
+        self.writes += 1
+        answer = self.server.request(method, path, params, body, content_type, "a monitor")
+        if self.unanswered:
+            raise TimeoutError
+        return answer
+
+    @property
+    def item(self) -> Object:
+        found = self.server.get("robotworkloads", PLACE)
+        assert found is not None
+        return found
+
+    async def say_by(self, manager: str, status: Object) -> None:
+        body = {"metadata": {"name": "w", "namespace": "fleet"}, "status": status}
+        path = "/apis/understudy.dev/v1alpha1/namespaces/fleet/robotworkloads/w/status"
+        self.server.request("PATCH", path, {"fieldManager": manager}, body, "application/apply-patch+yaml", manager)
+
+
+def monitor_of(api: Applied) -> Reporter:
+    nobody: Any = None
+    found = Reporter(api, "fleet", "w", nobody)
+    found.set(active="w-1", health="Recovering")
+    found.condition("Recovering", "True", "FailureDetected", "no /cmd_vel for 500 ms")
+    return found
+
+
+async def recovered(found: Reporter) -> None:
+    found.set(active="w-2", health="Healthy")
+    found.condition("Recovering", "False", "Recovered", "w-2 took over")
+    await found.flush()
+
+
+async def looked(found: Reporter, item: Object) -> None:
+    """What housekeeping and the reporter's own loop do."""
+    found.look(item)
+    await found.flush()
+
+
+async def test_what_a_dead_monitor_wrote_late_is_written_over() -> None:
+    api = Applied()
+    dead, living = monitor_of(api), monitor_of(api)
+    await recovered(living)
+    before = api.item
+    await dead.flush()  # it was sent before that one died
+    await looked(living, before)
+    assert api.item["status"]["health"] == "Recovering", "that the watch tells nothing yet is no reason to write"
+    await looked(living, api.item)
+    assert api.item["status"]["health"] == "Healthy"
+    assert api.item["status"]["active"] == "w-2"
+    assert [c["status"] for c in api.item["status"]["conditions"]] == ["False"]
+    writes = api.writes
+    await looked(living, api.item)
+    assert api.writes == writes
+
+
+async def test_a_status_as_it_was_said_costs_no_writes() -> None:
+    api = Applied()
+    living = monitor_of(api)
+    await looked(living, api.item)
+    earlier = api.item
+    await recovered(living)
+    assert api.writes == 2
+    for item in (earlier, api.item):  # its own writes, late and in time
+        await looked(living, item)
+    await api.say_by("understudy-operator", {"standby": "Executing 1/1", "conditions": []})
+    accepted = {
+        "type": "Accepted",
+        "status": "True",
+        "reason": "Accepted",
+        "lastTransitionTime": "2026-01-01T00:00:00Z",
+    }
+    await looked(living, api.item)
+    await api.say_by("understudy-operator", {"standby": "Executing 0/1", "conditions": [accepted]})
+    await looked(living, api.item)
+    assert api.writes == 2
+
+
+async def test_what_the_api_server_wrote_differently_is_not_repaired_for_ever() -> None:
+    """As where its definition is older than the monitor, and doesn't know a field."""
+    api = Applied()
+    living = monitor_of(api)
+    request = api.server.request
+
+    def pruning(method: str, path: str, params: Any, body: Any, content_type: str, by: str) -> Object:
+        known = {key: value for key, value in body["status"].items() if key != "gate"}
+        return request(method, path, params, {**body, "status": known}, content_type, by)
+
+    api.server.request = pruning  # type: ignore[method-assign]
+    await recovered(living)
+    await api.say_by("understudy-operator", {"standby": "Executing 1/1", "conditions": []})
+    await looked(living, api.item)
+    assert api.writes == 1
+
+
+async def test_two_monitors_do_not_keep_each_other_writing(monkeypatch: pytest.MonkeyPatch) -> None:
+    api, now = Applied(), [1000.0]
+    monkeypatch.setattr(reporting.time, "monotonic", lambda: now[0])
+    one, other = monitor_of(api), monitor_of(api)
+    await recovered(one)
+    await other.flush()
+    writes = api.writes
+    for _ in range(60):
+        now[0] += 1.0
+        await looked(one, api.item)
+        await looked(other, api.item)
+    assert api.writes - writes == 2 * 60 / reporting.AGAIN
+
+
+async def test_what_was_said_before_a_write_without_an_answer_is_said_again() -> None:
+    api = Applied()
+    living = monitor_of(api)
+    await living.flush()
+    living.set(health="Healthy")
+    api.unanswered = True
+    with pytest.raises(TimeoutError):
+        await living.flush()
+    assert api.item["status"]["health"] == "Healthy", "it was carried out"
+    api.unanswered = False
+    living.set(health="Recovering")
+    await living.flush()
+    assert api.item["status"]["health"] == "Recovering"
