@@ -80,7 +80,7 @@ class Spending:
         pods = ", ".join(pod.name for pod in progress.failed[:1]) or "no pod"
         text = f"{progress.reason}; {pods} is fenced, and nothing else is done. {found.message if found is not None else ''}"
         _logger.warning("%s", text)
-        metrics.held("Budget")
+        metrics.held("BudgetSpent")
         self._reporter.condition("Recovering", "False", "BudgetSpent", text.strip())
         self._reporter.event("Warning", "RecoveryHeld", text.strip())
 
