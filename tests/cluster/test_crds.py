@@ -82,7 +82,7 @@ def test_defaults_are_filled_in(make) -> None:
     assert policy["monitoring"]["debounce"] == "0s"
     assert policy["monitoring"]["startupGrace"] == "30s"
     assert policy["strategies"] == [{"type": "Restart", "verifyWithin": "30s"}]
-    assert policy["limits"] == {"cooldown": "0s"}
+    assert policy["limits"] == {"cooldown": "0s", "healthyDelay": "2s"}
 
 
 def test_defaults_reach_objects_that_were_begun(cluster: Cluster) -> None:

@@ -63,6 +63,9 @@ RECOVERY = f"{GROUP}/recovery"
 WAITS_FOR = f"{GROUP}/waits-for"
 """On a gate while its workload waits for a pod of a shared pool: that pool. Other monitors find by it who waits besides theirs."""
 
+RESUMED = f"{GROUP}/resumed"
+"""Annotation of a RobotWorkload: when somebody said to go on. What was spent of the budget before doesn't count, no pause is waited for."""
+
 CLAIM = f"{GROUP}/claim"
 """Annotation of a pool's pod: ``<workload uid>/<recovery id>``, written once, by the claim."""
 

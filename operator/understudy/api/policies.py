@@ -16,6 +16,7 @@ from understudy.api.base import (
     ObjectName,
     matching,
     rules,
+    seconds,
 )
 from understudy.api.conditions import Condition
 from understudy.api.degraded import Degraded
@@ -175,11 +176,52 @@ class Strategy(Model):
     )
 
 
+MOST_COUNTED = 20
+"""Recoveries that a budget may have: when each began is kept in the workload's status."""
+
+
+class Budget(Model):
+    """How many recoveries are made by themselves in a window of time that moves on."""
+
+    model_config = Model.model_config | {
+        "json_schema_extra": rules(
+            (
+                f"!self.within.matches(r'{DURATION_PATTERN}') || duration(self.within) >= duration('1s')",
+                "within is at least 1s",
+                ".within",
+            ),
+        )
+    }
+
+    recoveries: int = Field(ge=1, le=MOST_COUNTED, description="How many may begin in any such time.")
+    within: Duration = Field(description="The length of the window, such as 1h.")
+
+    @property
+    def length(self) -> float:
+        """The length of the window in seconds."""
+        return seconds(self.within)
+
+    @property
+    def words(self) -> str:
+        """It as people are told it."""
+        return f"{self.recoveries} {'recovery' if self.recoveries == 1 else 'recoveries'} within {self.within}"
+
+
 class Limits(Model):
     """Bounds on what is done automatically."""
 
     cooldown: Duration = Field(
         default="0s", description="Least time between the end of one recovery and the start of the next."
+    )
+    healthy_delay: Duration = Field(
+        default="2s",
+        description="How long an instance that took over must be healthy to count as recovered. One that fails sooner is the same failure, "
+        "which goes on with the next strategy.",
+    )
+    budget: Budget | None = Field(
+        default=None,
+        description="How many recoveries are made by themselves in a window of time. Once it is spent, an instance that fails is fenced "
+        "and nothing else is done, until the window has moved on or understudy resume says so. Absent: any number. See docs/limits.md.",
     )
 
 
@@ -251,6 +293,11 @@ class FailurePolicySpec(Model):
                 "self.strategies.all(s, s.type != 'Auto') || has(self.requirements)",
                 "required for a strategy of type Auto, which goes by them",
                 ".requirements",
+            ),
+            (
+                "self.priority != 'Safety' || !has(self.limits.budget)",
+                "priority Safety says that limits don't delay a recovery, and a budget that is spent would: leave one of the two out",
+                ".limits.budget",
             ),
         )
     }

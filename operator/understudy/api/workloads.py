@@ -16,6 +16,8 @@ from understudy.api.base import (
     rules,
 )
 from understudy.api.conditions import Condition, Time
+from understudy.api.pauses import Pause
+from understudy.api.policies import MOST_COUNTED
 from understudy.api.procedures import Procedure
 from understudy.api.rosnames import ROS_TYPE_MESSAGE, ROS_TYPE_PATTERN, RosName
 from understudy.api.states import KeptStatus, RestoredState
@@ -279,6 +281,11 @@ class RobotWorkloadSpec(Model):
     )
     gate: Gate = Field(default_factory=Gate, description="What decides whose outputs reach the robot.")
     monitor: MonitorSettings = Field(default_factory=MonitorSettings, description="The workload's monitor.")
+    pause: Pause | None = Field(
+        default=None,
+        description="Maintenance: while it is there, the workload is watched, and nothing is done by itself: no recovery, no hand-over, no "
+        "safe command. See docs/limits.md.",
+    )
 
 
 class Parts(Model):
@@ -295,6 +302,8 @@ class Moments(Model):
 
     last_healthy: Time | None = Field(default=None, description="Last healthy output before the failure.")
     detected: Time | None = Field(default=None, description="The health tree failed.")
+    held: Time | None = Field(default=None, description="The policy's budget was spent: no more than fencing was done.")
+    released: Time | None = Field(default=None, description="There was budget again, or somebody said to go on.")
     decided: Time | None = Field(default=None, description="The strategy that verified was chosen.")
     queued: Time | None = Field(default=None, description="It began to wait for a pod of a shared pool.")
     fenced: Time | None = Field(default=None, description="The failed pod could no longer reach the robot.")
@@ -371,6 +380,13 @@ class RobotWorkloadStatus(Model):
     )
     recovery_count: int | None = Field(default=None, description="Recoveries since it was created.")
     last_recovery_time: Time | None = Field(default=None, description="When the last recovery ended.")
+    spent: list[Time] | None = Field(
+        default=None,
+        max_length=MOST_COUNTED,
+        description="When the recoveries began that count against limits.budget of the policy, oldest first. Those before the annotation "
+        "understudy.dev/resumed don't.",
+        json_schema_extra={"x-kubernetes-list-type": "atomic"},
+    )
     gate: GateStatus | None = Field(default=None, description="Who may reach the robot.")
     recoveries: list[Recovery] | None = Field(
         default=None,
@@ -397,7 +413,8 @@ class RobotWorkloadStatus(Model):
         "take over now. StrategiesChosen, where the policy has Auto: which order was chosen, and why; False where it doesn't give what "
         "spec.requirements of the policy ask for. Monitored: every topic of the health tree is watched. Healthy: the tree holds. "
         "Degraded: it holds, and that of spec.degraded doesn't. Resized: the pod in control has what the policy gives it then. "
-        "GateEnforced: packets show that only the pod in control gets through. Recovering: a failure is being dealt with. BroughtUp: "
+        "GateEnforced: packets show that only the pod in control gets through. Recovering: a failure is being dealt with. Paused: "
+        "spec.pause is in force. WithinBudget, where the policy has limits.budget: recoveries are left. BroughtUp: "
         "bringUp and initializations have "
         "succeeded on every instance. Reflex: a standby is let through, so that the "
         "robot's readers can fall over to it. StateKept: all that the policy keeps is kept. StateRestored: the last instance that took "

@@ -9,6 +9,8 @@ NAMES = {"detection": "detection", "cluster": "cluster", "startup": "start-up", 
 
 MOMENTS = (
     ("detected", "detected"),
+    ("held", "held by the budget"),
+    ("released", "released"),
     ("queued", "waits for a pod"),
     ("claimed", "claimed"),
     ("fenced", "fenced"),

@@ -17,6 +17,8 @@ from typing import Any
 TIMEOUT = 15.0
 """Seconds that the API server has to answer, and a forwarding to begin."""
 
+WORKLOADS = "robotworkloads.understudy.dev"
+
 _FORWARDING = re.compile(r"Forwarding from 127\.0\.0\.1:(\d+) ")
 
 
@@ -53,8 +55,15 @@ class Kubectl:
         text = self._got(kind, name, "--ignore-not-found", *arguments)
         return json.loads(text) if text.strip() else None
 
+    def patch(self, kind: str, name: str, body: Any) -> Any:
+        """Change an object by a merge patch; the object as it is then. Raises Unusable with what kubectl said."""
+        return json.loads(self._run("patch", kind, name, "--type=merge", "-p", json.dumps(body)))
+
     def _got(self, kind: str, *arguments: str) -> str:
-        command = ["kubectl", *self._options, "get", kind, *arguments, "-o", "json", f"--request-timeout={TIMEOUT:g}s"]
+        return self._run("get", kind, *arguments)
+
+    def _run(self, *arguments: str) -> str:
+        command = ["kubectl", *self._options, *arguments, "-o", "json", f"--request-timeout={TIMEOUT:g}s"]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode:
             said = done.stderr.strip().splitlines()

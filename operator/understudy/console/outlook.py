@@ -10,17 +10,17 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from understudy.api import names
-from understudy.api.base import seconds
 from understudy.api.conditions import Condition
 from understudy.api.healths import telling, why
 from understudy.api.policies import FailurePolicySpec, Strategy, in_force
 from understudy.api.workloads import Recovery, RobotWorkloadSpec, RobotWorkloadStatus
 from understudy.cluster.client import Object
+from understudy.console import limits
 from understudy.console.bars import length
 from understudy.console.drawing import coloured, plain
 from understudy.console.observing import Around
 from understudy.console.robots import DRIVEN, UNWATCHED, Problem, Robot, is_told, pool, robot, status_of
-from understudy.console.texts import age, listed, unix, wrapped
+from understudy.console.texts import age, listed, wrapped
 from understudy.controller import objects, policies, pools, statuses, workloads
 from understudy.controller.desired import Images
 from understudy.controller.statuses import Means
@@ -230,25 +230,14 @@ def _failing(known: Known) -> Iterator[_Entry]:
 
 
 def _pause(known: Known) -> Iterator[_Entry]:
-    """What the policy's limits put off."""
-    policy, last = known.policy, known.said.last_recovery
-    if (
-        policy is None
-        or policy.priority == "Safety"
-        or last is None
-        or last.ended is None
-        or last.result != "Recovered"
+    """What would put it off."""
+    item, now = known.observed.workload, known.observed.now
+    for text, off in (
+        *limits.paused(known.spec, now),
+        *limits.spent(known.policy, known.status, item, now),
+        *limits.cooling_down(known.policy, known.said, now),
     ):
-        return
-    pause = seconds(policy.limits.cooldown)
-    # By another machine's clock a recovery may seem to be of the future: no wait is longer than it can be.
-    left = min(pause, unix(last.ended) + pause - known.observed.now)
-    if left > 0:
-        yield _Entry(
-            f"Nothing would be done for another {left:.0f} s: limits.cooldown of its policy asks for {policy.limits.cooldown} after a "
-            "recovery.",
-            "Degraded",
-        )
+        yield _Entry(text, "Degraded" if off else "")
 
 
 def _experience(strategy: Strategy, known: Known) -> str:

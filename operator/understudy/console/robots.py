@@ -16,6 +16,7 @@ from understudy.api.healths import PAST
 from understudy.api.pools import FallbackPoolStatus
 from understudy.api.workloads import Recovery, RobotWorkloadStatus
 from understudy.console.kubectl import Unusable
+from understudy.controller.statuses import LIMITED
 
 Object = Mapping[str, Any]
 
@@ -45,9 +46,14 @@ _ABOUT = {
     "StateKept": "state not kept",
     "StateRestored": "state not restored",
     "TasksProxied": "goals not kept",
+    "Paused": "paused",
+    "WithinBudget": "budget spent",
     "Ready": "not ready",
 }
 """What it means where a condition isn't as it should be."""
+
+_LIMITED = {type_: reason for type_, _, reason, _ in LIMITED}
+"""Conditions that Protected tells of with their own words: its reason then."""
 
 
 class Problem(Model):
@@ -192,6 +198,8 @@ def problems(item: Object, conditions: Iterable[Condition], seen: int | None) ->
         same = protected is not None and protected.reason == condition.reason
         if condition.type == "Reconciled" and (same or condition.reason == "NotAccepted"):
             continue  # it is told already
+        if protected is not None and protected.reason == _LIMITED.get(condition.type):
+            continue
         found.append(
             Problem(
                 type=condition.type,
@@ -223,12 +231,12 @@ def _unseen(item: Object, seen: int | None) -> Iterator[Problem]:
 
 def _amiss(condition: Condition) -> bool:
     match condition.type:
-        case "Degraded":
+        case "Degraded" | "Paused":
             return condition.status == "True"
         case "Recovering":
             return condition.status == "True" or condition.reason not in PAST
         case "Reflex":
-            return condition.status == "False" and condition.reason != "NoneInControl"
+            return condition.status == "False" and condition.reason not in ("NoneInControl", "Paused")
     return condition.status == "False"
 
 

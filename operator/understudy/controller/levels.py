@@ -18,6 +18,12 @@ def degraded(workload: Object) -> bool:
     return any(c["type"] == "Degraded" and c["status"] == "True" for c in conditions)
 
 
+def paused(workload: Object) -> bool:
+    """Whether a workload's monitor says that it is to be left alone."""
+    conditions = (workload.get("status") or {}).get("conditions") or []
+    return any(c["type"] == "Paused" and c["status"] == "True" for c in conditions)
+
+
 def actions(policy: Object | None) -> list[Action]:
     """The actions of a policy; none where it has none, or doesn't fit the present kind."""
     if not ((policy or {}).get("spec") or {}).get("degraded"):

@@ -85,7 +85,11 @@ class Observer:
         """Read from the API, not from the store: of a pod's spec nothing is kept there."""
         namespace = item["metadata"]["namespace"]
         policy = self._store.get(POLICIES, namespace, affected.used_policy(item))
-        if not levels.degraded(item) or not any(action.resize for action in levels.actions(policy)):
+        if (
+            not levels.degraded(item)
+            or levels.paused(item)
+            or not any(action.resize for action in levels.actions(policy))
+        ):
             return None
         name, uid = objects.active(self._store.get(NETWORK_POLICIES, namespace, names.gate(objects.name(item))))
         pod = await self._client.find(PODS, namespace, name) if name else None

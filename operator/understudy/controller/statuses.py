@@ -31,6 +31,14 @@ PROGRESSING = frozenset(
 UNTOLD = frozenset({"Available"})
 """Conditions without Events: a pool that runs dry is told of by Ready, and by the monitors of those that wait."""
 
+LIMITED = (
+    ("Paused", "True", "Paused", "If it failed now, nothing would be done."),
+    ("WithinBudget", "False", "BudgetSpent", "If it failed now, it would only be fenced."),
+)
+"""Conditions of the monitor by which nothing would be recovered, whatever there is to do it with: type, status, the reason that
+Protected has then, and what a failure would come to. The monitor tells of them by Events of its own.
+"""
+
 CHOSEN = "StrategiesChosen"
 """The condition that says which order was chosen and why, of workloads whose policy leaves that."""
 
@@ -71,7 +79,7 @@ def transitions(live: Object, desired: Object) -> list[Object]:
     found = []
     for new in desired["conditions"]:
         before = old.get(new["type"])
-        if new["type"] in UNTOLD:
+        if new["type"] in UNTOLD or new["reason"] in [reason for _, _, reason, _ in LIMITED]:
             continue
         if before is not None and (before["status"], before["reason"]) == (new["status"], new["reason"]):
             continue
@@ -183,12 +191,24 @@ def protected(observed: Observed, understanding: Understanding) -> Condition:
             found_trouble.message if found_trouble else f"the monitor (Deployment {names.monitor(name)}) is not ready"
         )
         return no("MonitorNotReady", words, f"{unwatched} until it is.")
+    if (limited := _limited(observed)) is not None:
+        return no(*limited)
     outlook = _outlook(means)
     if not any(objects.ready(pod) for pod in _instances(observed)) and (found := _first_trouble(_instances(observed))):
         return no(found.reason, found.message, outlook)
     if means and not means[0].available:
         return no(means[0].reason, means[0].message, outlook)
     return condition("Protected", True, "FirstStrategyReady", outlook, generation=generation)
+
+
+def _limited(observed: Observed) -> tuple[str, str, str] | None:
+    """Why nothing would be recovered now although it could be, by what the monitor says: reason, message and outlook."""
+    said = (observed.workload.get("status") or {}).get("conditions") or []
+    for type_, status_, reason, outlook in LIMITED:
+        found = next((c for c in said if (c["type"], c["status"]) == (type_, status_)), None)
+        if found is not None:
+            return reason, found.get("message", ""), outlook
+    return None
 
 
 def considered(observed: Observed, understanding: Understanding) -> list[tuple[Strategy, Means]]:

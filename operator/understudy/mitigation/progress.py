@@ -103,6 +103,15 @@ class Progress(Model):
             self.parts["cluster"] -= back
             self.cursor -= back
 
+    def release(self, now: float) -> None:
+        """Go on after the policy's budget had held it. Nothing was tried in that time, so it belongs to none of the parts."""
+        self.moments["released"] = self.cursor = now
+
+    @property
+    def began(self) -> float:
+        """When something could be done about it, in unix seconds."""
+        return self.moments.get("released", self.moments.get("detected", self.cursor))
+
     def has_failed(self, uid: str) -> bool:
         """Whether a pod is one of those that failed in this recovery."""
         return any(pod.uid == uid for pod in self.failed)
@@ -120,7 +129,7 @@ class Progress(Model):
 
     def forget_attempt(self) -> None:
         """Drop the moments of an attempt that came to nothing; those of the failure stay."""
-        self.moments = {name: time for name, time in self.moments.items() if name in ("last_healthy", "detected")}
+        self.moments = {name: time for name, time in self.moments.items() if name in _OF_THE_FAILURE}
         self.state = []
         self.waiting = None
 
@@ -164,6 +173,7 @@ class Progress(Model):
 
 
 _PARTS: tuple[Part, ...] = ("detection", "cluster", "startup", "reinitialization")
+_OF_THE_FAILURE = ("last_healthy", "detected", "held", "released")
 
 
 def waiter(recovery: str) -> Waiter | None:

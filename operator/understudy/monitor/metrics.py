@@ -54,6 +54,9 @@ _GATES = Histogram(
     "understudy_gate_commit_seconds", "How long the API server took for a change of the gate.", buckets=_WRITES
 )
 _DEGRADATIONS = Counter("understudy_degradations", "How often this workload became degraded.")
+_BUDGET = Gauge("understudy_budget_left", "Recoveries that limits.budget has left, by its window.", ["within"])
+_PAUSED = Gauge("understudy_paused", "1 while spec.pause is in force.")
+_HELD = Counter("understudy_recoveries_held", "Failures that were not recovered at once, by what held them.", ["why"])
 _KEPT_AT = Gauge("understudy_kept_timestamp_seconds", "When the state was taken that would be restored now.", ["name"])
 _KEPT_BYTES = Gauge("understudy_kept_bytes", "Size of the state that would be restored now.", ["name"])
 
@@ -67,6 +70,23 @@ def health(value: Health) -> None:
 def degraded() -> None:
     """Count that the workload became degraded."""
     _DEGRADATIONS.inc()
+
+
+def budget(within: str, left: int | None) -> None:
+    """Set what a budget has left; None where there is none."""
+    _BUDGET.clear()
+    if left is not None:
+        _BUDGET.labels(within=within).set(left)
+
+
+def paused(value: bool) -> None:
+    """Set whether it is paused."""
+    _PAUSED.set(1.0 if value else 0.0)
+
+
+def held(why: str) -> None:
+    """Count a failure that isn't recovered at once."""
+    _HELD.labels(why=why).inc()
 
 
 def epoch(value: int) -> None:

@@ -48,6 +48,8 @@ REPLACE_AGAIN = 60.0
 
 Said = tuple[Literal["True", "False", "Unknown"], str, str]
 
+PAUSED: Said = ("False", "Paused", "Nobody is let through beside the pod in control while spec.pause is in force.")
+
 
 class Reflexes:
     """The reflex of one workload; harmless where it has none."""
@@ -127,8 +129,10 @@ class Reflexes:
 
     # -- keeping ----------------------------------------------------------------------------------------------------
 
-    def keep(self, now: float, *, enforced: bool) -> None:
-        """Have the right standby let through, and say how it stands. ``enforced``: the gate was seen to hold standbys back."""
+    def keep(self, now: float, *, enforced: bool, paused: bool = False) -> None:
+        """Have the right standby let through, and say how it stands. ``enforced``: the gate was seen to hold standbys back;
+        ``paused``: nobody is to take the robot, whatever becomes of the pod in control.
+        """
         state = self._gate.state
         if state.admitted_uid != self._admitted[0]:
             self._admitted = (state.admitted_uid, now)
@@ -136,7 +140,7 @@ class Reflexes:
             if state.admitted:
                 self._write(None)
             return
-        chosen, said = self._choose(now, enforced)
+        chosen, said = self._choose(now, enforced) if not paused else (None, PAUSED)
         if (chosen.uid if chosen else "") != state.admitted_uid:
             self._write(chosen)
             if chosen is not None:

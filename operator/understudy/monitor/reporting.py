@@ -61,6 +61,7 @@ class Reporter:
         self._recoveries: list[Recovery] = []
         self._count = 0
         self._last_time: str | None = None
+        self._spent: list[str] = []
         self.adopted = ""
         """The pod that was in control when this monitor began, by what an earlier one had said."""
         self.active = ""
@@ -76,6 +77,7 @@ class Reporter:
         self._recoveries = list(status.recoveries or [])
         self._count = status.recovery_count or 0
         self._last_time = status.last_recovery_time
+        self._spent = list(status.spent or [])
         self.adopted = status.active or ""
         ours = {
             "Healthy",
@@ -87,6 +89,8 @@ class Reporter:
             "StateKept",
             "StateRestored",
             "TasksProxied",
+            "Paused",
+            "WithinBudget",
         }
         self._conditions = {c.type: c for c in status.conditions or [] if c.type in ours}
         self.reference = {
@@ -213,6 +217,18 @@ class Reporter:
         return recovery
 
     @property
+    def spent(self) -> list[float]:
+        """When the recoveries began that count against the policy's budget, in unix seconds."""
+        return [datetime.fromisoformat(moment).timestamp() for moment in self._spent]
+
+    def spend(self, moments: Sequence[float]) -> None:
+        """Say when those began that count (unix seconds)."""
+        told = [rfc3339(moment) for moment in moments]
+        if told != self._spent:
+            self._spent = told
+            self._changed.set()
+
+    @property
     def goals(self) -> list[str]:
         """The tasks that have goals, worked on or not, by what the task proxy said last."""
         return [task.action for task in self._tasks if task.active]
@@ -240,6 +256,7 @@ class Reporter:
             gate=self.gate,
             recovery_count=self._count,
             last_recovery_time=self._last_time,
+            spent=self._spent or None,
             recoveries=self._recoveries,
             kept=in_short([entry.name for entry in self._kept if entry.taken_at is not None]) or None,
             state=self._kept or None,
@@ -310,6 +327,8 @@ def describe(recovery: Recovery) -> str:
     )
     if (waited := _waited(recovery)) is not None:
         text = f"{text}, of which it waited {waited:.1f} s for a pod"
+    if recovery.moments.held is not None:
+        text = f"{text}, after limits.budget had held it since {recovery.moments.held[11:19]} UTC"
     failed = in_vain(recovery)
     return f"{text}. Before that: {'; '.join(failed)}" if failed else text
 

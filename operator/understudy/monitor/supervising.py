@@ -10,7 +10,8 @@ import contextlib
 import logging
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from datetime import datetime
 from typing import Any
 
 import aiohttp
@@ -22,7 +23,7 @@ from understudy.api.workloads import GateStatus
 from understudy.cluster.client import ApiError
 from understudy.cluster.probes import ProbeReceiver
 from understudy.mitigation import reflex
-from understudy.mitigation.escalation import SHORT_LIVED, Escalation
+from understudy.mitigation.escalation import Escalation
 from understudy.mitigation.failover import Choice, recover
 from understudy.mitigation.interfaces import Instance, Superseded
 from understudy.mitigation.journal import Journal
@@ -30,6 +31,7 @@ from understudy.mitigation.progress import PodIdentity, Progress
 from understudy.mitigation.strategies import Means
 from understudy.monitor import enforcement, metrics
 from understudy.monitor.bringing import Bringing, expected, managed
+from understudy.monitor.budgeting import Spending
 from understudy.monitor.choosing import choices
 from understudy.monitor.faults import CrashPoints
 from understudy.monitor.fleet import Fleet
@@ -38,6 +40,7 @@ from understudy.monitor.keeping import StateKeeping
 from understudy.monitor.leftovers import Leftovers
 from understudy.monitor.levels import Levels
 from understudy.monitor.looking import TICK, WAKE_LATE, Looks
+from understudy.monitor.pausing import Pauses
 from understudy.monitor.reflexes import Reflexes
 from understudy.monitor.reporting import Reporter, describe, in_vain
 from understudy.monitor.safety import SafeCommands, Unattended
@@ -120,13 +123,18 @@ class Supervisor:
         self._next_asked = 0.0
         self._gate_changed = self._since
         self._let_through = ("", "")
-        self._cooldown_told = False
+        self._postponed = ""
+        """What puts off the present failure, once that was told."""
+        self._resumed: float | None = None
+        self._held = False
         self._labelling: asyncio.Task[None] | None = None
         self.recovering: Progress | None = None
         """The recovery under way."""
         self._unattended = Unattended()
         self._safety = SafeCommands(parts.sight.graph, self._waited_since)
         self._levels = Levels(parts.sight, parts.reporter)
+        self._pauses = Pauses(parts.view, parts.reporter)
+        self._spending = Spending(parts.view, parts.reporter)
         self._line = Line(parts.view, parts.reporter)
         self._bringing = Bringing(parts.fleet, parts.sidecars, parts.reporter)
         self._leftovers = Leftovers(parts.fleet, parts.gate, parts.reporter)
@@ -141,7 +149,10 @@ class Supervisor:
         if interrupted is not None:
             _logger.warning("finishing recovery %s, begun before this monitor started", interrupted.id)
             await self._sidecars.settle(self._fleet.of_workload(), SETTLE)
-            await self._carry_out(interrupted)
+            if await self._allowed(interrupted):
+                await self._carry_out(interrupted)
+        elif (done := self._concluded()) is not None:
+            self._escalation.note(done)
         while True:
             failure = await self._watch()
             active = self._fleet.find(self._gate.state.active_uid)
@@ -166,7 +177,8 @@ class Supervisor:
             )
             if (first := self._first(failure, state.active_uid)) is not None:
                 progress.index = first
-                await self._carry_out(progress)
+                if await self._allowed(progress):
+                    await self._carry_out(progress)
 
     # -- watching ---------------------------------------------------------------------------------------------------
 
@@ -176,12 +188,14 @@ class Supervisor:
         while True:
             now = self._looks.begin()
             next_look = now + TICK
+            self._pauses.look(now)
             policy = self._view.policy
             if policy is None or self._retired():
                 self._reporter.set(health="Unknown")
                 next_look = now + SLOW
             else:
                 self._notice_correction(now)
+                self._notice_word(now)
                 self._sight.follow(policy, self._view.spec)
                 self._follow_safety(policy)
                 self._sight.drain(self._fleet.of_workload(), self._gate.state.active)
@@ -208,13 +222,19 @@ class Supervisor:
         if self._backoff > BACKOFF_FIRST and before != given:
             self._backoff, self._not_before = BACKOFF_FIRST, now
 
+    def _notice_word(self, now: float) -> None:
+        """Somebody has looked at it and says to go on: that isn't put off either."""
+        if (said := self._spending.resumed) != self._resumed:
+            self._resumed = said
+            self._backoff, self._not_before = BACKOFF_FIRST, now
+
     def _follow_safety(self, policy: FailurePolicySpec) -> None:
         if (spec := self._view.spec) is not None:
             self._safety.follow(policy.safety, spec)
 
     def _waited_since(self) -> float | None:
         """Since when no instance has been verified to be in control; None while one is."""
-        if self._retired():
+        if self._retired() or (self._pauses.on is not None and (self._held or self.recovering is None)):
             return None
         if self.recovering is not None:
             return self._unattended.recovering(self.recovering)
@@ -255,7 +275,8 @@ class Supervisor:
             self._debounce.clear()
             if verdict.state == "Healthy":
                 self._unattended.driven()
-            if verdict.state == "Healthy" and now - self._since >= SHORT_LIVED:
+                self._postponed = "" if self._postponed == "Paused" else self._postponed
+            if verdict.state == "Healthy" and now - self._since >= seconds(policy.limits.healthy_delay):
                 self._backoff = BACKOFF_FIRST
                 if self._reporter.reason("Recovering") not in ("", "Recovered", "HealthyAgain"):
                     self._reporter.condition("Recovering", "False", "HealthyAgain", f"{active.name} is healthy again.")
@@ -276,8 +297,14 @@ class Supervisor:
         settings = self._view.settings
         if (reason := self._levels.due) is None or settings is None:
             return None
+        if self._pauses.on is not None:
+            self._levels.wait("paused", f"it is {self._pauses.on.words}")
+            return None
         if now < self._not_before:
             self._levels.wait("limits", "the policy's limits ask for a pause after the last recovery")
+            return None
+        if self._spending.spent_until(now) is not None:
+            self._levels.wait("budget", "the budget of the policy is spent, see WithinBudget")
             return None
         first = choices(policy, settings, self._view.spec)[0].strategy
         if (lacking := first.available(self._means())) is not None:
@@ -319,17 +346,23 @@ class Supervisor:
         """The failure, unless the limits say not now."""
         self._keeping.judge("Failed", now)
         self._reporter.set(health="Failed")
+        if (pause := self._pauses.on) is not None:
+            self._postpone("Paused", f"{failure.reason}; nothing is done about it: it is {pause.words}")
+            return None
         if now >= self._not_before:
-            self._cooldown_told = False
-            return failure
-        if not self._cooldown_told:
-            self._cooldown_told = True
-            wait = self._not_before - now
-            self._reporter.condition(
-                "Recovering", "False", "Waiting", f"{failure.reason}; tried again in {wait:.0f} s."
-            )
-            self._reporter.event("Warning", "RecoveryPostponed", f"{failure.reason}; tried again in {wait:.0f} s")
+            self._postponed = ""
+            # What it went without in the pause was nobody's failure.
+            return replace(failure, onset=max(failure.onset, min(self._pauses.ended, failure.detected)))
+        self._postpone("Waiting", f"{failure.reason}; tried again in {self._not_before - now:.0f} s")
         return None
+
+    def _postpone(self, why: str, text: str) -> None:
+        """Say why nothing is done yet, once."""
+        if self._postponed != why:
+            self._postponed = why
+            metrics.held(why)
+            self._reporter.condition("Recovering", "False", why, f"{text}.")
+            self._reporter.event("Warning", "RecoveryPostponed", text)
 
     def _say(self, verdict: Verdict, *, degraded: bool = False) -> None:
         state = self._gate.state
@@ -347,6 +380,8 @@ class Supervisor:
         self._reporter.set(
             active="", health="Starting" if running else "Unknown", gate=GateStatus(epoch=self._gate.state.epoch)
         )
+        if self._pauses.on is not None:
+            return
         if not running:
             await self._ask_for_one(now)
             return
@@ -404,13 +439,17 @@ class Supervisor:
         self._reporter.look(item)
         self._reporter.set(strategy=usable)
         self._say_watched()
-        if (spec := self._view.spec) is not None:
+        self._spending.say(time.time())
+        paused = self._pauses.on is not None
+        if (spec := self._view.spec) is not None and not paused:
             active = self._gate.state.active_uid
             self._bringing.housekeeping(
                 instances, policy, spec, settings, active, lambda: self._keeping.select(time.time())
             )
-        self._leftovers.housekeeping(instances, time.monotonic())
-        self._keeping.housekeeping(self._fleet.find(self._gate.state.active_uid), self._kept_up(instances, settings))
+        if not paused:
+            self._leftovers.housekeeping(instances, time.monotonic())
+        kept_up = self._kept_up(instances, settings) if not paused else []
+        self._keeping.housekeeping(self._fleet.find(self._gate.state.active_uid), kept_up)
         active_uid = self._gate.state.active_uid
         last = {i.uid: found for i in instances if (found := self._parts.probes.last(i.uid)) is not None}
         judged = enforcement.judge(
@@ -421,7 +460,7 @@ class Supervisor:
             since=self._gate_changed,
             admitted_uid=self._gate.state.admitted_uid,
         )
-        self._reflexes.keep(time.time(), enforced=judged[0] == "True")
+        self._reflexes.keep(time.time(), enforced=judged[0] == "True", paused=paused)
         if (
             judged[1] not in ("Settling", "Admitted")
             and self._reporter.condition("GateEnforced", *judged)
@@ -503,6 +542,85 @@ class Supervisor:
             progress = committed  # the journal is of an older one: the gate knows better
         return progress.model_copy(update={"resumed": True}, deep=True)
 
+    def _concluded(self) -> Progress | None:
+        """The last recovery, of which the gate still tells and the status that it recovered: an earlier monitor's."""
+        left, last = self._gate.state.recovery, self._reporter.last
+        if left is None or last is None or (last.id, last.result) != (left.id, "Recovered"):
+            return None
+        done = left.model_copy(update={"result": "Recovered"}, deep=True)
+        if last.moments.verified is not None:
+            done.moments["verified"] = datetime.fromisoformat(last.moments.verified).timestamp()
+        return done
+
+    async def _allowed(self, progress: Progress) -> bool:
+        """Whether to carry it out. Where the policy's budget is spent that is known once it isn't any more."""
+        now = time.time()
+        begun = "decided" in progress.moments or progress.planned or progress.taken_over is not None
+        waits = self._must_wait(now) if "held" in progress.moments else self._spending.spent_until(now) is not None
+        if waits and not begun:
+            try:
+                await self._hold(progress)
+            except Superseded as reason:
+                self._superseded(progress, reason)
+                return False
+            except (ApiError, aiohttp.ClientError, OSError) as error:
+                self._stopped(progress, error)
+                return False
+        if "held" in progress.moments and "released" not in progress.moments:
+            progress.release(time.time())
+            self._reporter.event("Normal", "RecoveryReleased", f"{progress.reason}; it is recovered now")
+        return True
+
+    async def _hold(self, progress: Progress) -> None:
+        """Fence what failed, and do no more for as long as the budget is spent: the robot is told the safe commands meanwhile.
+
+        It stands beside the gate, so that the next monitor goes on holding it. Raises Superseded.
+        """
+        progress.moments.setdefault("held", time.time())
+        self._save(progress)
+        self.recovering, self._held = progress, True
+        try:
+            if not self._gate.state.closed:
+                await self._gate.commit(None, progress)
+            progress.moments.setdefault("fenced", time.time())
+            epoch = self._gate.state.epoch
+            self._reporter.set(active="", health="Failed", gate=GateStatus(epoch=epoch))
+            self._spending.say(time.time())
+            self._spending.tell_held(progress)
+            while self._must_wait(time.time()):
+                if self._gate.state.epoch != epoch:
+                    raise Superseded(
+                        f"the gate is at epoch {self._gate.state.epoch} by another writer, and was at {epoch}"
+                    )
+                if (policy := self._view.policy) is not None:
+                    self._follow_safety(policy)
+                self._sight.drain(self._fleet.of_workload(), "")
+                self._housekeeping()
+                await asyncio.sleep(SLOW)
+        finally:
+            self.recovering, self._held = None, False
+
+    def _must_wait(self, now: float) -> bool:
+        self._pauses.look(now)
+        if self._retired():
+            return False
+        return self._pauses.on is not None or self._spending.spent_until(now) is not None
+
+    def _superseded(self, progress: Progress, reason: Superseded) -> None:
+        """Somebody else acts at a newer epoch: watch again."""
+        _logger.warning("recovery %s given up: %s", progress.id, reason)
+        self._reporter.condition("Recovering", "False", "Superseded", str(reason))
+        self._reporter.event("Warning", "RecoverySuperseded", f"{progress.reason}: {reason}")
+        self._unattended.driven()
+        self._after(0.0)
+
+    def _stopped(self, progress: Progress, error: Exception) -> None:
+        """The API server refused something: all is tried again in a moment."""
+        _logger.error("recovery %s stopped", progress.id, exc_info=error)
+        self._reporter.condition("Recovering", "False", "Error", f"{progress.reason}: {error}")
+        self._reporter.event("Warning", "RecoveryError", f"{progress.reason}: {error}")
+        self._after(BACKOFF_FIRST)
+
     async def _carry_out(self, progress: Progress) -> None:
         policy, settings = self._view.policy, self._view.settings
         if policy is None or settings is None or self._retired():
@@ -518,24 +636,18 @@ class Supervisor:
             async with self._keeping.recovering():
                 done = await self._recovered(progress, choices(policy, settings, self._view.spec))
         except Superseded as reason:
-            _logger.warning("recovery %s given up: %s", progress.id, reason)
-            self._reporter.condition("Recovering", "False", "Superseded", str(reason))
-            self._reporter.event("Warning", "RecoverySuperseded", f"{progress.reason}: {reason}")
-            self._unattended.driven()
-            self._after(0.0)
+            self._superseded(progress, reason)
             return
         except (ApiError, aiohttp.ClientError, OSError) as error:
             if progress.result != "Recovered":
-                _logger.exception("recovery %s stopped", progress.id)
-                self._reporter.condition("Recovering", "False", "Error", f"{progress.reason}: {error}")
-                self._reporter.event("Warning", "RecoveryError", f"{progress.reason}: {error}")
-                self._after(BACKOFF_FIRST)
+                self._stopped(progress, error)
                 return
             _logger.warning("the failed pod is not deleted yet: %s", error)
             done = progress
         self._parts.crash_points.step("before record")
         self._escalation.note(done)
         recovery = self._reporter.record(done)
+        self._spending.count(done, time.time())
         state = self._gate.state
         self._reporter.set(active=state.active, gate=GateStatus(epoch=state.epoch, active=state.active))
         self._keeping.tell(recovery)
@@ -566,16 +678,24 @@ class Supervisor:
         policy, settings = self._view.policy, self._view.settings
         if policy is None or settings is None:
             return 0
-        first = self._escalation.first(failed_uid, failure.onset, len(policy.strategies))
+        lived, delay = self._escalation.lived(failed_uid, failure.onset), policy.limits.healthy_delay
+        first = self._escalation.first(failed_uid, failure.onset, len(policy.strategies), healthy_delay=seconds(delay))
+        if first and lived is not None:
+            text = (
+                f"{failure.reason}, {max(0.0, lived):.1f} s after it took over (limits.healthyDelay is {delay}): the next "
+                "strategy has its turn"
+            )
+            _logger.warning("%s", text)
+            self._reporter.event("Warning", "Relapsed", text)
         if first is None:
             text = (
-                f"{failure.reason}, as soon as it was in control. Every strategy was tried; the first one is tried again in "
-                f"{self._backoff:g} s"
+                f"{failure.reason}, as soon as it was in control (limits.healthyDelay is {delay}). Every strategy was tried; the "
+                f"first one is tried again in {self._backoff:g} s"
             )
             _logger.warning("%s", text)
             self._reporter.condition("Recovering", "False", "EndsAgainAndAgain", f"{text}.")
             self._reporter.event("Warning", "EndsAgainAndAgain", text)
-            self._not_before, self._cooldown_told = time.time() + self._backoff, True
+            self._not_before, self._postponed = time.time() + self._backoff, "Waiting"
             self._backoff = BACKOFF_FIRST if policy.priority == "Safety" else min(2 * self._backoff, BACKOFF_MOST)
         return first
 
@@ -595,4 +715,4 @@ class Supervisor:
         self._since = now
         self._debounce.clear()
         self._not_before = now + wait
-        self._cooldown_told = False
+        self._postponed = ""

@@ -98,6 +98,8 @@ class View:
                     if spec is None or (problem := unloadable(("bringUp", given.bring_up))) is None:
                         spec = given
                     else:
+                        # Whether it is to be left alone doesn't depend on the rest.
+                        spec = spec.model_copy(update={"pause": given.pause})
                         _logger.error(
                             "RobotWorkload %s can't be followed, keeping its last spec: %s", self.workload, problem
                         )

@@ -1,4 +1,6 @@
-"""A stand-in for kubectl that answers from a file of objects, and prints a line whenever that changes where it is to watch."""
+"""A stand-in for kubectl that answers from a file of objects, patches them, and prints a line whenever that changes where it is to
+watch.
+"""
 
 from __future__ import annotations
 
@@ -25,6 +27,21 @@ if "--watch-only" in given:
 told = json.load(open(path))
 if told["error"]:
     sys.exit(told["error"])
+if "patch" in given:
+    plural, name = given[given.index("patch") + 1 :][:2]
+    patch = json.loads(given[given.index("-p") + 1])
+    def merged(old, new):
+        if not isinstance(old, dict) or not isinstance(new, dict):
+            return new
+        both = {{**old, **{{key: merged(old.get(key, {{}}), value) for key, value in new.items()}}}}
+        return {{key: value for key, value in both.items() if value is not None}}
+    for number, item in enumerate(told["items"]):
+        if item["kind"] == "RobotWorkload" and item["metadata"]["name"] == name:
+            told["items"][number] = merged(item, patch)
+            json.dump(told, open(path, "w"))
+            print(json.dumps(told["items"][number]))
+            sys.exit(0)
+    sys.exit(f'Error from server (NotFound): {{plural}} "{{name}}" not found')
 rest = given[given.index("get") + 1 :]
 kinds = {{kind.partition(".")[0] for kind in rest[0].split(",")}}
 names = []
@@ -59,6 +76,13 @@ class Stand:
         fresh = self.folder / "fresh.json"
         fresh.write_text(json.dumps({"items": list(items), "error": error, "watch": watch}))
         fresh.replace(self._told)
+
+    def item(self, name: str) -> dict[str, Any]:
+        """An object, as it is after what was asked for."""
+        found: dict[str, Any] = next(
+            item for item in json.loads(self._told.read_text())["items"] if item["metadata"]["name"] == name
+        )
+        return found
 
     @property
     def asked(self) -> list[str]:

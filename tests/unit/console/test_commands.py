@@ -13,13 +13,15 @@ import pytest
 
 from tests.unit.console import fleet
 from tests.unit.console.kubectl import Stand
-from understudy.console import explain, status, timeline
+from understudy.console import explain, pause, resume, status, timeline
 
 REPOSITORY = Path(__file__).parents[3]
 COMMANDS: dict[str, Callable[[list[str]], int]] = {
     "status": status.main,
     "timeline": timeline.main,
     "explain": explain.main,
+    "pause": pause.main,
+    "resume": resume.main,
 }
 
 
@@ -72,9 +74,10 @@ def test_a_tree_in_a_config_map_is_asked_for(stand: Stand, capsys: pytest.Captur
     assert any("get configmaps -l understudy.dev/health-tree=true" in line for line in stand.asked)
 
 
-@pytest.mark.parametrize("command", ["timeline", "explain"])
+@pytest.mark.parametrize("command", ["timeline", "explain", "pause", "resume"])
 def test_one_that_is_not_there(stand: Stand, capsys: pytest.CaptureFixture[str], command: str) -> None:
-    assert COMMANDS[command](["robot-2"]) == 2
+    more = ["--reason", "a new gripper"] if command == "pause" else []
+    assert COMMANDS[command](["robot-2", *more]) == 2
     assert f'understudy {command}: Error from server (NotFound): robotworkloads.understudy.dev "robot-2" not found' in (
         capsys.readouterr().err
     )

@@ -10,6 +10,7 @@ import pytest
 
 from tests.unit.console import fleet
 from tests.unit.controller import world
+from understudy.api import names
 from understudy.cluster.client import Object
 from understudy.console.observing import Around, observed_from
 from understudy.console.outlook import Known, lines
@@ -136,6 +137,57 @@ def test_the_pause_that_the_limits_ask_for(priority: str, waits: bool) -> None:
     others = [i for i in fleet.around(item) if i["kind"] != "FailurePolicy"]
     first = told(known(item, [*others, policy]))["If it failed now"][0]
     assert first.startswith("! Nothing would be done for another 48 s: limits.cooldown") is waits
+
+
+def test_a_pause_with_who_and_why() -> None:
+    item = fleet.well()
+    item["spec"]["pause"] = {"reason": "a new gripper", "owner": "ann", "until": "2026-11-22T18:00:00Z"}
+    first = told(known(item))["If it failed now"][0]
+    assert first == (
+        "! Nothing would be done, it is paused by ann: a new gripper, until 2026-11-22 18:00:00 UTC (spec.pause)."
+    )
+    item["spec"]["pause"]["until"] = "2026-11-22T14:00:00Z"
+    assert "paused" not in told(known(item))["If it failed now"][0], "that is over"
+
+
+@pytest.mark.parametrize(
+    ("spent", "resumed", "expected"),
+    [
+        ([], None, None),
+        ([100], None, "limits.budget of its policy (2 recoveries within 10m) has 1 left."),
+        (
+            [100, 60],
+            None,
+            "! It would be fenced, and nothing else would be done before 2026-11-22 14:14:44 UTC: the 2 recoveries",
+        ),
+        ([700, 60], None, "limits.budget of its policy (2 recoveries within 10m) has 1 left."),
+        ([100, 60], 30, None),
+    ],
+)
+def test_what_the_budget_has_left(spent: list[float], resumed: float | None, expected: str | None) -> None:
+    item = fleet.well()
+    item["status"]["spent"] = [fleet.ago(seconds) for seconds in spent]
+    if resumed is not None:
+        item["metadata"]["annotations"] = {names.RESUMED: fleet.ago(resumed)}
+    policy = fleet.policy(limits={"budget": {"recoveries": 2, "within": "10m"}})
+    others = [i for i in fleet.around(item) if i["kind"] != "FailurePolicy"]
+    first = told(known(item, [*others, policy]))["If it failed now"][0]
+    assert first.startswith(expected or "✓ 1. Fallback")
+
+
+def test_what_keeps_it_from_being_recovered_is_told_once_among_what_is_missing() -> None:
+    item = fleet.well()
+    text = "Paused by ann: a new gripper."
+    item["status"]["conditions"] = [
+        *(c for c in item["status"]["conditions"] if c["type"] != "Protected"),
+        fleet.said("Paused", "True", "Maintenance", text).to_wire(),
+        fleet.said("Protected", "False", "Paused", f"{text} If it failed now, nothing would be done.").to_wire(),
+    ]
+    found = known(item)
+    assert not found.is_well
+    assert told(found)["Missing"] == [
+        "✗ not protected (Paused, 4m12s): Paused by ann: a new gripper. If it failed now, nothing would be done."
+    ]
 
 
 def test_nobody_in_control() -> None:

@@ -58,6 +58,29 @@ def test_after_a_failover_the_replacement_is_the_standby() -> None:
     assert found.status()["standby"] == "Executing (1/1)"
 
 
+@pytest.mark.parametrize(
+    ("type_", "status", "reason", "outlook"),
+    [
+        ("Paused", "True", "Paused", "If it failed now, nothing would be done."),
+        ("WithinBudget", "False", "BudgetSpent", "If it failed now, it would only be fenced."),
+    ],
+)
+def test_not_protected_while_the_monitor_would_recover_nothing(
+    type_: str, status: str, reason: str, outlook: str
+) -> None:
+    found = world(policy("hot", "Restart"), hot(), standby=standby_pod("w-s", of=workload()))
+    before = found.status()
+    said = {"type": type_, "status": status, "reason": "Whatever", "message": "That is so."}
+    found.workload["status"] = {"conditions": [said]}
+    protected = found.condition("Protected")
+    assert (protected["status"], protected["reason"]) == ("False", reason)
+    assert protected["message"] == f"That is so. {outlook}"
+    told = [c["type"] for c in statuses.transitions({"status": before}, found.status())]
+    assert "Protected" not in told, "the monitor tells of it"
+    said["status"] = {"True": "False", "False": "True"}[status]
+    assert found.condition("Protected")["status"] == "True"
+
+
 def test_nobody_would_notice_without_a_monitor() -> None:
     found = world(policy("hot"), hot(), standby=standby_pod("w-s", of=workload()))
     found.monitors = [pod("w-monitor-1", ready=False)]

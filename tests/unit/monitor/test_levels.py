@@ -11,6 +11,7 @@ import pytest
 from prometheus_client import REGISTRY
 
 from understudy.api.conditions import Condition, condition
+from understudy.api.pauses import Pause
 from understudy.api.policies import FailurePolicySpec
 from understudy.mitigation.interfaces import GateState, Instance
 from understudy.monitor import levels
@@ -367,16 +368,24 @@ class TestHandingOver:
 
 
 @pytest.mark.parametrize(
-    ("due", "available", "not_before", "planned"),
+    ("due", "available", "not_before", "spent", "paused", "planned"),
     [
-        ("degraded: slow", None, 0.0, True),
-        (None, None, 0.0, False),
-        ("degraded: slow", "pool hot has no standby for this workload", 0.0, False),
-        ("degraded: slow", None, 2e10, False),
+        ("degraded: slow", None, 0.0, None, None, True),
+        (None, None, 0.0, None, None, False),
+        ("degraded: slow", "pool hot has no standby for this workload", 0.0, None, None, False),
+        ("degraded: slow", None, 2e10, None, None, False),
+        ("degraded: slow", None, 0.0, 2e10, None, False),
+        ("degraded: slow", None, 0.0, None, Pause(reason="a new gripper", owner="ann"), False),
     ],
 )
 def test_a_hand_over_is_begun_like_a_failure_once_the_first_strategy_is_there_and_the_limits_allow_it(
-    monkeypatch: pytest.MonkeyPatch, due: str | None, available: str | None, not_before: float, planned: bool
+    monkeypatch: pytest.MonkeyPatch,
+    due: str | None,
+    available: str | None,
+    not_before: float,
+    spent: float | None,
+    paused: Pause | None,
+    planned: bool,
 ) -> None:
     from understudy.monitor import supervising
 
@@ -387,6 +396,8 @@ def test_a_hand_over_is_begun_like_a_failure_once_the_first_strategy_is_there_an
         _view=SimpleNamespace(settings=object(), spec=None),
         _levels=SimpleNamespace(due=due, wait=lambda kind, words: waits.append(words)),
         _not_before=not_before,
+        _pauses=SimpleNamespace(on=paused),
+        _spending=SimpleNamespace(spent_until=lambda now: spent),
         _means=object,
         _onset=lambda pod, now: now - 0.05,
     )

@@ -77,13 +77,13 @@ class World:
         self.said = said  # type: ignore[assignment]
         return True
 
-    async def keep(self, *, enforced: bool = True, seconds: float = 10.0) -> tuple[str, str]:
+    async def keep(self, *, enforced: bool = True, paused: bool = False, seconds: float = 10.0) -> tuple[str, str]:
         """Housekeeping for so long, while the pod in control goes on."""
         for _ in range(int(seconds)):
             self.now += 1
             if self.arrivals.get("w-1"):
                 self.arrivals["w-1"] = [time + 1 for time in self.arrivals["w-1"]]
-            self.reflexes.keep(self.now, enforced=enforced)
+            self.reflexes.keep(self.now, enforced=enforced, paused=paused)
             await asyncio.sleep(0)
             await asyncio.sleep(0)
         return self.said[:2]
@@ -143,6 +143,16 @@ async def test_a_standby_that_is_no_longer_healthy_is_shut_out_at_once(world: Wo
     assert world.state.admitted == ""
     assert await world.keep() == ("False", "NoStandby")
     assert "w-2: no /cmd_vel for 500 ms" in world.said[2]
+
+
+async def test_in_a_pause_nobody_is_let_through_and_afterwards_the_standby_is_again(world: World) -> None:
+    await world.keep()
+    assert await world.keep(paused=True, seconds=2) == ("False", "Paused")
+    assert world.writes == ["w-2", ""]
+    assert await world.keep(paused=True) == ("False", "Paused")
+    assert world.writes == ["w-2", ""]
+    assert await world.keep(seconds=2) == ("True", "Armed")
+    assert world.writes == ["w-2", "", "w-2"]
 
 
 async def test_one_that_is_gone_is_shut_out_too(world: World) -> None:

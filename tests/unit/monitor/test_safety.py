@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 pytest.importorskip("rclpy")
 
 from tests.unit.dds import keep_to_itself
-from understudy.api.policies import Safety
+from understudy.api.policies import Limits, Safety
 from understudy.api.workloads import Attempt
 from understudy.mitigation.progress import PodIdentity, Progress
 from understudy.monitor.safety import SafeCommands, Unattended
@@ -176,11 +176,13 @@ async def test_what_can_not_be_told_is_a_problem_and_the_rest_is(
 
 @pytest.mark.parametrize(("priority", "later"), [("Normal", 60.0), ("Safety", BACKOFF_FIRST)])
 def test_with_the_priority_safety_trying_again_is_not_put_off_longer_and_longer(priority: str, later: float) -> None:
-    view = SimpleNamespace(policy=SimpleNamespace(priority=priority, strategies=[1]), settings=1, spec=1)
+    view = SimpleNamespace(
+        policy=SimpleNamespace(priority=priority, strategies=[1], limits=Limits()), settings=1, spec=1
+    )
     found: Any = SimpleNamespace(
         _view=view,
         _backoff=30.0,
-        _escalation=SimpleNamespace(first=lambda *_: None),
+        _escalation=SimpleNamespace(first=lambda *_, **__: None, lived=lambda *_: None),
         _reporter=SimpleNamespace(condition=lambda *_: True, event=lambda *_: None),
     )
     assert Supervisor._first(found, SimpleNamespace(onset=1.0, reason="silent"), "uid") is None  # type: ignore[arg-type]

@@ -52,6 +52,15 @@ def test_a_spec_that_can_not_be_followed_leaves_the_last_one_in_force(view: View
     assert view.spec is None
 
 
+def test_a_pause_counts_also_where_the_rest_of_a_spec_can_not_be_followed(view: View) -> None:
+    give_workload(view, bringUp=GOOD)
+    assert view.spec is not None
+    give_workload(view, bringUp=BROKEN, pause={"reason": "a new gripper", "owner": "ann"})
+    assert view.spec.pause is not None
+    assert view.spec.bring_up is not None
+    assert view.spec.bring_up.yaml == GOOD["yaml"]
+
+
 def test_settings_that_somebody_deletes_stay_in_force_until_the_operator_gives_them_again(view: View) -> None:
     settings = WorkloadSettings(workload="w", namespace="n", uid="u", source_kind="ReplicaSet", source_name="w")
     item = {"data": {"settings.json": settings.model_dump_json(by_alias=True)}}

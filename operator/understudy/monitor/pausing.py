@@ -1,0 +1,69 @@
+"""Maintenance (spec.pause): whether the workload is to be left alone now, and what people are told of that."""
+
+from __future__ import annotations
+
+import logging
+
+from understudy.api.pauses import Pause
+from understudy.monitor import metrics
+from understudy.monitor.reporting import Reporter
+from understudy.monitor.view import View
+
+_logger = logging.getLogger(__name__)
+
+CONDITION = "Paused"
+
+
+class Pauses:
+    """The pause of one workload. Times are unix seconds."""
+
+    def __init__(self, view: View, reporter: Reporter) -> None:
+        self._view, self._reporter = view, reporter
+        self._known: tuple[Pause | None, bool] = (None, False)
+        self._adopted = True
+        """Whether what an earlier monitor has said is still to be looked at."""
+        self.ended = 0.0
+        """When the last pause was over: what went on before is nobody's failure."""
+
+    @property
+    def on(self) -> Pause | None:
+        """The pause that is in force, by the last look."""
+        given, in_force = self._known
+        return given if in_force else None
+
+    def look(self, now: float) -> None:
+        """Look whether one is in force, and tell of it where that is new."""
+        spec = self._view.spec
+        if spec is None:
+            return
+        given = spec.pause
+        in_force = given is not None and given.in_force(now)
+        if in_force:
+            self.ended = now
+        before = self._known
+        if (given, in_force) == before and not self._adopted:
+            return
+        self._known, self._adopted = (given, in_force), False
+        metrics.paused(in_force)
+        if given is None:
+            self._reporter.withdraw(CONDITION)
+        elif in_force:
+            self._begin(given, anew=before != (given, True))
+        else:
+            said = f"It was {given.words}. That is over, and spec.pause may be taken away."
+            self._reporter.condition(CONDITION, "False", "Over", said)
+        if before[1] and not in_force and before[0] is not None:
+            pause, why = before[0], "it was taken away" if given is None else "its time is over"
+            _logger.warning("no longer %s: %s", pause.words, why)
+            self._reporter.event("Normal", "PauseEnded", f"No longer {pause.words}; {why}")
+
+    def _begin(self, pause: Pause, *, anew: bool) -> None:
+        way_out = f"understudy resume -n {self._view.namespace} {self._view.workload}"
+        words = f"{pause.words[0].upper()}{pause.words[1:]}"
+        text = f"{words}. It is watched, and nothing is done by itself; {way_out} ends that."
+        known = self._reporter.find(CONDITION)
+        again = known is not None and (known.status, known.message) == ("True", text)
+        self._reporter.condition(CONDITION, "True", "Maintenance", text)
+        if anew and not again:
+            _logger.warning("%s", pause.words)
+            self._reporter.event("Normal", "Paused", text)

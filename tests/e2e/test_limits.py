@@ -1,0 +1,159 @@
+"""What a policy's limits and a pause keep from being done, seen from the robot: nobody drives, and nothing is used up."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+
+from tests.e2e.console import understudy
+from tests.e2e.kubectl import Kubectl
+from tests.e2e.scenario import Robot, eventually, manifest, patient
+from tests.e2e.test_strategies import assert_handed_over
+
+SAFE = "safe"
+WATCHED = 8.0
+"""Seconds for which it is looked whether nothing is done."""
+
+
+def executing_with(kubectl: Kubectl, **spec: object) -> Robot:
+    robot = Robot(kubectl)
+    policy, pool = patient(manifest("strategies/executing.yaml"))
+    policy["spec"] |= spec
+    kubectl.apply([policy, pool])
+    kubectl.apply(robot.objects(policy="quickstart-executing"))
+    return robot
+
+
+def assert_nothing_is_done(robot: Robot, *, recoveries: int) -> None:
+    """Whatever there was stays, and nobody of it drives."""
+    pods = {pod["metadata"]["uid"] for pod in robot.pods()}
+    begun = time.time()
+    time.sleep(WATCHED)
+    assert robot.status().get("recoveryCount", 0) == recoveries
+    assert {pod["metadata"]["uid"] for pod in robot.pods()} == pods, "nothing was claimed, started or deleted"
+    driven = {c.source for c in robot.log().commands if c.received > begun} - {SAFE}
+    assert not driven, f"{driven} drove"
+
+
+@pytest.mark.long
+def test_once_the_budget_is_spent_the_robot_is_told_the_safe_command_and_nothing_else_is_done_until_somebody_says_so(
+    kubectl: Kubectl,
+) -> None:
+    command = {"topic": "/cmd_vel", "every": "50ms", "message": {"header": {"frame_id": SAFE, "stamp": "now"}}}
+    robot = executing_with(
+        kubectl,
+        limits={"budget": {"recoveries": 1, "within": "1h"}},
+        safety={"after": "200ms", "commands": [command]},
+    )
+    first = robot.wait_protected()
+    robot.fail(first, "killed")
+    recovery = robot.wait_recovered(1)
+    eventually(
+        lambda: robot.condition("Protected").get("reason") == "BudgetSpent",
+        within=30,
+        what="it is told that the next failure won't be recovered",
+        note=robot.describe,
+    )
+    assert robot.condition("WithinBudget")["status"] == "False"
+    robot.wait_standby()
+
+    robot.fail(recovery.new, "frozen")
+    held = eventually(
+        lambda: (found := robot.condition("Recovering")).get("reason") == "BudgetSpent" and found,
+        within=30,
+        what="the failure is held",
+        note=robot.describe,
+    )
+    assert f"understudy resume -n {kubectl.namespace} {robot.workload}" in held["message"]
+    time.sleep(1)
+    assert_nothing_is_done(robot, recoveries=1)
+    assert robot.log().of(SAFE), "the robot is told to stand still"
+    explained = understudy(kubectl, "explain", robot.workload)
+    assert explained.returncode == 1
+    assert "(BudgetSpent" in explained.stdout
+
+    robot.replace_monitor()
+    assert_nothing_is_done(robot, recoveries=1)
+
+    assert understudy(kubectl, "resume", robot.workload).returncode == 0
+    again = robot.wait_recovered(2)
+    assert again.strategy == "Fallback/Executing", again
+    assert again.moments["held"] < again.moments["released"] <= again.moments["routed"]
+    assert robot.wait_driven() == again.new
+
+
+def test_the_budget_is_there_again_when_its_window_has_moved_on(kubectl: Kubectl) -> None:
+    robot = executing_with(kubectl, limits={"budget": {"recoveries": 1, "within": "40s"}})
+    first = robot.wait_protected()
+    robot.fail(first, "killed")
+    recovery = robot.wait_recovered(1)
+    robot.fail(recovery.new, "frozen")
+    again = robot.wait_recovered(2, within=120)
+    assert again.moments["released"] >= recovery.moments["detected"] + 40
+    assert_handed_over(robot, again)
+
+
+def test_while_it_is_paused_nothing_is_done_and_afterwards_what_failed_is_recovered(executing: Robot) -> None:
+    kubectl, name = executing.kubectl, executing.workload
+    active = executing.wait_protected()
+    assert understudy(kubectl, "pause", name, "--reason", "a new gripper", "--owner", "ann").returncode == 0
+    eventually(
+        lambda: executing.condition("Protected").get("reason") == "Paused",
+        within=10,
+        what="it is paused",
+        note=executing.describe,
+    )
+    assert "ann: a new gripper" in executing.condition("Paused")["message"]
+
+    executing.fail(active, "frozen")
+    eventually(
+        lambda: executing.condition("Recovering").get("reason") == "Paused",
+        within=10,
+        what="the failure is told",
+        note=executing.describe,
+    )
+    assert executing.status()["health"] == "Failed"
+    assert_nothing_is_done(executing, recoveries=0)
+    assert executing.status()["active"] == active
+
+    assert understudy(kubectl, "resume", name).returncode == 0
+    recovery = executing.wait_recovered(1)
+    assert recovery.strategy == "Fallback/Executing"
+    assert executing.wait_driven() == recovery.new
+    assert not executing.condition("Paused")
+
+
+def test_a_pause_ends_at_its_time(executing: Robot) -> None:
+    executing.wait_protected()
+    begun = time.time()
+    paused = understudy(executing.kubectl, "pause", executing.workload, "--reason", "a photo", "--for", "15s")
+    assert paused.returncode == 0
+    over = eventually(
+        lambda: (found := executing.condition("Paused")).get("status") == "False" and found,
+        within=60,
+        what="it is over",
+        note=executing.describe,
+    )
+    assert over["reason"] == "Over"
+    assert time.time() >= begun + 14
+    executing.wait_protected()
+
+
+@pytest.mark.long
+def test_one_that_fails_within_the_healthy_delay_is_followed_by_the_next_strategy_also_by_the_next_monitor(
+    kubectl: Kubectl,
+) -> None:
+    robot = executing_with(kubectl, limits={"healthyDelay": "5m"})
+    first = robot.wait_protected()
+    robot.fail(first, "killed")
+    recovery = robot.wait_recovered(1)
+    robot.wait_driven()
+    robot.wait_standby()
+    robot.replace_monitor()
+    robot.wait_driven()
+    robot.fail(recovery.new, "killed")
+    relapse = robot.wait_recovered(2)
+    assert relapse.strategy == "Restart", relapse
+    told = [event for event in kubectl.list("events") if event["reason"] == "Relapsed"]
+    assert any("limits.healthyDelay is 5m" in event["message"] for event in told), told

@@ -1,0 +1,148 @@
+"""A budget that is spent: counted in the status, told with the way out, known to the next monitor, and ended by time or by a word."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from understudy.api import names
+from understudy.api.policies import FailurePolicySpec
+from understudy.mitigation.progress import PodIdentity, Progress, rfc3339
+from understudy.monitor.budgeting import Spending
+from understudy.monitor.reporting import Reporter
+from understudy.monitor.view import View
+
+BUDGET = {"recoveries": 2, "within": "10m"}
+
+
+def policy(**limits: Any) -> FailurePolicySpec:
+    tree = {"yaml": {"topic": {"name": "/cmd_vel", "gap": "500ms"}}}
+    return FailurePolicySpec.model_validate({"monitoring": tree, "strategies": [{"type": "Restart"}], "limits": limits})
+
+
+class World:
+    """A monitor's reporter and view, without a cluster."""
+
+    def __init__(self) -> None:
+        nobody: Any = None
+        self.item: dict[str, Any] = {"metadata": {"name": "w", "namespace": "fleet", "uid": "u"}}
+        self.view = SimpleNamespace(policy=policy(budget=BUDGET), object=self.item, namespace="fleet", workload="w")
+        self.events: list[tuple[str, str]] = []
+        self.reporter = Reporter(nobody, "fleet", "w", nobody)
+        self.reporter.event = lambda kind, reason, message: self.events.append((kind, reason))  # type: ignore[method-assign]
+        self.spending = Spending(cast(View, self.view), self.reporter)
+
+    def recover(self, at: float, **more: Any) -> None:
+        progress = Progress.begin("it ended", last_healthy=at - 0.5, detected=at, **more)
+        self.spending.count(progress, at + 1)
+
+    def resume(self, at: float) -> None:
+        self.item["metadata"]["annotations"] = {names.RESUMED: rfc3339(at)}
+
+    @property
+    def said(self) -> tuple[str, str]:
+        found = self.reporter.find("WithinBudget")
+        assert found is not None
+        return found.status, found.reason
+
+
+@pytest.fixture
+def world() -> World:
+    return World()
+
+
+def test_a_healthy_workload_is_told_once_that_there_is_budget(world: World) -> None:
+    world.spending.say(1000.0)
+    assert world.said == ("True", "Left")
+    world.reporter._changed.clear()
+    world.spending.say(1001.0)
+    assert not world.reporter._changed.is_set(), "no writes"
+    assert world.events == []
+
+
+def test_once_it_is_spent_that_is_told_with_until_when_and_the_way_out(world: World) -> None:
+    world.recover(1000.0)
+    assert world.spending.spent_until(1001.0) is None
+    world.recover(1060.0)
+    assert world.spending.spent_until(1061.0) == 1600.0
+    assert world.said == ("False", "Spent")
+    found = world.reporter.find("WithinBudget")
+    assert found is not None
+    assert "2 recoveries within 10m" in found.message
+    assert "1970-01-01 00:26:40 UTC" in found.message
+    assert found.message.endswith("understudy resume -n fleet w")
+    assert world.events == [("Warning", "BudgetSpent")]
+
+
+def test_when_the_window_has_moved_on_that_is_told(world: World) -> None:
+    for at in (1000.0, 1060.0):
+        world.recover(at)
+    world.spending.say(1599.0)
+    assert world.said == ("False", "Spent")
+    world.spending.say(1600.0)
+    assert world.said == ("True", "Left")
+    assert world.events[-1] == ("Normal", "BudgetLeft")
+
+
+def test_a_users_word_gives_all_of_it_back(world: World) -> None:
+    for at in (1000.0, 1060.0):
+        world.recover(at)
+    world.resume(1100.0)
+    assert world.spending.resumed == 1100.0
+    assert world.spending.spent_until(1101.0) is None
+    world.recover(1200.0)
+    assert world.spending.spent_until(1201.0) is None
+    world.recover(1300.0)
+    assert world.spending.spent_until(1301.0) == 1800.0
+
+
+@pytest.mark.parametrize("said", ["", "soon", "2026-02-30T00:00:00Z"])
+def test_a_word_that_is_no_moment_is_none(world: World, said: str) -> None:
+    world.item["metadata"]["annotations"] = {names.RESUMED: said}
+    assert world.spending.resumed is None
+
+
+def test_the_next_monitor_knows_what_was_spent(world: World) -> None:
+    for at in (1000.0, 1060.0):
+        world.recover(at)
+    later = World()
+    later.reporter.adopt({**world.item, "status": world.reporter._body()["status"]})
+    assert later.spending.spent_until(1061.0) == 1600.0
+    later.spending.say(1061.0)
+    assert later.events == [], "it was told already"
+
+
+def test_a_planned_hand_over_spends_nothing(world: World) -> None:
+    for at in (1000.0, 1060.0):
+        world.recover(at, planned=True)
+    assert world.reporter.spent == []
+
+
+def test_only_as_many_as_the_budget_has_are_kept(world: World) -> None:
+    for at in (1000.0, 2000.0, 3000.0):
+        world.recover(at)
+    assert world.reporter.spent == [2000.0, 3000.0]
+
+
+def test_without_a_budget_nothing_is_kept_nor_said(world: World) -> None:
+    for at in (1000.0, 1060.0):
+        world.recover(at)
+    world.view.policy = policy()
+    world.spending.say(1061.0)
+    assert world.spending.spent_until(1061.0) is None
+    assert world.reporter.find("WithinBudget") is None
+    assert "spent" not in world.reporter._body()["status"]
+
+
+def test_what_is_held_is_told_in_recovering(world: World) -> None:
+    for at in (1000.0, 1060.0):
+        world.recover(at)
+    failed = [PodIdentity(name="w-1", uid="uid-1")]
+    world.spending.tell_held(Progress.begin("no /cmd_vel", last_healthy=1099.5, detected=1100.0, failed=failed))
+    found = world.reporter.find("Recovering")
+    assert found is not None
+    assert (found.status, found.reason) == ("False", "BudgetSpent")
+    assert found.message.startswith("no /cmd_vel; w-1 is fenced, and nothing else is done. The 2 recoveries within 10m")
+    assert world.events[-1] == ("Warning", "RecoveryHeld")

@@ -1,0 +1,299 @@
+"""The monitor's loop where it may not do what it could: a budget that is spent, a pause, an instance that relapses."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from tests.unit.monitor.test_supervising import ACTIVE, Told, took_over
+from understudy.api import names
+from understudy.api.pauses import Pause
+from understudy.api.policies import FailurePolicySpec
+from understudy.cluster.client import ApiError
+from understudy.mitigation.interfaces import GateState, Instance, Superseded
+from understudy.mitigation.progress import PodIdentity, Progress, rfc3339
+from understudy.monitor import supervising
+from understudy.monitor.supervising import Failure, Parts, Supervisor
+
+PAUSE = Pause(reason="a new gripper", owner="ann")
+
+
+class Saying(Told):
+    """What a supervisor says, and what it knows of what was spent."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.fields: dict[str, Any] = {}
+        self.spent: list[float] = []
+
+    def set(self, **fields: Any) -> None:
+        self.fields |= fields
+
+    def spend(self, moments: list[float]) -> None:
+        self.spent = list(moments)
+
+    def find(self, type_: str) -> Any:
+        if type_ not in self.conditions:
+            return None
+        status, reason, message = self.conditions[type_]
+        return SimpleNamespace(status=status, reason=reason, message=message)
+
+    def withdraw(self, type_: str) -> None:
+        self.conditions.pop(type_, None)
+
+
+class Gate:
+    """Closes and opens."""
+
+    exists = True
+
+    def __init__(self) -> None:
+        self.state = GateState(epoch=3, active="w-1", active_uid="uid-1")
+        self.committed: list[tuple[Instance | None, Progress]] = []
+        self.refuses: Exception | None = None
+
+    async def commit(self, target: Instance | None, progress: Progress) -> GateState:
+        if self.refuses is not None:
+            raise self.refuses
+        self.committed.append((target, progress.model_copy(deep=True)))
+        self.state = GateState(epoch=self.state.epoch + 1, recovery=progress)
+        return self.state
+
+
+class World:
+    """A supervisor of a workload whose policy has a budget of one recovery in ten minutes."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, **limits: Any) -> None:
+        monkeypatch.setattr(supervising, "SLOW", 0.01)
+        spec = {
+            "monitoring": {"yaml": {"topic": {"name": "/cmd_vel", "gap": "500ms"}}},
+            "strategies": [{"type": "Restart"}, {"type": "Restart"}],
+            "limits": {"budget": {"recoveries": 1, "within": "10m"}} | limits,
+        }
+        self.told, self.gate, self.kept = Saying(), Gate(), cast("list[Progress]", [])
+        self.item: dict[str, Any] = {"metadata": {"name": "w"}}
+        self.spec = SimpleNamespace(pause=None)
+        self.view = SimpleNamespace(
+            policy=FailurePolicySpec.model_validate(spec),
+            settings=SimpleNamespace(),
+            spec=self.spec,
+            object=self.item,
+            namespace="fleet",
+            workload="w",
+        )
+        sight = SimpleNamespace(graph=None, coming=None, drain=lambda *_: None, last_well=lambda pod: None)
+        parts: dict[str, Any] = {
+            "view": self.view,
+            "fleet": SimpleNamespace(of_workload=lambda: [ACTIVE]),
+            "gate": self.gate,
+            "sidecars": SimpleNamespace(),
+            "sight": sight,
+            "probes": SimpleNamespace(),
+            "reporter": self.told,
+            "journal": SimpleNamespace(save=lambda progress: self.kept.append(progress.model_copy(deep=True))),
+            "crash_points": SimpleNamespace(step=lambda name: None),
+            "keeping": SimpleNamespace(judge=lambda *_: None),
+        }
+        self.watching = Supervisor(Parts(**parts))
+        self.watching._housekeeping = lambda: None  # type: ignore[method-assign]
+        self.watching._follow_safety = lambda policy: None  # type: ignore[method-assign]
+
+    def spend(self) -> None:
+        self.told.spent = [time.time() - 60]
+
+    def resume(self) -> None:
+        self.item["metadata"]["annotations"] = {names.RESUMED: rfc3339(time.time())}
+
+    async def until(self, check: Callable[[], Any]) -> None:
+        async with asyncio.timeout(5):
+            while not check():
+                await asyncio.sleep(0.005)
+
+
+@pytest.fixture
+def world(monkeypatch: pytest.MonkeyPatch) -> World:
+    return World(monkeypatch)
+
+
+def failure(**more: Any) -> Progress:
+    now = time.time()
+    failed = [PodIdentity(name="w-1", uid="uid-1")]
+    return Progress.begin("no /cmd_vel", last_healthy=now - 0.5, detected=now, failed=failed, **more)
+
+
+async def test_within_the_budget_nothing_is_waited_for_nor_written(world: World) -> None:
+    assert await world.watching._allowed(failure())
+    assert (world.gate.committed, world.kept, world.told.events) == ([], [], [])
+
+
+async def test_once_it_is_spent_what_failed_is_fenced_and_the_robot_is_told_safe_commands_until_a_word(
+    world: World,
+) -> None:
+    world.spend()
+    progress = failure()
+    holding = asyncio.create_task(world.watching._allowed(progress))
+    await world.until(lambda: ("Warning", "RecoveryHeld") in [event[:2] for event in world.told.events])
+    ((target, committed),) = world.gate.committed
+    assert target is None
+    assert "held" in committed.moments, "the next monitor goes on holding it"
+    assert "held" in world.kept[0].moments
+    assert world.told.conditions["Recovering"][:2] == ("False", "BudgetSpent")
+    assert world.told.fields["health"] == "Failed"
+    assert world.watching._waited_since() == progress.moments["fenced"]
+    await asyncio.sleep(0.05)
+    assert not holding.done()
+    world.resume()
+    async with asyncio.timeout(5):
+        assert await holding
+    assert progress.cursor == progress.moments["released"] > progress.moments["held"]
+    assert ("Normal", "RecoveryReleased") in [event[:2] for event in world.told.events]
+    assert world.watching.recovering is None
+
+
+async def test_it_goes_on_by_itself_when_the_window_has_moved_on(world: World) -> None:
+    world.told.spent = [time.time() - 599.9]
+    async with asyncio.timeout(5):
+        assert await world.watching._allowed(failure())
+    assert len(world.gate.committed) == 1
+
+
+async def test_an_interrupted_hold_is_gone_on_with_and_an_interrupted_recovery_is_finished(world: World) -> None:
+    world.spend()
+    begun = failure()
+    begun.moments["decided"] = time.time()
+    assert await world.watching._allowed(begun)
+    assert world.gate.committed == []
+    held = failure()
+    held.moments["held"] = held.moments["fenced"] = time.time() - 30
+    world.gate.state = GateState(epoch=4, recovery=held)
+    holding = asyncio.create_task(world.watching._allowed(held))
+    await world.until(lambda: world.told.events)
+    assert world.gate.committed == [], "it is closed already"
+    world.resume()
+    async with asyncio.timeout(5):
+        assert await holding
+    assert held.moments["held"] < held.moments["released"] - 29
+
+
+@pytest.mark.parametrize("exempt", ["planned", "reflex"])
+async def test_what_is_no_new_failure_is_not_held(world: World, exempt: str) -> None:
+    world.spend()
+    progress = failure(planned=exempt == "planned")
+    if exempt == "reflex":
+        progress.taken_over = PodIdentity(name="w-2", uid="uid-2")
+    assert await world.watching._allowed(progress)
+
+
+async def test_whoever_opens_the_gate_meanwhile_is_right(world: World) -> None:
+    world.spend()
+    holding = asyncio.create_task(world.watching._allowed(failure()))
+    await world.until(lambda: world.gate.committed)
+    world.gate.state = GateState(epoch=9, active="w-3", active_uid="uid-3")
+    async with asyncio.timeout(5):
+        assert not await holding
+    assert world.told.conditions["Recovering"][1] == "Superseded"
+
+
+@pytest.mark.parametrize(
+    ("error", "reason"), [(ApiError(403, "Forbidden", "no"), "Error"), (Superseded("another"), "Superseded")]
+)
+async def test_a_fence_that_fails_is_tried_again(world: World, error: Exception, reason: str) -> None:
+    world.spend()
+    world.gate.refuses = error
+    assert not await world.watching._allowed(failure())
+    assert world.told.conditions["Recovering"][1] == reason
+
+
+async def test_a_pause_ends_the_safe_commands_of_what_is_held_and_goes_before_the_budget(world: World) -> None:
+    world.spend()
+    holding = asyncio.create_task(world.watching._allowed(failure()))
+    await world.until(lambda: world.gate.committed)
+    world.spec.pause = PAUSE
+    await world.until(lambda: world.watching._pauses.on is not None)
+    assert world.watching._waited_since() is None
+    world.resume()
+    await asyncio.sleep(0.05)
+    assert not holding.done()
+    world.spec.pause = None
+    async with asyncio.timeout(5):
+        assert await holding
+
+
+def test_a_failure_in_a_pause_is_told_once_and_nothing_is_done(world: World) -> None:
+    world.spec.pause = PAUSE
+    now = time.time()
+    world.watching._pauses.look(now)
+    for _ in range(2):
+        assert world.watching._counted(Failure("no /cmd_vel", now - 1, now), now) is None
+    told = [message for kind, reason, message in world.told.events if reason == "RecoveryPostponed"]
+    assert told == ["no /cmd_vel; nothing is done about it: it is paused by ann: a new gripper"]
+    assert world.told.fields["health"] == "Failed"
+    world.watching._unattended.nothing_verified(now)
+    assert world.watching._waited_since() is None, "no safe command: somebody may have hands on it"
+
+
+def test_after_a_pause_a_failure_counts_from_its_end(world: World) -> None:
+    world.spec.pause = PAUSE
+    now = time.time()
+    world.watching._pauses.look(now)
+    world.spec.pause = None
+    world.watching._pauses.look(now + 0.1)
+    found = world.watching._counted(Failure("no /cmd_vel", now - 7200, now + 0.2), now + 0.2)
+    assert found is not None
+    assert found.onset == now
+    found = world.watching._counted(Failure("no /cmd_vel", now + 50, now + 51), now + 51)
+    assert found is not None
+    assert found.onset == now + 50
+
+
+async def test_in_a_pause_nobody_is_put_in_control(world: World) -> None:
+    world.gate.state = GateState(epoch=4)
+    world.spec.pause = PAUSE
+    world.watching._pauses.look(time.time())
+    await world.watching._bootstrap(world.view.policy, time.time())
+    assert world.gate.committed == []
+
+
+def test_an_instance_that_fails_within_the_healthy_delay_has_the_next_strategy_and_that_is_told(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    world = World(monkeypatch, healthyDelay="1m")
+    now = time.time()
+    world.watching._escalation.note(took_over(0, now))
+    assert world.watching._first(Failure("no /cmd_vel", now + 30, now + 30.5), "uid-1") == 1
+    ((kind, reason, message),) = world.told.events
+    assert (kind, reason) == ("Warning", "Relapsed")
+    assert "30.0 s after it took over (limits.healthyDelay is 1m)" in message
+    world.watching._escalation.note(took_over(0, now))
+    assert world.watching._first(Failure("no /cmd_vel", now + 60, now + 60.5), "uid-1") == 0
+
+
+def test_a_users_word_ends_what_was_put_off(world: World) -> None:
+    now = time.time()
+    world.watching._not_before, world.watching._backoff = now + 60, 60.0
+    world.watching._notice_word(now)
+    assert world.watching._not_before == now + 60
+    world.resume()
+    world.watching._notice_word(now)
+    assert world.watching._not_before == now
+    world.watching._not_before = now + 10
+    world.watching._notice_word(now)
+    assert world.watching._not_before == now + 10, "once"
+
+
+@pytest.mark.parametrize(("id_", "result", "known"), [("", "Recovered", True), ("", "Failed", False), ("x", "", False)])
+def test_a_new_monitor_knows_which_instance_took_over_last(world: World, id_: str, result: str, known: bool) -> None:
+    left = took_over(1, 100.0).model_copy(update={"result": "Running"})
+    left.moments.pop("verified")
+    world.gate.state = GateState(epoch=4, active="w-1", active_uid="uid-1", recovery=left)
+    moments = SimpleNamespace(verified=rfc3339(123.0))
+    world.told.last = SimpleNamespace(id=id_ or left.id, result=result, moments=moments)  # type: ignore[attr-defined]
+    done = world.watching._concluded()
+    assert (done is not None) == known
+    if done is not None:
+        assert (done.result, done.index, done.moments["verified"]) == ("Recovered", 1, 123.0)

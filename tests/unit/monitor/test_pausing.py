@@ -1,0 +1,105 @@
+"""A pause: who has asked for it, why and until when is told once, and once when it is over, however that comes."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from understudy.api.pauses import Pause
+from understudy.monitor.pausing import Pauses
+from understudy.monitor.reporting import Reporter
+from understudy.monitor.view import View
+
+UNTIL = "1970-01-01T00:20:00Z"
+END = 1200.0
+GIVEN = Pause(reason="a new gripper", owner="ann", until=UNTIL)
+
+
+class World:
+    """A monitor's reporter and view, without a cluster."""
+
+    def __init__(self, pause: Pause | None = None) -> None:
+        nobody: Any = None
+        self.view = SimpleNamespace(spec=SimpleNamespace(pause=pause), namespace="fleet", workload="w")
+        self.events: list[tuple[str, str]] = []
+        self.reporter = Reporter(nobody, "fleet", "w", nobody)
+        self.reporter.event = lambda kind, reason, message: self.events.append((reason, message))  # type: ignore[method-assign]
+        self.pauses = Pauses(cast(View, self.view), self.reporter)
+
+    @property
+    def said(self) -> tuple[str, str, str] | None:
+        found = self.reporter.find("Paused")
+        return (found.status, found.reason, found.message) if found is not None else None
+
+
+def test_who_why_and_until_when() -> None:
+    world = World(GIVEN)
+    world.pauses.look(1000.0)
+    assert world.pauses.on == GIVEN
+    assert world.said is not None
+    status, reason, message = world.said
+    assert (status, reason) == ("True", "Maintenance")
+    assert message.startswith("Paused by ann: a new gripper, until 1970-01-01 00:20:00 UTC. ")
+    assert "understudy resume -n fleet w" in message
+    world.pauses.look(1001.0)
+    assert [reason for reason, _ in world.events] == ["Paused"]
+
+
+def test_it_ends_by_itself() -> None:
+    world = World(GIVEN)
+    world.pauses.look(END - 0.1)
+    world.pauses.look(END)
+    assert world.pauses.on is None
+    assert world.pauses.ended == END - 0.1
+    assert world.said is not None
+    assert world.said[:2] == ("False", "Over")
+    assert world.events[-1] == (
+        "PauseEnded",
+        "No longer paused by ann: a new gripper, until 1970-01-01 00:20:00 UTC; its time is over",
+    )
+
+
+def test_it_ends_when_it_is_taken_away() -> None:
+    world = World(Pause(reason="a new gripper", owner="ann"))
+    world.pauses.look(1000.0)
+    world.view.spec = SimpleNamespace(pause=None)
+    world.pauses.look(5000.0)
+    assert world.pauses.on is None
+    assert world.said is None
+    assert world.events[-1] == ("PauseEnded", "No longer paused by ann: a new gripper; it was taken away")
+
+
+def test_another_pause_is_told_too() -> None:
+    world = World(GIVEN)
+    world.pauses.look(1000.0)
+    world.view.spec = SimpleNamespace(pause=Pause(reason="and a new arm", owner="bob"))
+    world.pauses.look(1001.0)
+    assert [reason for reason, _ in world.events] == ["Paused", "Paused"]
+    assert world.said is not None
+    assert world.said[2].startswith("Paused by bob: and a new arm. ")
+
+
+@pytest.mark.parametrize(("pause", "reasons"), [(GIVEN, []), (None, [])])
+def test_a_new_monitor_tells_nobody_again(pause: Pause | None, reasons: list[str]) -> None:
+    world, later = World(GIVEN), World(pause)
+    world.pauses.look(1000.0)
+    metadata = {"name": "w", "namespace": "fleet", "uid": "u"}
+    later.reporter.adopt({"metadata": metadata, "status": world.reporter._body()["status"]})
+    later.pauses.look(1001.0)
+    assert later.said == (world.said if pause is not None else None)
+    assert [reason for reason, _ in later.events] == reasons
+
+
+def test_a_day_that_there_is_not_ends_no_pause() -> None:
+    pause = Pause(reason="a new gripper", owner="ann", until="2026-02-30T00:00:00Z")
+    assert pause.in_force(1e10)
+    assert pause.words == "paused by ann: a new gripper"
+
+
+def test_nothing_is_said_of_a_workload_without_one() -> None:
+    world = World()
+    world.pauses.look(1000.0)
+    assert world.said is None
+    assert not world.reporter._changed.is_set()
