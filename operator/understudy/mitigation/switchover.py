@@ -12,6 +12,7 @@ import asyncio
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 from understudy.api.workloads import Attempt
 from understudy.mitigation.failover import Choice, alone, retire, unless_lost
@@ -58,7 +59,7 @@ async def prepare(progress: Progress, choices: Sequence[Choice], means: Means, u
     The gate is left alone, and nothing is written down that a new monitor would go on with: it begins anew.
     """
     aside = replace(means, save=lambda progress: None)
-    attempts = []
+    attempts: list[Attempt] = []
     for index, choice in enumerate(choices):
         progress.index, progress.strategy = index, choice.strategy.name
         found: list[Instance] = []
@@ -67,6 +68,7 @@ async def prepare(progress: Progress, choices: Sequence[Choice], means: Means, u
             within = choice.verify_within
             found.append(await choice.strategy.make_ready(progress, aside, within=within, unfit=unfit))
 
+        result: Literal["NotVerified", "NotAvailable"] = "NotVerified"
         try:
             async with asyncio.timeout(choice.verify_within):
                 await unless_lost(work(), progress, means, crashing_counts=True)
@@ -74,9 +76,9 @@ async def prepare(progress: Progress, choices: Sequence[Choice], means: Means, u
         except NotAvailable as error:
             result, reason = "NotAvailable", str(error)
         except NotVerified as error:
-            result, reason = "NotVerified", str(error)
+            reason = str(error)
         except TimeoutError:
-            result, reason = "NotVerified", f"its understudy could not drive within {choice.verify_within:g} s"
+            reason = f"its understudy could not drive within {choice.verify_within:g} s"
         pod = progress.target.name if progress.target else ""
         attempts.append(Attempt(strategy=choice.strategy.name, pod=pod, result=result, message=reason))
         _logger.info("%s prepares nothing: %s", choice.strategy.name, reason)

@@ -164,8 +164,7 @@ class Switching:
     def _asked(self, now: float) -> Wanted | None:
         text = ((self._view.object or {}).get("metadata", {}).get("annotations") or {}).get(names.SWITCHOVER)
         before = self._reporter.switchover
-        unheard = text and (before is None or before.handled != text)
-        if unheard and (wanted := self._requested(text, now)) is not None:
+        if text and (before is None or before.handled != text) and (wanted := self._requested(text, now)) is not None:
             return wanted
         drain = self._view.settings.drain if self._view.settings is not None else None
         if drain is None or drain.uid != self._gate.state.active_uid:
