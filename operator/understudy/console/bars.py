@@ -11,6 +11,7 @@ MOMENTS = (
     ("detected", "detected"),
     ("queued", "waits for a pod"),
     ("claimed", "claimed"),
+    ("lastOutput", "last command of the former"),
     ("fenced", "fenced"),
     ("started", "started"),
     ("ready", "ready"),

@@ -53,8 +53,15 @@ class Kubectl:
         text = self._got(kind, name, "--ignore-not-found", *arguments)
         return json.loads(text) if text.strip() else None
 
+    def annotate(self, kind: str, name: str, note: str, value: str) -> None:
+        """Write an annotation of an object, over what it was. Raises Unusable with what kubectl said."""
+        self._run("annotate", kind, name, "--overwrite", f"{note}={value}")
+
     def _got(self, kind: str, *arguments: str) -> str:
-        command = ["kubectl", *self._options, "get", kind, *arguments, "-o", "json", f"--request-timeout={TIMEOUT:g}s"]
+        return self._run("get", kind, *arguments, "-o", "json")
+
+    def _run(self, *arguments: str) -> str:
+        command = ["kubectl", *self._options, *arguments, f"--request-timeout={TIMEOUT:g}s"]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode:
             said = done.stderr.strip().splitlines()
