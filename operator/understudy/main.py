@@ -3,6 +3,7 @@
 ``understudy check`` validates manifests without a cluster, ``understudy status`` shows the robots of one, ``understudy
 timeline`` their recoveries, ``understudy explain`` why one is as it is, ``understudy tree`` a workload's live health tree,
 ``understudy pause`` has one left alone and ``understudy resume`` no longer,
+``understudy failover`` and ``understudy failback`` have a robot driven by another instance as planned,
 ``understudy tracker`` watches robots by a camera, ``understudy size`` says how many fallbacks a fleet needs, ``understudy
 recommend`` which strategies. What tries a policy without a cluster is in ``understudy.trying``.
 """
@@ -28,6 +29,8 @@ _PARTS = {
     "explain": "understudy.console.explain",
     "pause": "understudy.console.pause",
     "resume": "understudy.console.resume",
+    "failover": "understudy.console.failover",
+    "failback": "understudy.console.failback",
     "tracker": "understudy.tracker.running",
     "size": "understudy.planning.size",
     "recommend": "understudy.planning.recommend",

@@ -60,6 +60,9 @@ ADMITTED_UID = f"{GROUP}/admitted-uid"
 RECOVERY = f"{GROUP}/recovery"
 """Annotation of the gate: the recovery that committed it, as JSON, so that a new monitor can finish it."""
 
+SWITCHOVER = f"{GROUP}/switchover"
+"""Annotation of a RobotWorkload: a switchover that somebody asks for (api/switchovers.py)."""
+
 WAITS_FOR = f"{GROUP}/waits-for"
 """On a gate while its workload waits for a pod of a shared pool: that pool. Other monitors find by it who waits besides theirs."""
 
@@ -163,6 +166,11 @@ def monitor_account(workload: str) -> str:
 def discovery(workload: str) -> str:
     """The managed discovery server's Deployment and Service."""
     return f"{workload}-discovery"
+
+
+def in_control(workload: str) -> str:
+    """The PodDisruptionBudget that has an eviction of the instance in control wait."""
+    return f"{workload}-in-control"
 
 
 def robot_env(workload: str) -> str:

@@ -11,6 +11,7 @@ from understudy.api.base import Model
 from understudy.api.policies import Strategy
 from understudy.api.pools import Readiness
 from understudy.api.procedures import Check, Procedure
+from understudy.api.switchovers import Drain
 
 
 class PoolChoice(Model):
@@ -55,6 +56,9 @@ class WorkloadSettings(Model):
     )
     pools: list[PoolChoice] = Field(
         default_factory=list, description="Pools named by the policy that serve this workload."
+    )
+    drain: Drain | None = Field(
+        default=None, description="Where the instance in control runs on a node that is to be emptied."
     )
     strategies: list[Strategy] | None = Field(
         default=None, description="The strategies chosen for this workload, in order, where its policy has Auto."

@@ -21,6 +21,7 @@ from understudy.api.policies import MOST_COUNTED
 from understudy.api.procedures import Procedure
 from understudy.api.rosnames import ROS_TYPE_MESSAGE, ROS_TYPE_PATTERN, RosName
 from understudy.api.states import KeptStatus, RestoredState
+from understudy.api.switchovers import Draining, Kind, SwitchoverStatus
 from understudy.api.tasks import Task, TaskStatus
 from understudy.api.templates import pod_template
 
@@ -280,6 +281,9 @@ class RobotWorkloadSpec(Model):
         "higher first; among equals, whoever has waited longest. See docs/waiting.md.",
     )
     gate: Gate = Field(default_factory=Gate, description="What decides whose outputs reach the robot.")
+    draining: Draining = Field(
+        default_factory=Draining, description="What becomes of the instance in control while its node is being drained."
+    )
     monitor: MonitorSettings = Field(default_factory=MonitorSettings, description="The workload's monitor.")
     pause: Pause | None = Field(
         default=None,
@@ -306,6 +310,9 @@ class Moments(Model):
     released: Time | None = Field(default=None, description="There was budget again, or somebody said to go on.")
     decided: Time | None = Field(default=None, description="The strategy that verified was chosen.")
     queued: Time | None = Field(default=None, description="It began to wait for a pod of a shared pool.")
+    last_output: Time | None = Field(
+        default=None, description="Of a planned switchover: last output of the former instance at the gated readers."
+    )
     fenced: Time | None = Field(default=None, description="The failed pod could no longer reach the robot.")
     claimed: Time | None = Field(default=None, description="The understudy was claimed.")
     started: Time | None = Field(default=None, description="The understudy's processes were up.")
@@ -343,7 +350,10 @@ class Recovery(Model):
     attempts: list[Attempt] = Field(default_factory=list, description="The strategies tried, in order.")
     planned: bool = Field(
         default=False,
-        description="Whether it was no failure, but a hand-over at an idle moment (spec.degraded of the policy).",
+        description="Whether it was no failure, but a hand-over at an idle moment (spec.degraded of the policy) or a switchover.",
+    )
+    switchover: Kind | None = Field(
+        default=None, description="What for, where it was a planned switchover: Failover, Failback or Drain."
     )
     resumed: bool = Field(default=False, description="Whether a new monitor finished what an earlier one had begun.")
     state: list[RestoredState] = Field(
@@ -388,6 +398,9 @@ class RobotWorkloadStatus(Model):
         json_schema_extra={"x-kubernetes-list-type": "atomic"},
     )
     gate: GateStatus | None = Field(default=None, description="Who may reach the robot.")
+    switchover: SwitchoverStatus | None = Field(
+        default=None, description="The last planned switchover, or the one that is under way."
+    )
     recoveries: list[Recovery] | None = Field(
         default=None,
         max_length=10,
@@ -417,7 +430,8 @@ class RobotWorkloadStatus(Model):
         "spec.pause is in force. WithinBudget, where the policy has limits.budget: recoveries are left. BroughtUp: "
         "bringUp and initializations have "
         "succeeded on every instance. Reflex: a standby is let through, so that the "
-        "robot's readers can fall over to it. StateKept: all that the policy keeps is kept. StateRestored: the last instance that took "
-        "over was given all of it.",
+        "robot's readers can fall over to it. Draining: the node of the pod in control is to be emptied; True while "
+        "evictions wait for an understudy on another one. StateKept: all that the policy keeps is kept. StateRestored: the last instance "
+        "that took over was given all of it.",
         json_schema_extra={"x-kubernetes-list-type": "map", "x-kubernetes-list-map-keys": ["type"]},
     )

@@ -13,6 +13,7 @@ MOMENTS = (
     ("released", "released"),
     ("queued", "waits for a pod"),
     ("claimed", "claimed"),
+    ("lastOutput", "last command of the former"),
     ("fenced", "fenced"),
     ("started", "started"),
     ("ready", "ready"),

@@ -57,13 +57,17 @@ class Kubectl:
 
     def patch(self, kind: str, name: str, body: Any) -> Any:
         """Change an object by a merge patch; the object as it is then. Raises Unusable with what kubectl said."""
-        return json.loads(self._run("patch", kind, name, "--type=merge", "-p", json.dumps(body)))
+        return json.loads(self._run("patch", kind, name, "--type=merge", "-p", json.dumps(body), "-o", "json"))
+
+    def annotate(self, kind: str, name: str, note: str, value: str) -> None:
+        """Write an annotation of an object, over what it was. Raises Unusable with what kubectl said."""
+        self._run("annotate", kind, name, "--overwrite", f"{note}={value}")
 
     def _got(self, kind: str, *arguments: str) -> str:
-        return self._run("get", kind, *arguments)
+        return self._run("get", kind, *arguments, "-o", "json")
 
     def _run(self, *arguments: str) -> str:
-        command = ["kubectl", *self._options, *arguments, "-o", "json", f"--request-timeout={TIMEOUT:g}s"]
+        command = ["kubectl", *self._options, *arguments, f"--request-timeout={TIMEOUT:g}s"]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode:
             said = done.stderr.strip().splitlines()

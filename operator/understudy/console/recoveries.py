@@ -109,7 +109,7 @@ def _outcome(recovery: Recovery) -> str:
     if recovery.result == "Running":
         return "under way"
     if recovery.result == "Failed":
-        return "FAILED: nothing verified"
+        return "NOT switched: given back" if recovery.switchover is not None else "FAILED: nothing verified"
     what = "handed over as planned" if recovery.planned else "recovered"
     took = f" in {length(recovery.recovery_seconds)}" if recovery.recovery_seconds is not None else ""
     return f"{what}{took} by {recovery.strategy}"
@@ -119,7 +119,8 @@ def _moments(recovery: Recovery, start: str | None) -> Iterator[str]:
     moments = recovery.moments.to_wire()
     for name, text in MOMENTS:
         if start and name in moments:
-            yield f"{text} +{length(unix(moments[name]) - unix(start))}"
+            after = unix(moments[name]) - unix(start)  # what a switchover prepares comes before
+            yield f"{text} {'+' if after >= 0 else '-'}{length(abs(after))}"
 
 
 def _control(recovery: Recovery) -> str:

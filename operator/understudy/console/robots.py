@@ -40,6 +40,7 @@ _ABOUT = {
     "GateEnforced": "gate not enforced",
     "BroughtUp": "not brought up",
     "Resized": "not resized",
+    "Draining": "evictions don't wait",
     "StrategiesChosen": "requirements not met",
     "Available": "no pod is free",
     "Reflex": "no reflex",

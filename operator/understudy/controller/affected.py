@@ -11,7 +11,9 @@ from understudy.cluster.applying import controller_of
 from understudy.cluster.client import (
     CONFIG_MAPS,
     DEPLOYMENTS,
+    DISRUPTION_BUDGETS,
     NETWORK_POLICIES,
+    NODES,
     PODS,
     POLICIES,
     POOLS,
@@ -20,7 +22,7 @@ from understudy.cluster.client import (
     Object,
     Resource,
 )
-from understudy.controller import choosing, healthtrees, objects, policies
+from understudy.controller import choosing, draining, healthtrees, objects, policies
 from understudy.controller.stores import Sight, Store
 
 
@@ -45,6 +47,12 @@ def _keys(sight: Sight, store: Store) -> Iterator[Key]:
     assert found is not None
     namespace = found["metadata"].get("namespace", "")
     plural = sight.resource.plural
+    if plural == NODES.plural:
+        yield from _after_node(sight, store)
+        return
+    if plural == DISRUPTION_BUDGETS.plural:
+        yield from _after_budget(sight, store, namespace)
+        return
     for item in (sight.old, sight.new):
         owner = controller_of(item) if item is not None else None
         if owner is not None and owner.get("apiVersion") == API_VERSION and owner.get("kind") in _PLURALS:
@@ -115,6 +123,30 @@ def _after_policy(policy: Object, store: Store, namespace: str) -> Iterator[Key]
     elif owner is not None and owner["kind"] == "RobotWorkload":
         for name in store.in_namespace(POOLS, namespace):  # which of their pods are in control
             yield Key(POOLS.plural, namespace, name)
+
+
+def _after_node(sight: Sight, store: Store) -> Iterator[Key]:
+    """Nodes report all the time; only whether one is to be emptied means something, and to those that are driven from it."""
+    cordoned = [item is not None and draining.is_cordoned(item) for item in (sight.old, sight.new)]
+    if cordoned[0] == cordoned[1]:
+        return
+    found = sight.new or sight.old
+    assert found is not None
+    for pod in store.all(PODS):
+        if (workload := objects.labels(pod).get(names.WORKLOAD)) and pod["spec"]["nodeName"] == objects.name(found):
+            yield Key(WORKLOADS.plural, pod["metadata"]["namespace"], workload)
+
+
+def _after_budget(sight: Sight, store: Store, namespace: str) -> Iterator[Key]:
+    """Ours is its workload's. One of somebody else's may select any instance."""
+    if not _spec_changed(sight):  # its status is another with every pod
+        return
+    owner = controller_of(sight.new or sight.old or {"metadata": {}})
+    if owner is not None and owner.get("apiVersion") == API_VERSION:
+        yield Key(WORKLOADS.plural, namespace, owner["name"])
+        return
+    for name in store.in_namespace(WORKLOADS, namespace):
+        yield Key(WORKLOADS.plural, namespace, name)
 
 
 def _after_trees(config_map: Object, store: Store, namespace: str) -> Iterator[Key]:

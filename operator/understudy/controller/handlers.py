@@ -15,7 +15,9 @@ import kopf
 
 from understudy.cluster.client import (
     DEPLOYMENTS,
+    DISRUPTION_BUDGETS,
     NETWORK_POLICIES,
+    NODES,
     PODS,
     POLICIES,
     POOLS,
@@ -28,7 +30,19 @@ from understudy.cluster.client import (
     Resource,
 )
 
-WATCHED = (WORKLOADS, POLICIES, POOLS, PODS, REPLICA_SETS, DEPLOYMENTS, STATEFUL_SETS, NETWORK_POLICIES, SERVICES)
+WATCHED = (
+    WORKLOADS,
+    POLICIES,
+    POOLS,
+    PODS,
+    REPLICA_SETS,
+    DEPLOYMENTS,
+    STATEFUL_SETS,
+    NETWORK_POLICIES,
+    SERVICES,
+    DISRUPTION_BUDGETS,
+    NODES,
+)
 
 See = Callable[[Resource, Object, bool], None]
 

@@ -10,7 +10,9 @@ from understudy.api import names
 from understudy.cluster.client import (
     CONFIG_MAPS,
     DEPLOYMENTS,
+    DISRUPTION_BUDGETS,
     NETWORK_POLICIES,
+    NODES,
     PODS,
     POLICIES,
     POOLS,
@@ -20,7 +22,18 @@ from understudy.cluster.client import (
     Object,
     Resource,
 )
-from understudy.controller import affected, choosing, levels, objects, pools, references, selectors, statuses, workloads
+from understudy.controller import (
+    affected,
+    choosing,
+    draining,
+    levels,
+    objects,
+    pools,
+    references,
+    selectors,
+    statuses,
+    workloads,
+)
 from understudy.controller.affected import Key
 from understudy.controller.expectations import Expectations
 from understudy.controller.stores import Store
@@ -73,6 +86,12 @@ class Observer:
             reference=await self._referred(item),
             rivals=self._rivals(item),
             resized=await self._resized(item),
+            cordoned=frozenset(objects.name(node) for node in store.all(NODES) if draining.is_cordoned(node)),
+            budgets=[
+                budget
+                for budget in store.in_namespace(DISRUPTION_BUDGETS, namespace).values()
+                if not draining.is_ours(budget)
+            ],
         )
 
     def _expected(self, key: Key, pool: str) -> int:

@@ -10,7 +10,7 @@ from understudy.api.conditions import Condition, condition, merged
 from understudy.api.policies import Strategy
 from understudy.choosing import explaining
 from understudy.cluster.client import Object
-from understudy.controller import levels, objects, policies, pools, workloads
+from understudy.controller import draining, levels, objects, policies, pools, workloads
 from understudy.controller.desired import Problem
 from understudy.controller.troubles import Trouble, trouble
 from understudy.controller.workloads import Observed, Understanding
@@ -57,6 +57,7 @@ def status(
         protected(observed, understanding),
         *_chosen(observed, understanding),
         *([resized] if resized is not None else []),
+        *_draining(observed, understanding),
     ]
     return {
         "observedGeneration": objects.generation(workload),
@@ -64,6 +65,18 @@ def status(
         **_order(observed, understanding),
         "conditions": [c.to_wire() for c in conditions],
     }
+
+
+def _draining(observed: Observed, understanding: Understanding) -> list[Condition]:
+    if understanding.spec is None:
+        return []
+    found = draining.said(
+        observed.active,
+        workloads.drain(observed),
+        workloads.hold(observed, understanding),
+        objects.generation(observed.workload),
+    )
+    return [found] if found is not None else []
 
 
 def timed(live: Object, desired: Object) -> Object:

@@ -180,4 +180,10 @@ def slim(resource: Resource, item: Object) -> Object:
         kept.pop("stringData", None)
     if resource.plural == "pods":
         kept["spec"] = {"nodeName": (item.get("spec") or {}).get("nodeName")}
+    if resource.plural == "nodes":
+        kept["metadata"] = {key: metadata[key] for key in ("name", "uid", "resourceVersion") if key in metadata}
+        kept["spec"] = {
+            key: found for key in ("unschedulable", "taints") if (found := (item.get("spec") or {}).get(key))
+        }
+        kept.pop("status", None)
     return kept

@@ -16,11 +16,13 @@ from pydantic import ValidationError
 from understudy.api import names
 from understudy.api.policies import Strategy
 from understudy.api.settings import PoolChoice, WorkloadSettings
+from understudy.api.switchovers import Drain
 from understudy.api.workloads import RobotWorkloadSpec
 from understudy.choosing.ordering import Order
 from understudy.cluster.client import (
     CONFIG_MAPS,
     DEPLOYMENTS,
+    DISRUPTION_BUDGETS,
     NETWORK_POLICIES,
     PODS,
     REPLICA_SETS,
@@ -35,6 +37,7 @@ from understudy.cluster.client import (
 from understudy.controller import (
     choosing,
     discovery,
+    draining,
     fleets,
     gates,
     instances,
@@ -91,11 +94,20 @@ class Observed:
     """By pool, standbys that were created and haven't been observed yet."""
     resized: Object | None = None
     """The pod in control, whole, while the workload is degraded and its policy gives it more then."""
+    cordoned: frozenset[str] = frozenset()
+    """The nodes of the cluster that are to be emptied."""
+    budgets: Sequence[Object] = ()
+    """PodDisruptionBudgets of the namespace that aren't ours."""
 
     @property
     def gate(self) -> Object | None:
         """The gate's policy."""
         return self.owned.get(("networkpolicies", names.gate(objects.name(self.workload))))
+
+    @property
+    def active(self) -> Object | None:
+        """The pod in control."""
+        return next((p for p in self.pods if objects.is_active(p, self.gate) and objects.alive(p)), None)
 
     @property
     def recovering(self) -> bool:
@@ -321,6 +333,7 @@ def plan(observed: Observed, understanding: Understanding, images: Images, fresh
     if environment is None:
         return made
     _gate(made, observed, spec)
+    _hold(made, observed, understanding)
     _configure(made, observed, understanding, environment)
     _monitor(made, observed, understanding, images, environment)
     if spec.template is not None:
@@ -386,6 +399,41 @@ def _gate(made: Plan, observed: Observed, spec: RobotWorkloadSpec) -> None:
         made.writes.append(Patch(NETWORK_POLICIES, gate, repair))
 
 
+def drain(observed: Observed) -> Drain | None:
+    """Where the instance in control runs on a node that is to be emptied."""
+    present = _present_settings(observed)
+    return draining.seen(
+        observed.active, observed.cordoned, present.drain if present is not None else None, observed.now
+    )
+
+
+def hold(observed: Observed, understanding: Understanding) -> draining.Hold:
+    """Whether evictions of the instance in control wait for an understudy."""
+    assert understanding.spec is not None
+    return draining.hold(
+        observed.active,
+        drain(observed),
+        understanding.spec.draining,
+        fallbacks=bool(_choices(observed, understanding)),
+        budgets=observed.budgets,
+        now=observed.now,
+    )
+
+
+def _hold(made: Plan, observed: Observed, understanding: Understanding) -> None:
+    """The budget of the instance in control. While none is, in a recovery, it stays as it is: it selects nothing then."""
+    found, active, name = hold(observed, understanding), observed.active, objects.name(observed.workload)
+    if active is None:
+        return
+    live = observed.owned.get((DISRUPTION_BUDGETS.plural, names.in_control(name)))
+    if found.holds:
+        made.writes.append(_ours(observed, DISRUPTION_BUDGETS, draining.budget(name, active)))
+    elif live is not None and not objects.deleted(live):
+        made.writes.append(Delete(DISRUPTION_BUDGETS, live))
+    if found.until is not None:
+        made.later(max(0.0, found.until - observed.now))
+
+
 def _configure(made: Plan, observed: Observed, understanding: Understanding, environment: Mapping[str, str]) -> None:
     assert understanding.spec is not None
     name = objects.name(observed.workload)
@@ -416,6 +464,7 @@ def _settings(observed: Observed, understanding: Understanding, environment: Map
         instance_profiles=understanding.profiles,
         tasks_problem=tasking.problem(objects.name(workload), understanding.spec, understanding.template),
         pools=_choices(observed, understanding),
+        drain=drain(observed),
         strategies=_chosen(observed),
     )
     # sorted and indented, since people read it when they look for why
@@ -541,9 +590,16 @@ def _scale(made: Plan, observed: Observed) -> None:
     driving = [p for p in observed.pods if objects.is_active(p, observed.gate) and objects.alive(p)]
     foreign = any(objects.labels(pod).get(names.SOURCE) != "workload" for pod in driving)
     standing_by = sum(wanted(observed, pool) for pool in standby_pools(observed))
-    replicas = 0 if foreign and not standing_by else 1
+    replicas = 0 if foreign and not standing_by and not _going_home(observed.workload) else 1
     if (live.get("spec") or {}).get("replicas", 1) != replicas:
         made.writes.append(Patch(REPLICA_SETS, live, {"spec": {"replicas": replicas}}, subresource="scale"))
+
+
+def _going_home(workload: Object) -> bool:
+    """Whether somebody asks for a failback, and its monitor hasn't come to an end of that: the pod for it is started beside."""
+    asked = objects.notes(workload).get(names.SWITCHOVER, "")
+    said = (workload.get("status") or {}).get("switchover") or {}
+    return asked.startswith("failback") and asked != said.get("handled")
 
 
 def _standbys(made: Plan, observed: Observed, pool: str, built: Object, fresh: Fresh) -> None:

@@ -46,7 +46,7 @@ async def recover(progress: Progress, choices: Sequence[Choice], means: Means) -
     Raises Superseded when another monitor commits to the gate.
     """
     if progress.result == "Recovered":
-        await _retire(progress, means)
+        await retire(progress, means)
         return progress
     for index in range(min(progress.index, len(choices)), len(choices)):
         progress.index = index
@@ -68,7 +68,7 @@ async def recover(progress: Progress, choices: Sequence[Choice], means: Means) -
         progress.result = "Failed"
     means.save(progress)
     if progress.result == "Recovered":
-        await _retire(progress, means)
+        await retire(progress, means)
     return progress
 
 
@@ -93,7 +93,7 @@ async def _in_its_time(progress: Progress, choice: Choice, means: Means, *, last
         await choice.strategy.wait(progress, means)
         try:
             async with asyncio.timeout(choice.verify_within):
-                await _unless_lost(_carry_out(progress, choice, means), progress, means, crashing_counts=not last)
+                await unless_lost(_carry_out(progress, choice, means), progress, means, crashing_counts=not last)
             return
         except Overtaken as reason:
             _logger.info("%s", reason)
@@ -104,7 +104,7 @@ async def _carry_out(progress: Progress, choice: Choice, means: Means) -> None:
     await _verify(target, progress, means)
 
 
-async def _unless_lost(
+async def unless_lost(
     work: Coroutine[None, None, None], progress: Progress, means: Means, *, crashing_counts: bool
 ) -> None:
     """Do the work, and give it up where the instance that it's about is lost: the next strategy then has its time.
@@ -165,12 +165,21 @@ async def _verify(target: Instance, progress: Progress, means: Means) -> None:
     first = await means.outputs.first_from(target, since=since)
     if first is not None:
         progress.note_first_output(first)
+    await alone(target, progress, means)
+
+
+async def alone(target: Instance, progress: Progress, means: Means) -> None:
+    """Wait until an instance that drives the robot is the only one: what still gets through of a failed pod ends with that pod.
+
+    Raises Superseded.
+    """
+    since = progress.moments.get("committing", progress.cursor)
     fenced = progress.moments.get("fenced", since)
     last, pod = means.outputs.last_from_others(target)
     if last > fenced + IN_FLIGHT:
         _logger.warning("outputs of %s still arrived %.0f ms after it was fenced", pod, (last - fenced) * 1000)
         progress.moments["fenced"] = last
-        await _retire(progress, means)
+        await retire(progress, means)
         while means.clock() - last < QUIET:
             await asyncio.sleep(QUIET / 4)
             last, pod = means.outputs.last_from_others(target)
@@ -180,7 +189,7 @@ async def _verify(target: Instance, progress: Progress, means: Means) -> None:
     progress.moments["verified"] = means.clock()
 
 
-async def _retire(progress: Progress, means: Means) -> None:
+async def retire(progress: Progress, means: Means) -> None:
     """Delete the pods that failed: a policy patch routes, it doesn't kill."""
     for instance in means.instances.of_workload():
         if progress.has_failed(instance.uid) and not instance.terminating:

@@ -48,6 +48,8 @@ class Instance:
     ready: bool = False
     held: bool = False
     terminating: bool = False
+    node: str = ""
+    """Where it runs."""
     has_agent: bool = True
     claim: str = ""
     template_hash: str = ""

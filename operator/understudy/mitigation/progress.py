@@ -16,6 +16,7 @@ from pydantic import Field, ValidationError
 from understudy.api.base import Model
 from understudy.api.kept import RestoreReport
 from understudy.api.states import RestoredState
+from understudy.api.switchovers import Kind
 from understudy.api.workloads import Attempt, Moments, Parts, Recovery
 from understudy.mitigation.waiting import Waiter
 
@@ -46,6 +47,12 @@ class Progress(Model):
     resumed: bool = False
     planned: bool = False
     """Whether nothing failed: an instance that is degraded is replaced at an idle moment."""
+    switchover: Kind | None = None
+    """What for, where it is a planned switchover: its understudy was ready before the gate was touched."""
+    request: str = ""
+    """The annotation that asked for that, if one did."""
+    former: PodIdentity | None = None
+    """The instance that a planned switchover takes the robot from. It goes on running until the next one was seen to drive."""
     result: Literal["Running", "Recovered", "Failed"] = "Running"
     strategy: str = ""
     cursor: float = 0.0
@@ -116,6 +123,12 @@ class Progress(Model):
         """Whether a pod is one of those that failed in this recovery."""
         return any(pod.uid == uid for pod in self.failed)
 
+    @property
+    def replaced(self) -> list[PodIdentity]:
+        """The pods that don't drive the robot any more where this has come to its end: those that failed, and the former one."""
+        handed = self.former is not None and self.result != "Failed" and not self.has_failed(self.former.uid)
+        return [*self.failed, self.former] if handed and self.former is not None else list(self.failed)
+
     def fail_target(self) -> None:
         """Count the present target among the failed pods."""
         if self.target is not None:
@@ -159,7 +172,7 @@ class Progress(Model):
             reason=self.reason,
             result=self.result,
             strategy=self.strategy,
-            from_pod=self.failed[0].name if self.failed else "",
+            from_pod=next((pod.name for pod in (self.former, *self.failed) if pod is not None), ""),
             to_pod=self.target.name if self.target else "",
             epoch=self.epoch,
             recovery_seconds=round(sum(self.parts.values()), 6) if self.result == "Recovered" else None,
@@ -168,6 +181,7 @@ class Progress(Model):
             attempts=self.attempts,
             resumed=self.resumed,
             planned=self.planned,
+            switchover=self.switchover,
             state=self.state,
         )
 

@@ -22,6 +22,7 @@ from understudy.mitigation.interfaces import (
     Instance,
     Instances,
     NotAvailable,
+    NotVerified,
     Outputs,
     Overtaken,
 )
@@ -42,6 +43,10 @@ a short time no more than a quarter."""
 
 PROBE_SECONDS = 2.0
 """How long probes are asked for around a commit."""
+
+
+Unfit = Callable[[Instance], str | None]
+"""Why an instance may not take over in a planned switchover, such as for the node that it runs on; None where it may."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +76,13 @@ class Strategy(ABC):
     @abstractmethod
     async def prepare(self, progress: Progress, means: Means, *, within: float) -> Instance:
         """Bring an understudy to where it can drive, and open the gate for it. Raises NotAvailable."""
+
+    async def make_ready(self, progress: Progress, means: Means, *, within: float, unfit: Unfit) -> Instance:
+        """Bring an understudy to where it can drive while another instance drives, and leave the gate alone.
+
+        One to which something is done is the progress's target before that. Raises NotAvailable, NotVerified.
+        """
+        raise NotAvailable(f"{self.name} can't prepare an understudy while another instance drives")
 
     async def wait(self, progress: Progress, means: Means) -> None:
         """Wait until what it needs is there, for as long as the policy says. Raises NotAvailable."""
@@ -133,11 +145,30 @@ class ExecutingFallback(Strategy):
                 return await self._behind_the_gate(candidates, progress, means, within)
             # The one that readers with exclusive ownership may be heeding already; else one of the pool's own first: the
             # workload's controller may be about to replace its pod.
-            admitted = means.gate.state.admitted_uid
-            target = min(candidates, key=lambda i: (i.uid != admitted, i.pool != self.pool, i.created, i.name))
-            await _open(target, progress, means)
-        await _wait_enforced(target, progress, means)
+            target = self._best(candidates, means)
+            await open_for(target, progress, means)
+        await wait_enforced(target, progress, means)
         return target
+
+    async def make_ready(self, progress: Progress, means: Means, *, within: float, unfit: Unfit) -> Instance:
+        target = self._fitting(progress, means, unfit)
+        if self._recovery is not None:
+            await _make_ready(target, progress, means, self._recovery, within=within)
+        return target
+
+    def _best(self, candidates: Collection[Instance], means: Means) -> Instance:
+        admitted = means.gate.state.admitted_uid
+        return min(candidates, key=lambda i: (i.uid != admitted, i.pool != self.pool, i.created, i.name))
+
+    def _fitting(self, progress: Progress, means: Means, unfit: Unfit) -> Instance:
+        """The best standby that may take over as planned. Raises NotAvailable."""
+        candidates = self._candidates(means, progress)
+        if not candidates:
+            raise NotAvailable(self.available(means, progress) or "no standby is ready")
+        reasons = [(i, unfit(i)) for i in candidates]
+        if fitting := [i for i, reason in reasons if reason is None]:
+            return self._best(fitting, means)
+        raise NotAvailable("; ".join(f"{i.name} {reason}" for i, reason in reasons))
 
     async def _behind_the_gate(
         self, candidates: list[Instance], progress: Progress, means: Means, within: float
@@ -162,12 +193,17 @@ class InitializedFallback(ExecutingFallback):
     async def prepare(self, progress: Progress, means: Means, *, within: float) -> Instance:
         target = _committed_target(progress, means)
         if target is not None:
-            await _wait_enforced(target, progress, means)
+            await wait_enforced(target, progress, means)
             return target
         candidates = [*self._begun(progress, means), *self._candidates(means, progress)]
         if not candidates:
             raise NotAvailable(self.available(means, progress) or "no standby is ready")
         return await self._behind_the_gate(candidates, progress, means, within)
+
+    async def make_ready(self, progress: Progress, means: Means, *, within: float, unfit: Unfit) -> Instance:
+        target = self._fitting(progress, means, unfit)
+        await _make_ready(target, progress, means, self._recovery, within=within)
+        return target
 
     def _begun(self, progress: Progress, means: Means) -> list[Instance]:
         """The standby that an interrupted run of this recovery was bringing up, which isn't one any more."""
@@ -268,7 +304,7 @@ class UninitializedFallback(Strategy):
     async def prepare(self, progress: Progress, means: Means, *, within: float) -> Instance:
         target = _committed_target(progress, means)
         if target is not None:
-            await _wait_enforced(target, progress, means)
+            await wait_enforced(target, progress, means)
             return target
         end = _now() + within
         target = await self._claimed_or_claim(progress, means)
@@ -285,6 +321,22 @@ class UninitializedFallback(Strategy):
             await _both(means.agents.start(target), means.gate.commit(None, progress))
         await _started(target, progress, means)
         await _bring_up(target, progress, means, self._recovery, end=end)
+        return target
+
+    async def make_ready(self, progress: Progress, means: Means, *, within: float, unfit: Unfit) -> Instance:
+        end = _now() + within
+        if (reason := self.available(means, progress)) is not None:
+            raise NotAvailable(reason)
+        reasons = [(i, unfit(i)) for i in self._free(progress, means)]
+        if reasons and all(reason is not None for _, reason in reasons):
+            raise NotAvailable("; ".join(f"{i.name} {reason}" for i, reason in reasons))
+        target = await self._claim(progress, means, unfit)
+        if target is None:
+            raise NotAvailable(f"every ready pod of pool {self.pool} was claimed by another workload first")
+        progress.target = PodIdentity(name=target.name, uid=target.uid)
+        progress.moments["claimed"] = means.clock()
+        await means.agents.start(target)
+        await _make_ready(target, progress, means, self._recovery, within=end - _now())
         return target
 
     def _claimed(self, progress: Progress, means: Means) -> Instance | None:
@@ -304,10 +356,12 @@ class UninitializedFallback(Strategy):
             raise Overtaken(f"every ready pod of pool {self.pool} was claimed by another workload first")
         return target
 
-    async def _claim(self, progress: Progress, means: Means) -> Instance | None:
+    async def _claim(self, progress: Progress, means: Means, unfit: Unfit = lambda instance: None) -> Instance | None:
         """One of the pods that it may take; None where others were first."""
         ahead = before(self._place(progress, means), means.queue.others(self.pool), means.clock())
         for candidate in left_by(ahead, self._free(progress, means)):
+            if unfit(candidate) is not None:
+                continue
             try:
                 return await means.instances.claim(candidate, _claim_of(progress, means))
             except ClaimLost:
@@ -329,7 +383,7 @@ class Restart(Strategy):
     async def prepare(self, progress: Progress, means: Means, *, within: float) -> Instance:
         target = _committed_target(progress, means)
         if target is not None:
-            await _wait_enforced(target, progress, means)
+            await wait_enforced(target, progress, means)
             return target
         end = _now() + within
         await _close(progress, means)
@@ -344,6 +398,26 @@ class Restart(Strategy):
         means.save(progress)
         await _started(target, progress, means)
         await _bring_up(target, progress, means, self._recovery, end=end)
+        return target
+
+    async def make_ready(self, progress: Progress, means: Means, *, within: float, unfit: Unfit) -> Instance:
+        """Only where a pool's pod drives: the workload's own controller then has one of its own run too."""
+        end, active = _now() + within, means.gate.state.active_uid
+        instances = means.instances.of_workload()
+        if any(i.from_source for i in instances if i.uid == active):
+            raise NotAvailable("its own controller runs one pod, which drives: another can't be started beside it")
+        own = [i for i in instances if i.from_source and i.usable and not progress.has_failed(i.uid)]
+        if reasons := [f"{i.name} {reason}" for i in own if (reason := unfit(i)) is not None]:
+            raise NotAvailable("; ".join(reasons))
+        if not own:
+            await means.instances.replace([])
+        target = await means.instances.wait(lambda i: i.from_source and i.usable and not progress.has_failed(i.uid))
+        progress.target = PodIdentity(name=target.name, uid=target.uid)
+        if (reason := unfit(target)) is not None:
+            raise NotVerified(f"{target.name} {reason}")
+        # What has run for a while was brought up already (monitor/bringing.py).
+        standing = bool(own) and means.agents.is_ready(target)[0]
+        await _make_ready(target, progress, means, None if standing else self._recovery, within=end - _now())
         return target
 
 
@@ -391,7 +465,8 @@ async def _close(progress: Progress, means: Means) -> None:
     progress.moments.setdefault("fenced", means.clock())
 
 
-async def _open(target: Instance, progress: Progress, means: Means) -> None:
+async def open_for(target: Instance, progress: Progress, means: Means) -> None:
+    """Name an instance in the gate, and no other: one write fences the one and routes the other."""
     progress.target = PodIdentity(name=target.name, uid=target.uid)
     progress.moments["committing"] = means.clock()
     await means.agents.probe(target, PROBE_SECONDS)
@@ -402,7 +477,7 @@ async def _open(target: Instance, progress: Progress, means: Means) -> None:
         for _ in range(2):
             await asyncio.sleep(0)
         for instance in means.instances.of_workload():
-            if progress.has_failed(instance.uid):
+            if any(pod.uid == instance.uid for pod in progress.replaced):
                 await means.agents.probe(instance, PROBE_SECONDS)
         means.save(progress)
         await committing
@@ -419,6 +494,21 @@ async def _started(target: Instance, progress: Progress, means: Means) -> None:
         progress.charge("startup", up)
 
 
+async def _make_ready(
+    target: Instance, progress: Progress, means: Means, recovery: BringUp | None, *, within: float
+) -> None:
+    """Bring an instance to where it can drive while another one does, with the state that is kept of that. Raises NotVerified."""
+    end = _now() + within
+    progress.target = PodIdentity(name=target.name, uid=target.uid)
+    await _started(target, progress, means)
+    await _prepare(target, progress, means, recovery, end=end)
+    if target.has_agent:
+        progress.moments["ready"] = await means.agents.ready(target)
+        return
+    await means.instances.wait(lambda i: i.uid == target.uid and i.ready)
+    progress.moments["ready"] = means.clock()
+
+
 async def _bring_up(
     target: Instance, progress: Progress, means: Means, recovery: BringUp | None, *, end: float
 ) -> None:
@@ -427,6 +517,22 @@ async def _bring_up(
     State, procedure and the wait for its outputs are the paper's t_re-initialization. ``end`` of the strategy's time is by
     the event loop's clock.
     """
+    await _prepare(target, progress, means, recovery, end=end)
+    if target.has_agent:
+        try:
+            # An application may need an answer of the robot before its outputs flow: half the time for the other order.
+            async with asyncio.timeout(max(MOMENT, (end - _now()) / 2)):
+                ready = await means.agents.ready(target)
+            progress.moments["ready"] = ready
+        except TimeoutError:
+            ready = means.clock()
+        progress.charge("reinitialization", ready)
+    await open_for(target, progress, means)
+    await wait_enforced(target, progress, means)
+
+
+async def _prepare(target: Instance, progress: Progress, means: Means, recovery: BringUp | None, *, end: float) -> None:
+    """Give an instance whose processes are up the state, and run the procedure that brings it to where it can drive."""
     if recovery is None or not recovery.restores_state or not target.has_agent:
         await restore(target, progress, means)
     if recovery is not None and target.has_agent:
@@ -437,17 +543,6 @@ async def _bring_up(
         if recovery.restores_state:
             progress.note_state(report)
             means.save(progress)
-    if target.has_agent:
-        try:
-            # An application may need an answer of the robot before its outputs flow: half the time for the other order.
-            async with asyncio.timeout(max(MOMENT, (end - _now()) / 2)):
-                ready = await means.agents.ready(target)
-            progress.moments["ready"] = ready
-        except TimeoutError:
-            ready = means.clock()
-        progress.charge("reinitialization", ready)
-    await _open(target, progress, means)
-    await _wait_enforced(target, progress, means)
 
 
 def _told(moments: dict[str, float], *steps: str) -> str:
@@ -482,7 +577,7 @@ def kept(progress: Progress, means: Means) -> KeptState:
     return means.kept(progress.moments.get("last_healthy", progress.cursor))
 
 
-async def _wait_enforced(target: Instance, progress: Progress, means: Means) -> None:
+async def wait_enforced(target: Instance, progress: Progress, means: Means) -> None:
     """Note when the gate was enforced: seen from probes, or, without an agent, taken from the commit."""
     since = progress.moments.get("committing", progress.cursor)
     routed = progress.moments.get("committed", means.clock())
@@ -497,7 +592,7 @@ async def _wait_enforced(target: Instance, progress: Progress, means: Means) -> 
     _logger.info("gate for %s: %s", target.name, _told(progress.moments, "committing", "committed", "routed"))
     # In one commit the failed pod is fenced where the understudy is routed; its last packet says if it was later.
     fenced = progress.moments.setdefault("fenced", routed)
-    for pod in progress.failed:
+    for pod in progress.replaced:
         last = means.gate.last_packet(pod.uid)
         if last is not None and last > fenced:
             progress.moments["fenced"] = last

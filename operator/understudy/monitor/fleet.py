@@ -46,6 +46,7 @@ def instance_of(pod: Object) -> Instance:
         ready=conditions.get("Ready") == "True",
         held=labels.get(names.HELD) == "true",
         terminating=terminating,
+        node=pod["spec"].get("nodeName") or "",
         has_agent=any(c["name"] == names.AGENT_CONTAINER for c in pod["spec"]["containers"]),
         claim=(metadata.get("annotations") or {}).get(names.CLAIM, ""),
         template_hash=labels.get(names.TEMPLATE_HASH, ""),

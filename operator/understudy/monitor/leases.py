@@ -172,7 +172,7 @@ class Leases:
         state, recovering = self._gate.state, self.recovering()
         for progress in (state.recovery, recovering):
             if progress is not None:
-                self._replaced |= {pod.uid for pod in progress.failed}
+                self._replaced |= {pod.uid for pod in progress.replaced}
         instances = {i.uid: i for i in self._fleet.of_workload() if i.has_agent and not i.held}
         self._sent = {uid: sent for uid, sent in self._sent.items() if uid in instances}
         for uid, instance in instances.items():

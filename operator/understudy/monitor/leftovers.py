@@ -47,7 +47,11 @@ class Leftovers:
         """Note the pods that failed in the recovery which the gate tells of: the next one may begin at once."""
         recovery = self._gate.state.recovery
         if recovery is not None:
-            self._failed |= {pod.uid: pod for pod in recovery.failed}
+            self._failed |= {pod.uid: pod for pod in recovery.replaced}
+
+    def add(self, pod: PodIdentity) -> None:
+        """A pod that was begun with and isn't needed."""
+        self._failed[pod.uid] = pod
 
     def failed(self) -> list[PodIdentity]:
         """Pods that failed in earlier recoveries and are there still: the next one deletes them too, whoever finishes it."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from datetime import datetime
 from typing import get_args
 
 from prometheus_client import Counter, Gauge, Histogram
@@ -52,6 +53,13 @@ _CLAIMS = Histogram(
 )
 _GATES = Histogram(
     "understudy_gate_commit_seconds", "How long the API server took for a change of the gate.", buckets=_WRITES
+)
+_SWITCHOVERS = Counter("understudy_switchovers", "Planned switchovers of this workload.", ["kind", "result"])
+_SWITCHOVER_GAP = Histogram(
+    "understudy_switchover_gap_seconds",
+    "From the last output of the former instance to the first of the next one, in planned switchovers.",
+    ["kind"],
+    buckets=(0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5),
 )
 _DEGRADATIONS = Counter("understudy_degradations", "How often this workload became degraded.")
 _BUDGET = Gauge("understudy_budget_left", "Recoveries that limits.budget has left, by its window.", ["within"])
@@ -132,7 +140,10 @@ def committed(seconds: float) -> None:
 
 
 def recovered(recovery: Recovery) -> None:
-    """Count a finished recovery and its parts."""
+    """Count a finished recovery and its parts. A planned switchover isn't one."""
+    if recovery.switchover is not None:
+        _switched(recovery, recovery.switchover)
+        return
     strategy = recovery.strategy or "none"
     _RECOVERIES.labels(strategy=strategy, result=recovery.result).inc()
     if recovery.recovery_seconds is not None and recovery.result == "Recovered":
@@ -140,3 +151,11 @@ def recovered(recovery: Recovery) -> None:
     if recovery.parts is not None and recovery.result == "Recovered":
         for part, seconds in recovery.parts.model_dump().items():
             _PARTS.labels(strategy=strategy, part=part).observe(seconds)
+
+
+def _switched(recovery: Recovery, kind: str) -> None:
+    _SWITCHOVERS.labels(kind=kind, result=recovery.result).inc()
+    last, first = recovery.moments.last_output, recovery.moments.first_output
+    if recovery.result == "Recovered" and last is not None and first is not None:
+        gap = (datetime.fromisoformat(first) - datetime.fromisoformat(last)).total_seconds()
+        _SWITCHOVER_GAP.labels(kind=kind).observe(max(0.0, gap))

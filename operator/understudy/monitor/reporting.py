@@ -14,6 +14,7 @@ import aiohttp
 from understudy.api.base import API_VERSION
 from understudy.api.conditions import Condition, condition, merged
 from understudy.api.states import KeptStatus
+from understudy.api.switchovers import SwitchoverStatus
 from understudy.api.tasks import TaskStatus
 from understudy.api.workloads import GateStatus, Health, Recovery, RobotWorkloadStatus
 from understudy.cluster.client import WORKLOADS, ApiError, Client, Object
@@ -62,6 +63,8 @@ class Reporter:
         self._count = 0
         self._last_time: str | None = None
         self._spent: list[str] = []
+        self.switchover: SwitchoverStatus | None = None
+        """What was said last of planned switchovers."""
         self.adopted = ""
         """The pod that was in control when this monitor began, by what an earlier one had said."""
         self.active = ""
@@ -78,6 +81,7 @@ class Reporter:
         self._count = status.recovery_count or 0
         self._last_time = status.last_recovery_time
         self._spent = list(status.spent or [])
+        self.switchover = status.switchover
         self.adopted = status.active or ""
         ours = {
             "Healthy",
@@ -191,6 +195,12 @@ class Reporter:
         self._applied, self._answer = "", None
         self._changed.set()
 
+    def say_switchover(self, status: SwitchoverStatus) -> None:
+        """Say how a planned switchover is doing."""
+        if self.switchover != status:
+            self.switchover = status
+            self._changed.set()
+
     def withdraw(self, type_: str) -> None:
         """Say a condition no longer: what it is about isn't there any more."""
         if self._conditions.pop(type_, None) is not None:
@@ -257,6 +267,7 @@ class Reporter:
             recovery_count=self._count,
             last_recovery_time=self._last_time,
             spent=self._spent or None,
+            switchover=self.switchover,
             recoveries=self._recoveries,
             kept=in_short([entry.name for entry in self._kept if entry.taken_at is not None]) or None,
             state=self._kept or None,
@@ -331,6 +342,19 @@ def describe(recovery: Recovery) -> str:
         text = f"{text}, after limits.budget had held it since {recovery.moments.held[11:19]} UTC"
     failed = in_vain(recovery)
     return f"{text}. Before that: {'; '.join(failed)}" if failed else text
+
+
+def switched(recovery: Recovery) -> str:
+    """A planned switchover in one line, for Events and logs."""
+    last, first = recovery.moments.last_output, recovery.moments.first_output
+    if recovery.result != "Recovered":
+        tried = "; ".join(a.message for a in recovery.attempts if a.message)
+        return f"{recovery.reason}. {recovery.from_pod} was let through again: {tried}"
+    text = f"{recovery.reason}. {recovery.to_pod} took over from {recovery.from_pod} by {recovery.strategy}, epoch {recovery.epoch}"
+    if last is None or first is None:
+        return text
+    gap = (datetime.fromisoformat(first) - datetime.fromisoformat(last)).total_seconds()
+    return f"{text}. The robot got no command for {max(0.0, gap):.3f} s"
 
 
 def _waited(recovery: Recovery) -> float | None:

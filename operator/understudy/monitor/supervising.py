@@ -22,13 +22,14 @@ from understudy.api.settings import WorkloadSettings
 from understudy.api.workloads import GateStatus
 from understudy.cluster.client import ApiError
 from understudy.cluster.probes import ProbeReceiver
-from understudy.mitigation import reflex
+from understudy.mitigation import reflex, switchover
 from understudy.mitigation.escalation import Escalation
 from understudy.mitigation.failover import Choice, recover
 from understudy.mitigation.interfaces import Instance, Superseded
 from understudy.mitigation.journal import Journal
 from understudy.mitigation.progress import PodIdentity, Progress
 from understudy.mitigation.strategies import Means
+from understudy.mitigation.switchover import Prepared
 from understudy.monitor import enforcement, metrics
 from understudy.monitor.bringing import Bringing, expected, managed
 from understudy.monitor.budgeting import Spending
@@ -42,10 +43,11 @@ from understudy.monitor.levels import Levels
 from understudy.monitor.looking import TICK, WAKE_LATE, Looks
 from understudy.monitor.pausing import Pauses
 from understudy.monitor.reflexes import Reflexes
-from understudy.monitor.reporting import Reporter, describe, in_vain
+from understudy.monitor.reporting import Reporter, describe, in_vain, switched
 from understudy.monitor.safety import SafeCommands, Unattended
 from understudy.monitor.sidecars import Sidecars
 from understudy.monitor.sight import Sight
+from understudy.monitor.switching import Switching
 from understudy.monitor.view import View
 from understudy.monitor.waiting import Line
 from understudy.trees.debounce import Debounce
@@ -83,6 +85,8 @@ class Failure:
     """The standby that the robot follows already, if one does."""
     planned: bool = False
     """Whether nothing failed, and an instance that is degraded is handed over."""
+    switch: Prepared | None = None
+    """Where nothing failed either: the understudy that can drive instead, as is planned; or what was begun and isn't settled yet."""
 
 
 @dataclass
@@ -138,6 +142,7 @@ class Supervisor:
         self._line = Line(parts.view, parts.reporter)
         self._bringing = Bringing(parts.fleet, parts.sidecars, parts.reporter)
         self._leftovers = Leftovers(parts.fleet, parts.gate, parts.reporter)
+        self._switching = Switching(parts.view, parts.fleet, parts.gate, parts.reporter, self._leftovers)
         parts.sidecars.role = self._role
         self._reflexes = Reflexes(
             parts.view, parts.fleet, parts.gate, parts.sidecars, parts.sight, parts.probes, parts.reporter
@@ -149,12 +154,19 @@ class Supervisor:
         if interrupted is not None:
             _logger.warning("finishing recovery %s, begun before this monitor started", interrupted.id)
             await self._sidecars.settle(self._fleet.of_workload(), SETTLE)
-            if await self._allowed(interrupted):
-                await self._carry_out(interrupted)
+            if interrupted.switchover is None:
+                if await self._allowed(interrupted):
+                    await self._carry_out(interrupted)
+            elif interrupted.result != "Running" or switchover.committed(interrupted, self._means()):
+                await self._hand_over(Prepared(interrupted))
         elif (done := self._concluded()) is not None:
             self._escalation.note(done)
         while True:
             failure = await self._watch()
+            if failure.switch is not None:
+                await self._hand_over(failure.switch)
+                continue
+            begun = self._switching.failed(failure.reason)
             active = self._fleet.find(self._gate.state.active_uid)
             state = self._gate.state
             failed = [PodIdentity(name=state.active, uid=state.active_uid)] if not state.closed else []
@@ -175,6 +187,7 @@ class Supervisor:
                 failed=[*failed, *self._leftovers.failed()],
                 planned=failure.planned,
             )
+            progress.target = begun
             if (first := self._first(failure, state.active_uid)) is not None:
                 progress.index = first
                 if await self._allowed(progress):
@@ -280,6 +293,8 @@ class Supervisor:
                 self._backoff = BACKOFF_FIRST
                 if self._reporter.reason("Recovering") not in ("", "Recovered", "HealthyAgain"):
                     self._reporter.condition("Recovering", "False", "HealthyAgain", f"{active.name} is healthy again.")
+            if (switch := self._switch_due(policy, verdict, now)) is not None:
+                return switch, None
             if verdict.state == "Healthy" and degraded and (planned := self._planned(policy, active, now)) is not None:
                 return planned, None
             return None, self._sight.deadline(now=now, since=self._since)
@@ -311,6 +326,23 @@ class Supervisor:
             self._levels.wait("means", f"the first strategy can't be carried out ({lacking})")
             return None
         return Failure(reason, self._onset(active.name, now), time.time(), planned=True)
+
+    def _switch_due(self, policy: FailurePolicySpec, verdict: Verdict, now: float) -> Failure | None:
+        """The planned switchover that can be carried out now, if there is one."""
+        if (unsettled := self._switching.unsettled()) is not None:
+            return Failure(unsettled.reason, now, now, switch=Prepared(unsettled))
+        settings = self._view.settings
+        if settings is None:
+            return None
+        lacking = ""
+        if (pause := self._pauses.on) is not None:
+            lacking = f"it is {pause.words}"
+        elif verdict.state != "Healthy":
+            lacking = f"{self._gate.state.active} isn't healthy yet ({verdict.reason or 'it has just begun to drive'})"
+        elif now < self._not_before:
+            lacking = "the policy's limits ask for a pause after the last recovery"
+        found = self._switching.look(lacking, lambda: choices(policy, settings, self._view.spec), self._means)
+        return Failure(found.progress.reason, now, now, switch=found) if found is not None else None
 
     def _lost(self, active: Instance | None, now: float) -> tuple[Failure | None, float | None] | None:
         """Whether the pod in control is lost, which needs no health tree: a failure, or when to look again.
@@ -441,6 +473,7 @@ class Supervisor:
         self._say_watched()
         self._spending.say(time.time())
         paused = self._pauses.on is not None
+        instances = [i for i in instances if i.uid != self._switching.preparing]
         if (spec := self._view.spec) is not None and not paused:
             active = self._gate.state.active_uid
             self._bringing.housekeeping(
@@ -547,6 +580,8 @@ class Supervisor:
         left, last = self._gate.state.recovery, self._reporter.last
         if left is None or last is None or (last.id, last.result) != (left.id, "Recovered"):
             return None
+        if left.switchover is not None:
+            return None  # nothing had failed
         done = left.model_copy(update={"result": "Recovered"}, deep=True)
         if last.moments.verified is not None:
             done.moments["verified"] = datetime.fromisoformat(last.moments.verified).timestamp()
@@ -672,6 +707,42 @@ class Supervisor:
             self._reporter.event("Warning", "RecoveryFailed", text)
             self._after(self._backoff)
             self._backoff = BACKOFF_FIRST if urgent else min(2 * self._backoff, BACKOFF_MOST)
+
+    async def _hand_over(self, prepared: Prepared) -> None:
+        """Switch to an understudy that can drive, as is planned; or see what came of a switch that was begun before."""
+        progress, means, before = prepared.progress, self._means(), self._not_before
+        self._switching.switching(progress)
+        _logger.warning("switchover (%s): %s", progress.switchover, progress.reason)
+        self.recovering = progress
+        try:
+            async with self._keeping.recovering():
+                if progress.former is None:
+                    await switchover.switch(prepared, means)
+                else:
+                    await switchover.settle(progress, means)
+        except (Superseded, ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
+            if progress.result == "Running":
+                reason = str(error) or f"the API server didn't answer within {switchover.COMMIT_WITHIN:g} s"
+                _logger.warning("switchover %s given up: %s", progress.id, reason)
+                self._switching.given_up(progress, reason)
+                return
+            _logger.warning("the former pod is not deleted yet: %r", error)
+        finally:
+            self.recovering = None
+        self._parts.crash_points.step("before record")
+        recovery, state = self._reporter.record(progress), self._gate.state
+        text, done = switched(recovery), progress.result == "Recovered"
+        _logger.warning("switchover %d: %s", recovery.number, text)
+        self._leftovers.remember()
+        self._unattended.driven()
+        self._reporter.set(active=state.active, gate=GateStatus(epoch=state.epoch, active=state.active))
+        self._keeping.tell(recovery)
+        self._reporter.event("Normal" if done else "Warning", "SwitchedOver" if done else "SwitchoverNotDone", text)
+        self._switching.done(progress, f"{text}.")
+        self._after(0.0)
+        self._not_before = before
+        # Its samples count from the commit, so that an understudy that fails at once is noticed in the usual time.
+        self._since = progress.moments.get("committing", self._since) if done else self._since
 
     def _first(self, failure: Failure, failed_uid: str) -> int | None:
         """The strategy to begin with. None where every one's instance failed at once: they are tried again after a pause."""

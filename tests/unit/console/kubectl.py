@@ -42,6 +42,19 @@ if "patch" in given:
             print(json.dumps(told["items"][number]))
             sys.exit(0)
     sys.exit(f'Error from server (NotFound): {{plural}} "{{name}}" not found')
+if "annotate" in given:
+    kind, name = given[given.index("annotate") + 1 :][:2]
+    note, _, value = next(a for a in given if "=" in a and not a.startswith("-")).partition("=")
+    for item in told["items"]:
+        if item["metadata"]["name"] == name:
+            item["metadata"].setdefault("annotations", {{}})[note] = value
+    told["asked"] = value
+    json.dump(told, open(path, "w"))
+    sys.exit(0)
+if told["then"] and told["asked"]:
+    fields = json.loads(json.dumps(told["then"].pop(0)).replace("ASKED", told["asked"]))
+    told["items"][0]["status"] |= fields
+    json.dump(told, open(path, "w"))
 rest = given[given.index("get") + 1 :]
 kinds = {{kind.partition(".")[0] for kind in rest[0].split(",")}}
 names = []
@@ -71,10 +84,21 @@ class Stand:
         program.write_text(SCRIPT.format(told=str(self._told), asked=str(self._asked)))
         program.chmod(0o755)
 
-    def tell(self, items: Sequence[dict[str, Any]], *, error: str = "", watch: bool = True) -> None:
-        """Answer with these objects from now on, or fail like this; and let them be watched, or not."""
+    def tell(
+        self,
+        items: Sequence[dict[str, Any]],
+        *,
+        error: str = "",
+        watch: bool = True,
+        then: Sequence[dict[str, Any]] = (),
+    ) -> None:
+        """Answer with these objects from now on, or fail like this; and let them be watched, or not.
+
+        ``then`` are fields of the first one's status, which follow each other once an annotation was written, with ASKED for that.
+        """
         fresh = self.folder / "fresh.json"
-        fresh.write_text(json.dumps({"items": list(items), "error": error, "watch": watch}))
+        told = {"items": list(items), "error": error, "watch": watch, "then": list(then), "asked": ""}
+        fresh.write_text(json.dumps(told))
         fresh.replace(self._told)
 
     def item(self, name: str) -> dict[str, Any]:

@@ -227,6 +227,9 @@ class World:
         self.held_policies: dict[str, Object] = {}
         self.rivals: list[str] = []
         self.resized: Object | None = None
+        self.cordoned: frozenset[str] = frozenset()
+        self.budgets: list[Object] = []
+        self.now = NOW
         self.names = Names()
         self.own(service(item))
 
@@ -241,7 +244,7 @@ class World:
             kinds[item["kind"]][objects.name(item)] = item
         return workloads.Observed(
             workload=self.workload,
-            now=NOW,
+            now=self.now,
             policies=kinds["FailurePolicy"],
             pools=kinds["FallbackPool"],
             held_policies=self.held_policies,
@@ -254,6 +257,8 @@ class World:
             rivals=self.rivals,
             expected=self.expected,
             resized=self.resized,
+            cordoned=self.cordoned,
+            budgets=self.budgets,
         )
 
     def understood(self) -> workloads.Understanding:

@@ -48,6 +48,10 @@ class Store:
     others_claim: set[str] = field(default_factory=set)
     counter: itertools.count[int] = field(default_factory=lambda: itertools.count(1))
     source_makes_broken: bool = False
+    beside: bool = False
+    """Whether understudies are prepared while another instance drives, as in a planned switchover."""
+    away: bool = False
+    """Whether the API server doesn't answer."""
     kept: KeptState = field(default_factory=KeptState)
     """What was kept of the instance that failed."""
     given: dict[str, KeptState] = field(default_factory=dict)
@@ -124,6 +128,8 @@ class _Gate(_Part):
 
     async def commit(self, target: Instance | None, progress: Progress | None) -> GateState:
         self.world.effect()
+        while self.store.away:
+            await asyncio.sleep(PERIOD)
         if self.store.gate.epoch != self._seen.epoch:
             raise Superseded("another monitor was first")
         self.store.gate = GateState(
@@ -218,6 +224,10 @@ class _Queue(_Part):
 
 
 class _Agents(_Part):
+    def _assert_behind_the_gate(self, instance: Instance, what: str) -> None:
+        open_for_another = self.store.beside and self.store.gate.active != instance.name
+        assert self.store.gate.closed or open_for_another, f"{what} while the gate was open"
+
     async def give_way(self, instance: Instance) -> None:
         self.store.gave_way.append(instance.name)
 
@@ -226,7 +236,7 @@ class _Agents(_Part):
 
     async def start(self, instance: Instance) -> None:
         self.world.effect()
-        assert self.store.gate.closed, "a process was started while the gate was open"
+        self._assert_behind_the_gate(instance, "a process was started")
         self.store.started.add(instance.name)
         self.world.effect()
 
@@ -242,7 +252,7 @@ class _Agents(_Part):
 
     async def restore(self, instance: Instance, state: KeptState, within: float) -> RestoreReport:
         self.world.effect()
-        assert self.store.gate.closed, "state was given while the gate was open"
+        self._assert_behind_the_gate(instance, "state was given")
         self.store.given[instance.name] = state
         self.world.effect()
         if self.store.refusal:
@@ -254,7 +264,7 @@ class _Agents(_Part):
         self, instance: Instance, procedure: BringUp, *, within: float, state: KeptState
     ) -> RestoreReport:
         self.world.effect()
-        assert self.store.gate.closed, "an instance was brought up while the gate was open"
+        self._assert_behind_the_gate(instance, "an instance was brought up")
         self.store.brought_up.append((instance.name, procedure.name))
         await asyncio.sleep(PERIOD)
         if instance.name in self.store.endless:
@@ -284,4 +294,6 @@ class _Outputs(_Part):
         return self.world.clock()
 
     def last_from_others(self, instance: Instance) -> tuple[float, str]:
+        if self.store.beside and (former := self.store.gate.recovery and self.store.gate.recovery.former):
+            return self.world.clock() - 10.0, former.name
         return 0.0, ""

@@ -1,0 +1,243 @@
+"""Nodes that are drained: whose evictions wait, for how long, and what the monitor is told."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+
+from tests.unit.controller.world import (
+    NAMESPACE,
+    NOW,
+    World,
+    applied,
+    claimed_pod,
+    deleted,
+    gate,
+    hot,
+    patched,
+    pod,
+    policy,
+    source_pod,
+    spare,
+    workload,
+)
+from understudy.api import names
+from understudy.api.switchovers import Drain, request
+from understudy.cluster.client import DISRUPTION_BUDGETS, NODES, PODS, WORKLOADS, Object
+from understudy.controller import affected, draining, objects, statuses
+from understudy.controller.affected import Key
+from understudy.controller.stores import Store
+
+BUDGETS = "poddisruptionbudgets"
+
+
+def on(node: str, item: Object) -> Object:
+    return {**item, "spec": {"nodeName": node}}
+
+
+def world(*strategies: str, **spec: Any) -> World:
+    """A workload of which w-1, on node-1, is in control."""
+    item = workload(**spec)
+    active = on("node-1", source_pod("w-1"))
+    made = World(item, policy(*strategies or ("hot", "Restart")), hot(), spare(), pods=[active])
+    made.own(gate(item, active=active, epoch=1))
+    return made
+
+
+def told(made: World) -> Drain | None:
+    """What the monitor is told."""
+    text = applied(made.plan(), "configmaps")["w-settings"]["data"]["settings.json"]
+    found = json.loads(text).get("drain")
+    return Drain.model_validate(found) if found else None
+
+
+def condition(made: World) -> Object | None:
+    return next((c for c in made.status()["conditions"] if c["type"] == "Draining"), None)
+
+
+def budget(name: str, **labels: str) -> Object:
+    return {
+        "apiVersion": "policy/v1",
+        "kind": "PodDisruptionBudget",
+        "metadata": {
+            "name": name,
+            "namespace": NAMESPACE,
+            "uid": f"uid-{name}",
+            "generation": 1,
+            "resourceVersion": "5",
+        },
+        "spec": {"maxUnavailable": 1, "selector": {"matchLabels": labels}},
+    }
+
+
+def test_evictions_of_the_instance_in_control_wait_and_of_no_other() -> None:
+    made = world()
+    (found,) = applied(made.plan(), BUDGETS).values()
+    assert objects.name(found) == "w-in-control"
+    assert found["spec"] == {
+        "minAvailable": 1,
+        "unhealthyPodEvictionPolicy": "AlwaysAllow",
+        "selector": {"matchLabels": {names.WORKLOAD: "w", names.INSTANCE: "w-1"}},
+    }
+    assert (told(made), condition(made)) == (None, None), "no node is drained"
+
+
+def test_the_budget_follows_control() -> None:
+    made = world()
+    made.build()
+    standby = on("node-2", claimed_pod("s-1", of=spare(), by=made.workload))
+    made.pods.append(standby)
+    made.own(gate(made.workload, active=standby, epoch=2))
+    assert applied(made.plan(), BUDGETS)["w-in-control"]["spec"]["selector"]["matchLabels"][names.INSTANCE] == "s-1"
+
+
+def test_in_the_midst_of_a_recovery_it_stays_as_it_is() -> None:
+    made = world()
+    made.build()
+    made.own(gate(made.workload, epoch=2))
+    plan = made.plan()
+    assert (applied(plan, BUDGETS), deleted(plan)) == ({}, [])
+
+
+def test_the_monitor_is_told_of_the_node_and_of_all_that_are_no_better() -> None:
+    made = world()
+    made.cordoned = frozenset({"node-1", "node-3"})
+    assert told(made) == Drain(uid="uid-w-1", node="node-1", since=NOW, cordoned=["node-1", "node-3"])
+    found = condition(made)
+    assert found is not None
+    assert (found["status"], found["reason"]) == ("True", "Held")
+    assert found["message"] == (
+        "Node node-1, from which w-1 drives the robot, is to be emptied (it is cordoned). Evictions of it wait for an understudy on "
+        "another node to take over, until 22:18:20 UTC at the latest."
+    )
+
+
+def test_another_node_is_none_of_its_business() -> None:
+    made = world()
+    made.cordoned = frozenset({"node-2"})
+    assert (told(made), condition(made)) == (None, None)
+
+
+def test_evictions_do_not_wait_for_ever() -> None:
+    made = world()
+    made.cordoned = frozenset({"node-1"})
+    plan = made.build()
+    assert plan.again_after == 300.0, "5m, as it is by default"
+    made.now = NOW + 200
+    assert (told(made) or Drain(uid="", node="", since=0, cordoned=[])).since == NOW, (
+        "an operator that is new knows it too"
+    )
+    assert made.plan().again_after == 100.0
+    made.now = NOW + 301
+    assert deleted(made.plan()) == ["w-in-control"]
+    found = condition(made)
+    assert found is not None
+    assert (found["status"], found["reason"]) == ("False", "HoldEnded")
+    assert "no understudy on another node took over within 5m" in found["message"]
+    assert told(made) is not None, "the monitor goes on trying until the pod goes"
+
+
+def test_how_long_they_wait_is_for_the_user_to_say() -> None:
+    made = world(draining={"holdFor": "20s"})
+    made.cordoned = frozenset({"node-1"})
+    assert made.build().again_after == 20.0
+    made = world(draining={"holdFor": "0s"})
+    made.cordoned = frozenset({"node-1"})
+    assert applied(made.plan(), BUDGETS) == {}
+    assert (condition(made) or {})["reason"] == "NotAskedFor"
+
+
+def test_where_nothing_could_take_over_nobody_is_kept_waiting() -> None:
+    made = world("Restart")
+    assert applied(made.plan(), BUDGETS) == {}
+    made.cordoned = frozenset({"node-1"})
+    found = condition(made)
+    assert found is not None
+    assert (found["status"], found["reason"]) == ("False", "NoFallback")
+    assert told(made) is not None
+
+
+def test_a_budget_of_somebody_else_decides_alone() -> None:
+    made = world()
+    made.build()
+    made.budgets = [budget("others", app="another")]
+    assert "w-in-control" in applied(made.plan(), BUDGETS)
+    made.budgets = [budget("theirs", **{names.COMPONENT: "instance"})]
+    assert deleted(made.plan()) == ["w-in-control"], "with two of them Kubernetes refuses every eviction, for good"
+    made.cordoned = frozenset({"node-1"})
+    assert "PodDisruptionBudget theirs, which isn't of Understudy" in (condition(made) or {})["message"]
+
+
+def test_a_drain_is_told_by_events() -> None:
+    made = world()
+    made.cordoned = frozenset({"node-1"})
+    made.workload["status"] = {"conditions": []}
+    found = [c for c in statuses.transitions(made.workload, made.status()) if c["type"] == "Draining"]
+    assert [c["reason"] for c in found] == ["Held"]
+
+
+@pytest.mark.parametrize(
+    ("spec", "is_cordoned"),
+    [
+        ({}, False),
+        ({"unschedulable": True}, True),
+        ({"taints": [{"key": "node.kubernetes.io/not-ready", "effect": "NoExecute"}]}, False),
+        ({"taints": [{"key": "ToBeDeletedByClusterAutoscaler", "effect": "NoSchedule"}]}, True),
+        ({"taints": [{"key": "karpenter.sh/disrupted", "effect": "NoSchedule"}]}, True),
+    ],
+)
+def test_what_counts_as_to_be_emptied(spec: Object, is_cordoned: bool) -> None:
+    assert draining.is_cordoned({"spec": spec}) == is_cordoned
+
+
+def node(version: int, **spec: Any) -> Object:
+    metadata = {"name": "node-1", "uid": "uid-node-1", "resourceVersion": str(version), "labels": {"a": "b"}}
+    return {"apiVersion": "v1", "kind": "Node", "metadata": metadata, "spec": spec, "status": {"images": ["many"]}}
+
+
+def test_of_a_node_only_that_is_kept_and_only_a_change_of_that_means_something() -> None:
+    store, seen = Store(), []
+    store.put(WORKLOADS, workload())
+    store.put(PODS, on("node-1", source_pod("w-1")))
+    store.put(PODS, on("node-2", source_pod("v-1", of="v")))
+    store.put(PODS, on("node-1", pod("stranger")))
+    store.noticed = lambda sight: seen.append(affected.keys(sight, store))
+    store.put(NODES, node(1, podCIDR="10.0.0.0/24"))
+    store.put(NODES, node(2))
+    store.put(NODES, node(3, unschedulable=True))
+    store.put(NODES, node(4, unschedulable=True))
+    store.put(NODES, node(5))
+    affected_ones = {Key(WORKLOADS.plural, NAMESPACE, "w")}
+    assert seen == [set(), set(), affected_ones, set(), affected_ones]
+    found = store.get(NODES, "", "node-1")
+    assert found is not None
+    assert "status" not in found
+    assert "labels" not in found["metadata"]
+
+
+def test_a_budget_of_somebody_else_means_something_to_every_workload_of_its_namespace() -> None:
+    store, seen = Store(), []
+    store.put(WORKLOADS, workload())
+    store.noticed = lambda sight: seen.append(affected.keys(sight, store))
+    theirs = budget("theirs")
+    store.put(DISRUPTION_BUDGETS, theirs)
+    theirs = {**theirs, "metadata": {**theirs["metadata"], "resourceVersion": "6"}, "status": {"currentHealthy": 1}}
+    store.put(DISRUPTION_BUDGETS, theirs)
+    assert seen == [{Key(WORKLOADS.plural, NAMESPACE, "w")}, set()], "what its controller counts means nothing"
+
+
+def test_for_a_failback_the_workloads_own_controller_runs_a_pod_beside_the_one_that_drives() -> None:
+    made = world("spare", "Restart")
+    made.others = [item for item in made.others if objects.name(item) != "hot"]
+    driving = on("node-2", claimed_pod("s-1", of=spare(), by=made.workload))
+    made.build()
+    made.pods = [driving]
+    made.own(gate(made.workload, active=driving, epoch=2))
+    assert patched(made.plan(), "replicasets")["w"] == {"spec": {"replicas": 0}}
+    asked = request("failback", NOW)
+    made.workload["metadata"]["annotations"] = {names.SWITCHOVER: asked}
+    assert "w" not in patched(made.plan(), "replicasets")
+    made.workload["status"] = {"switchover": {"handled": asked}}
+    assert patched(made.plan(), "replicasets")["w"] == {"spec": {"replicas": 0}}, "it came to nothing"

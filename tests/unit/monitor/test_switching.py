@@ -1,0 +1,310 @@
+"""Planned switchovers: who asks for one, how often it is carried out, and what is said of it."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from tests.unit.mitigation.world import Store, World
+from understudy.api import names
+from understudy.api.switchovers import Drain, SwitchoverStatus, request
+from understudy.api.workloads import Moments, Recovery
+from understudy.mitigation import switchover
+from understudy.mitigation.bringing import BringUp
+from understudy.mitigation.failover import Choice
+from understudy.mitigation.interfaces import GateState, Instance
+from understudy.mitigation.progress import PodIdentity, Progress
+from understudy.mitigation.strategies import ExecutingFallback, InitializedFallback, Strategy
+from understudy.mitigation.switchover import Prepared
+from understudy.monitor import switching
+from understudy.monitor.switching import Switching
+
+BRING_UP = BringUp("bringUp", {}, 0.2, "digest", False)
+
+
+@dataclass
+class Told:
+    """What a monitor says; it outlives that monitor, as the status does."""
+
+    switchover: SwitchoverStatus | None = None
+    events: list[tuple[str, str]] = field(default_factory=list)
+    last: Recovery | None = None
+    recorded: set[str] = field(default_factory=set)
+
+    def say_switchover(self, status: SwitchoverStatus) -> None:
+        self.switchover = status
+
+    def event(self, kind: str, reason: str, message: str) -> None:
+        self.events.append((reason, message))
+
+    @property
+    def phase(self) -> str:
+        return self.switchover.phase if self.switchover is not None else ""
+
+    @property
+    def message(self) -> str:
+        return self.switchover.message if self.switchover is not None else ""
+
+
+class Scene:
+    """A monitor's switchovers in a world that w-1 drives, with w-2 as its standby."""
+
+    def __init__(self, *strategies: Strategy, told: Told | None = None, **standby: Any) -> None:
+        self.store = Store(beside=True)
+        self.store.add("w-1", node="node-1")
+        self.store.add("w-2", **{"pool": "hot", "node": "node-2"} | standby)
+        self.store.gate = GateState(epoch=1, active="w-1", active_uid="uid-w-1")
+        self.world = World(self.store)
+        self.told = told or Told()
+        self.view = SimpleNamespace(object={"metadata": {}}, settings=SimpleNamespace(drain=None), spec=None)
+        self.left: list[str] = []
+        self.strategies = strategies or (ExecutingFallback("hot"),)
+        self.switching = Switching(
+            cast(Any, self.view),
+            cast(Any, SimpleNamespace(find=self._find)),
+            cast(Any, self),
+            cast(Any, self.told),
+            cast(Any, SimpleNamespace(add=lambda pod: self.left.append(pod.name))),
+        )
+
+    @property
+    def state(self) -> GateState:
+        return self.store.gate
+
+    def _find(self, uid: str) -> Instance | None:
+        return next((i for i in self.store.pods.values() if i.uid == uid), None)
+
+    def ask(self, text: str | None) -> None:
+        self.view.object = {"metadata": {"annotations": {names.SWITCHOVER: text} if text else {}}}
+
+    def drain(self, *cordoned: str, uid: str = "uid-w-1") -> None:
+        self.view.settings.drain = Drain(uid=uid, node="node-1", since=time.time(), cordoned=["node-1", *cordoned])
+
+    def look(self, lacking: str = "") -> Prepared | None:
+        choices = [Choice(strategy, 0.3) for strategy in self.strategies]
+        return self.switching.look(lacking, lambda: choices, self.world.means)
+
+    async def looked(self, within: float = 1.0) -> Prepared | None:
+        """What comes of it within a while, in which the loop looks again and again."""
+        end = time.monotonic() + within
+        while time.monotonic() < end:
+            if (found := self.look()) is not None:
+                return found
+            await asyncio.sleep(0.01)
+        return None
+
+    async def switch(self, prepared: Prepared) -> Progress:
+        """As the supervisor does it."""
+        self.switching.switching(prepared.progress)
+        done = await switchover.switch(prepared, self.world.means())
+        self.switching.done(done, "it took over.")
+        return done
+
+
+@pytest.fixture(autouse=True)
+def quickly(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(switching, "LOOK", 0.02)
+
+
+async def test_nothing_is_done_where_nobody_asks() -> None:
+    scene = Scene()
+    assert await scene.looked(0.05) is None
+    assert (scene.told.switchover, scene.told.events) == (None, [])
+
+
+async def test_a_request_is_carried_out_once() -> None:
+    scene = Scene()
+    scene.ask(asked := request("failover", time.time()))
+    found = await scene.looked()
+    assert found is not None
+    assert found.target is not None
+    assert (found.target.name, found.progress.request, found.progress.switchover) == ("w-2", asked, "Failover")
+    assert scene.told.phase == "Preparing"
+    done = await scene.switch(found)
+    assert scene.told.switchover is not None
+    assert (scene.told.phase, scene.told.switchover.handled) == ("Done", asked)
+    assert (scene.told.switchover.recovery, scene.told.switchover.target) == (done.id, "w-2")
+    scene.store.add("w-3", pool="hot")
+    assert await scene.looked(0.1) is None, "it was carried out"
+    scene.ask(request("failover", time.time()))
+    assert await scene.looked() is not None, "that's another one"
+
+
+async def test_a_new_monitor_does_not_carry_it_out_again_even_after_others_that_nobody_asked_for() -> None:
+    scene = Scene()
+    scene.ask(asked := request("failover", time.time()))
+    found = await scene.looked()
+    assert found is not None
+    await scene.switch(found)
+    scene.store.add("w-3", pool="hot", node="node-3")
+    scene.drain(uid="uid-w-2")
+    found = await scene.looked()
+    assert found is not None
+    assert found.progress.switchover == "Drain"
+    await scene.switch(found)
+    again = Scene(told=scene.told)
+    again.ask(asked)
+    assert await again.looked(0.1) is None
+
+
+async def test_a_new_monitor_begins_anew_with_one_that_was_being_prepared() -> None:
+    scene = Scene(InitializedFallback("warm", recovery=BRING_UP), pool="warm")
+    scene.store.broken.add("w-2")
+    scene.ask(asked := request("failover", time.time()))
+    assert await scene.looked(0.05) is None
+    assert scene.told.phase == "Preparing"
+    again = Scene(told=scene.told)
+    again.ask(asked)
+    assert await again.looked() is not None
+    assert [reason for reason, _ in scene.told.events] == ["SwitchoverBegun"], "which isn't told twice"
+
+
+async def test_it_waits_for_an_understudy_and_ends_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(switching, "PATIENCE", 0.15)
+    scene = Scene(ready=False)
+    scene.ask(request("failover", time.time()))
+    assert await scene.looked(0.1) is None
+    assert (scene.told.phase, scene.told.message) == (
+        "Waiting",
+        "Fallback/Executing: w-2: no /cmd_vel for 500 ms.",
+    )
+    assert await scene.looked(0.2) is None
+    assert scene.told.phase == "NotDone"
+    assert "nothing was changed: Fallback/Executing: w-2: no /cmd_vel" in scene.told.message
+    assert scene.told.events[-1][0] == "SwitchoverNotDone"
+    assert (scene.state.active, scene.store.commits) == ("w-1", [])
+
+
+async def test_it_is_not_begun_while_the_robot_is_not_driven_as_it_should_be() -> None:
+    scene = Scene()
+    scene.ask(request("failover", time.time()))
+    assert scene.look("w-1 isn't healthy yet") is None
+    assert (scene.told.phase, scene.told.message) == ("Waiting", "w-1 isn't healthy yet.")
+    assert await scene.looked() is not None
+
+
+async def test_what_was_asked_for_long_ago_or_makes_no_sense_is_told_and_not_done() -> None:
+    scene = Scene()
+    scene.ask(request("failover", time.time() - 3600))
+    assert await scene.looked(0.05) is None
+    assert "It was asked for 3600 s ago" in scene.told.message
+    scene.ask("failover now")
+    assert await scene.looked(0.05) is None
+    assert "'failover now' asks for nothing that is known: write failover or failback and the present time" in (
+        scene.told.message
+    )
+    assert [reason for reason, _ in scene.told.events] == ["SwitchoverNotDone"] * 2, "each is told once"
+
+
+async def test_a_failure_comes_first_and_ends_the_request() -> None:
+    scene = Scene(InitializedFallback("warm", recovery=BRING_UP), pool="warm")
+    scene.store.broken.add("w-2")
+    scene.ask(request("failover", time.time()))
+    assert await scene.looked(0.05) is None
+    assert scene.switching.preparing == "uid-w-2"
+    assert scene.switching.failed("no /cmd_vel for 500 ms") == PodIdentity(name="w-2", uid="uid-w-2")
+    assert (scene.switching.preparing, scene.told.phase, scene.left) == ("", "NotDone", [])
+    assert "no /cmd_vel for 500 ms" in scene.told.message
+    assert await scene.looked(0.05) is None
+
+
+async def test_what_was_asked_for_before_a_recovery_is_not_done_after_it() -> None:
+    scene = Scene()
+    scene.ask(request("failover", time.time() - 5))
+    verified = datetime.fromtimestamp(time.time() - 1, UTC).isoformat()
+    scene.told.last = Recovery(id="r", reason="it failed", result="Recovered", moments=Moments(verified=verified))
+    assert await scene.looked(0.05) is None
+    assert "It failed and recovered since it was asked for" in scene.told.message
+
+
+async def test_a_request_that_is_taken_back_leaves_nothing_behind() -> None:
+    scene = Scene(InitializedFallback("warm", recovery=BRING_UP), pool="warm")
+    scene.store.broken.add("w-2")
+    scene.ask(request("failover", time.time()))
+    assert await scene.looked(0.05) is None
+    scene.ask(None)
+    assert await scene.looked(0.05) is None
+    assert (scene.told.phase, scene.left) == ("NotDone", ["w-2"]), "what was begun with is of no use"
+
+
+async def test_a_drain_takes_no_understudy_of_a_node_that_is_drained_too_and_waits() -> None:
+    scene = Scene()
+    scene.drain("node-2")
+    assert await scene.looked(0.05) is None
+    assert (scene.told.phase, scene.told.message) == (
+        "Waiting",
+        "Fallback/Executing: w-2 is on node-2, which is cordoned too.",
+    )
+    scene.store.add("w-3", pool="hot", node="node-3")
+    found = await scene.looked()
+    assert found is not None
+    assert found.target is not None
+    assert (found.target.name, found.progress.reason) == ("w-3", "node node-1 is to be emptied (it is cordoned)")
+    await scene.switch(found)
+    assert await scene.looked(0.05) is None, "who drives now runs elsewhere"
+
+
+async def test_a_drain_is_for_the_instance_that_it_names() -> None:
+    scene = Scene()
+    scene.drain(uid="uid-of-one-before")
+    assert await scene.looked(0.05) is None
+    assert scene.told.switchover is None
+
+
+async def test_home_is_where_the_robot_is_driven_from_already() -> None:
+    scene = Scene()
+    scene.ask(request("failback", time.time()))
+    assert await scene.looked(0.05) is None
+    assert (scene.told.phase, scene.told.message) == (
+        "Done",
+        "w-1 of the workload's own controller is in control already.",
+    )
+
+
+async def test_home_is_the_pod_of_the_workloads_own_controller_and_no_other_standby() -> None:
+    scene = Scene()
+    scene.store.add("w-3", created="9")
+    scene.store.add("w-4", pool="hot", created="1")
+    scene.store.gate = GateState(epoch=4, active="w-2", active_uid="uid-w-2")
+    scene.store.pods.pop("w-1")
+    scene.world = World(scene.store)
+    scene.ask(request("failback", time.time()))
+    found = await scene.looked()
+    assert found is not None
+    assert found.target is not None
+    assert (found.target.name, found.progress.strategy) == ("w-3", "Fallback/Executing")
+
+
+async def test_home_is_started_where_the_policy_has_no_strategy_for_it() -> None:
+    scene = Scene(ExecutingFallback("hot", with_source=False))
+    scene.store.gate = GateState(epoch=4, active="w-2", active_uid="uid-w-2")
+    scene.store.pods.pop("w-1")
+    scene.world = World(scene.store)
+    scene.ask(request("failback", time.time()))
+    found = await scene.looked()
+    assert found is not None
+    assert found.target is not None
+    assert (found.target.name, found.progress.strategy) == ("w-new1", "Restart")
+    assert scene.state.active == "w-2"
+
+
+async def test_a_commit_that_was_carried_out_late_is_settled() -> None:
+    scene = Scene()
+    scene.ask(request("failover", time.time()))
+    found = await scene.looked()
+    assert found is not None
+    scene.switching.switching(found.progress)
+    scene.switching.given_up(found.progress, "the API server didn't answer")
+    assert (scene.told.phase, scene.left) == ("NotDone", []), "an executing standby stays one"
+    assert scene.switching.unsettled() is None
+    progress = found.progress.model_copy(update={"target": PodIdentity(name="w-2", uid="uid-w-2")})
+    scene.store.gate = GateState(epoch=2, active="w-2", active_uid="uid-w-2", recovery=progress)
+    assert scene.switching.unsettled() == progress
+    scene.told.recorded.add(progress.id)
+    assert scene.switching.unsettled() is None
