@@ -520,6 +520,32 @@ def test_a_pool_is_never_overfilled_while_pods_come_and_go(fleet: Fleet, operato
     assert most == 4
 
 
+def test_a_pool_s_size_follows_the_failures_that_its_robots_status_tells_of(fleet: Fleet, operator: Operator) -> None:
+    sizing = {"risk": "1%", "failuresPerRobotHour": 1, "refill": "10m", "max": 5}
+    pool = spare(sizing=sizing)
+    del pool["spec"]["replicas"]
+    fleet.create(policy("spare"), pool, workload())
+    assumed = until(lambda: (fleet.get("FallbackPool", "spare").get("status") or {}).get("sizing"), "a size")
+    assert (assumed["size"], assumed["failures"], assumed["robots"]) == (3, 0, 1)
+    until(lambda: len(fleet.held()) == 3, "the pods that it asks for")
+    detected = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(time.time() + 1))
+    time.sleep(2)
+    attempts = [{"strategy": "Fallback/Uninitialized", "pod": "spare-abcde", "result": "Verified"}]
+    recovery = {"reason": "it ended", "result": "Recovered", "moments": {"detected": detected}, "attempts": attempts}
+    failed = {"recoveryCount": 10, "recoveries": [{"id": str(number), **recovery} for number in range(10)]}
+    fleet.cluster.patch(fleet.get("RobotWorkload", "w"), {"status": failed}, subresource="status")
+    until(lambda: len(fleet.held()) == 5, "as many as there may be")
+    found = fleet.wait_condition("FallbackPool", "spare", "Sized", "AtMaximum")
+    assert "asked for a pod 10 times" in found["message"]
+    assert "spec.sizing.max is 5" in found["message"]
+    told = [event for event in fleet.events("spare") if event["reason"] == "Resized"]
+    assert [event["message"].partition(":")[0] for event in told] == ["from 3 to 5 pods"]
+    before = fleet.settled()
+    operator.stop()
+    with Operator(fleet.cluster.kubeconfig, fleet.namespace):
+        assert fleet.settled() == before
+
+
 def test_silent_watches_are_made_up_for_by_lists(fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
     async def silent(*_: object) -> None:
         await asyncio.Event().wait()

@@ -41,6 +41,7 @@ _ABOUT = {
     "Resized": "not resized",
     "StrategiesChosen": "requirements not met",
     "Available": "no pod is free",
+    "Sized": "too small for its risk",
     "Reflex": "no reflex",
     "StateKept": "state not kept",
     "StateRestored": "state not restored",

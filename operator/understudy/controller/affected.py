@@ -56,6 +56,8 @@ def _keys(sight: Sight, store: Store) -> Iterator[Key]:
         elif plural == WORKLOADS.plural and _chosen_anew(sight):
             for name in store.in_namespace(POOLS, namespace):  # how many standbys it has of each
                 yield Key(POOLS.plural, namespace, name)
+        elif plural == WORKLOADS.plural and _recovered_anew(sight):
+            yield from _sized(store, namespace)
     elif plural == PODS.plural:
         yield from _after_pod(sight, store, namespace)
     elif plural == NETWORK_POLICIES.plural:
@@ -75,6 +77,18 @@ def _chosen_anew(sight: Sight) -> bool:
     return sight.old is not None and sight.new is not None and chosen(sight.old) != chosen(sight.new)
 
 
+def _recovered_anew(sight: Sight) -> bool:
+    counts = [((item or {}).get("status") or {}).get("recoveryCount") for item in (sight.old, sight.new)]
+    return counts[0] != counts[1]
+
+
+def _sized(store: Store, namespace: str) -> Iterator[Key]:
+    """The pools whose size follows the failures."""
+    for name, pool in store.in_namespace(POOLS, namespace).items():
+        if (pool.get("spec") or {}).get("sizing"):
+            yield Key(POOLS.plural, namespace, name)
+
+
 def _after_spec(sight: Sight, store: Store, namespace: str) -> Iterator[Key]:
     found = sight.new or sight.old
     assert found is not None
@@ -89,6 +103,7 @@ def _after_spec(sight: Sight, store: Store, namespace: str) -> Iterator[Key]:
                 yield Key(WORKLOADS.plural, namespace, name)
     elif sight.resource.plural == POLICIES.plural:
         yield from users(objects.name(found), store, namespace)
+        yield from _sized(store, namespace)  # who takes from them
     else:
         for name in store.in_namespace(POLICIES, namespace):
             yield Key(POLICIES.plural, namespace, name)

@@ -20,7 +20,18 @@ from understudy.cluster.client import (
     Object,
     Resource,
 )
-from understudy.controller import affected, choosing, levels, objects, pools, references, selectors, statuses, workloads
+from understudy.controller import (
+    affected,
+    choosing,
+    levels,
+    objects,
+    policies,
+    pools,
+    references,
+    selectors,
+    statuses,
+    workloads,
+)
 from understudy.controller.affected import Key
 from understudy.controller.expectations import Expectations
 from understudy.controller.stores import Store
@@ -155,7 +166,19 @@ class Observer:
                 for workload in found.values()
             ),
             spared=sum(self._spared(item, workload) for workload in found.values()),
+            asking=[workload for workload in found.values() if self._asks(item, workload)],
         )
+
+    def _asks(self, pool: Object, workload: Object) -> bool:
+        """Whether a workload takes a pod of a pool when it fails, where the pool's size follows that."""
+        if not (pool.get("spec") or {}).get("sizing") or not pools.serves(pool, workload):
+            return False
+        policy = self._store.get(POLICIES, pool["metadata"]["namespace"], affected.used_policy(workload))
+        if policy is None:
+            return False
+        if choosing.is_auto(policy):
+            return statuses.takes_from(affected.chosen(workload), objects.name(pool))
+        return objects.name(pool) in policies.named_pools(policy)
 
     def _spared(self, pool: Object, workload: Object) -> bool:
         """Whether a workload that a pool serves has no standby of it, since other strategies were chosen for it.

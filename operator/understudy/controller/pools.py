@@ -11,8 +11,9 @@ from understudy.api import names
 from understudy.api.conditions import Condition, condition
 from understudy.api.pools import FallbackPoolSpec
 from understudy.cluster.client import NETWORK_POLICIES, PODS, SECRETS, Object
-from understudy.controller import fleets, gates, instances, objects, ownership, policies, selectors
+from understudy.controller import fleets, gates, instances, objects, ownership, policies, poolsizes, selectors
 from understudy.controller.desired import Apply, Create, Delete, Images, Plan, Problem
+from understudy.controller.poolsizes import Sized
 from understudy.controller.troubles import trouble
 from understudy.mitigation.progress import waiter
 from understudy.mitigation.waiting import Waiter, in_order
@@ -51,6 +52,8 @@ class Observed:
     """The workloads that wait for a pod of it, who is served first before the others."""
     spared: int = 0
     """Workloads that it serves and that have no standby of it, since other strategies were chosen for them."""
+    asking: Sequence[Object] = ()
+    """The workloads that take a pod of it when they fail, where its size follows that."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +64,8 @@ class Understanding:
     problem: Problem | None = None
     built: Object | None = None
     """The pod template of its held pods, for a shared pool."""
+    sized: Sized | None = None
+    """Its size, where it follows the failures."""
 
 
 def serves(pool: Object, workload: Object) -> bool:
@@ -97,8 +102,9 @@ def understand(observed: Observed, images: Images) -> Understanding:
     if refused is not None and refused.reason == "SpecInvalid":
         return Understanding(problem=refused)
     spec = policies.pool_spec(pool)
+    sized = poolsizes.sized(pool, spec, observed.asking, observed.now)
     if refused is not None:
-        return Understanding(spec, refused)
+        return Understanding(spec, refused, sized=sized)
     if spec.readiness != "Uninitialized":
         return Understanding(spec)
     template, path, image = spec.template, "spec.template", images
@@ -107,11 +113,11 @@ def understand(observed: Observed, images: Images) -> Understanding:
         path = f"RobotWorkload {source}: spec.template"
         template = dict(observed.source) if observed.source is not None else None
         if template is None:
-            return Understanding(spec, _no_source(source, observed))
+            return Understanding(spec, _no_source(source, observed), sized=sized)
         own = ((observed.workloads[source].get("spec") or {}).get("monitor") or {}).get("image")
         image = replace(images, monitor=own or images.monitor)
     if found := instances.problem(template or {}, held=True, path=path):
-        return Understanding(spec, Problem("TemplateInvalid", found))
+        return Understanding(spec, Problem("TemplateInvalid", found), sized=sized)
     requirements = selectors.requirements(observed.source_selector or {})
     recipe = instances.Recipe(
         workload="",
@@ -123,7 +129,7 @@ def understand(observed: Observed, images: Images) -> Understanding:
         warm_paths=spec.warm_paths,
         stripped=frozenset(requirement["key"] for requirement in requirements),
     )
-    return Understanding(spec, built=instances.build(template or {}, recipe))
+    return Understanding(spec, built=instances.build(template or {}, recipe), sized=sized)
 
 
 def _no_source(source: str, observed: Observed) -> Problem:
@@ -173,9 +179,8 @@ def plan(observed: Observed, understanding: Understanding, fresh: Fresh) -> Plan
     living = [pod for pod in held if objects.alive(pod)]
     policy = gates.held_policy(name, fleets.claimable(living, present))
     made.writes.append(Apply(NETWORK_POLICIES, ownership.ours(policy, owner, pool)))
-    change = fleets.change(
-        held, want=spec.replicas or 0, template_hash=present, expected=observed.expected, now=observed.now
-    )
+    want = poolsizes.wanted(spec, understanding.sized)
+    change = fleets.change(held, want=want, template_hash=present, expected=observed.expected, now=observed.now)
     namespace = pool["metadata"]["namespace"]
     wait = _until_driving(observed)
     if change.create and wait > 0:
@@ -188,6 +193,8 @@ def plan(observed: Observed, understanding: Understanding, fresh: Fresh) -> Plan
         made.later(change.again_after)
     for one in observed.waiting:  # a monitor that is gone leaves behind that it waits
         made.later(one.until - observed.now)
+    if understanding.sized is not None:
+        made.later(poolsizes.LOOK_AGAIN)
     return made
 
 
@@ -218,7 +225,7 @@ class Counts:
     claimed: int
 
 
-def count(observed: Observed, spec: FallbackPoolSpec) -> Counts:
+def count(observed: Observed, spec: FallbackPoolSpec, sized: Sized | None = None) -> Counts:
     """The numbers of a pool's status."""
     living = [pod for pod in observed.pods if objects.alive(pod)]
     if spec.readiness == "Uninitialized":
@@ -226,7 +233,7 @@ def count(observed: Observed, spec: FallbackPoolSpec) -> Counts:
         policy = observed.owned.get(("networkpolicies", names.held(objects.name(observed.pool))))
         return Counts(
             replicas=len(held),
-            desired=spec.replicas or 0,
+            desired=poolsizes.wanted(spec, sized),
             ready=len(claimable_now(held, policy)),
             claimed=len(living) - len(held),
         )
@@ -263,7 +270,7 @@ def status(observed: Observed, understanding: Understanding, problems: Sequence[
         accepted = condition("Accepted", True, "Accepted", "It can be kept.", generation=generation)
     result: Object = {"observedGeneration": generation}
     if spec is not None:
-        counts = count(observed, spec)
+        counts = count(observed, spec, understanding.sized)
         result |= {
             "replicas": counts.replicas,
             "desired": counts.desired,
@@ -275,7 +282,11 @@ def status(observed: Observed, understanding: Understanding, problems: Sequence[
         if spec.readiness == "Uninitialized":
             result["waiting"] = len(observed.waiting)
             conditions.append(_available(observed, spec, counts))
+        if understanding.sized is not None:
+            result |= poolsizes.status(understanding.sized)
+            conditions.append(poolsizes.judged(pool, understanding.sized))
     else:
+        result |= poolsizes.last(pool)
         conditions = [accepted]
     return result | {"conditions": [c.to_wire() for c in conditions]}
 

@@ -16,7 +16,12 @@ def test_what_was_assumed_is_the_rate_while_nothing_was_seen():
 @pytest.mark.parametrize(
     ("failures", "low", "high"),
     # Halves of the quantiles of chi-square with 2 (failures + 1) degrees of freedom, by the tables.
-    [(1, 0.7107 / 2, 9.4877 / 2), (4, 3.9403 / 2, 18.307 / 2), (9, 10.851 / 2, 31.410 / 2), (49, 77.929 / 2, 124.342 / 2)],
+    [
+        (1, 0.7107 / 2, 9.4877 / 2),
+        (4, 3.9403 / 2, 18.307 / 2),
+        (9, 10.851 / 2, 31.410 / 2),
+        (49, 77.929 / 2, 124.342 / 2),
+    ],
 )
 def test_the_limits_are_those_of_the_tables(failures, low, high):
     rate = estimated(1.0, failures, 99.0)

@@ -1,6 +1,7 @@
 """The size of a pool follows the failures: it grows at once, shrinks late and one by one, and doesn't go to and fro."""
 
 from dataclasses import replace
+from itertools import pairwise
 from random import Random
 
 import pytest
@@ -72,8 +73,8 @@ def test_a_steady_fleet_does_not_go_to_and_fro(seed):
         found = decided(replace(AIM, refill=300.0), 50, rate, held, now)
         held = Held(found.size, found.since)
         sizes.append(found.size)
-    turns = [later - one for one, later in zip(sizes, sizes[1:], strict=False) if later != one]
-    assert sum(one * other < 0 for one, other in zip(turns, turns[1:], strict=False)) <= 2
+    turns = [later - one for one, later in pairwise(sizes) if later != one]
+    assert sum(one * other < 0 for one, other in pairwise(turns)) <= 2
     assert sizes[-1] < sizes[0]
 
 
