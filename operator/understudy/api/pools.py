@@ -105,6 +105,33 @@ class Sizing(Model):
     max: int = Field(ge=0, le=1000, description="It never has more pods, whatever the risk.")
 
 
+class UpdateStrategy(Model):
+    """What becomes of a shared pool's waiting pods when its template changes. Claimed ones stay as they are."""
+
+    model_config = Model.model_config | {
+        "json_schema_extra": rules(
+            (
+                "self.type == 'Recreate' || !has(self.minReady)",
+                "minReady is only for type Recreate: with OnReplenish no pod is taken away",
+                ".minReady",
+            )
+        )
+    }
+
+    type: Literal["Recreate", "OnReplenish"] = Field(
+        default="Recreate",
+        description="Recreate: new ones are made beside them, and they go. OnReplenish: they wait on until they are claimed, and the ones "
+        "that are made in their place are of the new template.",
+    )
+    min_ready: int | None = Field(
+        default=None,
+        ge=0,
+        le=1000,
+        description="Ready pods that could be claimed and that are left while new ones start (Recreate); the others of the old template "
+        "go at once and make room. Absent: none goes before there is a ready one in its place.",
+    )
+
+
 class FallbackPoolSpec(Model):
     """A warm pool."""
 
@@ -140,6 +167,12 @@ class FallbackPoolSpec(Model):
                 "self.readiness == 'Uninitialized' || !has(self.reserve)",
                 "reserve is only for pools with readiness Uninitialized: a standby is of one workload anyway",
                 ".reserve",
+            ),
+            (
+                "self.readiness == 'Uninitialized' || !has(self.updateStrategy)",
+                "updateStrategy is only for pools with readiness Uninitialized: standbys are of their workload's template, and the old one "
+                "stays until the new one is ready",
+                ".updateStrategy",
             ),
             (
                 "self.readiness != 'Initialized' || has(self.initialization)",
@@ -200,6 +233,10 @@ class FallbackPoolSpec(Model):
         description="Keep the last ready pods for critical workloads (Uninitialized). Absent: whoever fails first has the last one. See "
         "docs/waiting.md.",
     )
+    update_strategy: UpdateStrategy | None = Field(
+        default=None,
+        description="What becomes of waiting pods when the pool's template changes (Uninitialized). Absent: Recreate.",
+    )
     warm_paths: list[WarmPath] = Field(
         default_factory=list,
         max_length=16,
@@ -235,6 +272,9 @@ class FallbackPoolStatus(Model):
     desired: int | None = Field(default=None, description="Pods that should exist.")
     ready: int | None = Field(default=None, description="Pods that could take over now.")
     claimed: int | None = Field(default=None, description="Pods of this pool that drive a robot.")
+    updated: int | None = Field(
+        default=None, description="Unclaimed pods of the present template; see the condition Updated (Uninitialized)."
+    )
     waiting: int | None = Field(
         default=None, description="Workloads that wait for a pod of it; see the condition Available (Uninitialized)."
     )
@@ -246,6 +286,7 @@ class FallbackPoolStatus(Model):
         default=None,
         description="Accepted: it can be filled. Ready: every pod that should be there could take over now. Available: a pod could be "
         "claimed now (Uninitialized); while it is Dry, it says who waits, in order. Sized, with spec.sizing: how many there are to be "
-        "and why; False where max is not enough for the risk.",
+        "and why; False where max is not enough for the risk. Updated: every unclaimed pod is of the present "
+        "template, or may be of an earlier one (Uninitialized).",
         json_schema_extra={"x-kubernetes-list-type": "map", "x-kubernetes-list-map-keys": ["type"]},
     )

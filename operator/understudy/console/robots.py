@@ -42,6 +42,7 @@ _ABOUT = {
     "StrategiesChosen": "requirements not met",
     "Available": "no pod is free",
     "Sized": "too small for its risk",
+    "Updated": "not updated",
     "Reflex": "no reflex",
     "StateKept": "state not kept",
     "StateRestored": "state not restored",

@@ -23,6 +23,16 @@ class Change:
     again_after: float | None = None
 
 
+@dataclass(frozen=True)
+class Update:
+    """What becomes of pods of an old template."""
+
+    stay: bool = False
+    """They are as good as new ones, and stay until they are taken."""
+    min_ready: int | None = None
+    """How many that are ready are left to be claimed meanwhile; None where none goes before one is ready in its place."""
+
+
 def change(
     pods: Sequence[Object],
     *,
@@ -32,21 +42,22 @@ def change(
     now: float,
     kept: Callable[[Object], bool] = lambda pod: False,
     hold: bool = False,
+    update: Update = Update(),
 ) -> Change:
     """The change that leads to ``want`` pods of the present template.
 
     ``expected`` pods were created and haven't been observed yet: they count, so a stale read never makes too many. Nothing
     tells of one that was never made, so it is looked again once it isn't expected any more.
     ``kept`` pods (the active one) count at any template and are never deleted. Pods of an old template go only as
-    far as ready ones of the present one have come: make before break. With ``hold`` (a recovery is under way, which
-    may be about to use any of them) nothing is deleted.
+    far as ready ones of the present one have come, which is make before break, unless ``update`` says otherwise. With
+    ``hold`` (a recovery is under way, which may be about to use any of them) nothing is deleted.
     """
     ended = [pod for pod in pods if objects.ended(pod) and not kept(pod)]
     resting = [pod for pod in ended if now - objects.created(pod) < REST_SECONDS]
     over = [pod for pod in ended if now - objects.created(pod) >= REST_SECONDS]
     live = sorted((pod for pod in pods if objects.alive(pod)), key=objects.sort_key)
-    present = [pod for pod in live if kept(pod) or hash_of(pod) == template_hash]
-    old = [pod for pod in live if not kept(pod) and hash_of(pod) != template_hash]
+    present = [pod for pod in live if kept(pod) or update.stay or hash_of(pod) == template_hash]
+    old = [pod for pod in live if not (kept(pod) or update.stay or hash_of(pod) == template_hash)]
     rest = max((REST_SECONDS - (now - objects.created(pod)) for pod in resting), default=None)
     again = min((delay for delay in (rest, LASTS if expected else None) if delay is not None), default=None)
     create = max(0, want - len(present) - len(resting) - expected)
@@ -54,12 +65,25 @@ def change(
         return Change(create=create, again_after=again)
     delete = over
     free = sorted(
-        (pod for pod in present if not kept(pod)), key=lambda pod: (objects.ready(pod), -objects.created(pod))
+        (pod for pod in present if not kept(pod)),
+        key=lambda pod: (objects.ready(pod), hash_of(pod) == template_hash, -objects.created(pod)),
     )
     delete += free[: max(0, len(present) - want)]
-    staying = max(0, want - sum(objects.ready(pod) for pod in present))
-    delete += sorted(old, key=lambda pod: not objects.ready(pod))[staying:]
+    delete += _leaving(old, present, want, template_hash, update)
     return Change(create=create, delete=delete, again_after=again)
+
+
+def _leaving(
+    old: Sequence[Object], present: Sequence[Object], want: int, template_hash: str, update: Update
+) -> list[Object]:
+    """The pods of old templates that aren't needed until those of the present one are ready."""
+    ready = sum(objects.ready(pod) for pod in present)
+    if update.min_ready is None:
+        return sorted(old, key=lambda pod: not objects.ready(pod))[max(0, want - ready) :]
+    least = min(want, update.min_ready)
+    allowed = claimable([*old, *present], template_hash, update)
+    staying = max(0, least - ready) if allowed == template_hash else least
+    return sorted(old, key=lambda pod: (hash_of(pod) != allowed, not objects.ready(pod)))[staying:]
 
 
 def hash_of(pod: Object) -> str:
@@ -67,15 +91,18 @@ def hash_of(pod: Object) -> str:
     return objects.labels(pod).get(names.TEMPLATE_HASH, "")
 
 
-def claimable(unclaimed: Sequence[Object], present: str) -> str:
-    """The template whose held pods may be claimed: the present one as soon as one of it is ready.
+def claimable(unclaimed: Sequence[Object], present: str, update: Update = Update()) -> str:
+    """The template whose held pods may be claimed: the present one as soon as one of it is ready, or as many as are to be.
 
-    Until then the one with most ready pods, so that a new template that can't start takes nothing away.
+    Until then the one with most ready pods, so that a new template that can't start takes nothing away. Empty for any, where those
+    of an old one are as good.
     """
+    if update.stay:
+        return ""
     ready: dict[str, int] = {}
     for pod in unclaimed:
         if objects.ready(pod):
             ready[hash_of(pod)] = ready.get(hash_of(pod), 0) + 1
-    if not ready or present in ready:
+    if not ready or ready.get(present, 0) >= max(1, update.min_ready or 0):
         return present
-    return max(sorted(ready), key=lambda found: ready[found])
+    return max(sorted(ready), key=lambda found: (ready[found], found == present))

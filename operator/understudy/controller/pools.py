@@ -177,10 +177,14 @@ def plan(observed: Observed, understanding: Understanding, fresh: Fresh) -> Plan
             Create(SECRETS, ownership.ours(ownership.token(names.pool_secret(name), fresh.token()), owner, pool))
         )
     living = [pod for pod in held if objects.alive(pod)]
-    policy = gates.held_policy(name, fleets.claimable(living, present))
-    made.writes.append(Apply(NETWORK_POLICIES, ownership.ours(policy, owner, pool)))
     want = poolsizes.wanted(spec, understanding.sized)
-    change = fleets.change(held, want=want, template_hash=present, expected=observed.expected, now=observed.now)
+    update = _update(spec, want)
+    # Which pods may be claimed is said before others go.
+    policy = gates.held_policy(name, fleets.claimable(living, present, update))
+    made.writes.append(Apply(NETWORK_POLICIES, ownership.ours(policy, owner, pool)))
+    change = fleets.change(
+        held, want=want, template_hash=present, expected=observed.expected, now=observed.now, update=update
+    )
     namespace = pool["metadata"]["namespace"]
     wait = _until_driving(observed)
     if change.create and wait > 0:
@@ -196,6 +200,15 @@ def plan(observed: Observed, understanding: Understanding, fresh: Fresh) -> Plan
     if understanding.sized is not None:
         made.later(poolsizes.LOOK_AGAIN)
     return made
+
+
+def _update(spec: FallbackPoolSpec, want: int) -> fleets.Update:
+    """What becomes of pods of an old template, for a pool of such a size."""
+    found = spec.update_strategy
+    if found is None:
+        return fleets.Update()
+    least = min(want, found.min_ready) if found.min_ready is not None else None
+    return fleets.Update(stay=found.type == "OnReplenish", min_ready=least)
 
 
 def _until_driving(observed: Observed) -> float:
@@ -282,6 +295,11 @@ def status(observed: Observed, understanding: Understanding, problems: Sequence[
         if spec.readiness == "Uninitialized":
             result["waiting"] = len(observed.waiting)
             conditions.append(_available(observed, spec, counts))
+            if understanding.built is not None:
+                held = [pod for pod in unclaimed(pool, observed.pods) if objects.alive(pod)]
+                present = instances.template_hash(understanding.built)
+                result["updated"] = sum(fleets.hash_of(pod) == present for pod in held)
+                conditions.append(_updated(observed, spec, counts, result["updated"]))
         if understanding.sized is not None:
             result |= poolsizes.status(understanding.sized)
             conditions.append(poolsizes.judged(pool, understanding.sized))
@@ -354,6 +372,22 @@ def _available(observed: Observed, spec: FallbackPoolSpec, counts: Counts) -> Co
     free = counts.ready > len(found)
     generation = objects.generation(observed.pool)
     return condition("Available", free, "Available" if free else "Dry", f"{told}.", generation=generation)
+
+
+def _updated(observed: Observed, spec: FallbackPoolSpec, counts: Counts, updated: int) -> Condition:
+    """How far a change of the template has come."""
+    generation = objects.generation(observed.pool)
+    old = counts.replicas - updated
+    if not old:
+        told = "Every unclaimed pod is of the present template."
+        return condition("Updated", True, "Updated", told, generation=generation)
+    are = "is of an earlier template, and waits" if old == 1 else "are of earlier templates, and wait"
+    told = f"{old} of {counts.replicas} unclaimed pods {are}"
+    if spec.update_strategy is not None and spec.update_strategy.type == "OnReplenish":
+        told = f"{told} until they are claimed (spec.updateStrategy)."
+        return condition("Updated", True, "OnReplenish", told, generation=generation)
+    told = f"{told} until there are enough of the present one that are ready."
+    return condition("Updated", False, "RollingOut", told, generation=generation)
 
 
 def _moment(seconds: float) -> str:

@@ -28,8 +28,10 @@ PROGRESSING = frozenset(
 )
 """Reasons that are in order while something is being built: no Event when they come first."""
 
-UNTOLD = frozenset({"Available"})
-"""Conditions without Events: a pool that runs dry is told of by Ready, and by the monitors of those that wait."""
+UNTOLD = frozenset({"Available", "Updated"})
+"""Conditions without Events: a pool that runs dry is told of by Ready, and by the monitors of those that wait; one whose new pods
+can't start by Reconciled.
+"""
 
 CHOSEN = "StrategiesChosen"
 """The condition that says which order was chosen and why, of workloads whose policy leaves that."""
