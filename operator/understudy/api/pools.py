@@ -287,6 +287,7 @@ class FallbackPoolStatus(Model):
         description="Accepted: it can be filled. Ready: every pod that should be there could take over now. Available: a pod could be "
         "claimed now (Uninitialized); while it is Dry, it says who waits, in order. Sized, with spec.sizing: how many there are to be "
         "and why; False where max is not enough for the risk. Updated: every unclaimed pod is of the present "
-        "template, or may be of an earlier one (Uninitialized).",
+        "template, or may be of an earlier one (Uninitialized). Moving, while it is so: pods are replaced elsewhere, since their node "
+        "is to be emptied or was lost.",
         json_schema_extra={"x-kubernetes-list-type": "map", "x-kubernetes-list-map-keys": ["type"]},
     )

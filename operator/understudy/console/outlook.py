@@ -29,6 +29,9 @@ from understudy.controller.workloads import Observed, Understanding
 from understudy.trees.forms import load_monitoring
 from understudy.trees.problems import TreeError
 
+_TOLD = (poolsizes.CONDITION, pools.MOVING)
+"""Conditions of a shared pool that are told beside it."""
+
 LATELY = 5
 """Events that are told."""
 
@@ -316,7 +319,7 @@ def _shared(name: str, item: Object, observed: Observed) -> Iterator[_Entry]:
     taken = f"; {claimed} of its pods {'drives a robot' if claimed == 1 else 'drive robots'}" if claimed else ""
     yield _Entry(f"{name} (Uninitialized, shared): {len(ready)} of {want} ready{taken}")
     conditions = (item.get("status") or {}).get("conditions") or []
-    yield from (_Entry(one["message"], depth=1) for one in conditions if one["type"] == poolsizes.CONDITION)
+    yield from (_Entry(one["message"], depth=1) for one in conditions if one["type"] in _TOLD)
     taking = {objects.uid(pod) for pod in ready}
     yield from (_pod(pod) for pod in sorted(held, key=objects.sort_key) if objects.uid(pod) not in taking)
 

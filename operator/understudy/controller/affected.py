@@ -12,6 +12,7 @@ from understudy.cluster.client import (
     CONFIG_MAPS,
     DEPLOYMENTS,
     NETWORK_POLICIES,
+    NODES,
     PODS,
     POLICIES,
     POOLS,
@@ -20,7 +21,7 @@ from understudy.cluster.client import (
     Object,
     Resource,
 )
-from understudy.controller import choosing, healthtrees, objects, policies
+from understudy.controller import choosing, healthtrees, nodes, objects, policies
 from understudy.controller.stores import Sight, Store
 
 
@@ -45,6 +46,9 @@ def _keys(sight: Sight, store: Store) -> Iterator[Key]:
     assert found is not None
     namespace = found["metadata"].get("namespace", "")
     plural = sight.resource.plural
+    if plural == NODES.plural:
+        yield from _after_node(sight, store)
+        return
     for item in (sight.old, sight.new):
         owner = controller_of(item) if item is not None else None
         if owner is not None and owner.get("apiVersion") == API_VERSION and owner.get("kind") in _PLURALS:
@@ -130,6 +134,22 @@ def _after_policy(policy: Object, store: Store, namespace: str) -> Iterator[Key]
     elif owner is not None and owner["kind"] == "RobotWorkload":
         for name in store.in_namespace(POOLS, namespace):  # which of their pods are in control
             yield Key(POOLS.plural, namespace, name)
+
+
+def _after_node(sight: Sight, store: Store) -> Iterator[Key]:
+    """Nodes report all the time; only whether their pods are about to go means something, and to those whose pods are there."""
+    leaving = [item is not None and nodes.is_leaving(item) for item in (sight.old, sight.new)]
+    if leaving[0] == leaving[1]:
+        return
+    found = sight.new or sight.old
+    assert found is not None
+    for pod in store.all(PODS):
+        if nodes.of(pod) != objects.name(found):
+            continue
+        labels, namespace = objects.labels(pod), pod["metadata"]["namespace"]
+        for label, plural in ((names.WORKLOAD, WORKLOADS), (names.POOL, POOLS)):
+            if label in labels:
+                yield Key(plural.plural, namespace, labels[label])
 
 
 def _after_trees(config_map: Object, store: Store, namespace: str) -> Iterator[Key]:

@@ -41,6 +41,7 @@ def change(
     expected: int,
     now: float,
     kept: Callable[[Object], bool] = lambda pod: False,
+    moving: Callable[[Object], bool] = lambda pod: False,
     hold: bool = False,
     update: Update = Update(),
 ) -> Change:
@@ -49,18 +50,23 @@ def change(
     ``expected`` pods were created and haven't been observed yet: they count, so a stale read never makes too many. Nothing
     tells of one that was never made, so it is looked again once it isn't expected any more.
     ``kept`` pods (the active one) count at any template and are never deleted. Pods of an old template go only as
-    far as ready ones of the present one have come, which is make before break, unless ``update`` says otherwise. With
+    far as ready ones of the present one have come, which is make before break, unless ``update`` says otherwise. So do
+    those that are ``moving``, since their node is about to go: they are replaced elsewhere first. With
     ``hold`` (a recovery is under way, which may be about to use any of them) nothing is deleted.
     """
     ended = [pod for pod in pods if objects.ended(pod) and not kept(pod)]
     resting = [pod for pod in ended if now - objects.created(pod) < REST_SECONDS]
     over = [pod for pod in ended if now - objects.created(pod) >= REST_SECONDS]
     live = sorted((pod for pod in pods if objects.alive(pod)), key=objects.sort_key)
-    present = [pod for pod in live if kept(pod) or update.stay or hash_of(pod) == template_hash]
-    old = [pod for pod in live if not (kept(pod) or update.stay or hash_of(pod) == template_hash)]
+    fitting = [pod for pod in live if kept(pod) or update.stay or hash_of(pod) == template_hash]
+    outdated = [pod for pod in live if not (kept(pod) or update.stay or hash_of(pod) == template_hash)]
+    present = [pod for pod in fitting if kept(pod) or not moving(pod)]
+    leaving = [pod for pod in fitting if not kept(pod) and moving(pod)]
     rest = max((REST_SECONDS - (now - objects.created(pod)) for pod in resting), default=None)
     again = min((delay for delay in (rest, LASTS if expected else None) if delay is not None), default=None)
-    create = max(0, want - len(present) - len(resting) - expected)
+    # Where a template has its pods placed on such a node again, twice as many as are wanted are enough.
+    surplus = max(0, len(leaving) - want)
+    create = max(0, want - surplus - len(present) - len(resting) - expected)
     if hold:
         return Change(create=create, again_after=again)
     delete = over
@@ -69,21 +75,30 @@ def change(
         key=lambda pod: (objects.ready(pod), hash_of(pod) == template_hash, -objects.created(pod)),
     )
     delete += free[: max(0, len(present) - want)]
-    delete += _leaving(old, present, want, template_hash, update)
+    delete += _replaced(leaving, outdated, present, want, template_hash, update)
     return Change(create=create, delete=delete, again_after=again)
 
 
-def _leaving(
-    old: Sequence[Object], present: Sequence[Object], want: int, template_hash: str, update: Update
+def _replaced(
+    leaving: Sequence[Object],
+    outdated: Sequence[Object],
+    present: Sequence[Object],
+    want: int,
+    template_hash: str,
+    update: Update,
 ) -> list[Object]:
-    """The pods of old templates that aren't needed until those of the present one are ready."""
+    """The pods that are to be replaced and aren't needed until the ones in their place are ready."""
     ready = sum(objects.ready(pod) for pod in present)
+    missing = max(0, want - ready)
+    # Those whose node is about to go stay until all is well without them: where others are placed there again, as a template may
+    # have it, it would never end if they went one by one.
+    found = [] if missing else list(leaving)
     if update.min_ready is None:
-        return sorted(old, key=lambda pod: not objects.ready(pod))[max(0, want - ready) :]
+        return found + sorted(outdated, key=lambda pod: not objects.ready(pod))[missing:]
     least = min(want, update.min_ready)
-    allowed = claimable([*old, *present], template_hash, update)
+    allowed = claimable([*leaving, *outdated, *present], template_hash, update)
     staying = max(0, least - ready) if allowed == template_hash else least
-    return sorted(old, key=lambda pod: (hash_of(pod) != allowed, not objects.ready(pod)))[staying:]
+    return found + sorted(outdated, key=lambda pod: (hash_of(pod) != allowed, not objects.ready(pod)))[staying:]
 
 
 def hash_of(pod: Object) -> str:

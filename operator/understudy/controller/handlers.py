@@ -16,6 +16,7 @@ import kopf
 from understudy.cluster.client import (
     DEPLOYMENTS,
     NETWORK_POLICIES,
+    NODES,
     PODS,
     POLICIES,
     POOLS,
@@ -28,7 +29,18 @@ from understudy.cluster.client import (
     Resource,
 )
 
-WATCHED = (WORKLOADS, POLICIES, POOLS, PODS, REPLICA_SETS, DEPLOYMENTS, STATEFUL_SETS, NETWORK_POLICIES, SERVICES)
+WATCHED = (
+    WORKLOADS,
+    POLICIES,
+    POOLS,
+    PODS,
+    REPLICA_SETS,
+    DEPLOYMENTS,
+    STATEFUL_SETS,
+    NETWORK_POLICIES,
+    SERVICES,
+    NODES,
+)
 
 See = Callable[[Resource, Object, bool], None]
 

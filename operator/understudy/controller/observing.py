@@ -11,6 +11,7 @@ from understudy.cluster.client import (
     CONFIG_MAPS,
     DEPLOYMENTS,
     NETWORK_POLICIES,
+    NODES,
     PODS,
     POLICIES,
     POOLS,
@@ -24,6 +25,7 @@ from understudy.controller import (
     affected,
     choosing,
     levels,
+    nodes,
     objects,
     policies,
     pools,
@@ -84,7 +86,12 @@ class Observer:
             reference=await self._referred(item),
             rivals=self._rivals(item),
             resized=await self._resized(item),
+            leaving=self._leaving(),
         )
+
+    def _leaving(self) -> frozenset[str]:
+        """The nodes whose pods are about to go."""
+        return frozenset(objects.name(node) for node in self._store.all(NODES) if nodes.is_leaving(node))
 
     def _expected(self, key: Key, pool: str) -> int:
         """Pods that were asked for, and of which neither an answer nor a watch has told."""
@@ -167,6 +174,7 @@ class Observer:
             ),
             spared=sum(self._spared(item, workload) for workload in found.values()),
             asking=[workload for workload in found.values() if self._asks(item, workload)],
+            leaving=self._leaving(),
         )
 
     def _asks(self, pool: Object, workload: Object) -> bool:

@@ -11,7 +11,7 @@ from understudy.api import names
 from understudy.api.conditions import Condition, condition
 from understudy.api.pools import FallbackPoolSpec
 from understudy.cluster.client import NETWORK_POLICIES, PODS, SECRETS, Object
-from understudy.controller import fleets, gates, instances, objects, ownership, policies, poolsizes, selectors
+from understudy.controller import fleets, gates, instances, nodes, objects, ownership, policies, poolsizes, selectors
 from understudy.controller.desired import Apply, Create, Delete, Images, Plan, Problem
 from understudy.controller.poolsizes import Sized
 from understudy.controller.troubles import trouble
@@ -19,6 +19,9 @@ from understudy.mitigation.progress import waiter
 from understudy.mitigation.waiting import Waiter, in_order
 
 _MOST_NAMED = 3
+
+MOVING = "Moving"
+"""The condition that is there while pods are replaced elsewhere."""
 
 FIRST_THE_CLAIMED = 5.0
 """Seconds that a claimed pod has to get into control before the one in its place is started, which may be on its node: a
@@ -54,6 +57,8 @@ class Observed:
     """Workloads that it serves and that have no standby of it, since other strategies were chosen for them."""
     asking: Sequence[Object] = ()
     """The workloads that take a pod of it when they fail, where its size follows that."""
+    leaving: frozenset[str] = frozenset()
+    """The nodes whose pods are about to go."""
 
 
 @dataclass(frozen=True)
@@ -183,7 +188,13 @@ def plan(observed: Observed, understanding: Understanding, fresh: Fresh) -> Plan
     policy = gates.held_policy(name, fleets.claimable(living, present, update))
     made.writes.append(Apply(NETWORK_POLICIES, ownership.ours(policy, owner, pool)))
     change = fleets.change(
-        held, want=want, template_hash=present, expected=observed.expected, now=observed.now, update=update
+        held,
+        want=want,
+        template_hash=present,
+        expected=observed.expected,
+        now=observed.now,
+        moving=lambda pod: nodes.on(pod, observed.leaving),
+        update=update,
     )
     namespace = pool["metadata"]["namespace"]
     wait = _until_driving(observed)
@@ -303,6 +314,7 @@ def status(observed: Observed, understanding: Understanding, problems: Sequence[
         if understanding.sized is not None:
             result |= poolsizes.status(understanding.sized)
             conditions.append(poolsizes.judged(pool, understanding.sized))
+        conditions += _moving(observed)
     else:
         result |= poolsizes.last(pool)
         conditions = [accepted]
@@ -372,6 +384,21 @@ def _available(observed: Observed, spec: FallbackPoolSpec, counts: Counts) -> Co
     free = counts.ready > len(found)
     generation = objects.generation(observed.pool)
     return condition("Available", free, "Available" if free else "Dry", f"{told}.", generation=generation)
+
+
+def _moving(observed: Observed) -> list[Condition]:
+    """Which pods are being replaced elsewhere since their node is about to go; nothing where none is."""
+    waiting = [pod for pod in observed.pods if objects.alive(pod) and objects.uid(pod) not in observed.active]
+    found = [pod for pod in waiting if names.CLAIM not in objects.notes(pod) and nodes.on(pod, observed.leaving)]
+    if not found:
+        return []
+    places = sorted({nodes.of(pod) for pod in found})
+    more = f" and {len(places) - _MOST_NAMED} more" if len(places) > _MOST_NAMED else ""
+    told = (
+        f"{len(found)} of {len(waiting)} waiting pods {'is' if len(found) == 1 else 'are'} on a node that is to be emptied or was lost "
+        f"({', '.join(places[:_MOST_NAMED])}{more}), and {'goes' if len(found) == 1 else 'go'} once there are others elsewhere."
+    )
+    return [condition(MOVING, True, "NodeLeaves", told, generation=objects.generation(observed.pool))]
 
 
 def _updated(observed: Observed, spec: FallbackPoolSpec, counts: Counts, updated: int) -> Condition:

@@ -39,7 +39,7 @@ ABSENT = frozenset(
 TOGETHER_SECONDS = 3.0
 """For so long after an object was created, what it lacks isn't told yet."""
 
-WITHDRAWN = frozenset({resizing.CONDITION, statuses.CHOSEN, poolsizes.CONDITION})
+WITHDRAWN = frozenset({resizing.CONDITION, statuses.CHOSEN, poolsizes.CONDITION, pools.MOVING})
 """Conditions of ours that are there only while there is something to be said."""
 
 _RESOURCES = {resource.plural: resource for resource in (WORKLOADS, POLICIES, POOLS)}

@@ -16,6 +16,7 @@ from understudy.cluster.client import (
     CONFIG_MAPS,
     DEPLOYMENTS,
     NETWORK_POLICIES,
+    NODES,
     PODS,
     POLICIES,
     POOLS,
@@ -49,6 +50,7 @@ LISTED: tuple[tuple[Resource, tuple[str | None, ...]], ...] = (
     (DEPLOYMENTS, (_OURS,)),
     (SERVICES, (_OURS,)),
     (NETWORK_POLICIES, (_OURS,)),
+    (NODES, (None,)),
     (CONFIG_MAPS, (_OURS, TREES)),
     (SECRETS, (_OURS,)),
     (SERVICE_ACCOUNTS, (_OURS,)),
@@ -58,15 +60,18 @@ LISTED: tuple[tuple[Resource, tuple[str | None, ...]], ...] = (
 """What is kept, and by which label selectors it is found."""
 
 WATCHED = frozenset(
-    r.plural for r in (WORKLOADS, POLICIES, POOLS, PODS, REPLICA_SETS, DEPLOYMENTS, SERVICES, NETWORK_POLICIES)
+    r.plural for r in (WORKLOADS, POLICIES, POOLS, PODS, REPLICA_SETS, DEPLOYMENTS, SERVICES, NETWORK_POLICIES, NODES)
 )
 """Of these a list should bring nothing new."""
+
+_WHOLLY = frozenset(r.plural for r in (WORKLOADS, POLICIES, POOLS, NODES))
+"""Of these all are kept."""
 
 
 def listed(resource: Resource, item: Object) -> bool:
     """Whether an object is one of those that are listed."""
     labels = objects.labels(item)
-    if resource.plural in (WORKLOADS.plural, POLICIES.plural, POOLS.plural):
+    if resource.plural in _WHOLLY:
         return True
     if resource.plural == PODS.plural:
         return names.COMPONENT in labels or names.WORKLOAD in labels
@@ -88,7 +93,7 @@ async def resync(client: Client, store: Store, namespaces: Sequence[str]) -> lis
     """
     sights: list[Sight] = []
     for resource, selectors in LISTED:
-        for namespace in namespaces or (None,):
+        for namespace in (namespaces if resource != NODES else ()) or (None,):
             answers = [await client.list(resource, namespace, labels=selector) for selector in selectors]
             items = [item for answer in answers for item in _items(answer)]
             # the first list's version: what was made between two lists is newer and stays

@@ -180,4 +180,11 @@ def slim(resource: Resource, item: Object) -> Object:
         kept.pop("stringData", None)
     if resource.plural == "pods":
         kept["spec"] = {"nodeName": (item.get("spec") or {}).get("nodeName")}
+    if resource.plural == "nodes":
+        spec = item.get("spec") or {}
+        kept["spec"] = {key: spec[key] for key in ("unschedulable", "taints") if key in spec}
+        kept["metadata"] = {
+            key: metadata[key] for key in ("name", "uid", "resourceVersion", "deletionTimestamp") if key in metadata
+        }
+        kept.pop("status", None)
     return kept

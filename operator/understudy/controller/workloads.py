@@ -40,6 +40,7 @@ from understudy.controller import (
     instances,
     levels,
     monitors,
+    nodes,
     objects,
     ownership,
     policies,
@@ -91,6 +92,8 @@ class Observed:
     """By pool, standbys that were created and haven't been observed yet."""
     resized: Object | None = None
     """The pod in control, whole, while the workload is degraded and its policy gives it more then."""
+    leaving: frozenset[str] = frozenset()
+    """The nodes whose pods are about to go."""
 
     @property
     def gate(self) -> Object | None:
@@ -569,6 +572,7 @@ def _standbys(made: Plan, observed: Observed, pool: str, built: Object, fresh: F
         expected=observed.expected.get(pool, 0),
         now=observed.now,
         kept=lambda pod: objects.is_active(pod, gate),
+        moving=lambda pod: nodes.on(pod, observed.leaving),
         hold=observed.recovering,
     )
     for _ in range(change.create):

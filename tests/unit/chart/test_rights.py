@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from tests.unit.chart.conftest import Render, one
-from understudy.cluster.client import EVENTS, LEASES, PODS, POLICIES, POOLS, WORKLOADS, Resource
+from understudy.cluster.client import EVENTS, LEASES, NODES, PODS, POLICIES, POOLS, WORKLOADS, Resource
 from understudy.controller import handlers, monitors, resyncing
 from understudy.controller.executing import RESIZE
 
@@ -55,7 +55,7 @@ def _used() -> set[Right]:
     found = set.union(*(_each(resource, "list", "watch") for resource in handlers.WATCHED))
     for resource, _ in resyncing.LISTED:
         found |= _each(resource, "get", "list")
-        if resource not in OURS:  # what it makes, changes and clears away
+        if resource not in (*OURS, NODES):  # what it makes, changes and clears away
             found |= _each(resource, "create", "patch", "delete")
     for resource in OURS:
         found.add((resource.group, f"{resource.plural}/status", "patch"))
@@ -72,6 +72,10 @@ def test_everything_that_is_granted_to_monitors_is_held(held: set[Right]) -> Non
 
 def test_everything_that_the_code_asks_for_is_held(held: set[Right]) -> None:
     assert _used() - held == set()
+
+
+def test_nodes_are_only_looked_at(held: set[Right]) -> None:
+    assert {verb for _, resource, verb in held if resource == NODES.plural} == {"get", "list", "watch"}
 
 
 def test_monitors_resize_nothing() -> None:

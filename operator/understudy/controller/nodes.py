@@ -1,0 +1,40 @@
+"""Nodes whose pods are about to go: those that are emptied, and those that were lost."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+from understudy.cluster.client import Object
+from understudy.controller import objects
+
+_TAINTS = frozenset(
+    {
+        # How those that remove nodes mark the ones that they are about to empty. ``kubectl drain`` cordons.
+        "ToBeDeletedByClusterAutoscaler",
+        "karpenter.sh/disrupted",
+        # Of a lost node nothing is known any more, and its pods are evicted a while later.
+        "node.kubernetes.io/not-ready",
+        "node.kubernetes.io/unreachable",
+    }
+)
+
+
+def is_leaving(node: Object) -> bool:
+    """Whether a node's pods are better replaced elsewhere: it takes no new ones, or was lost."""
+    spec = node.get("spec") or {}
+    return (
+        objects.deleted(node)
+        or bool(spec.get("unschedulable"))
+        or any(taint.get("key") in _TAINTS for taint in spec.get("taints") or [])
+    )
+
+
+def of(pod: Object) -> str:
+    """The node that a pod is on; empty while it is on none."""
+    found: str | None = (pod.get("spec") or {}).get("nodeName")
+    return found or ""
+
+
+def on(pod: Object, names: Collection[str]) -> bool:
+    """Whether a pod is on one of these nodes."""
+    return of(pod) in names
