@@ -121,6 +121,14 @@ def test_a_shared_pool_scales(cluster: Cluster, make) -> None:
     assert scale["status"] == {"replicas": 3, "selector": "understudy.dev/pool=spare"}
 
 
+def test_a_pool_whose_size_follows_the_failures_does_not_scale(cluster: Cluster, make) -> None:
+    pool = make("pool-with-sizing")
+    with pytest.raises(Refused, match=r"spec.replicas: .*remove sizing to set replicas by hand"):
+        cluster.patch(pool, {"spec": {"replicas": 3}}, subresource="scale")
+    by_hand = cluster.patch(pool, {"spec": {"replicas": 3, "sizing": None}})
+    assert by_hand["spec"]["replicas"] == 3
+
+
 def test_a_pool_per_workload_does_not_scale(cluster: Cluster, make) -> None:
     pool = make("pool-executing")
     with pytest.raises(Refused, match="has perWorkload"):

@@ -520,6 +520,120 @@ def test_a_pool_is_never_overfilled_while_pods_come_and_go(fleet: Fleet, operato
     assert most == 4
 
 
+def test_a_pool_s_size_follows_the_failures_that_its_robots_status_tells_of(fleet: Fleet, operator: Operator) -> None:
+    sizing = {"risk": "1%", "failuresPerRobotHour": 1, "refill": "10m", "max": 5}
+    pool = spare(sizing=sizing)
+    del pool["spec"]["replicas"]
+    fleet.create(policy("spare"), pool, workload())
+    assumed = until(lambda: (fleet.get("FallbackPool", "spare").get("status") or {}).get("sizing"), "a size")
+    assert (assumed["size"], assumed["failures"], assumed["robots"]) == (3, 0, 1)
+    until(lambda: len(fleet.held()) == 3, "the pods that it asks for")
+    detected = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(time.time() + 1))
+    time.sleep(2)
+    attempts = [{"strategy": "Fallback/Uninitialized", "pod": "spare-abcde", "result": "Verified"}]
+    recovery = {"reason": "it ended", "result": "Recovered", "moments": {"detected": detected}, "attempts": attempts}
+    failed = {"recoveryCount": 10, "recoveries": [{"id": str(number), **recovery} for number in range(10)]}
+    fleet.cluster.patch(fleet.get("RobotWorkload", "w"), {"status": failed}, subresource="status")
+    until(lambda: len(fleet.held()) == 5, "as many as there may be")
+    found = fleet.wait_condition("FallbackPool", "spare", "Sized", "AtMaximum")
+    assert "asked for a pod 10 times" in found["message"]
+    assert "spec.sizing.max is 5" in found["message"]
+    told = [event for event in fleet.events("spare") if event["reason"] == "Resized"]
+    assert [event["message"].partition(":")[0] for event in told] == ["from 3 to 5 pods"]
+    before = fleet.settled()
+    operator.stop()
+    with Operator(fleet.cluster.kubeconfig, fleet.namespace):
+        assert fleet.settled() == before
+
+
+def test_a_new_template_of_a_pool_leaves_as_many_ready_as_it_says(fleet: Fleet, operator: Operator) -> None:
+    fleet.create(policy("spare"), spare(replicas=3, updateStrategy={"minReady": 2}), workload())
+    until(lambda: len(fleet.held()) == 3, "three held pods")
+    old = fleet.held()
+    for pod in old:
+        fleet.make_ready(pod)
+    until(lambda: fleet.get("FallbackPool", "spare")["status"].get("ready") == 3, "all of them to be ready")
+    fleet.cluster.patch(fleet.get("FallbackPool", "spare"), {"spec": {"template": template(args=["--new"])}})
+    until(lambda: len(fleet.held()) == 5, "three new ones, and two of the old ones")
+    new = [pod for pod in fleet.held() if pod["metadata"]["uid"] not in identities(old)]
+    assert len(new) == 3
+    found = fleet.wait_condition("FallbackPool", "spare", "Updated", "RollingOut")
+    assert "2 of 5 unclaimed pods" in found["message"]
+    fleet.make_ready(new[0])
+    until(lambda: fleet.get("FallbackPool", "spare")["status"].get("updated") == 3, "its numbers")
+    time.sleep(2)
+    assert len(fleet.held()) == 5
+    assert fleet.get("FallbackPool", "spare")["status"]["ready"] == 2, "those of the old template"
+    fleet.make_ready(new[1])
+    until(lambda: identities(fleet.held()) == identities(new), "the old ones to go")
+    fleet.wait_condition("FallbackPool", "spare", "Updated", "Updated", "True")
+
+
+def test_on_replenish_pods_of_an_old_template_wait_on_and_may_be_claimed(fleet: Fleet, operator: Operator) -> None:
+    fleet.create(policy("spare"), spare(replicas=2, updateStrategy={"type": "OnReplenish"}), workload())
+    fleet.wait_built()
+    until(lambda: len(fleet.held()) == 2, "two held pods")
+    old = fleet.held()
+    for pod in old:
+        fleet.make_ready(pod)
+    fleet.cluster.patch(fleet.get("FallbackPool", "spare"), {"spec": {"template": template(args=["--new"])}})
+    fleet.wait_condition("FallbackPool", "spare", "Updated", "OnReplenish", "True")
+    assert identities(fleet.held()) == identities(old)
+    assert fleet.get("FallbackPool", "spare")["status"]["ready"] == 2
+    settings = json.loads(fleet.get("ConfigMap", "w-settings", CORE)["data"]["settings.json"])
+    assert settings["pools"][0].get("templateHash", "") == ""
+    claimed = fleet.get("Pod", old[0]["metadata"]["name"], CORE)
+    fleet.claim(claimed)
+    fleet.commit(claimed)
+    until(lambda: len(fleet.held()) == 2, "another in its place")
+    (new,) = [pod for pod in fleet.held() if pod["metadata"]["uid"] not in identities(old)]
+    assert new["metadata"]["labels"][names.TEMPLATE_HASH] != old[0]["metadata"]["labels"][names.TEMPLATE_HASH]
+
+
+@pytest.fixture
+def nodes(cluster: Cluster) -> Iterator[list[Object]]:
+    """Two nodes that nothing runs on. They report nothing, so Kubernetes takes them as lost after 40 s."""
+    made = []
+    for number in range(2):
+        name = f"understudy-{uuid.uuid4().hex[:6]}-{number}"
+        made.append(cluster.create({"apiVersion": CORE, "kind": "Node", "metadata": {"name": name}}))
+        moment = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
+        ready = {"type": "Ready", "status": "True", "reason": "Test", "message": "", "lastHeartbeatTime": moment}
+        cluster.patch(
+            made[-1], {"status": {"conditions": [ready | {"lastTransitionTime": moment}]}}, subresource="status"
+        )
+        cluster.patch(made[-1], {"spec": {"taints": None}})
+    yield made
+    for node in made:
+        cluster.delete(node)
+
+
+def test_pods_on_a_node_that_is_to_be_emptied_are_replaced_before_they_go(
+    fleet: Fleet, operator: Operator, nodes: list[Object]
+) -> None:
+    def place(pod: Object, node: Object) -> None:
+        """What a scheduler does, and then a kubelet."""
+        target = {"apiVersion": CORE, "kind": "Node", "name": node["metadata"]["name"]}
+        body = {"apiVersion": CORE, "kind": "Binding", "metadata": {"name": pod["metadata"]["name"]}, "target": target}
+        path = fleet.cluster.path(CORE, "Pod", fleet.namespace, pod["metadata"]["name"], "binding")
+        fleet.cluster.request("POST", path, body=body)
+        fleet.make_ready(pod)
+
+    fleet.create(policy("spare"), spare(replicas=1), workload())
+    (old,) = until(fleet.held, "a held pod")
+    place(old, nodes[0])
+    until(lambda: fleet.get("FallbackPool", "spare")["status"].get("ready") == 1, "it to be ready")
+    fleet.cluster.patch(nodes[0], {"spec": {"unschedulable": True}})
+    until(lambda: len(fleet.held()) == 2, "another one beside it")
+    assert identities([old]) <= identities(fleet.held())
+    found = fleet.wait_condition("FallbackPool", "spare", "Moving", "NodeLeaves", "True")
+    assert nodes[0]["metadata"]["name"] in found["message"]
+    (new,) = [pod for pod in fleet.held() if pod["metadata"]["uid"] != old["metadata"]["uid"]]
+    place(new, nodes[1])
+    until(lambda: identities(fleet.held()) == identities([new]), "the one on the cordoned node to go")
+    until(lambda: not fleet.condition("FallbackPool", "spare", "Moving"), "that to be over")
+
+
 def test_silent_watches_are_made_up_for_by_lists(fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
     async def silent(*_: object) -> None:
         await asyncio.Event().wait()

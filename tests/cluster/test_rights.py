@@ -55,6 +55,14 @@ def test_the_operator_never_changes_what_users_said(cluster: Cluster, namespace:
     assert changed["status"]["desired"] == 0
 
 
+def test_the_operator_looks_at_nodes_and_changes_none(cluster: Cluster, operator: str) -> None:
+    path = cluster.path("v1", "Node", None)
+    node = cluster.request("GET", path, user=operator)["items"][0]
+    found = {"apiVersion": "v1", "kind": "Node", "metadata": {"name": node["metadata"]["name"]}}
+    with pytest.raises(Refused, match='cannot patch resource "nodes"'):
+        cluster.patch(found, {"spec": {"unschedulable": True}}, user=operator, dry_run=True)
+
+
 def test_the_lease_is_written_in_the_operator_s_namespace_only(
     cluster: Cluster, namespace: str, release: Release, operator: str
 ) -> None:

@@ -62,6 +62,24 @@ def seconds(duration: str) -> float:
     return sum(float(number) * _UNIT_SECONDS[unit] for number, unit in _DURATION_PART.findall(duration))
 
 
+PERCENTAGE_PATTERN = r"^([1-9][0-9]?([.][0-9]{1,6})?|0[.][0-9]{0,5}[1-9][0-9]{0,5})%$"
+
+Percentage = Annotated[
+    str,
+    Field(
+        pattern=PERCENTAGE_PATTERN,
+        max_length=16,
+        json_schema_extra=matching(PERCENTAGE_PATTERN, "write a share above 0% and below 100%, such as 1% or 0.5%"),
+    ),
+]
+"""A share such as ``1%``, neither none nor all."""
+
+
+def fraction(percentage: str) -> float:
+    """A percentage such as ``0.5%`` from 0 to 1."""
+    return float(percentage.removesuffix("%")) / 100
+
+
 LONGEST_TEXT = 65536
 """Characters that a tree may have that is a text: some hundred nodes and what an editor adds, far below what etcd takes."""
 

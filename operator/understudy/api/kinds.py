@@ -116,6 +116,7 @@ KINDS = (
             Column("Ready", ".status.ready", "Pods that could take over now.", "integer"),
             Column("Claimed", ".status.claimed", "Pods of this pool that drive a robot.", "integer"),
             Column("Waiting", ".status.waiting", "Workloads that wait for a pod of it.", "integer", wide=True),
+            Column("Updated", ".status.updated", "Unclaimed pods of the present template.", "integer", wide=True),
             AGE,
         ),
         rules=_SHORT_NAME,

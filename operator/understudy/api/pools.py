@@ -6,8 +6,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from understudy.api.base import Duration, Model, ObjectName, matching, rules
-from understudy.api.conditions import Condition
+from understudy.api.base import Duration, Model, ObjectName, Percentage, matching, rules
+from understudy.api.conditions import Condition, Time
 from understudy.api.procedures import Check, Procedure
 from understudy.api.templates import pod_template
 
@@ -77,16 +77,77 @@ class Reserve(Model):
     )
 
 
+class Sizing(Model):
+    """How a shared pool's size follows the failures of its robots, as `understudy size` reckons."""
+
+    model_config = Model.model_config | {
+        "json_schema_extra": rules(("self.min <= self.max", "min must not be above max", ".min"))
+    }
+
+    risk: Percentage = Field(description="The risk that the pool's size is to keep, such as 1%.")
+    risk_of: Literal["Loss", "Waiting"] = Field(
+        default="Loss",
+        description="What it is a risk of. Loss: a failure finds no pod, and its policy's next strategy is taken. Waiting: it has to wait "
+        "for one, for policies with waitFor.",
+    )
+    failures_per_robot_hour: float = Field(
+        default=1.0,
+        ge=0.0001,
+        le=3600,
+        description="What is assumed while nothing was seen: how often a robot asks for a pod. It counts as one failure.",
+    )
+    refill: Duration = Field(
+        default="30s",
+        description="From a failure until another pod is ready in place of the one that it took: about what a pod takes to start.",
+    )
+    history: Duration = Field(default="24h", description="How far back failures count.")
+    min: int = Field(default=1, ge=0, le=1000, description="It never has fewer pods.")
+    max: int = Field(ge=0, le=1000, description="It never has more pods, whatever the risk.")
+
+
+class UpdateStrategy(Model):
+    """What becomes of a shared pool's waiting pods when its template changes. Claimed ones stay as they are."""
+
+    model_config = Model.model_config | {
+        "json_schema_extra": rules(
+            (
+                "self.type == 'Recreate' || !has(self.minReady)",
+                "minReady is only for type Recreate: with OnReplenish no pod is taken away",
+                ".minReady",
+            )
+        )
+    }
+
+    type: Literal["Recreate", "OnReplenish"] = Field(
+        default="Recreate",
+        description="Recreate: new ones are made beside them, and they go. OnReplenish: they wait on until they are claimed, and the ones "
+        "that are made in their place are of the new template.",
+    )
+    min_ready: int | None = Field(
+        default=None,
+        ge=0,
+        le=1000,
+        description="Ready pods that could be claimed and that are left while new ones start (Recreate); the others of the old template "
+        "go at once and make room. Absent: none goes before there is a ready one in its place.",
+    )
+
+
 class FallbackPoolSpec(Model):
     """A warm pool."""
 
     model_config = Model.model_config | {
         "json_schema_extra": rules(
             (
-                "self.readiness == 'Uninitialized' ? has(self.replicas) && !has(self.perWorkload) "
-                ": has(self.perWorkload) && !has(self.replicas)",
-                "an Uninitialized pool has replicas (it is shared); an Initialized or Executing one has perWorkload "
+                "self.readiness == 'Uninitialized' ? (has(self.replicas) || has(self.sizing)) && !has(self.perWorkload) "
+                ": has(self.perWorkload) && !has(self.replicas) && !has(self.sizing)",
+                "an Uninitialized pool has replicas or sizing (it is shared); an Initialized or Executing one has perWorkload "
                 "(such a standby lives in one robot's ROS graph)",
+            ),
+            (
+                "!has(self.replicas) || !has(self.sizing)",
+                "replicas and sizing exclude each other: with sizing the size follows the failures, between its min and max; remove "
+                "sizing to set replicas by hand",
+                ".replicas",
             ),
             (
                 "self.readiness == 'Uninitialized' ? has(self.template) != has(self.templateFrom) "
@@ -108,6 +169,12 @@ class FallbackPoolSpec(Model):
                 ".reserve",
             ),
             (
+                "self.readiness == 'Uninitialized' || !has(self.updateStrategy)",
+                "updateStrategy is only for pools with readiness Uninitialized: standbys are of their workload's template, and the old one "
+                "stays until the new one is ready",
+                ".updateStrategy",
+            ),
+            (
                 "self.readiness != 'Initialized' || has(self.initialization)",
                 "an Initialized pool needs an initialization, which says how far its standbys are brought",
                 ".initialization",
@@ -119,7 +186,14 @@ class FallbackPoolSpec(Model):
     readiness: Readiness = Field(
         description="Uninitialized: pods run, processes wait for a robot. Initialized: up and configured. Executing: run in full, gated."
     )
-    replicas: int | None = Field(default=None, ge=0, le=1000, description="Unclaimed pods to keep (Uninitialized).")
+    replicas: int | None = Field(
+        default=None, ge=0, le=1000, description="Unclaimed pods to keep (Uninitialized); else sizing says how many."
+    )
+    sizing: Sizing | None = Field(
+        default=None,
+        description="Have the number of unclaimed pods follow the failures of the workloads that take from it (Uninitialized), instead "
+        "of replicas. See docs/sizing.md.",
+    )
     per_workload: int | None = Field(
         default=None, ge=0, le=8, description="Standbys for each workload (Initialized, Executing)."
     )
@@ -159,6 +233,10 @@ class FallbackPoolSpec(Model):
         description="Keep the last ready pods for critical workloads (Uninitialized). Absent: whoever fails first has the last one. See "
         "docs/waiting.md.",
     )
+    update_strategy: UpdateStrategy | None = Field(
+        default=None,
+        description="What becomes of waiting pods when the pool's template changes (Uninitialized). Absent: Recreate.",
+    )
     warm_paths: list[WarmPath] = Field(
         default_factory=list,
         max_length=16,
@@ -168,6 +246,20 @@ class FallbackPoolSpec(Model):
     def kept_from(self, priority: int) -> int:
         """How many of the ready pods a workload of a poolPriority may not take."""
         return self.reserve.pods if self.reserve is not None and priority < self.reserve.pool_priority else 0
+
+
+class SizingStatus(Model):
+    """The size that the failures ask for, and how that came about. Figures have two digits."""
+
+    size: int = Field(description="Unclaimed pods to keep now.")
+    last_change: Time = Field(description="When the size last changed, RFC 3339.")
+    needed: int = Field(description="Enough for the risk at the expected rate, without regard to min and max.")
+    robots: int = Field(description="Workloads that would take a pod of it.")
+    failures: int = Field(description="How often they asked for one, in the time that counts.")
+    robot_hours: float = Field(description="For how long they were observed, all together.")
+    failures_per_robot_hour: float = Field(description="The expected rate.")
+    low: float = Field(description="It is above this, for 95 %.")
+    high: float = Field(description="It is below this, for 95 %.")
 
 
 class FallbackPoolStatus(Model):
@@ -180,15 +272,22 @@ class FallbackPoolStatus(Model):
     desired: int | None = Field(default=None, description="Pods that should exist.")
     ready: int | None = Field(default=None, description="Pods that could take over now.")
     claimed: int | None = Field(default=None, description="Pods of this pool that drive a robot.")
+    updated: int | None = Field(
+        default=None, description="Unclaimed pods of the present template; see the condition Updated (Uninitialized)."
+    )
     waiting: int | None = Field(
         default=None, description="Workloads that wait for a pod of it; see the condition Available (Uninitialized)."
     )
+    sizing: SizingStatus | None = Field(default=None, description="What came of spec.sizing.")
     selector: str | None = Field(
         default=None, description="Label selector of the pool's pods, for the scale subresource."
     )
     conditions: list[Condition] | None = Field(
         default=None,
         description="Accepted: it can be filled. Ready: every pod that should be there could take over now. Available: a pod could be "
-        "claimed now (Uninitialized); while it is Dry, it says who waits, in order.",
+        "claimed now (Uninitialized); while it is Dry, it says who waits, in order. Sized, with spec.sizing: how many there are to be "
+        "and why; False where max is not enough for the risk. Updated: every unclaimed pod is of the present "
+        "template, or may be of an earlier one (Uninitialized). Moving, while it is so: pods are replaced elsewhere, since their node "
+        "is to be emptied or was lost.",
         json_schema_extra={"x-kubernetes-list-type": "map", "x-kubernetes-list-map-keys": ["type"]},
     )

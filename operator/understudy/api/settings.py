@@ -19,9 +19,7 @@ class PoolChoice(Model):
 
     name: str = Field(description="FallbackPool.")
     readiness: Readiness = Field(description="Its readiness.")
-    template_hash: str = Field(
-        default="", description="Hash of the pool's present template; pods of another are not claimed."
-    )
+    template_hash: str = Field(default="", description="Hash of the template whose pods may be claimed; empty: of any.")
     reserved: int = Field(default=0, description="The last ready pods of it that this workload may not take.")
     initialization: Procedure | None = Field(default=None, description="What brings its standbys to its readiness.")
     readiness_check: Check | None = Field(default=None, description="What must hold of its standbys.")

@@ -21,13 +21,16 @@ from understudy.console.drawing import coloured, plain
 from understudy.console.observing import Around
 from understudy.console.robots import DRIVEN, UNWATCHED, Problem, Robot, is_told, pool, robot, status_of
 from understudy.console.texts import age, listed, wrapped
-from understudy.controller import objects, policies, pools, statuses, workloads
+from understudy.controller import objects, policies, pools, poolsizes, statuses, workloads
 from understudy.controller.desired import Images
 from understudy.controller.statuses import Means
 from understudy.controller.troubles import trouble
 from understudy.controller.workloads import Observed, Understanding
 from understudy.trees.forms import load_monitoring
 from understudy.trees.problems import TreeError
+
+_TOLD = (poolsizes.CONDITION, pools.MOVING)
+"""Conditions of a shared pool that are told beside it."""
 
 LATELY = 5
 """Events that are told."""
@@ -301,9 +304,11 @@ def _pools(known: Known) -> Iterator[_Entry]:
 def _shared(name: str, item: Object, observed: Observed) -> Iterator[_Entry]:
     held = observed.unclaimed.get(name, ())
     ready = pools.claimable_now(held, observed.held_policies.get(name))
-    want, claimed = (item.get("spec") or {}).get("replicas") or 0, pool(item).claimed
+    want, claimed = poolsizes.size(item), pool(item).claimed
     taken = f"; {claimed} of its pods {'drives a robot' if claimed == 1 else 'drive robots'}" if claimed else ""
     yield _Entry(f"{name} (Uninitialized, shared): {len(ready)} of {want} ready{taken}")
+    conditions = (item.get("status") or {}).get("conditions") or []
+    yield from (_Entry(one["message"], depth=1) for one in conditions if one["type"] in _TOLD)
     taking = {objects.uid(pod) for pod in ready}
     yield from (_pod(pod) for pod in sorted(held, key=objects.sort_key) if objects.uid(pod) not in taking)
 

@@ -43,6 +43,8 @@ _ABOUT = {
     "Draining": "evictions don't wait",
     "StrategiesChosen": "requirements not met",
     "Available": "no pod is free",
+    "Sized": "too small for its risk",
+    "Updated": "not updated",
     "Reflex": "no reflex",
     "StateKept": "state not kept",
     "StateRestored": "state not restored",

@@ -22,7 +22,7 @@ from understudy.cluster.client import (
     Object,
     Resource,
 )
-from understudy.controller import choosing, draining, healthtrees, objects, policies
+from understudy.controller import choosing, healthtrees, nodes, objects, policies
 from understudy.controller.stores import Sight, Store
 
 
@@ -64,6 +64,8 @@ def _keys(sight: Sight, store: Store) -> Iterator[Key]:
         elif plural == WORKLOADS.plural and _chosen_anew(sight):
             for name in store.in_namespace(POOLS, namespace):  # how many standbys it has of each
                 yield Key(POOLS.plural, namespace, name)
+        elif plural == WORKLOADS.plural and _recovered_anew(sight):
+            yield from _sized(store, namespace)
     elif plural == PODS.plural:
         yield from _after_pod(sight, store, namespace)
     elif plural == NETWORK_POLICIES.plural:
@@ -83,6 +85,18 @@ def _chosen_anew(sight: Sight) -> bool:
     return sight.old is not None and sight.new is not None and chosen(sight.old) != chosen(sight.new)
 
 
+def _recovered_anew(sight: Sight) -> bool:
+    counts = [((item or {}).get("status") or {}).get("recoveryCount") for item in (sight.old, sight.new)]
+    return counts[0] != counts[1]
+
+
+def _sized(store: Store, namespace: str) -> Iterator[Key]:
+    """The pools whose size follows the failures."""
+    for name, pool in store.in_namespace(POOLS, namespace).items():
+        if (pool.get("spec") or {}).get("sizing"):
+            yield Key(POOLS.plural, namespace, name)
+
+
 def _after_spec(sight: Sight, store: Store, namespace: str) -> Iterator[Key]:
     found = sight.new or sight.old
     assert found is not None
@@ -97,6 +111,7 @@ def _after_spec(sight: Sight, store: Store, namespace: str) -> Iterator[Key]:
                 yield Key(WORKLOADS.plural, namespace, name)
     elif sight.resource.plural == POLICIES.plural:
         yield from users(objects.name(found), store, namespace)
+        yield from _sized(store, namespace)  # who takes from them
     else:
         for name in store.in_namespace(POLICIES, namespace):
             yield Key(POLICIES.plural, namespace, name)
@@ -126,15 +141,22 @@ def _after_policy(policy: Object, store: Store, namespace: str) -> Iterator[Key]
 
 
 def _after_node(sight: Sight, store: Store) -> Iterator[Key]:
-    """Nodes report all the time; only whether one is to be emptied means something, and to those that are driven from it."""
-    cordoned = [item is not None and draining.is_cordoned(item) for item in (sight.old, sight.new)]
-    if cordoned[0] == cordoned[1]:
+    """Nodes report all the time; only whether their pods are about to go means something, and to those whose pods are there."""
+    before, after = (
+        (False, False) if item is None else (nodes.is_cordoned(item), nodes.is_leaving(item))
+        for item in (sight.old, sight.new)
+    )
+    if before == after:
         return
     found = sight.new or sight.old
     assert found is not None
     for pod in store.all(PODS):
-        if (workload := objects.labels(pod).get(names.WORKLOAD)) and pod["spec"]["nodeName"] == objects.name(found):
-            yield Key(WORKLOADS.plural, pod["metadata"]["namespace"], workload)
+        if nodes.of(pod) != objects.name(found):
+            continue
+        labels, namespace = objects.labels(pod), pod["metadata"]["namespace"]
+        for label, plural in ((names.WORKLOAD, WORKLOADS), (names.POOL, POOLS)):
+            if label in labels:
+                yield Key(plural.plural, namespace, labels[label])
 
 
 def _after_budget(sight: Sight, store: Store, namespace: str) -> Iterator[Key]:

@@ -19,6 +19,7 @@ from understudy.api.workloads import Recovery
 from understudy.choosing.figures import Figure, Figures, Way, seen
 from understudy.choosing.ordering import Candidate, Order, ordered
 from understudy.cluster.client import Object
+from understudy.controller import poolsizes
 
 
 def is_auto(policy: Object) -> bool:
@@ -88,7 +89,7 @@ def _candidate(name: str, pool: Object, sharing: int) -> Candidate | None:
     except ValidationError:
         return None
     shared = spec.readiness == "Uninitialized"
-    standbys = (spec.replicas or 0) / sharing if shared else float(spec.per_workload or 0)
+    standbys = poolsizes.size(pool) / sharing if shared else float(spec.per_workload or 0)
     return Candidate(spec.readiness, name, standbys) if standbys else None
 
 

@@ -16,24 +16,14 @@ from understudy.api.conditions import Condition, condition
 from understudy.api.switchovers import Drain, Draining
 from understudy.cluster.applying import controller_of
 from understudy.cluster.client import Object
-from understudy.controller import objects, selectors
+from understudy.controller import nodes, objects, selectors
 
 CONDITION = "Draining"
-
-_TAINTS = frozenset({"ToBeDeletedByClusterAutoscaler", "karpenter.sh/disrupted"})
-"""How those that remove nodes mark the ones that they are about to empty. ``kubectl drain`` cordons."""
-
-
-def is_cordoned(node: Object) -> bool:
-    """Whether a node is to be emptied, or takes no new pods at least: it may be emptied the moment after."""
-    spec = node.get("spec") or {}
-    return bool(spec.get("unschedulable")) or any(taint.get("key") in _TAINTS for taint in spec.get("taints") or [])
 
 
 def seen(active: Object | None, cordoned: Collection[str], present: Drain | None, now: float) -> Drain | None:
     """What a monitor is told of the node of its instance in control; ``present`` is what it was told last."""
-    node = ((active or {}).get("spec") or {}).get("nodeName")
-    if active is None or node not in cordoned:
+    if active is None or (node := nodes.of(active)) not in cordoned:
         return None
     uid = objects.uid(active)
     since = present.since if present is not None and (present.uid, present.node) == (uid, node) else round(now, 3)

@@ -23,6 +23,16 @@ class Change:
     again_after: float | None = None
 
 
+@dataclass(frozen=True)
+class Update:
+    """What becomes of pods of an old template."""
+
+    stay: bool = False
+    """They are as good as new ones, and stay until they are taken."""
+    min_ready: int | None = None
+    """How many that are ready are left to be claimed meanwhile; None where none goes before one is ready in its place."""
+
+
 def change(
     pods: Sequence[Object],
     *,
@@ -31,35 +41,64 @@ def change(
     expected: int,
     now: float,
     kept: Callable[[Object], bool] = lambda pod: False,
+    moving: Callable[[Object], bool] = lambda pod: False,
     hold: bool = False,
+    update: Update = Update(),
 ) -> Change:
     """The change that leads to ``want`` pods of the present template.
 
     ``expected`` pods were created and haven't been observed yet: they count, so a stale read never makes too many. Nothing
     tells of one that was never made, so it is looked again once it isn't expected any more.
     ``kept`` pods (the active one) count at any template and are never deleted. Pods of an old template go only as
-    far as ready ones of the present one have come: make before break. With ``hold`` (a recovery is under way, which
-    may be about to use any of them) nothing is deleted.
+    far as ready ones of the present one have come, which is make before break, unless ``update`` says otherwise. So do
+    those that are ``moving``, since their node is about to go: they are replaced elsewhere first. With
+    ``hold`` (a recovery is under way, which may be about to use any of them) nothing is deleted.
     """
     ended = [pod for pod in pods if objects.ended(pod) and not kept(pod)]
     resting = [pod for pod in ended if now - objects.created(pod) < REST_SECONDS]
     over = [pod for pod in ended if now - objects.created(pod) >= REST_SECONDS]
     live = sorted((pod for pod in pods if objects.alive(pod)), key=objects.sort_key)
-    present = [pod for pod in live if kept(pod) or hash_of(pod) == template_hash]
-    old = [pod for pod in live if not kept(pod) and hash_of(pod) != template_hash]
+    fitting = [pod for pod in live if kept(pod) or update.stay or hash_of(pod) == template_hash]
+    outdated = [pod for pod in live if not (kept(pod) or update.stay or hash_of(pod) == template_hash)]
+    present = [pod for pod in fitting if kept(pod) or not moving(pod)]
+    leaving = [pod for pod in fitting if not kept(pod) and moving(pod)]
     rest = max((REST_SECONDS - (now - objects.created(pod)) for pod in resting), default=None)
     again = min((delay for delay in (rest, LASTS if expected else None) if delay is not None), default=None)
-    create = max(0, want - len(present) - len(resting) - expected)
+    # Where a template has its pods placed on such a node again, twice as many as are wanted are enough.
+    surplus = max(0, len(leaving) - want)
+    create = max(0, want - surplus - len(present) - len(resting) - expected)
     if hold:
         return Change(create=create, again_after=again)
     delete = over
     free = sorted(
-        (pod for pod in present if not kept(pod)), key=lambda pod: (objects.ready(pod), -objects.created(pod))
+        (pod for pod in present if not kept(pod)),
+        key=lambda pod: (objects.ready(pod), hash_of(pod) == template_hash, -objects.created(pod)),
     )
     delete += free[: max(0, len(present) - want)]
-    staying = max(0, want - sum(objects.ready(pod) for pod in present))
-    delete += sorted(old, key=lambda pod: not objects.ready(pod))[staying:]
+    delete += _replaced(leaving, outdated, present, want, template_hash, update)
     return Change(create=create, delete=delete, again_after=again)
+
+
+def _replaced(
+    leaving: Sequence[Object],
+    outdated: Sequence[Object],
+    present: Sequence[Object],
+    want: int,
+    template_hash: str,
+    update: Update,
+) -> list[Object]:
+    """The pods that are to be replaced and aren't needed until the ones in their place are ready."""
+    ready = sum(objects.ready(pod) for pod in present)
+    missing = max(0, want - ready)
+    # Those whose node is about to go stay until all is well without them: where others are placed there again, as a template may
+    # have it, it would never end if they went one by one.
+    found = [] if missing else list(leaving)
+    if update.min_ready is None:
+        return found + sorted(outdated, key=lambda pod: not objects.ready(pod))[missing:]
+    least = min(want, update.min_ready)
+    allowed = claimable([*leaving, *outdated, *present], template_hash, update)
+    staying = max(0, least - ready) if allowed == template_hash else least
+    return found + sorted(outdated, key=lambda pod: (hash_of(pod) != allowed, not objects.ready(pod)))[staying:]
 
 
 def hash_of(pod: Object) -> str:
@@ -67,15 +106,18 @@ def hash_of(pod: Object) -> str:
     return objects.labels(pod).get(names.TEMPLATE_HASH, "")
 
 
-def claimable(unclaimed: Sequence[Object], present: str) -> str:
-    """The template whose held pods may be claimed: the present one as soon as one of it is ready.
+def claimable(unclaimed: Sequence[Object], present: str, update: Update = Update()) -> str:
+    """The template whose held pods may be claimed: the present one as soon as one of it is ready, or as many as are to be.
 
-    Until then the one with most ready pods, so that a new template that can't start takes nothing away.
+    Until then the one with most ready pods, so that a new template that can't start takes nothing away. Empty for any, where those
+    of an old one are as good.
     """
+    if update.stay:
+        return ""
     ready: dict[str, int] = {}
     for pod in unclaimed:
         if objects.ready(pod):
             ready[hash_of(pod)] = ready.get(hash_of(pod), 0) + 1
-    if not ready or present in ready:
+    if not ready or ready.get(present, 0) >= max(1, update.min_ready or 0):
         return present
-    return max(sorted(ready), key=lambda found: ready[found])
+    return max(sorted(ready), key=lambda found: (ready[found], found == present))

@@ -354,7 +354,12 @@ def _agent(recipe: Recipe, held: Sequence[str], fenced: Sequence[str], unfenced:
 
 
 def _keep_apart(spec: Object, recipe: Recipe) -> None:
-    """Prefer other nodes than those of the other instances (of the workload, or of the shared pool), then than the monitor's."""
+    """Prefer other nodes than those of the other instances (of the workload, or of the shared pool), then than the monitor's.
+
+    Where a shared pool's pods are to be is left to its template, if that says so.
+    """
+    if recipe.held and (spec.get("topologySpreadConstraints") or (spec.get("affinity") or {}).get("podAntiAffinity")):
+        return
     labels = {names.WORKLOAD: recipe.workload} if recipe.workload else {names.POOL: recipe.pool}
     terms = [away_from(labels, _DISTANCE)]
     if recipe.workload:

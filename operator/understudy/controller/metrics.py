@@ -22,6 +22,24 @@ WRITES = Counter(
 )
 WAITING = Gauge("understudy_queue_length", "Objects waiting to be reconciled.", registry=REGISTRY)
 LEADER = Gauge("understudy_leader", "1 while this replica holds the lease.", registry=REGISTRY)
+POOL_SIZE = Gauge(
+    "understudy_pool_size",
+    "Unclaimed pods that a shared pool is to hold, where spec.sizing says how many.",
+    ["namespace", "pool"],
+    registry=REGISTRY,
+)
+POOL_NEEDED = Gauge(
+    "understudy_pool_size_needed",
+    "How many would be enough for the risk at the expected rate, without regard to min and max.",
+    ["namespace", "pool"],
+    registry=REGISTRY,
+)
+POOL_FAILURES = Gauge(
+    "understudy_pool_failures_per_robot_hour",
+    "How often a robot is expected to ask for a pod of the pool.",
+    ["namespace", "pool"],
+    registry=REGISTRY,
+)
 MISSED = Counter(
     "understudy_watch_missed_total",
     "Changes that only a full list brought, by resource.",

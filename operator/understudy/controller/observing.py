@@ -27,7 +27,9 @@ from understudy.controller import (
     choosing,
     draining,
     levels,
+    nodes,
     objects,
+    policies,
     pools,
     references,
     selectors,
@@ -86,13 +88,18 @@ class Observer:
             reference=await self._referred(item),
             rivals=self._rivals(item),
             resized=await self._resized(item),
-            cordoned=frozenset(objects.name(node) for node in store.all(NODES) if draining.is_cordoned(node)),
+            cordoned=frozenset(objects.name(node) for node in store.all(NODES) if nodes.is_cordoned(node)),
+            leaving=self._leaving(),
             budgets=[
                 budget
                 for budget in store.in_namespace(DISRUPTION_BUDGETS, namespace).values()
                 if not draining.is_ours(budget)
             ],
         )
+
+    def _leaving(self) -> frozenset[str]:
+        """The nodes whose pods are about to go."""
+        return frozenset(objects.name(node) for node in self._store.all(NODES) if nodes.is_leaving(node))
 
     def _expected(self, key: Key, pool: str) -> int:
         """Pods that were asked for, and of which neither an answer nor a watch has told."""
@@ -178,7 +185,20 @@ class Observer:
                 for workload in found.values()
             ),
             spared=sum(self._spared(item, workload) for workload in found.values()),
+            asking=[workload for workload in found.values() if self._asks(item, workload)],
+            leaving=self._leaving(),
         )
+
+    def _asks(self, pool: Object, workload: Object) -> bool:
+        """Whether a workload takes a pod of a pool when it fails, where the pool's size follows that."""
+        if not (pool.get("spec") or {}).get("sizing") or not pools.serves(pool, workload):
+            return False
+        policy = self._store.get(POLICIES, pool["metadata"]["namespace"], affected.used_policy(workload))
+        if policy is None:
+            return False
+        if choosing.is_auto(policy):
+            return statuses.takes_from(affected.chosen(workload), objects.name(pool))
+        return objects.name(pool) in policies.named_pools(policy)
 
     def _spared(self, pool: Object, workload: Object) -> bool:
         """Whether a workload that a pool serves has no standby of it, since other strategies were chosen for it.

@@ -11,13 +11,17 @@ from understudy.api import names
 from understudy.api.conditions import Condition, condition
 from understudy.api.pools import FallbackPoolSpec
 from understudy.cluster.client import NETWORK_POLICIES, PODS, SECRETS, Object
-from understudy.controller import fleets, gates, instances, objects, ownership, policies, selectors
+from understudy.controller import fleets, gates, instances, nodes, objects, ownership, policies, poolsizes, selectors
 from understudy.controller.desired import Apply, Create, Delete, Images, Plan, Problem
+from understudy.controller.poolsizes import Sized
 from understudy.controller.troubles import trouble
 from understudy.mitigation.progress import waiter
 from understudy.mitigation.waiting import Waiter, in_order
 
 _MOST_NAMED = 3
+
+MOVING = "Moving"
+"""The condition that is there while pods are replaced elsewhere."""
 
 FIRST_THE_CLAIMED = 5.0
 """Seconds that a claimed pod has to get into control before the one in its place is started, which may be on its node: a
@@ -51,6 +55,10 @@ class Observed:
     """The workloads that wait for a pod of it, who is served first before the others."""
     spared: int = 0
     """Workloads that it serves and that have no standby of it, since other strategies were chosen for them."""
+    asking: Sequence[Object] = ()
+    """The workloads that take a pod of it when they fail, where its size follows that."""
+    leaving: frozenset[str] = frozenset()
+    """The nodes whose pods are about to go."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +69,8 @@ class Understanding:
     problem: Problem | None = None
     built: Object | None = None
     """The pod template of its held pods, for a shared pool."""
+    sized: Sized | None = None
+    """Its size, where it follows the failures."""
 
 
 def serves(pool: Object, workload: Object) -> bool:
@@ -97,8 +107,9 @@ def understand(observed: Observed, images: Images) -> Understanding:
     if refused is not None and refused.reason == "SpecInvalid":
         return Understanding(problem=refused)
     spec = policies.pool_spec(pool)
+    sized = poolsizes.sized(pool, spec, observed.asking, observed.now)
     if refused is not None:
-        return Understanding(spec, refused)
+        return Understanding(spec, refused, sized=sized)
     if spec.readiness != "Uninitialized":
         return Understanding(spec)
     template, path, image = spec.template, "spec.template", images
@@ -107,11 +118,11 @@ def understand(observed: Observed, images: Images) -> Understanding:
         path = f"RobotWorkload {source}: spec.template"
         template = dict(observed.source) if observed.source is not None else None
         if template is None:
-            return Understanding(spec, _no_source(source, observed))
+            return Understanding(spec, _no_source(source, observed), sized=sized)
         own = ((observed.workloads[source].get("spec") or {}).get("monitor") or {}).get("image")
         image = replace(images, monitor=own or images.monitor)
     if found := instances.problem(template or {}, held=True, path=path):
-        return Understanding(spec, Problem("TemplateInvalid", found))
+        return Understanding(spec, Problem("TemplateInvalid", found), sized=sized)
     requirements = selectors.requirements(observed.source_selector or {})
     recipe = instances.Recipe(
         workload="",
@@ -123,7 +134,7 @@ def understand(observed: Observed, images: Images) -> Understanding:
         warm_paths=spec.warm_paths,
         stripped=frozenset(requirement["key"] for requirement in requirements),
     )
-    return Understanding(spec, built=instances.build(template or {}, recipe))
+    return Understanding(spec, built=instances.build(template or {}, recipe), sized=sized)
 
 
 def _no_source(source: str, observed: Observed) -> Problem:
@@ -171,10 +182,19 @@ def plan(observed: Observed, understanding: Understanding, fresh: Fresh) -> Plan
             Create(SECRETS, ownership.ours(ownership.token(names.pool_secret(name), fresh.token()), owner, pool))
         )
     living = [pod for pod in held if objects.alive(pod)]
-    policy = gates.held_policy(name, fleets.claimable(living, present))
+    want = poolsizes.wanted(spec, understanding.sized)
+    update = _update(spec, want)
+    # Which pods may be claimed is said before others go.
+    policy = gates.held_policy(name, fleets.claimable(living, present, update))
     made.writes.append(Apply(NETWORK_POLICIES, ownership.ours(policy, owner, pool)))
     change = fleets.change(
-        held, want=spec.replicas or 0, template_hash=present, expected=observed.expected, now=observed.now
+        held,
+        want=want,
+        template_hash=present,
+        expected=observed.expected,
+        now=observed.now,
+        moving=lambda pod: nodes.on(pod, observed.leaving),
+        update=update,
     )
     namespace = pool["metadata"]["namespace"]
     wait = _until_driving(observed)
@@ -188,7 +208,18 @@ def plan(observed: Observed, understanding: Understanding, fresh: Fresh) -> Plan
         made.later(change.again_after)
     for one in observed.waiting:  # a monitor that is gone leaves behind that it waits
         made.later(one.until - observed.now)
+    if understanding.sized is not None:
+        made.later(poolsizes.LOOK_AGAIN)
     return made
+
+
+def _update(spec: FallbackPoolSpec, want: int) -> fleets.Update:
+    """What becomes of pods of an old template, for a pool of such a size."""
+    found = spec.update_strategy
+    if found is None:
+        return fleets.Update()
+    least = min(want, found.min_ready) if found.min_ready is not None else None
+    return fleets.Update(stay=found.type == "OnReplenish", min_ready=least)
 
 
 def _until_driving(observed: Observed) -> float:
@@ -218,7 +249,7 @@ class Counts:
     claimed: int
 
 
-def count(observed: Observed, spec: FallbackPoolSpec) -> Counts:
+def count(observed: Observed, spec: FallbackPoolSpec, sized: Sized | None = None) -> Counts:
     """The numbers of a pool's status."""
     living = [pod for pod in observed.pods if objects.alive(pod)]
     if spec.readiness == "Uninitialized":
@@ -226,7 +257,7 @@ def count(observed: Observed, spec: FallbackPoolSpec) -> Counts:
         policy = observed.owned.get(("networkpolicies", names.held(objects.name(observed.pool))))
         return Counts(
             replicas=len(held),
-            desired=spec.replicas or 0,
+            desired=poolsizes.wanted(spec, sized),
             ready=len(claimable_now(held, policy)),
             claimed=len(living) - len(held),
         )
@@ -263,7 +294,7 @@ def status(observed: Observed, understanding: Understanding, problems: Sequence[
         accepted = condition("Accepted", True, "Accepted", "It can be kept.", generation=generation)
     result: Object = {"observedGeneration": generation}
     if spec is not None:
-        counts = count(observed, spec)
+        counts = count(observed, spec, understanding.sized)
         result |= {
             "replicas": counts.replicas,
             "desired": counts.desired,
@@ -275,7 +306,17 @@ def status(observed: Observed, understanding: Understanding, problems: Sequence[
         if spec.readiness == "Uninitialized":
             result["waiting"] = len(observed.waiting)
             conditions.append(_available(observed, spec, counts))
+            if understanding.built is not None:
+                held = [pod for pod in unclaimed(pool, observed.pods) if objects.alive(pod)]
+                present = instances.template_hash(understanding.built)
+                result["updated"] = sum(fleets.hash_of(pod) == present for pod in held)
+                conditions.append(_updated(observed, spec, counts, result["updated"]))
+        if understanding.sized is not None:
+            result |= poolsizes.status(understanding.sized)
+            conditions.append(poolsizes.judged(pool, understanding.sized))
+        conditions += _moving(observed)
     else:
+        result |= poolsizes.last(pool)
         conditions = [accepted]
     return result | {"conditions": [c.to_wire() for c in conditions]}
 
@@ -343,6 +384,37 @@ def _available(observed: Observed, spec: FallbackPoolSpec, counts: Counts) -> Co
     free = counts.ready > len(found)
     generation = objects.generation(observed.pool)
     return condition("Available", free, "Available" if free else "Dry", f"{told}.", generation=generation)
+
+
+def _moving(observed: Observed) -> list[Condition]:
+    """Which pods are being replaced elsewhere since their node is about to go; nothing where none is."""
+    waiting = [pod for pod in observed.pods if objects.alive(pod) and objects.uid(pod) not in observed.active]
+    found = [pod for pod in waiting if names.CLAIM not in objects.notes(pod) and nodes.on(pod, observed.leaving)]
+    if not found:
+        return []
+    places = sorted({nodes.of(pod) for pod in found})
+    more = f" and {len(places) - _MOST_NAMED} more" if len(places) > _MOST_NAMED else ""
+    told = (
+        f"{len(found)} of {len(waiting)} waiting pods {'is' if len(found) == 1 else 'are'} on a node that is to be emptied or was lost "
+        f"({', '.join(places[:_MOST_NAMED])}{more}), and {'goes' if len(found) == 1 else 'go'} once there are others elsewhere."
+    )
+    return [condition(MOVING, True, "NodeLeaves", told, generation=objects.generation(observed.pool))]
+
+
+def _updated(observed: Observed, spec: FallbackPoolSpec, counts: Counts, updated: int) -> Condition:
+    """How far a change of the template has come."""
+    generation = objects.generation(observed.pool)
+    old = counts.replicas - updated
+    if not old:
+        told = "Every unclaimed pod is of the present template."
+        return condition("Updated", True, "Updated", told, generation=generation)
+    are = "is of an earlier template, and waits" if old == 1 else "are of earlier templates, and wait"
+    told = f"{old} of {counts.replicas} unclaimed pods {are}"
+    if spec.update_strategy is not None and spec.update_strategy.type == "OnReplenish":
+        told = f"{told} until they are claimed (spec.updateStrategy)."
+        return condition("Updated", True, "OnReplenish", told, generation=generation)
+    told = f"{told} until there are enough of the present one that are ready."
+    return condition("Updated", False, "RollingOut", told, generation=generation)
 
 
 def _moment(seconds: float) -> str:

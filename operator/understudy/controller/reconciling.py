@@ -12,7 +12,18 @@ from understudy.api import names
 from understudy.api.base import API_VERSION
 from understudy.cluster.client import CONFIG_MAPS, PODS, POLICIES, POOLS, WORKLOADS, ApiError, Client, Object, Resource
 from understudy.cluster.events import Recorder
-from understudy.controller import affected, draining, metrics, objects, policies, pools, resizing, statuses, workloads
+from understudy.controller import (
+    affected,
+    draining,
+    metrics,
+    objects,
+    policies,
+    pools,
+    poolsizes,
+    resizing,
+    statuses,
+    workloads,
+)
 from understudy.controller.affected import Key
 from understudy.controller.desired import Images
 from understudy.controller.executing import MANAGER, Executor
@@ -39,7 +50,7 @@ ABSENT = frozenset(
 TOGETHER_SECONDS = 3.0
 """For so long after an object was created, what it lacks isn't told yet."""
 
-WITHDRAWN = frozenset({resizing.CONDITION, statuses.CHOSEN, draining.CONDITION})
+WITHDRAWN = frozenset({resizing.CONDITION, statuses.CHOSEN, draining.CONDITION, poolsizes.CONDITION, pools.MOVING})
 """Conditions of ours that are there only while there is something to be said."""
 
 _RESOURCES = {resource.plural: resource for resource in (WORKLOADS, POLICIES, POOLS)}
@@ -78,6 +89,8 @@ class Reconciler:
         if key.plural == WORKLOADS.plural:
             return await self._workload(key, item)
         if item is None or objects.deleted(item):
+            if key.plural == POOLS.plural:
+                self._measure(key, None)
             return None
         if key.plural == POOLS.plural:
             return await self._pool(key, item)
@@ -142,7 +155,21 @@ class Reconciler:
             pods=self._store.labelled(PODS, key.namespace, names.POOL, key.name),
         )
         later = await self._tell(POOLS, item, pools.status(seen, understanding, problems))
+        self._measure(key, understanding.sized)
+        if understanding.sized is not None and (told := poolsizes.change(understanding.sized)) is not None:
+            await self._recorder.normal(item, "Resized", told)
         return _earliest(plan.again_after, again, later)
+
+    def _measure(self, key: Key, sized: poolsizes.Sized | None) -> None:
+        """The metrics of a pool's size, where it follows the failures."""
+        figures = (metrics.POOL_SIZE, metrics.POOL_NEEDED, metrics.POOL_FAILURES)
+        if sized is None:
+            for gauge in figures:
+                gauge.remove(key.namespace, key.name)
+            return
+        values = (sized.decision.size, sized.decision.needed, sized.rate.expected)
+        for gauge, value in zip(figures, values, strict=True):
+            gauge.labels(key.namespace, key.name).set(value)
 
     async def _policy(self, item: Object) -> float | None:
         namespace, name = item["metadata"]["namespace"], objects.name(item)

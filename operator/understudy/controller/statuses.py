@@ -10,7 +10,7 @@ from understudy.api.conditions import Condition, condition, merged
 from understudy.api.policies import Strategy
 from understudy.choosing import explaining
 from understudy.cluster.client import Object
-from understudy.controller import draining, levels, objects, policies, pools, workloads
+from understudy.controller import draining, levels, objects, policies, pools, poolsizes, workloads
 from understudy.controller.desired import Problem
 from understudy.controller.troubles import Trouble, trouble
 from understudy.controller.workloads import Observed, Understanding
@@ -28,8 +28,10 @@ PROGRESSING = frozenset(
 )
 """Reasons that are in order while something is being built: no Event when they come first."""
 
-UNTOLD = frozenset({"Available"})
-"""Conditions without Events: a pool that runs dry is told of by Ready, and by the monitors of those that wait."""
+UNTOLD = frozenset({"Available", "Updated"})
+"""Conditions without Events: a pool that runs dry is told of by Ready, and by the monitors of those that wait; one whose new pods
+can't start by Reconciled.
+"""
 
 LIMITED = (
     ("Paused", "True", "Paused", "If it failed now, nothing would be done."),
@@ -379,8 +381,9 @@ def _uninitialized(observed: Observed, label: str, pool: Object, priority: int) 
             f"FallbackPool {name} keeps its last {kept} for workloads with a higher spec.poolPriority (spec.reserve)"
         )
         return Means(label, False, "PodsReserved", f"{words}, and has {len(ready)} ready")
-    if not (pool["spec"].get("replicas") or 0):
-        return Means(label, False, "PoolEmpty", f"FallbackPool {name} has spec.replicas 0")
+    if not poolsizes.size(pool):
+        field = "spec.sizing.min" if pool["spec"].get("sizing") else "spec.replicas"
+        return Means(label, False, "PoolEmpty", f"FallbackPool {name} has {field} 0")
     if bad := _first_trouble(held):
         return Means(label, False, bad.reason, bad.message)
     return Means(label, False, "StandbyNotReady", f"no pod of FallbackPool {name} is ready")
@@ -399,7 +402,7 @@ def standby(observed: Observed, understanding: Understanding) -> str:
             have = sum(objects.ready(pod) for pod in waiting(observed, pool))
             return f"{policies.readiness(pool)} ({min(have, want)}/{want})"
         if policies.readiness(pool) == "Uninitialized":
-            want = pool["spec"].get("replicas") or 0
+            want = poolsizes.size(pool)
             held = observed.unclaimed.get(name, ())
             return f"Uninitialized ({len(pools.claimable_now(held, observed.held_policies.get(name)))}/{want})"
     if understanding.policy_problem is not None or understanding.spec is None:

@@ -43,6 +43,7 @@ from understudy.controller import (
     instances,
     levels,
     monitors,
+    nodes,
     objects,
     ownership,
     policies,
@@ -98,6 +99,8 @@ class Observed:
     """The nodes of the cluster that are to be emptied."""
     budgets: Sequence[Object] = ()
     """PodDisruptionBudgets of the namespace that aren't ours."""
+    leaving: frozenset[str] = frozenset()
+    """The nodes whose pods are about to go."""
 
     @property
     def gate(self) -> Object | None:
@@ -625,6 +628,7 @@ def _standbys(made: Plan, observed: Observed, pool: str, built: Object, fresh: F
         expected=observed.expected.get(pool, 0),
         now=observed.now,
         kept=lambda pod: objects.is_active(pod, gate),
+        moving=lambda pod: nodes.on(pod, observed.leaving),
         hold=observed.recovering,
     )
     for _ in range(change.create):

@@ -9,6 +9,9 @@ from understudy.sizing.papers import INTERVAL
 from understudy.sizing.trials import Estimate
 from understudy.trees.leaves import duration
 
+_LARGEST = 1000
+"""Pods that a FallbackPool may have."""
+
 _HEAD = ("", "BY THE MODEL", "BY TRIAL")
 
 
@@ -44,6 +47,7 @@ def told(size: Size) -> str:
         f"down-time  {outcome.down:.3g} s per failure, {question.restart:g} s by restarts alone: "
         f"{size.gained:.3g} s less per robot and hour",
         *_papers(size),
+        *_pool(size),
         "",
         f"The model: failures come independently of each other (Poisson). Loss is Erlang's B, waiting Erlang's C; the trial drew "
         f"{trial.failures} failures,",
@@ -65,6 +69,16 @@ def _needed(size: Size) -> str:
         return str(count)
     others = ", ".join(f"{number} for {measure}" for measure, number in size.needed.items() if measure != size.risk_of)
     return f"{count} for a risk of {percent(size.risk)} ({size.risk_of}; {others})"
+
+
+def _pool(size: Size) -> list[str]:
+    """How a pool is told to keep the risk by itself."""
+    if size.risk is None or size.risk_of == "window" or not 0 < size.outcome.fallbacks <= _LARGEST:
+        return []
+    question, most = size.question, min(_LARGEST, 2 * size.outcome.fallbacks)
+    asked = f"risk: {percent(size.risk).replace(' ', '')}, riskOf: {size.risk_of.capitalize()}"
+    known = f"failuresPerRobotHour: {question.failures_per_robot_hour:g}, refill: {question.refill:g}s"
+    return [f"pool       to have the size follow the failures, spec.sizing: {{{asked}, {known}, max: {most}}}"]
 
 
 def _papers(size: Size) -> list[str]:

@@ -56,26 +56,26 @@ MEASURES: Mapping[str, Callable[[float, int], float]] = {"loss": lost, "waiting"
 """Each falls as fallbacks are added."""
 
 
-def enough(measure: str, offered: float, risk: float) -> int:
+def enough(measure: str, offered: float, risk: float, *, most: int = MOST) -> int:
     """The fewest fallbacks whose risk, by one of the :data:`MEASURES`, is at most so high.
 
-    Raises ValueError where not even :data:`MOST` are enough, and for a risk outside of 0 to 1.
+    Raises ValueError where not even ``most`` are enough, and for a risk outside of 0 to 1.
     """
     if not 0 < risk < 1:
         raise ValueError(f"the risk must be above 0 and below 1, found {risk:g}")
     function = MEASURES[measure]
-    most = 1
-    while function(offered, most) > risk:
-        most *= 2
-        if most > MOST:
-            raise ValueError(f"not even {MOST} fallbacks are enough for {offered:g} that are away on average")
-    least = most // 2  # not enough, or none
-    if function(offered, least) <= risk:
-        return least
-    while most - least > 1:
-        middle = (least + most) // 2
-        least, most = (least, middle) if function(offered, middle) <= risk else (middle, most)
-    return most
+    high = 1
+    while function(offered, high) > risk:
+        high *= 2
+        if high > most:
+            raise ValueError(f"not even {most} fallbacks are enough for {offered:g} that are away on average")
+    low = high // 2  # not enough, or none
+    if function(offered, low) <= risk:
+        return low
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (low, middle) if function(offered, middle) <= risk else (middle, high)
+    return high
 
 
 def _poisson_sum(mean: float, counts: range) -> float:

@@ -84,10 +84,10 @@ def hot(**status: Any) -> Object:
     )
 
 
-def spare(**status: Any) -> Object:
+def spare(*, size: Object | None = None, **status: Any) -> Object:
     spec = {
         "readiness": "Uninitialized",
-        "replicas": 4,
+        **(size or {"replicas": 4}),
         "workloadSelector": {"matchLabels": {"app": "navigation"}},
         "template": world.TEMPLATE,
     }

@@ -70,6 +70,26 @@ def test_a_robot_whose_protection_is_complete() -> None:
     ]
 
 
+def test_why_a_pool_whose_size_follows_the_failures_has_as_many() -> None:
+    why = "12 robots asked for a pod 6 times in 120 robot hours. So it keeps 3 pods."
+    said = {"type": "Sized", "status": "True", "reason": "Sized", "message": why, "lastTransitionTime": fleet.ago(60)}
+    figures = {
+        "needed": 3,
+        "robots": 12,
+        "failures": 6,
+        "robotHours": 120,
+        "failuresPerRobotHour": 0.058,
+        "low": 0.027,
+        "high": 0.098,
+    }
+    sizing = {"size": 3, "lastChange": fleet.ago(60), **figures}
+    pool = fleet.spare(size={"sizing": {"risk": "1%", "max": 9}}, sizing=sizing, conditions=[said])
+    item = fleet.well()
+    others = [one for one in fleet.around(item) if one["metadata"]["name"] != "navigation-spare"]
+    text = told(known(item, [*others, pool]))["Pools"]
+    assert text[2:4] == ["navigation-spare (Uninitialized, shared): 3 of 3 ready; 1 of its pods drives a robot", why]
+
+
 def test_a_strategy_that_could_not_be_carried_out_is_told_with_the_way_out_and_what_is_done_instead() -> None:
     item = fleet.unprotected()
     found = known(item, fleet.around(item, standby_waits="ImagePullBackOff"))

@@ -26,7 +26,7 @@ from tests.unit.controller.world import (
 from understudy.api import names
 from understudy.api.switchovers import Drain, request
 from understudy.cluster.client import DISRUPTION_BUDGETS, NODES, PODS, WORKLOADS, Object
-from understudy.controller import affected, draining, objects, statuses
+from understudy.controller import affected, nodes, objects, statuses
 from understudy.controller.affected import Key
 from understudy.controller.stores import Store
 
@@ -189,7 +189,7 @@ def test_a_drain_is_told_by_events() -> None:
     ],
 )
 def test_what_counts_as_to_be_emptied(spec: Object, is_cordoned: bool) -> None:
-    assert draining.is_cordoned({"spec": spec}) == is_cordoned
+    assert nodes.is_cordoned({"spec": spec}) == is_cordoned
 
 
 def node(version: int, **spec: Any) -> Object:

@@ -178,6 +178,78 @@ def test_pods_of_the_old_template_may_be_claimed_until_one_of_the_new_is_ready()
     assert claimable([*old, held_pod("spare-n", of=pool, template_hash=present(pool))]) == present(pool)
 
 
+class TestAChangeOfTheTemplate:
+    def pods(self, pool: Object, *, old: int = 0, new: int = 0, starting: int = 0) -> list[Object]:
+        return [
+            *(held_pod(f"spare-o{i}", of=pool, template_hash="old") for i in range(old)),
+            *(held_pod(f"spare-n{i}", of=pool, template_hash=present(pool)) for i in range(new)),
+            *(held_pod(f"spare-s{i}", of=pool, template_hash=present(pool), ready=False) for i in range(starting)),
+        ]
+
+    def claimable(self, made: Plan) -> str:
+        found: str = applied(made, "networkpolicies")["spare-held"]["metadata"]["annotations"][names.TEMPLATE_HASH]
+        return found
+
+    def test_as_many_as_are_to_be_ready_stay_until_as_many_of_the_new_one_are_and_the_others_make_room(self) -> None:
+        pool = spare(replicas=4, updateStrategy={"minReady": 2})
+        made = plan(observe(pool, self.pods(pool, old=4)))
+        assert (len(created(made, "pods")), len(deleted(made)), self.claimable(made)) == (4, 2, "old")
+        made = plan(observe(pool, self.pods(pool, old=2, new=1, starting=3)))
+        assert (created(made, "pods"), deleted(made), self.claimable(made)) == ([], [], "old")
+        made = plan(observe(pool, self.pods(pool, old=2, new=2, starting=2)))
+        assert (deleted(made), self.claimable(made)) == (["spare-o0", "spare-o1"], present(pool))
+
+    @pytest.mark.parametrize("least", [0, 1, 2, 3, 4, 9])
+    @pytest.mark.parametrize("old", range(5))
+    @pytest.mark.parametrize("new", range(5))
+    def test_a_change_never_takes_those_that_could_be_claimed_below_the_least(
+        self, least: int, old: int, new: int
+    ) -> None:
+        pool = spare(replicas=4, updateStrategy={"minReady": least})
+        pods = self.pods(pool, old=old, new=new, starting=4 - new)
+        made = plan(observe(pool, pods))
+        left = [pod for pod in pods if objects.name(pod) not in deleted(made) and objects.ready(pod)]
+        could = sum(pod["metadata"]["labels"][names.TEMPLATE_HASH] == self.claimable(made) for pod in left)
+        assert could >= min(least, 4, max(old, new))
+        assert len(left) >= min(least, 4, old + new)
+
+    def test_with_none_to_be_ready_all_go_at_once(self) -> None:
+        pool = spare(replicas=3, updateStrategy={"minReady": 0})
+        made = plan(observe(pool, self.pods(pool, old=3)))
+        assert (len(created(made, "pods")), len(deleted(made))) == (3, 3)
+
+    def test_on_replenish_old_ones_wait_on_may_be_claimed_and_are_replaced_by_new_ones(self) -> None:
+        pool = spare(replicas=3, updateStrategy={"type": "OnReplenish"})
+        made = plan(observe(pool, self.pods(pool, old=3)))
+        assert (created(made, "pods"), deleted(made), self.claimable(made)) == ([], [], "")
+        made = plan(observe(pool, self.pods(pool, old=2)))
+        (new,) = created(made, "pods")
+        assert new["metadata"]["labels"][names.TEMPLATE_HASH] == present(pool)
+        assert not deleted(made)
+
+    def test_on_replenish_a_smaller_pool_loses_old_ones_first(self) -> None:
+        pool = spare(replicas=1, updateStrategy={"type": "OnReplenish"})
+        assert deleted(plan(observe(pool, self.pods(pool, old=1, new=1)))) == ["spare-o0"]
+
+    def test_how_far_it_has_come_is_said(self) -> None:
+        pool = spare(replicas=3)
+        found = observe(pool, self.pods(pool, old=2, new=1))
+        assert status(found)["updated"] == 1
+        told = condition(found, "Updated")
+        assert (told["status"], told["reason"]) == ("False", "RollingOut")
+        assert told["message"].startswith("2 of 3 unclaimed pods are of earlier templates")
+        done = condition(observe(pool, self.pods(pool, new=3)), "Updated")
+        assert (done["status"], done["reason"]) == ("True", "Updated")
+
+    def test_pods_that_may_stay_are_in_order(self) -> None:
+        pool = spare(replicas=3, updateStrategy={"type": "OnReplenish"})
+        policy = applied(plan(observe(pool)), "networkpolicies")["spare-held"]
+        found = observe(pool, self.pods(pool, old=1, new=2), owned={("networkpolicies", "spare-held"): policy})
+        told = condition(found, "Updated")
+        assert (told["status"], told["reason"]) == ("True", "OnReplenish")
+        assert status(found)["ready"] == 3
+
+
 def test_a_pod_that_ended_is_replaced_after_a_rest() -> None:
     pool = spare(replicas=1)
     ended = held_pod("spare-a", of=pool, template_hash=present(pool), phase="Failed", age=3)

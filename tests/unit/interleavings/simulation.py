@@ -64,6 +64,8 @@ class Scene:
     """Whether an application has to be brought up by a procedure before it sends."""
     refers: bool = False
     """Whether workloads refer to Deployments, and have no template."""
+    updates: tuple[tuple[str, str | int], ...] = ()
+    """The updateStrategy of the shared pool; none where it is empty."""
     troubles: tuple[str, ...] = ()
     """All that goes wrong with processes and pods; everything, where nothing is named."""
     weather: tuple[float, ...] = (0.0, 0.5, 1.0, 2.0, 3.0)
@@ -520,7 +522,8 @@ class Simulation:
             strategy["verifyWithin"] = "15s" if strategy["type"] == "Restart" else "5s"
         items[0]["spec"]["monitoring"]["startupGrace"] = "6s"
         if scene.spares:
-            items.append(world.spare(replicas=scene.spares))
+            updates = {"updateStrategy": dict(scene.updates)} if scene.updates else {}
+            items.append(world.spare(replicas=scene.spares, **updates))
         if scene.standbys:
             initialization = {"initialization": {"yaml": {"wait_for": {"node": "/localization"}}}}
             more = {"readiness": "Initialized", **initialization} if scene.initializes else {}

@@ -49,6 +49,13 @@ def test_a_risk_gives_the_size_by_each_measure(capsys):
     assert "for a risk of 1 % (waiting; " in printed(capsys, "--risk", "0.01", "--risk-of", "waiting")
 
 
+def test_a_risk_is_told_as_a_pool_is_asked_to_keep_it(capsys):
+    sizing = "spec.sizing: {risk: 1%, riskOf: Loss, failuresPerRobotHour: 1, refill: 6s, max: 12}"
+    assert sizing in printed(capsys, "--risk", "0.01")
+    assert "spec.sizing" not in printed(capsys, "--risk", "0.01", "--risk-of", "window")
+    assert "spec.sizing" not in printed(capsys, "--fallbacks", "4")
+
+
 def test_what_a_fallback_uses_and_how_fast_the_pool_is_refilled_count(capsys):
     slow = json.loads(
         printed(capsys, "--fallbacks", "4", "--fallback-cpu", "0.6", "--refill-seconds", "12", "-o", "json")

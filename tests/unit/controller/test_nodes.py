@@ -1,0 +1,223 @@
+"""Waiting pods on nodes that are emptied or were lost are replaced elsewhere first, and never again and again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from tests.unit.controller.test_pools import condition, created, deleted, observe, plan, present, status
+from tests.unit.controller.world import (
+    World,
+    applied,
+    gate,
+    held_pod,
+    hot,
+    policy,
+    source_pod,
+    spare,
+    standby_pod,
+    workload,
+)
+from understudy.api import names
+from understudy.cluster.client import NODES, PODS, POOLS, WORKLOADS, Object
+from understudy.controller import affected, instances, nodes, pools, resyncing
+from understudy.controller.affected import Key
+from understudy.controller.expectations import Expectations
+from understudy.controller.observing import Observer
+from understudy.controller.stores import Store
+
+
+def node(name: str, *, version: int = 5, taint: str = "", **spec: Any) -> Object:
+    taints = {"taints": [{"key": taint, "effect": "NoExecute"}]} if taint else {}
+    metadata = {"name": name, "uid": f"uid-{name}", "resourceVersion": str(version), "labels": {"zone": "a"}}
+    images = [{"names": ["app:1"], "sizeBytes": 1}]
+    return {
+        "apiVersion": "v1",
+        "kind": "Node",
+        "metadata": metadata,
+        "spec": {**spec, **taints},
+        "status": {"images": images},
+    }
+
+
+def on(place: str, pod: Object) -> Object:
+    return pod | {"spec": {"nodeName": place}}
+
+
+def held(pool: Object, *places: str, ready: bool = True, prefix: str = "spare") -> list[Object]:
+    return [
+        on(place, held_pod(f"{prefix}-{number}", of=pool, template_hash=present(pool), ready=ready))
+        for number, place in enumerate(places)
+    ]
+
+
+def leaving(observed: pools.Observed, *names: str) -> pools.Observed:
+    return replace(observed, leaving=frozenset(names))
+
+
+class TestWhichNodesLeave:
+    @pytest.mark.parametrize(
+        ("found", "leaves"),
+        [
+            (node("n"), False),
+            (node("n", taint="dedicated"), False),
+            (node("n", unschedulable=True), True),
+            (node("n", taint="node.kubernetes.io/unreachable"), True),
+            (node("n", taint="node.kubernetes.io/not-ready"), True),
+            (node("n", taint="ToBeDeletedByClusterAutoscaler"), True),
+        ],
+    )
+    def test_those_that_are_emptied_and_those_that_were_lost(self, found: Object, leaves: bool) -> None:
+        assert nodes.is_leaving(found) is leaves
+
+    def test_of_a_node_nothing_else_is_kept(self) -> None:
+        store = Store()
+        assert resyncing.kept(NODES, node("n"))
+        store.put(NODES, node("n", unschedulable=True, podCIDR="10.0.0.0/24"))
+        found = store.get(NODES, "", "n")
+        assert found is not None
+        assert found["spec"] == {"unschedulable": True}
+        assert found["metadata"] == {"name": "n", "uid": "uid-n", "resourceVersion": "5"}
+        assert "status" not in found
+
+    def test_only_a_change_of_that_has_those_looked_at_whose_pods_are_there(self) -> None:
+        store, told, pool = Store(), [], spare()
+        store.put(PODS, held(pool, "n")[0])
+        store.put(PODS, on("n", standby_pod("w-s", of=workload())))
+        store.put(PODS, on("other", standby_pod("x-s", of=workload("x"))))
+        store.noticed = lambda sight: told.append(affected.keys(sight, store))
+        store.put(NODES, node("n"))
+        store.put(NODES, node("n", version=6) | {"status": {}})
+        store.put(NODES, node("n", version=7, unschedulable=True))
+        store.put(NODES, node("n", version=8))
+        mine = {
+            Key(POOLS.plural, "fleet", "spare"),
+            Key(POOLS.plural, "fleet", "hot"),
+            Key(WORKLOADS.plural, "fleet", "w"),
+        }
+        assert told == [set(), set(), mine, mine]
+
+    async def test_the_operator_knows_them(self) -> None:
+        client: Any = None
+        store, pool = Store(), spare()
+        store.put(POOLS, pool)
+        store.put(NODES, node("n", unschedulable=True))
+        store.put(NODES, node("m"))
+        assert (await Observer(client, store, Expectations()).pool(pool)).leaving == {"n"}
+
+
+class TestASharedPool:
+    def test_its_pods_are_replaced_before_they_go(self) -> None:
+        pool = spare(replicas=2)
+        pods = held(pool, "n", "m")
+        made = plan(leaving(observe(pool, pods), "n"))
+        assert (len(created(made, "pods")), deleted(made)) == (1, [])
+        starting = held(pool, "m", ready=False, prefix="new")
+        made = plan(leaving(observe(pool, pods + starting), "n"))
+        assert (created(made, "pods"), deleted(made)) == ([], [])
+        made = plan(leaving(observe(pool, pods + held(pool, "m", prefix="new")), "n"))
+        assert (created(made, "pods"), deleted(made)) == ([], ["spare-0"])
+
+    def test_they_may_be_claimed_meanwhile(self) -> None:
+        pool = spare(replicas=1)
+        made = plan(leaving(observe(pool, held(pool, "n")), "n"))
+        found = applied(made, "networkpolicies")["spare-held"]["metadata"]["annotations"][names.TEMPLATE_HASH]
+        assert found == present(pool)
+
+    def test_those_that_were_asked_for_and_not_seen_yet_count(self) -> None:
+        pool = spare(replicas=2)
+        old = leaving(observe(pool, held(pool, "n", "n"), expected=2), "n")
+        assert not created(plan(old), "pods")
+
+    def test_a_template_that_is_placed_there_again_makes_twice_as_many_and_no_more(self) -> None:
+        pool, seen = spare(replicas=2), 2
+        for _ in range(5):
+            made = plan(leaving(observe(pool, held(pool, *["n"] * seen)), "n"))
+            seen += len(created(made, "pods"))
+            assert not deleted(made)
+        assert seen == 4
+
+    def test_when_the_node_stays_after_all_what_is_too_much_goes(self) -> None:
+        pool = spare(replicas=1)
+        pods = [*held(pool, "n"), *held(pool, "m", ready=False, prefix="new")]
+        assert deleted(plan(observe(pool, pods))) == ["new-0"]
+
+    def test_with_a_new_template_at_the_same_time_all_are_replaced_once(self) -> None:
+        pool = spare(replicas=2, updateStrategy={"minReady": 1})
+        old = [on(place, held_pod(f"old-{place}", of=pool, template_hash="old")) for place in ("n", "m")]
+        assert len(created(plan(leaving(observe(pool, old), "n")), "pods")) == 2
+
+    def test_on_replenish_they_go_too(self) -> None:
+        pool = spare(replicas=1, updateStrategy={"type": "OnReplenish"})
+        old = on("n", held_pod("old", of=pool, template_hash="old"))
+        made = plan(leaving(observe(pool, [old]), "n"))
+        assert (len(created(made, "pods")), deleted(made)) == (1, [])
+        made = plan(leaving(observe(pool, [old, *held(pool, "m")]), "n"))
+        assert deleted(made) == ["old"]
+
+    def test_it_is_said_while_it_is_so(self) -> None:
+        pool = spare(replicas=2)
+        observed = leaving(observe(pool, held(pool, "n", "m"), workloads=[workload()]), "n")
+        told = condition(observed, "Moving")
+        assert (told["status"], told["reason"]) == ("True", "NodeLeaves")
+        assert told["message"] == (
+            "1 of 2 waiting pods is on a node that is to be emptied or was lost (n), and goes once there are others elsewhere."
+        )
+        assert "Moving" not in {c["type"] for c in status(observe(pool, held(pool, "n", "m")))["conditions"]}
+
+
+class TestStandbysOfARobot:
+    def world(self, *standbys: Object) -> World:
+        made = World(workload(), policy("hot", "Restart"), hot())
+        active = on("n", source_pod("w-a"))
+        made.own(gate(made.workload, active=active, epoch=3))
+        made.pods = [active, *standbys]
+        return made
+
+    def planned(self, made: World, *leaves: str) -> Any:
+        from tests.unit.controller.world import IMAGES
+        from understudy.controller import workloads
+
+        observed = replace(made.observed(), leaving=frozenset(leaves))
+        return workloads.plan(observed, made.understood(), IMAGES, made.names.fresh())
+
+    def standby(self, made: World, place: str, name: str = "w-s") -> Object:
+        return on(place, standby_pod(name, of=made.workload, template_hash=made.template_hash))
+
+    def test_they_are_replaced_before_they_go_and_the_one_in_control_stays(self) -> None:
+        empty = self.world()
+        old, new = self.standby(empty, "m"), self.standby(empty, "o", "w-t")
+        made = self.planned(self.world(old), "m", "n")
+        assert (len(created(made, "pods")), deleted(made)) == (1, [])
+        assert deleted(self.planned(self.world(old, new), "m", "n")) == ["w-s"]
+        assert not created(self.planned(self.world(old)), "pods")
+
+
+class TestSpreading:
+    def pod(self, **spec: Any) -> Object:
+        pool = spare(replicas=1)
+        pool["spec"]["template"]["spec"] |= spec
+        (found,) = created(plan(observe(pool)), "pods")
+        return found
+
+    def test_a_pool_s_pods_prefer_nodes_without_others_of_it(self) -> None:
+        (term,) = self.pod()["spec"]["affinity"]["podAntiAffinity"]["preferredDuringSchedulingIgnoredDuringExecution"]
+        assert term["weight"] == 100
+        assert term["podAffinityTerm"]["topologyKey"] == "kubernetes.io/hostname"
+        assert term["podAffinityTerm"]["labelSelector"]["matchLabels"] == {names.POOL: "spare"}
+
+    def test_where_the_template_says_otherwise_it_counts_alone(self) -> None:
+        spread = [{"maxSkew": 1, "topologyKey": "zone", "whenUnsatisfiable": "DoNotSchedule"}]
+        found = self.pod(topologySpreadConstraints=spread)["spec"]
+        assert found["topologySpreadConstraints"] == spread
+        assert "affinity" not in found
+        apart = {"podAntiAffinity": {"requiredDuringSchedulingIgnoredDuringExecution": []}}
+        assert self.pod(affinity=apart)["spec"]["affinity"] == apart
+        near = {"nodeAffinity": {}}
+        assert "podAntiAffinity" in self.pod(affinity=near)["spec"]["affinity"]
+
+    def test_a_lost_node_is_left_soon(self) -> None:
+        seconds = {t["tolerationSeconds"] for t in self.pod()["spec"]["tolerations"]}
+        assert seconds == {instances.LOST_SECONDS}

@@ -1,0 +1,27 @@
+"""A shared pool's template changes again and again, by each strategy, while its pods are claimed, lost and drained."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.unit.interleavings import simulation
+from tests.unit.interleavings.simulation import Scene
+
+STRATEGIES: dict[str, tuple[tuple[str, str | int], ...]] = {
+    "replenished": (("type", "OnReplenish"),),
+    "some-ready": (("minReady", 1),),
+    "none-ready": (("minReady", 0),),
+}
+TROUBLES = ("one_fails", "all_fail", "template_changes", "pool_is_resized", "node", "operator_dies", "somebody_stalls")
+FIRST, RUNS = 200_000, 12
+
+
+@pytest.mark.parametrize("name", STRATEGIES)
+@pytest.mark.parametrize("troubles", [(), TROUBLES], ids=["anything", "updates"])
+def test_no_pod_is_made_too_many_or_left_over(name: str, troubles: tuple[str, ...]) -> None:
+    scene = Scene(
+        name, workloads=3, strategies=("spare", "Restart"), spares=2, updates=STRATEGIES[name], troubles=troubles
+    )
+    for seed in range(FIRST, FIRST + RUNS):
+        outcome = simulation.run(seed, scene=scene)
+        assert not outcome.faults, str(simulation.run(seed, tracing=True, scene=scene))
