@@ -20,7 +20,7 @@ from understudy.cluster.client import (
     Object,
     Resource,
 )
-from understudy.controller import choosing, healthtrees, objects, policies
+from understudy.controller import choosing, dependencies, healthtrees, objects, policies
 from understudy.controller.stores import Sight, Store
 
 
@@ -75,6 +75,13 @@ def _chosen_anew(sight: Sight) -> bool:
     return sight.old is not None and sight.new is not None and chosen(sight.old) != chosen(sight.new)
 
 
+def _depends_anew(sight: Sight) -> bool:
+    """Whether a workload has come or gone, or depends on others than before."""
+    if sight.old is None or sight.new is None or objects.deleted(sight.old) != objects.deleted(sight.new):
+        return True
+    return dependencies.named(sight.old) != dependencies.named(sight.new)
+
+
 def _after_spec(sight: Sight, store: Store, namespace: str) -> Iterator[Key]:
     found = sight.new or sight.old
     assert found is not None
@@ -84,8 +91,11 @@ def _after_spec(sight: Sight, store: Store, namespace: str) -> Iterator[Key]:
                 yield Key(POLICIES.plural, namespace, policy)
         for name in store.in_namespace(POOLS, namespace):
             yield Key(POOLS.plural, namespace, name)
+        anew = _depends_anew(sight)
         for name, other in store.in_namespace(WORKLOADS, namespace).items():
             if reference(other) and reference(other) == reference(found):
+                yield Key(WORKLOADS.plural, namespace, name)
+            elif anew and dependencies.named(other):  # it may depend on this one, or in a circle with it
                 yield Key(WORKLOADS.plural, namespace, name)
     elif sight.resource.plural == POLICIES.plural:
         yield from users(objects.name(found), store, namespace)

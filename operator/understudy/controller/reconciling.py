@@ -12,7 +12,7 @@ from understudy.api import names
 from understudy.api.base import API_VERSION
 from understudy.cluster.client import CONFIG_MAPS, PODS, POLICIES, POOLS, WORKLOADS, ApiError, Client, Object, Resource
 from understudy.cluster.events import Recorder
-from understudy.controller import affected, metrics, objects, policies, pools, resizing, statuses, workloads
+from understudy.controller import affected, dependencies, metrics, objects, policies, pools, resizing, statuses, workloads
 from understudy.controller.affected import Key
 from understudy.controller.desired import Images
 from understudy.controller.executing import MANAGER, Executor
@@ -26,6 +26,7 @@ _ALPHABET = "bcdfghjklmnpqrstvwxz2456789"  # as Kubernetes' own generated names:
 ABSENT = frozenset(
     {
         "PolicyNotFound",
+        "DependencyNotFound",
         "PoolNotFound",
         "NoPool",
         "PoolDoesNotServe",
@@ -39,7 +40,7 @@ ABSENT = frozenset(
 TOGETHER_SECONDS = 3.0
 """For so long after an object was created, what it lacks isn't told yet."""
 
-WITHDRAWN = frozenset({resizing.CONDITION, statuses.CHOSEN})
+WITHDRAWN = frozenset({resizing.CONDITION, statuses.CHOSEN, dependencies.RESOLVED})
 """Conditions of ours that are there only while there is something to be said."""
 
 _RESOURCES = {resource.plural: resource for resource in (WORKLOADS, POLICIES, POOLS)}

@@ -10,7 +10,7 @@ from understudy.api.conditions import Condition, condition, merged
 from understudy.api.policies import Strategy
 from understudy.choosing import explaining
 from understudy.cluster.client import Object
-from understudy.controller import levels, objects, policies, pools, workloads
+from understudy.controller import dependencies, levels, objects, policies, pools, workloads
 from understudy.controller.desired import Problem
 from understudy.controller.troubles import Trouble, trouble
 from understudy.controller.workloads import Observed, Understanding
@@ -48,6 +48,7 @@ def status(
         _reconciled(observed, understanding, problems),
         protected(observed, understanding),
         *_chosen(observed, understanding),
+        *dependencies.resolved(observed.dependencies, workload),
         *([resized] if resized is not None else []),
     ]
     return {
