@@ -68,5 +68,5 @@ class WorkloadSettings(Model):
     )
     upstream: list[Upstream] = Field(
         default_factory=list,
-        description="All that it depends on, each after those that it depends on in turn. None while they depend on each other in a circle.",
+        description="All that it depends on, each after those that it depends on in turn; none while that is a circle.",
     )

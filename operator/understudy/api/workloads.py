@@ -365,7 +365,8 @@ class Attempt(Model):
     """One strategy that was tried in a recovery."""
 
     strategy: str = Field(
-        description="Fallback/Executing, Fallback/Executing (reflex), Fallback/Initialized, Fallback/Uninitialized or Restart."
+        description="Fallback/Executing, Fallback/Executing (reflex), Fallback/Initialized, Fallback/Uninitialized or Restart; after the "
+        "recovery of another workload also Reinitialize or Procedure."
     )
     pod: str = Field(default="", description="The understudy.")
     result: Literal["Verified", "NotVerified", "NotAvailable"] = Field(description="How it ended.")
@@ -428,7 +429,8 @@ class RobotWorkloadStatus(Model):
         default=None, description="Unknown, Starting, Healthy, Degraded, Failed or Recovering."
     )
     failing_since: Time | None = Field(
-        default=None, description="The last healthy output before the failure that isn't over; absent while there is none."
+        default=None,
+        description="The last healthy output before the failure that isn't over; absent while there is none.",
     )
     standby: str | None = Field(
         default=None, description="Readiness of the standby, and how many of how many are ready."

@@ -59,7 +59,9 @@ def _depends(workload: Manifest, workloads: Sequence[Manifest]) -> Iterator[Find
     for index, name in enumerate(known.get(workload.name, ())):
         path = f"spec.dependsOn[{index}].name"
         yield from _names(workload, path, "RobotWorkload", workloads)
-        if found is not None and len(found) > 2 and name == found[found.index(workload.name) + 1]:  # itself the API server refuses
+        if (
+            found is not None and len(found) > 2 and name == found[found.index(workload.name) + 1]
+        ):  # itself the API server refuses
             message = f"{dependencies.drawn(found)} is a circle, in which none can be recovered first; take one of these dependencies out"
             yield workload.finding(path, message)
 

@@ -223,7 +223,7 @@ def _unseen(item: Object, seen: int | None) -> Iterator[Problem]:
 
 def _amiss(condition: Condition) -> bool:
     match condition.type:
-        case "Degraded":
+        case "Degraded" | "DependencyFailed":
             return condition.status == "True"
         case "Recovering":
             return condition.status == "True" or condition.reason not in PAST

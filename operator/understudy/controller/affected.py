@@ -93,9 +93,8 @@ def _after_spec(sight: Sight, store: Store, namespace: str) -> Iterator[Key]:
             yield Key(POOLS.plural, namespace, name)
         anew = _depends_anew(sight)
         for name, other in store.in_namespace(WORKLOADS, namespace).items():
-            if reference(other) and reference(other) == reference(found):
-                yield Key(WORKLOADS.plural, namespace, name)
-            elif anew and dependencies.named(other):  # it may depend on this one, or in a circle with it
+            rival = reference(other) and reference(other) == reference(found)
+            if rival or (anew and dependencies.named(other)):  # it may depend on this one, or in a circle with it
                 yield Key(WORKLOADS.plural, namespace, name)
     elif sight.resource.plural == POLICIES.plural:
         yield from users(objects.name(found), store, namespace)

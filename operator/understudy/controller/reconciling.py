@@ -12,7 +12,17 @@ from understudy.api import names
 from understudy.api.base import API_VERSION
 from understudy.cluster.client import CONFIG_MAPS, PODS, POLICIES, POOLS, WORKLOADS, ApiError, Client, Object, Resource
 from understudy.cluster.events import Recorder
-from understudy.controller import affected, dependencies, metrics, objects, policies, pools, resizing, statuses, workloads
+from understudy.controller import (
+    affected,
+    dependencies,
+    metrics,
+    objects,
+    policies,
+    pools,
+    resizing,
+    statuses,
+    workloads,
+)
 from understudy.controller.affected import Key
 from understudy.controller.desired import Images
 from understudy.controller.executing import MANAGER, Executor

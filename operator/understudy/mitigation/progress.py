@@ -16,7 +16,7 @@ from pydantic import Field, ValidationError
 from understudy.api.base import Model
 from understudy.api.kept import RestoreReport
 from understudy.api.states import RestoredState
-from understudy.api.workloads import Attempt, Moments, Parts, Recovery
+from understudy.api.workloads import Attempt, DependencyRecovery, Moments, Parts, Recovery
 from understudy.mitigation.waiting import Waiter
 
 Part = Literal["detection", "cluster", "startup", "reinitialization"]
@@ -46,6 +46,8 @@ class Progress(Model):
     resumed: bool = False
     planned: bool = False
     """Whether nothing failed: an instance that is degraded is replaced at an idle moment."""
+    follows: list[DependencyRecovery] = Field(default_factory=list)
+    """The recoveries of others after which this is done (``spec.dependsOn``); none where something failed here."""
     result: Literal["Running", "Recovered", "Failed"] = "Running"
     strategy: str = ""
     cursor: float = 0.0
@@ -159,6 +161,7 @@ class Progress(Model):
             attempts=self.attempts,
             resumed=self.resumed,
             planned=self.planned,
+            follows=self.follows or None,
             state=self.state,
         )
 

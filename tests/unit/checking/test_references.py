@@ -106,5 +106,7 @@ def test_what_is_done_after_a_recovery_needs_what_it_is_done_with() -> None:
     assert "procedure is required" in only(POLICY, other, one("onRecovery: Procedure")).message
     assert "procedure is required" in only(POLICY, other, one("procedure: {yaml: {wait_for: {node: /a}}}")).message
     assert "there is none: give spec.bringUp" in only(POLICY, other, one("onRecovery: Reinitialize")).message
-    wrong = only(POLICY, other, one("onRecovery: Procedure, procedure: {yaml: {set_lifecycle: {node: amcl, state: active}}}"))
+    wrong = only(
+        POLICY, other, one("onRecovery: Procedure, procedure: {yaml: {set_lifecycle: {node: amcl, state: active}}}")
+    )
     assert wrong.field == "spec.dependsOn[0].procedure.yaml.set_lifecycle.node"
