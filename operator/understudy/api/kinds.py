@@ -65,7 +65,7 @@ _SHORT_NAME = (
 
 _NOT_ITSELF = (
     "!has(self.spec.dependsOn) || self.spec.dependsOn.all(d, d.name != self.metadata.name)",
-    "spec.dependsOn names this workload itself; name the ones that it depends on",
+    "dependsOn names this workload itself; name the ones that it depends on",
     ".spec.dependsOn",
 )
 

@@ -36,6 +36,8 @@ _ABOUT = {
     "Healthy": "not healthy",
     "Degraded": "degraded",
     "Recovering": "not recovered",
+    "DependencyFailed": "held",
+    "DependenciesResolved": "dependencies not followed",
     "GateEnforced": "gate not enforced",
     "BroughtUp": "not brought up",
     "Resized": "not resized",
@@ -61,7 +63,7 @@ class Problem(Model):
     @property
     def about(self) -> str:
         """What isn't as it should be, in words."""
-        if self.type == "Recovering" and self.reason in ("FailureDetected", "Rescheduling"):
+        if self.type == "Recovering" and self.reason in ("FailureDetected", "Rescheduling", "FollowsDependency"):
             return "recovering"
         return _ABOUT.get(self.type, self.type)
 
