@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 
-from tests.unit.mitigation.test_failover import choices
 from tests.unit.mitigation.world import Killed, Store, World
 from understudy.api.procedures import Procedure
 from understudy.api.settings import Upstream
@@ -16,10 +15,10 @@ from understudy.api.workloads import Dependency, DependencyRecovery, Recovery, R
 from understudy.mitigation.bringing import BringUp
 from understudy.mitigation.dependencies import Due, Held, Outage, Recovered, Seen, due, held, outage
 from understudy.mitigation.escalation import Escalation
-from understudy.mitigation.failover import recover
+from understudy.mitigation.failover import Choice, recover
 from understudy.mitigation.interfaces import GateState
 from understudy.mitigation.progress import PodIdentity, Progress, rfc3339
-from understudy.mitigation.strategies import Reinitialize, Restart
+from understudy.mitigation.strategies import Reinitialize, Restart, Strategy
 
 NOW = 1_700_000_000.0
 
@@ -265,6 +264,11 @@ def procedure(name: str, node: str = "/plan") -> BringUp:
 
 AGAIN = Reinitialize("Reinitialize", [procedure("bringUp")])
 BOTH = Reinitialize("Procedure", [procedure("bringUp"), procedure("dependsOn[1].procedure", "/costmap")])
+
+
+def choices(*strategies: Strategy) -> list[Choice]:
+    """Each with time enough on a busy machine: none of these runs out of it."""
+    return [Choice(strategy, 20.0) for strategy in strategies]
 
 
 def driving() -> Store:
