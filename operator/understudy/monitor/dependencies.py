@@ -104,6 +104,8 @@ class Dependencies:
         """By name, the recoveries after which was done what is done then. None until an earlier monitor's word was taken over."""
         self._noticed: float | None = None
         """Since when it has failed without a break."""
+        self._reason = ""
+        """Why, as it was told first: a figure in it may change with every look, and what is said of it shouldn't."""
 
     # -- watching them --------------------------------------------------------------------------------------------------
 
@@ -170,8 +172,8 @@ class Dependencies:
 
     def well(self, pod: str) -> None:
         """The health tree holds, or can't tell."""
-        self._noticed = None
-        if self._reporter_holds():
+        self._noticed, self._reason = None, ""
+        if self._holds:
             self._reporter.condition(CONDITION, "False", "HealthyAgain", f"{pod} is healthy again.")
 
     def hold(self, reason: str, onset: float, now: float) -> float | None:
@@ -179,9 +181,10 @@ class Dependencies:
         if not self._watched:
             return None
         noticed = self._noticed if self._noticed is not None else now
+        reason = self._reason = self._reason or reason
         found = held(onset, noticed, now, depends_on=self._direct, outages=self._outages)
         if found is None:
-            if self._reporter_holds():
+            if self._holds:
                 text = f"{reason}; it has lasted for {now - noticed:.1f} s, and is acted on as a failure of its own."
                 self._reporter.condition(CONDITION, "False", "OwnFailure", text)
             return None
@@ -189,7 +192,9 @@ class Dependencies:
             self._say(found, reason)
         return found.until
 
-    def _reporter_holds(self) -> bool:
+    @property
+    def _holds(self) -> bool:
+        """Whether it is said that a failure is held."""
         return bool(self._watched) and self._reporter.reason(CONDITION) in ("Held", "Settling")
 
     def _say(self, found: Held, reason: str) -> None:
@@ -203,7 +208,7 @@ class Dependencies:
             health = self._watched[found.name].seen.health
             text = f"{found.name}, on which it depends, is {health}; that one comes first, and this is acted on at {until} at the latest"
             why = "Held"
-        began = not self._reporter_holds()
+        began = not self._holds
         self._reporter.condition(CONDITION, "True", why, f"{reason}; {text}.")
         if began:
             _logger.warning("%s: %s", reason, text)

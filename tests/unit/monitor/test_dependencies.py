@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from datetime import UTC, datetime
 from types import SimpleNamespace
 from typing import Any, cast
@@ -16,11 +17,14 @@ from understudy.api.policies import FailurePolicySpec
 from understudy.api.settings import WorkloadSettings
 from understudy.api.workloads import Attempt, DependencyRecovery, RobotWorkloadSpec, RobotWorkloadStatus
 from understudy.cluster.client import Object
-from understudy.mitigation.interfaces import Instance
+from understudy.mitigation.dependencies import Due
+from understudy.mitigation.interfaces import GateState, Instance
 from understudy.mitigation.progress import PodIdentity, Progress, rfc3339
 from understudy.monitor.choosing import choices
 from understudy.monitor.dependencies import Dependencies, following
 from understudy.monitor.reporting import QUIET, describe
+from understudy.monitor.supervising import Parts, Supervisor
+from understudy.trees.health import Verdict
 
 NOW = datetime(2026, 11, 22, 14, 2, 11, tzinfo=UTC).timestamp()
 BRING_UP = {"yaml": {"set_lifecycle": {"node": "/plan", "state": "active"}}, "within": "20s"}
@@ -157,6 +161,15 @@ async def test_it_settles_and_is_then_a_failure_of_its_own() -> None:
     assert world.dependencies.hold("no /plan for 500 ms", NOW - 0.5, NOW + 14.1) is None
     assert world.condition()[:2] == ("False", "OwnFailure")
     assert len(world.reporter.events) == 1, "it is told once"
+
+
+async def test_what_is_said_of_it_does_not_change_with_its_figures() -> None:
+    world = Watching()
+    world.said("Failed", failing_since=rfc3339(NOW - 1))
+    world.dependencies.notice(NOW - 0.5, NOW)
+    for rate in ("3.9", "3.7"):
+        world.dependencies.hold(f"/plan at {rate} Hz, below 5 Hz over 2 s", NOW - 0.5, NOW + 1)
+        assert world.condition()[2].startswith("/plan at 3.9 Hz, below 5 Hz")
 
 
 async def test_one_that_gets_well_again_is_held_no_longer() -> None:
@@ -309,3 +322,102 @@ def test_it_is_told_what_was_done() -> None:
     assert describe(progress.to_recovery(2)) == (
         "localization, on which it depends, was recovered. planning-1 is in control again after Reinitialize in 0.250 s, epoch 9"
     )
+
+
+def test_the_beginning_of_a_failure_is_said_until_it_is_over_also_by_the_next_monitor() -> None:
+    reporter = Said()
+    reporter.set(health="Failed", failing_since=NOW)
+    reporter.set(health="Recovering", failing_since=NOW + 5)
+    status = reporter._body()["status"]
+    assert status["failingSince"] == rfc3339(NOW)
+    following_it = Said()
+    following_it.adopt({"metadata": {"name": "w", "namespace": "fleet", "uid": "u"}, "status": status})
+    assert following_it.failing_since == NOW
+    for each in (reporter, following_it):
+        each.set(health="Healthy")
+        assert "failingSince" not in each._body()["status"]
+
+
+class Held:
+    """Dependencies from whose failure everything may follow."""
+
+    def __init__(self, until: float | None, follows: Any = None) -> None:
+        self.until, self.follows = until, follows
+        self.noticed: list[float] = []
+
+    def due(self, active: Instance, now: float) -> Any:
+        return self.follows
+
+    def well(self, pod: str) -> None:
+        return
+
+    def notice(self, onset: float, detected: float) -> None:
+        self.noticed.append(onset)
+
+    def hold(self, reason: str, onset: float, now: float) -> float | None:
+        return self.until
+
+
+def supervising(dependencies: Held, state: str = "Failed", pod: Instance | None = None) -> Supervisor:
+    verdict = Verdict(cast(Any, state), "no /plan for 500 ms", "plan", NOW)
+    sight = SimpleNamespace(
+        graph=None,
+        coming=None,
+        verdict=lambda now, since: verdict,
+        wellness=lambda now, since: verdict,
+        deadline=lambda now, since: None,
+        last_from=lambda pod: None,
+        last_well=lambda pod: None,
+    )
+    parts: dict[str, Any] = {
+        "view": SimpleNamespace(policy=POLICY, settings=settings(), spec=spec(), object=None),
+        "fleet": SimpleNamespace(find=lambda uid: pod),
+        "gate": SimpleNamespace(state=GateState(epoch=3, active="planning-1", active_uid="uid-1"), exists=True),
+        "sidecars": SimpleNamespace(status=lambda instance: None),
+        "sight": sight,
+        "probes": SimpleNamespace(),
+        "reporter": Said(),
+        "journal": SimpleNamespace(),
+        "crash_points": SimpleNamespace(),
+        "keeping": SimpleNamespace(judge=lambda state, now: None),
+    }
+    watching = Supervisor(Parts(**parts))
+    watching._reflexes = cast(Any, SimpleNamespace(taken_over=lambda now: None))
+    watching._dependencies = cast(Any, dependencies)
+    watching._debounce = cast(Any, SimpleNamespace(failed=lambda at, debounce: at, clear=lambda: None))
+    return watching
+
+
+class TestInTheMonitorsLoop:
+    async def test_a_failure_that_is_held_is_none_yet_and_is_looked_at_again_in_time(self) -> None:
+        held, now = Held(time.time() + 5), time.time()
+        failure, again = await supervising(held, pod=active())._look(POLICY, now)
+        assert (failure, again) == (None, held.until)
+        assert held.noticed == [NOW]
+
+    async def test_one_that_is_not_held_is_acted_on_in_the_same_look(self) -> None:
+        failure, _ = await supervising(Held(None), pod=active())._look(POLICY, time.time())
+        assert failure is not None
+        assert failure.onset == NOW
+
+    async def test_a_pod_that_is_gone_is_acted_on_whatever_has_failed_besides(self) -> None:
+        failure, _ = await supervising(Held(time.time() + 5))._look(POLICY, time.time())
+        assert failure is not None
+        assert failure.reason == "pod planning-1 is gone"
+
+    @pytest.mark.parametrize("state", ["Healthy", "Failed"])
+    async def test_what_is_due_after_another_was_recovered_comes_first(self, state: str) -> None:
+        follows = [DependencyRecovery(name="localization", recovery="r1")]
+        watching = supervising(Held(time.time() + 5, Due(follows, NOW)), state, active())
+        failure, _ = await watching._look(POLICY, time.time())
+        assert failure is not None
+        assert list(failure.follows) == follows
+
+    async def test_but_not_while_it_starts_nor_within_the_pause_after_a_recovery(self) -> None:
+        due = Due([DependencyRecovery(name="localization", recovery="r1")], NOW)
+        failure, _ = await supervising(Held(None, due), "Starting", active())._look(POLICY, time.time())
+        assert failure is None
+        watching = supervising(Held(None, due), "Healthy", active())
+        watching._not_before = time.time() + 10
+        failure, _ = await watching._look(POLICY, time.time())
+        assert failure is None
