@@ -856,6 +856,54 @@ def test_one_bad_object_does_not_keep_another_from_being_protected(fleet: Fleet,
     until(lambda: len(fleet.instances("good")) == 2, "pod and standby of the good one")
 
 
+# -- dependencies -------------------------------------------------------------------------------------------------------
+
+
+def depending(name: str, *others: str) -> Object:
+    return workload(name, dependsOn=[{"name": other} for other in others])
+
+
+def may_read(fleet: Fleet, name: str) -> list[str]:
+    """The workloads that a monitor may read."""
+    rules = fleet.get("Role", names.monitor(name), RBAC)["rules"]
+    return next(list(rule["resourceNames"]) for rule in rules if rule["resources"] == ["robotworkloads"])
+
+
+def told_to_follow(fleet: Fleet, name: str) -> list[str]:
+    """What a monitor is told that its workload depends on."""
+    settings = json.loads(fleet.get("ConfigMap", names.settings(name), CORE)["data"]["settings.json"])
+    return [one["name"] for one in settings["upstream"]]
+
+
+def test_a_circle_of_dependencies_is_told_on_every_workload_in_it_until_one_is_taken_out(
+    fleet: Fleet, operator: Operator
+) -> None:
+    fleet.create(policy("Restart"), depending("a", "b"), depending("b", "c"), depending("c", "a"))
+    for name in "abc":
+        found = fleet.wait_condition("RobotWorkload", name, "DependenciesResolved", "DependencyCycle")
+        assert "a -> b -> c -> a" in found["message"]
+        fleet.wait_built(name)
+        assert told_to_follow(fleet, name) == [], "nothing acts on it, and each is protected by itself"
+        assert may_read(fleet, name) == [name]
+    fleet.cluster.patch(fleet.get("RobotWorkload", "c"), {"spec": {"dependsOn": []}})
+    for name in "ab":
+        fleet.wait_condition("RobotWorkload", name, "DependenciesResolved", "Resolved", "True")
+    until(lambda: told_to_follow(fleet, "a") == ["c", "b"], "the monitor of a is told in which order")
+    until(lambda: may_read(fleet, "a") == ["a", "b", "c"], "it may read how they are")
+    until(lambda: not fleet.condition("RobotWorkload", "c", "DependenciesResolved"), "nothing is said of c any more")
+
+
+def test_a_dependency_that_comes_later_is_followed_then(fleet: Fleet, operator: Operator) -> None:
+    fleet.create(policy("Restart"), depending("planning", "localization"))
+    found = fleet.wait_condition("RobotWorkload", "planning", "DependenciesResolved", "DependencyNotFound")
+    assert 'no RobotWorkload "localization"' in found["message"]
+    assert fleet.condition("RobotWorkload", "planning", "Accepted")["status"] == "True"
+    fleet.create(workload("localization"))
+    fleet.wait_condition("RobotWorkload", "planning", "DependenciesResolved", "Resolved", "True")
+    fleet.cluster.delete(fleet.get("RobotWorkload", "localization"))
+    fleet.wait_condition("RobotWorkload", "planning", "DependenciesResolved", "DependencyNotFound")
+
+
 # -- referred controllers -----------------------------------------------------------------------------------------------
 
 

@@ -30,6 +30,9 @@ def telling(health: str, active: str, conditions: Iterable[Condition]) -> Condit
     """The condition that says why a workload isn't healthy; None where none does."""
     found = {condition.type: condition for condition in conditions}
     degraded, recovering, judged = found.get("Degraded"), found.get("Recovering"), found.get("Healthy")
+    held = found.get("DependencyFailed")
+    if health == "Failed" and held is not None and held.status == "True":
+        return held
     if health == "Degraded" and degraded is not None and degraded.status == "True":
         return degraded
     if health in ("Failed", "Recovering") and recovering is not None and recovering.reason not in PAST:

@@ -63,6 +63,12 @@ _SHORT_NAME = (
     ),
 )
 
+_NOT_ITSELF = (
+    "!has(self.spec.dependsOn) || self.spec.dependsOn.all(d, d.name != self.metadata.name)",
+    "dependsOn names this workload itself; name the ones that it depends on",
+    ".spec.dependsOn",
+)
+
 KINDS = (
     Kind(
         name="RobotWorkload",
@@ -83,7 +89,7 @@ KINDS = (
             Column("Taken", ".status.state[0].takenAt", "How old the first of it is.", "date", wide=True),
             AGE,
         ),
-        rules=_SHORT_NAME,
+        rules=(*_SHORT_NAME, _NOT_ITSELF),
     ),
     Kind(
         name="FailurePolicy",

@@ -28,6 +28,13 @@ class PoolChoice(Model):
     )
 
 
+class Upstream(Model):
+    """A workload that this one depends on, directly or through others."""
+
+    name: str = Field(description="RobotWorkload.")
+    depends_on: list[str] = Field(default_factory=list, description="Those that it depends on in turn.")
+
+
 class WorkloadSettings(Model):
     """The settings of one workload's monitor."""
 
@@ -60,4 +67,8 @@ class WorkloadSettings(Model):
     )
     strategies: list[Strategy] | None = Field(
         default=None, description="The strategies chosen for this workload, in order, where its policy has Auto."
+    )
+    upstream: list[Upstream] = Field(
+        default_factory=list,
+        description="All that it depends on, each after those that it depends on in turn; none while that is a circle.",
     )

@@ -208,6 +208,45 @@ class MonitorSettings(Model):
     )
 
 
+class Dependency(Model):
+    """Another workload without which this one can't work, and what is done here once that one was recovered."""
+
+    model_config = Model.model_config | {
+        "json_schema_extra": rules(
+            (
+                "(self.onRecovery == 'Procedure') == has(self.procedure)",
+                "procedure is required where onRecovery is Procedure, and only given there",
+                ".procedure",
+            ),
+        )
+    }
+
+    name: ObjectName = Field(description="The RobotWorkload that this one depends on, in the same namespace.")
+    on_recovery: Literal["Nothing", "Reinitialize", "Restart", "Procedure"] = Field(
+        default="Nothing",
+        description="What is done to this workload's instance in control once that one was recovered. Nothing: it copes by itself. "
+        "Reinitialize: its bringUp is run again, behind a closed gate. Restart: its pod is replaced, as by the strategy. Procedure: what "
+        "procedure says, behind a closed gate.",
+    )
+    procedure: Procedure | None = Field(
+        default=None, description="What is done to the instance in control; for onRecovery Procedure."
+    )
+    notice_within: Duration = Field(
+        default="300ms",
+        description="A failure of this workload isn't acted on for so long, since what it may follow from is noticed a moment later. "
+        "Longer where that one's timeouts are longer than this one's; 0s to act at once.",
+    )
+    settle_within: Duration = Field(
+        default="10s",
+        description="Once that one is healthy again, a failure of this workload that may follow from its failure has so long to pass.",
+    )
+    wait_for: Duration = Field(
+        default="2m",
+        description="A failure of this workload that may follow from that one's is acted on after so long all the same, though that one "
+        "isn't healthy again.",
+    )
+
+
 class RobotWorkloadSpec(Model):
     """One application of one robot."""
 
@@ -247,6 +286,16 @@ class RobotWorkloadSpec(Model):
                 "(the robot serves it)",
                 ".tasks",
             ),
+            (
+                "!has(self.dependsOn) || self.dependsOn.all(a, self.dependsOn.exists_one(b, b.name == a.name))",
+                "dependsOn has the same workload twice",
+                ".dependsOn",
+            ),
+            (
+                "!has(self.dependsOn) || has(self.bringUp) || self.dependsOn.all(d, d.onRecovery != 'Reinitialize')",
+                "onRecovery Reinitialize runs bringUp again, and there is none: give spec.bringUp, or take Procedure or Restart",
+                ".dependsOn",
+            ),
         )
     }
 
@@ -271,6 +320,12 @@ class RobotWorkloadSpec(Model):
         default=None,
         description="What brings an instance from started to driving, such as lifecycle transitions. Run on the first instance, on "
         "executing standbys, and at a failover after the state was restored. Absent: the application does it by itself.",
+    )
+    depends_on: list[Dependency] = Field(
+        default_factory=list,
+        max_length=8,
+        description="Workloads without which this one can't work. A failure that may follow from one of theirs isn't taken for its own. "
+        "See docs/dependencies.md.",
     )
     failure_policy_ref: LocalReference = Field(description="The FailurePolicy that protects it.")
     pool_priority: int = Field(
@@ -326,11 +381,19 @@ class Attempt(Model):
     """One strategy that was tried in a recovery."""
 
     strategy: str = Field(
-        description="Fallback/Executing, Fallback/Executing (reflex), Fallback/Initialized, Fallback/Uninitialized or Restart."
+        description="Fallback/Executing, Fallback/Executing (reflex), Fallback/Initialized, Fallback/Uninitialized or Restart; after the "
+        "recovery of another workload also Reinitialize or Procedure."
     )
     pod: str = Field(default="", description="The understudy.")
     result: Literal["Verified", "NotVerified", "NotAvailable"] = Field(description="How it ended.")
     message: str = Field(default="", description="Why.")
+
+
+class DependencyRecovery(Model):
+    """A recovery of a workload that this one depends on."""
+
+    name: str = Field(description="The RobotWorkload.")
+    recovery: str = Field(description="Id of its recovery; empty where it had none yet.")
 
 
 class Recovery(Model):
@@ -355,6 +418,11 @@ class Recovery(Model):
     switchover: Kind | None = Field(
         default=None, description="What for, where it was a planned switchover: Failover, Failback or Drain."
     )
+    follows: list[DependencyRecovery] | None = Field(
+        default=None,
+        max_length=8,
+        description="It was no failure of this workload, but what spec.dependsOn says is done after these recoveries of others.",
+    )
     resumed: bool = Field(default=False, description="Whether a new monitor finished what an earlier one had begun.")
     state: list[RestoredState] = Field(
         default_factory=list,
@@ -378,6 +446,10 @@ class RobotWorkloadStatus(Model):
     active: str | None = Field(default=None, description="The pod in control of the robot.")
     health: Health | None = Field(
         default=None, description="Unknown, Starting, Healthy, Degraded, Failed or Recovering."
+    )
+    failing_since: Time | None = Field(
+        default=None,
+        description="The last healthy output before the failure that isn't over; absent while there is none.",
     )
     standby: str | None = Field(
         default=None, description="Readiness of the standby, and how many of how many are ready."
@@ -413,6 +485,12 @@ class RobotWorkloadStatus(Model):
         description="The tasks and their goals.",
         json_schema_extra={"x-kubernetes-list-type": "atomic"},
     )
+    dependencies: list[DependencyRecovery] | None = Field(
+        default=None,
+        max_length=8,
+        description="The last recovery of each workload that this one depends on after which was done here what spec.dependsOn says.",
+        json_schema_extra={"x-kubernetes-list-type": "map", "x-kubernetes-list-map-keys": ["name"]},
+    )
     kept: str | None = Field(default=None, description="What is kept of a healthy instance, in short.")
     state: list[KeptStatus] | None = Field(
         default=None,
@@ -425,6 +503,8 @@ class RobotWorkloadStatus(Model):
         description="Accepted: spec and policy can be followed. Reconciled: everything was built. Protected: the first strategy could "
         "take over now. StrategiesChosen, where the policy has Auto: which order was chosen, and why; False where it doesn't give what "
         "spec.requirements of the policy ask for. Monitored: every topic of the health tree is watched. Healthy: the tree holds. "
+        "DependenciesResolved, where spec.dependsOn names some: they are there, and none of them depends on this one in turn. "
+        "DependencyFailed: it fails, and isn't acted on since that may follow from the failure of one that it depends on. "
         "Degraded: it holds, and that of spec.degraded doesn't. Resized: the pod in control has what the policy gives it then. "
         "GateEnforced: packets show that only the pod in control gets through. Recovering: a failure is being dealt with. Paused: "
         "spec.pause is in force. WithinBudget, where the policy has limits.budget: recoveries are left. BroughtUp: "

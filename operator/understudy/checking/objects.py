@@ -115,6 +115,10 @@ def _trees(manifest: Manifest, kind: Kind, spec: Mapping[str, Any]) -> Iterator[
     match kind.name:
         case "RobotWorkload":
             yield from _procedure(manifest, spec, "bringUp")
+            dependencies = spec.get("dependsOn")
+            for index, dependency in enumerate(dependencies if isinstance(dependencies, list) else ()):
+                if isinstance(dependency, Mapping):
+                    yield from _procedure(manifest, dependency, "procedure", f"spec.dependsOn[{index}]")
         case "FallbackPool":
             yield from _procedure(manifest, spec, "initialization")
             yield from _procedure(manifest, spec, "readinessCheck", check=True)

@@ -8,7 +8,7 @@ from typing import Any
 from understudy.checking.documents import Manifest
 from understudy.checking.findings import Finding
 from understudy.choosing import explaining
-from understudy.controller import choosing, objects, selectors
+from understudy.controller import choosing, dependencies, objects, selectors
 from understudy.controller.policies import shared, unshared
 
 _MOST_SHOWN = 5
@@ -25,6 +25,7 @@ def check(manifests: Sequence[Manifest]) -> Iterator[Finding]:
         yield from _unserved(workload, policies, pools)
         yield from _unmet(workload, policies, pools)
         yield from _never_idle(workload, policies)
+        yield from _depends(workload, workloads)
     for policy in policies:
         for index, _ in enumerate(_list(_at(policy.data, "spec", "strategies"))):
             yield from _names(policy, f"spec.strategies[{index}].poolRef.name", "FallbackPool", pools)
@@ -48,6 +49,21 @@ def _names(manifest: Manifest, path: str, kind: str, known: Sequence[Manifest]) 
             f"{_IN_THE_CLUSTER}"
         )
         yield manifest.finding(path, message, warning=True)
+
+
+def _depends(workload: Manifest, workloads: Sequence[Manifest]) -> Iterator[Finding]:
+    """What a workload depends on must be there, and must not depend on it in turn, which needs no cluster to be wrong."""
+    near = [one for one in workloads if workload.together(one)]
+    known = {one.name: dependencies.named(one.data) for one in near}
+    found = dependencies.circle(known, workload.name)
+    for index, name in enumerate(known.get(workload.name, ())):
+        path = f"spec.dependsOn[{index}].name"
+        yield from _names(workload, path, "RobotWorkload", workloads)
+        if (
+            found is not None and len(found) > 2 and name == found[found.index(workload.name) + 1]
+        ):  # itself the API server refuses
+            message = f"{dependencies.drawn(found)} is a circle, in which none can be recovered first; take one of these dependencies out"
+            yield workload.finding(path, message)
 
 
 def _selects(pool: Manifest, workloads: Sequence[Manifest]) -> Iterator[Finding]:

@@ -41,6 +41,8 @@ class Around:
     observed: Observed
     events: Sequence[Object]
     """The Events on it."""
+    workloads: Sequence[Object] = ()
+    """The workloads of its namespace."""
 
 
 def around(kubectl: Kubectl, name: str) -> Around:
@@ -53,7 +55,8 @@ def around(kubectl: Kubectl, name: str) -> Around:
         items += kubectl.get(_word(CONFIG_MAPS), "-l", f"{names.HEALTH_TREE}=true")["items"]
     selector = f"involvedObject.kind=RobotWorkload,involvedObject.name={name}"
     events = kubectl.get("events", "--field-selector", selector)["items"]
-    return Around(observed_from(item, items, Asked(kubectl)), events)
+    others = [one for one in items if one["kind"] == "RobotWorkload"]
+    return Around(observed_from(item, items, Asked(kubectl)), events, others)
 
 
 def observed_from(item: Object, items: Iterable[Object], reader: Reader) -> Observed:

@@ -6,8 +6,8 @@ Which strategy could be carried out is found out by the operator's own functions
 from __future__ import annotations
 
 import statistics
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 
 from understudy.api import names
 from understudy.api.conditions import Condition
@@ -21,7 +21,7 @@ from understudy.console.drawing import coloured, plain
 from understudy.console.observing import Around
 from understudy.console.robots import DRIVEN, UNWATCHED, Problem, Robot, is_told, pool, robot, status_of
 from understudy.console.texts import age, listed, wrapped
-from understudy.controller import objects, policies, pools, poolsizes, statuses, workloads
+from understudy.controller import dependencies, objects, policies, pools, poolsizes, statuses, workloads
 from understudy.controller.desired import Images
 from understudy.controller.statuses import Means
 from understudy.controller.troubles import trouble
@@ -48,6 +48,8 @@ class Known:
     protected: Condition
     """As it is now, by the operator's rules: it may not have said so yet, or be away."""
     events: Sequence[Object]
+    workloads: Mapping[str, Object] = field(default_factory=dict)
+    """Those of its namespace."""
 
     @classmethod
     def of(cls, around: Around) -> Known:
@@ -56,7 +58,8 @@ class Known:
         understanding = workloads.understand(observed, Images(monitor=""))
         protected = statuses.protected(observed, understanding)
         item = observed.workload
-        return cls(observed, understanding, status_of(item), robot(item), protected, around.events)
+        others = {objects.name(one): one for one in around.workloads}
+        return cls(observed, understanding, status_of(item), robot(item), protected, around.events, others)
 
     @property
     def considered(self) -> Sequence[tuple[Strategy, Means]]:
@@ -127,6 +130,7 @@ def lines(known: Known, *, columns: int | None, colours: bool) -> Iterator[str]:
         yield from _drawn(entry, columns, colours)
     for heading, entries in (
         ("If it failed now", _failing(known)),
+        ("Dependencies", _dependencies(known)),
         ("Pools", _pools(known)),
         ("Missing", _missing(known)),
         ("Not covered", _not_covered(known)),
@@ -259,7 +263,7 @@ def _experience(strategy: Strategy, known: Known) -> str:
 
 def _is_by(recovery: Recovery, name: str) -> bool:
     """Whether a strategy has recovered it, also where the robot's reader was there first."""
-    return not recovery.planned and recovery.strategy.removesuffix(" (reflex)") == name
+    return not recovery.planned and not recovery.follows and recovery.strategy.removesuffix(" (reflex)") == name
 
 
 def _recorded(strategy: Strategy, observed: Observed) -> str:
@@ -283,6 +287,32 @@ def _otherwise(known: Known, considered: Sequence[tuple[Strategy, Means]]) -> It
             "seconds both should say the same.",
             "Degraded",
         )
+
+
+# -- dependencies -----------------------------------------------------------------------------------------------------
+
+_AFTERWARDS = {
+    "Nothing": "nothing is done here",
+    "Reinitialize": "bringUp is run again here",
+    "Restart": "the pod in control here is replaced",
+    "Procedure": "its own procedure is run here",
+}
+
+
+def _dependencies(known: Known) -> Iterator[_Entry]:
+    """What it depends on, how that is, and what depends on it."""
+    for one in known.spec.depends_on if known.spec is not None else ():
+        after = f"once it was recovered, {_AFTERWARDS[one.on_recovery]}"
+        if one.name not in known.workloads:
+            yield _Entry(f"on {one.name}, which is not there; {after}", "Failed")
+            continue
+        health = status_of(known.workloads[one.name]).health or "Unknown"
+        state = "Healthy" if health in DRIVEN else "Failed"
+        yield _Entry(f"on {one.name} ({health}); {after}", state)
+    found = [name for name, one in known.workloads.items() if known.said.name in dependencies.named(one)]
+    if found:
+        told = f"On this one: {listed(sorted(found))}. While it isn't healthy, a failure of theirs that may follow from that is held."
+        yield _Entry(told)
 
 
 # -- pools --------------------------------------------------------------------------------------------------------------

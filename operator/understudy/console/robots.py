@@ -37,6 +37,8 @@ _ABOUT = {
     "Healthy": "not healthy",
     "Degraded": "degraded",
     "Recovering": "not recovered",
+    "DependencyFailed": "held",
+    "DependenciesResolved": "dependencies not followed",
     "GateEnforced": "gate not enforced",
     "BroughtUp": "not brought up",
     "Resized": "not resized",
@@ -70,7 +72,7 @@ class Problem(Model):
     @property
     def about(self) -> str:
         """What isn't as it should be, in words."""
-        if self.type == "Recovering" and self.reason in ("FailureDetected", "Rescheduling"):
+        if self.type == "Recovering" and self.reason in ("FailureDetected", "Rescheduling", "FollowsDependency"):
             return "recovering"
         return _ABOUT.get(self.type, self.type)
 
@@ -234,7 +236,7 @@ def _unseen(item: Object, seen: int | None) -> Iterator[Problem]:
 
 def _amiss(condition: Condition) -> bool:
     match condition.type:
-        case "Degraded" | "Paused":
+        case "Degraded" | "Paused" | "DependencyFailed":
             return condition.status == "True"
         case "Recovering":
             return condition.status == "True" or condition.reason not in PAST

@@ -22,7 +22,7 @@ from understudy.cluster.client import (
     Object,
     Resource,
 )
-from understudy.controller import choosing, healthtrees, nodes, objects, policies
+from understudy.controller import choosing, dependencies, healthtrees, nodes, objects, policies
 from understudy.controller.stores import Sight, Store
 
 
@@ -97,6 +97,13 @@ def _sized(store: Store, namespace: str) -> Iterator[Key]:
             yield Key(POOLS.plural, namespace, name)
 
 
+def _depends_anew(sight: Sight) -> bool:
+    """Whether a workload has come or gone, or depends on others than before."""
+    if sight.old is None or sight.new is None or objects.deleted(sight.old) != objects.deleted(sight.new):
+        return True
+    return dependencies.named(sight.old) != dependencies.named(sight.new)
+
+
 def _after_spec(sight: Sight, store: Store, namespace: str) -> Iterator[Key]:
     found = sight.new or sight.old
     assert found is not None
@@ -106,8 +113,10 @@ def _after_spec(sight: Sight, store: Store, namespace: str) -> Iterator[Key]:
                 yield Key(POLICIES.plural, namespace, policy)
         for name in store.in_namespace(POOLS, namespace):
             yield Key(POOLS.plural, namespace, name)
+        anew = _depends_anew(sight)
         for name, other in store.in_namespace(WORKLOADS, namespace).items():
-            if reference(other) and reference(other) == reference(found):
+            rival = reference(other) and reference(other) == reference(found)
+            if rival or (anew and dependencies.named(other)):  # it may depend on this one, or in a circle with it
                 yield Key(WORKLOADS.plural, namespace, name)
     elif sight.resource.plural == POLICIES.plural:
         yield from users(objects.name(found), store, namespace)

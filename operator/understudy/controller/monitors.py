@@ -179,11 +179,13 @@ def _tasks(
     }
 
 
-def access(workload: str, *, source: tuple[str, str], pools: Sequence[str]) -> list[tuple[str, Object]]:
+def access(
+    workload: str, *, source: tuple[str, str], pools: Sequence[str], upstream: Sequence[str] = ()
+) -> list[tuple[str, Object]]:
     """The monitor's account, role and binding, each with its kind.
 
     ``source`` is kind and name of the controller that replaces pods; ``pools`` are the shared pools whose agents it may
-    command.
+    command; ``upstream`` the workloads that it depends on, of which it may read how they are.
     """
     source_kind, source_name = source
     tokens = [names.agent_secret(workload), *(names.pool_secret(pool) for pool in sorted(pools))]
@@ -193,7 +195,7 @@ def access(workload: str, *, source: tuple[str, str], pools: Sequence[str]) -> l
         _rule("metrics.k8s.io", ["pods"], ["list"]),
         _rule("networking.k8s.io", ["networkpolicies"], [*watch, "patch"], [names.gate(workload)]),
         _rule("networking.k8s.io", ["networkpolicies"], ["list", "watch"]),  # who else waits for a pod of a pool
-        _rule(GROUP, ["robotworkloads"], watch, [workload]),
+        _rule(GROUP, ["robotworkloads"], watch, [workload, *sorted(upstream)]),
         _rule(GROUP, ["robotworkloads/status"], ["patch"], [workload]),
         _rule(GROUP, ["failurepolicies", "fallbackpools"], watch),
         _rule("", ["configmaps"], watch, [names.settings(workload)]),

@@ -25,6 +25,7 @@ from understudy.cluster.client import (
 from understudy.controller import (
     affected,
     choosing,
+    dependencies,
     draining,
     levels,
     nodes,
@@ -87,6 +88,7 @@ class Observer:
             },
             reference=await self._referred(item),
             rivals=self._rivals(item),
+            dependencies=self._dependencies(item),
             resized=await self._resized(item),
             cordoned=frozenset(objects.name(node) for node in store.all(NODES) if nodes.is_cordoned(node)),
             leaving=self._leaving(),
@@ -141,6 +143,13 @@ class Observer:
             and objects.sort_key(other) < objects.sort_key(item)
         ]
         return [objects.name(other) for other in sorted(older, key=objects.sort_key)]
+
+    def _dependencies(self, item: Object) -> dict[str, list[str]]:
+        """What each workload of the namespace depends on; nothing where this one depends on none."""
+        if not dependencies.named(item):
+            return {}
+        others = self._store.in_namespace(WORKLOADS, item["metadata"]["namespace"])
+        return dependencies.graph([*others.values(), item])
 
     async def _referred(self, item: Object) -> references.Referred | None:
         """Read from the API, not from the store: the pods of others aren't kept there."""

@@ -14,6 +14,7 @@ from understudy.cluster.client import CONFIG_MAPS, PODS, POLICIES, POOLS, WORKLO
 from understudy.cluster.events import Recorder
 from understudy.controller import (
     affected,
+    dependencies,
     draining,
     metrics,
     objects,
@@ -37,6 +38,7 @@ _ALPHABET = "bcdfghjklmnpqrstvwxz2456789"  # as Kubernetes' own generated names:
 ABSENT = frozenset(
     {
         "PolicyNotFound",
+        "DependencyNotFound",
         "PoolNotFound",
         "NoPool",
         "PoolDoesNotServe",
@@ -50,7 +52,16 @@ ABSENT = frozenset(
 TOGETHER_SECONDS = 3.0
 """For so long after an object was created, what it lacks isn't told yet."""
 
-WITHDRAWN = frozenset({resizing.CONDITION, statuses.CHOSEN, draining.CONDITION, poolsizes.CONDITION, pools.MOVING})
+WITHDRAWN = frozenset(
+    {
+        resizing.CONDITION,
+        statuses.CHOSEN,
+        draining.CONDITION,
+        poolsizes.CONDITION,
+        pools.MOVING,
+        dependencies.RESOLVED,
+    }
+)
 """Conditions of ours that are there only while there is something to be said."""
 
 _RESOURCES = {resource.plural: resource for resource in (WORKLOADS, POLICIES, POOLS)}

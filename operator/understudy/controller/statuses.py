@@ -10,7 +10,7 @@ from understudy.api.conditions import Condition, condition, merged
 from understudy.api.policies import Strategy
 from understudy.choosing import explaining
 from understudy.cluster.client import Object
-from understudy.controller import draining, levels, objects, policies, pools, poolsizes, workloads
+from understudy.controller import dependencies, draining, levels, objects, policies, pools, poolsizes, workloads
 from understudy.controller.desired import Problem
 from understudy.controller.troubles import Trouble, trouble
 from understudy.controller.workloads import Observed, Understanding
@@ -58,6 +58,7 @@ def status(
         _reconciled(observed, understanding, problems),
         protected(observed, understanding),
         *_chosen(observed, understanding),
+        *dependencies.resolved(observed.dependencies, workload),
         *([resized] if resized is not None else []),
         *_draining(observed, understanding),
     ]

@@ -36,6 +36,7 @@ from understudy.cluster.client import (
 )
 from understudy.controller import (
     choosing,
+    dependencies,
     discovery,
     draining,
     fleets,
@@ -93,6 +94,8 @@ class Observed:
     """Older RobotWorkloads that refer to the same controller."""
     expected: Mapping[str, int] = field(default_factory=dict)
     """By pool, standbys that were created and haven't been observed yet."""
+    dependencies: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    """What each workload of the namespace depends on; empty where this one depends on none."""
     resized: Object | None = None
     """The pod in control, whole, while the workload is degraded and its policy gives it more then."""
     cordoned: frozenset[str] = frozenset()
@@ -248,7 +251,8 @@ def understand(observed: Observed, images: Images) -> Understanding:
     except ValidationError as error:
         return Understanding(problem=Problem("SpecInvalid", policies.invalid(error)))
     policy = policy_problem(observed, spec)
-    if words := policies.procedures_problem(("spec.bringUp", spec.bring_up)):
+    trees = ((f"spec.dependsOn[{index}].procedure", one.procedure) for index, one in enumerate(spec.depends_on))
+    if words := policies.procedures_problem(("spec.bringUp", spec.bring_up), *trees):
         return Understanding(spec=spec, problem=Problem("TreeInvalid", words), policy_problem=policy)
 
     def refuse(problem: Problem) -> Understanding:
@@ -469,6 +473,7 @@ def _settings(observed: Observed, understanding: Understanding, environment: Map
         pools=_choices(observed, understanding),
         drain=drain(observed),
         strategies=_chosen(observed),
+        upstream=dependencies.upstream(observed.dependencies, objects.name(workload)),
     )
     # sorted and indented, since people read it when they look for why
     text = json.dumps(settings.to_wire(), indent=1, sort_keys=True)
@@ -540,7 +545,8 @@ def _monitor(
     assert spec is not None
     name, namespace = objects.name(observed.workload), observed.workload["metadata"]["namespace"]
     shared = [choice.name for choice in _choices(observed, understanding) if choice.readiness == "Uninitialized"]
-    for kind, body in monitors.access(name, source=_source(observed, understanding), pools=shared):
+    seen = [one.name for one in dependencies.upstream(observed.dependencies, name)]
+    for kind, body in monitors.access(name, source=_source(observed, understanding), pools=shared, upstream=seen):
         made.writes.append(_ours(observed, _BY_KIND[kind], body))
     profiles = robots.config_maps(name, environment, spec.outputs, spec.gate.reflex)[1]["data"][robots.PROFILES_KEY]
     if understanding.policy_problem is not None:

@@ -27,7 +27,7 @@ class Escalation:
     def note(self, done: Progress) -> None:
         """A recovery is over."""
         self._latest = None
-        if done.result == "Recovered" and done.target is not None and done.taken_over is None:
+        if done.result == "Recovered" and done.target is not None and done.taken_over is None and not done.follows:
             self._latest = _Latest(done.target.uid, done.index, done.moments.get("verified", done.cursor))
 
     def lived(self, uid: str, until: float) -> float | None:

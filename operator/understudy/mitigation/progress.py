@@ -17,7 +17,7 @@ from understudy.api.base import Model
 from understudy.api.kept import RestoreReport
 from understudy.api.states import RestoredState
 from understudy.api.switchovers import Kind
-from understudy.api.workloads import Attempt, Moments, Parts, Recovery
+from understudy.api.workloads import Attempt, DependencyRecovery, Moments, Parts, Recovery
 from understudy.mitigation.waiting import Waiter
 
 Part = Literal["detection", "cluster", "startup", "reinitialization"]
@@ -53,6 +53,8 @@ class Progress(Model):
     """The annotation that asked for that, if one did."""
     former: PodIdentity | None = None
     """The instance that a planned switchover takes the robot from. It goes on running until the next one was seen to drive."""
+    follows: list[DependencyRecovery] = Field(default_factory=list)
+    """The recoveries of others after which this is done (``spec.dependsOn``); none where something failed here."""
     result: Literal["Running", "Recovered", "Failed"] = "Running"
     strategy: str = ""
     cursor: float = 0.0
@@ -182,6 +184,7 @@ class Progress(Model):
             resumed=self.resumed,
             planned=self.planned,
             switchover=self.switchover,
+            follows=self.follows or None,
             state=self.state,
         )
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Coroutine
+from collections.abc import Callable, Collection, Coroutine, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -418,6 +418,42 @@ class Restart(Strategy):
         # What has run for a while was brought up already (monitor/bringing.py).
         standing = bool(own) and means.agents.is_ready(target)[0]
         await _make_ready(target, progress, means, None if standing else self._recovery, within=end - _now())
+        return target
+
+
+class Reinitialize(Strategy):
+    """The instance in control stays, and is brought up again behind a closed gate: something that it depends on was replaced."""
+
+    def __init__(self, name: str, procedures: Sequence[BringUp]) -> None:
+        """``procedures`` are done one after the other; there is one at least."""
+        self.name, self._procedures = name, procedures
+
+    def available(self, means: Means, progress: Progress | None = None) -> str | None:
+        if progress is None or self._standing(progress, means) is None:
+            return "the instance that was in control is gone"
+        return None
+
+    def _standing(self, progress: Progress, means: Means) -> Instance | None:
+        uid = progress.target.uid if progress.target is not None else ""
+        found = (i for i in means.instances.of_workload() if i.uid == uid and i.usable)
+        return next((i for i in found if not progress.has_failed(i.uid)), None)
+
+    async def prepare(self, progress: Progress, means: Means, *, within: float) -> Instance:
+        target = _committed_target(progress, means)
+        if target is not None:
+            await wait_enforced(target, progress, means)
+            return target
+        target, end = self._standing(progress, means), _now() + within
+        if target is None:
+            raise NotAvailable(self.available(means, progress) or "")
+        await _close(progress, means)
+        progress.charge("cluster", means.clock())
+        means.save(progress)
+        *before, last = self._procedures
+        for procedure in before:
+            state = kept(progress, means) if procedure.restores_state else KeptState()
+            await means.agents.bring_up(target, procedure, within=procedure.within, state=state)
+        await _bring_up(target, progress, means, last, end=end)
         return target
 
 

@@ -40,9 +40,9 @@ class Spending:
         return unix(said) if said else None
 
     def count(self, done: Progress, now: float) -> None:
-        """Count a recovery that is over. A hand-over that was planned is none."""
+        """Count a recovery that is over. A hand-over that was planned is none, nor what follows from another workload's recovery."""
         budget = self._budget
-        if budget is not None and not done.planned:
+        if budget is not None and not done.planned and not done.follows:
             self._reporter.spend([*self._counted(now), done.began][-budget.recoveries :])
             self.say(now)
 

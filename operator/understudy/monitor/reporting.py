@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import logging
 import time
@@ -16,7 +17,7 @@ from understudy.api.conditions import Condition, condition, merged
 from understudy.api.states import KeptStatus
 from understudy.api.switchovers import SwitchoverStatus
 from understudy.api.tasks import TaskStatus
-from understudy.api.workloads import GateStatus, Health, Recovery, RobotWorkloadStatus
+from understudy.api.workloads import DependencyRecovery, GateStatus, Health, Recovery, RobotWorkloadStatus
 from understudy.cluster.client import WORKLOADS, ApiError, Client, Object
 from understudy.cluster.events import Recorder
 from understudy.cluster.watching import version_of
@@ -50,6 +51,7 @@ class Reporter:
         self.on_change: Callable[[], None] = lambda: None
         """Called at once when the health, or a condition, is another; also in the midst of a failover."""
         self._changed = asyncio.Event()
+        self._urgent = asyncio.Event()
         self._applied = ""
         self._said: Object = {}
         """The status that was applied last."""
@@ -60,6 +62,8 @@ class Reporter:
         self._kept: list[KeptStatus] = []
         self._tasks: list[TaskStatus] = []
         self._recoveries: list[Recovery] = []
+        self.followed: list[DependencyRecovery] = []
+        """The recoveries of others after which was done what is done then."""
         self._count = 0
         self._last_time: str | None = None
         self._spent: list[str] = []
@@ -69,6 +73,8 @@ class Reporter:
         """The pod that was in control when this monitor began, by what an earlier one had said."""
         self.active = ""
         self.health: Health = "Unknown"
+        self.failing_since: float | None = None
+        """The last healthy output before the failure that isn't over (unix seconds)."""
         self.strategy = ""
         self.gate = GateStatus()
         self.generation: int | None = None
@@ -83,8 +89,12 @@ class Reporter:
         self._spent = list(status.spent or [])
         self.switchover = status.switchover
         self.adopted = status.active or ""
+        self.followed = list(status.dependencies or [])
+        if status.failing_since is not None:
+            self.failing_since = datetime.fromisoformat(status.failing_since).timestamp()
         ours = {
             "Healthy",
+            "DependencyFailed",
             "Monitored",
             "GateEnforced",
             "Recovering",
@@ -135,14 +145,19 @@ class Reporter:
         health: Health | None = None,
         strategy: str | None = None,
         gate: GateStatus | None = None,
+        failing_since: float | None = None,
     ) -> None:
-        """Say what is so now; what is not given stays."""
-        before = (self.active, self.health, self.strategy, self.gate)
+        """Say what is so now; what is not given stays. A failure lasts until it is healthy: its beginning is said once."""
+        before = (self.active, self.health, self.strategy, self.gate, self.failing_since)
         self.active = self.active if active is None else active
         self.health = self.health if health is None else health
         self.strategy = self.strategy if strategy is None else strategy
         self.gate = self.gate if gate is None else gate
-        if (self.active, self.health, self.strategy, self.gate) != before:
+        if self.health in ("Healthy", "Degraded"):
+            self.failing_since = None
+        elif self.failing_since is None:
+            self.failing_since = failing_since
+        if (self.active, self.health, self.strategy, self.gate, self.failing_since) != before:
             metrics.health(self.health)
             metrics.epoch(self.gate.epoch)
             self._changed.set()
@@ -200,6 +215,16 @@ class Reporter:
         if self.switchover != status:
             self.switchover = status
             self._changed.set()
+
+    def follow(self, followed: Sequence[DependencyRecovery]) -> None:
+        """Say after which recoveries of others was done what is done then."""
+        if self.followed != list(followed):
+            self.followed = list(followed)
+            self._changed.set()
+
+    def hurry(self) -> None:
+        """Have what has changed written at once: others wait for it."""
+        self._urgent.set()
 
     def withdraw(self, type_: str) -> None:
         """Say a condition no longer: what it is about isn't there any more."""
@@ -262,6 +287,7 @@ class Reporter:
         status = RobotWorkloadStatus(
             active=self.active,
             health=self.health,
+            failing_since=rfc3339(self.failing_since) if self.failing_since is not None else None,
             strategy=self.strategy,
             gate=self.gate,
             recovery_count=self._count,
@@ -269,6 +295,7 @@ class Reporter:
             spent=self._spent or None,
             switchover=self.switchover,
             recoveries=self._recoveries,
+            dependencies=self.followed or None,
             kept=in_short([entry.name for entry in self._kept if entry.taken_at is not None]) or None,
             state=self._kept or None,
             tasks=self._tasks or None,
@@ -285,8 +312,11 @@ class Reporter:
         """Apply the status when it has changed, until cancelled."""
         while True:
             await self._changed.wait()
-            await asyncio.sleep(QUIET)
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(QUIET):
+                    await self._urgent.wait()
             self._changed.clear()
+            self._urgent.clear()
             try:
                 await self.flush()
             except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
@@ -332,6 +362,11 @@ def describe(recovery: Recovery) -> str:
     tried = "; ".join(f"{a.strategy}: {a.result}{f' ({a.message})' if a.message else ''}" for a in recovery.attempts)
     if recovery.result != "Recovered" or recovery.recovery_seconds is None:
         return f"{recovery.reason}. Nothing verified: {tried}"
+    if recovery.follows and len(recovery.attempts) == 1 and not recovery.from_pod:
+        return (
+            f"{recovery.reason}. {recovery.to_pod} is in control again after {recovery.strategy} in {recovery.recovery_seconds:.3f} s, "
+            f"epoch {recovery.epoch}"
+        )
     text = (
         f"{recovery.reason}. {recovery.to_pod} took over from {recovery.from_pod or 'no pod'} by {recovery.strategy} "
         f"in {recovery.recovery_seconds:.3f} s, epoch {recovery.epoch}"

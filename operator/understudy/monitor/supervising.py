@@ -19,7 +19,7 @@ import aiohttp
 from understudy.api.base import seconds
 from understudy.api.policies import FailurePolicySpec
 from understudy.api.settings import WorkloadSettings
-from understudy.api.workloads import GateStatus
+from understudy.api.workloads import DependencyRecovery, GateStatus
 from understudy.cluster.client import ApiError
 from understudy.cluster.probes import ProbeReceiver
 from understudy.mitigation import reflex, switchover
@@ -34,6 +34,7 @@ from understudy.monitor import enforcement, metrics
 from understudy.monitor.bringing import Bringing, expected, managed
 from understudy.monitor.budgeting import Spending
 from understudy.monitor.choosing import choices
+from understudy.monitor.dependencies import Dependencies, following, told
 from understudy.monitor.faults import CrashPoints
 from understudy.monitor.fleet import Fleet
 from understudy.monitor.gating import PolicyGate
@@ -87,6 +88,8 @@ class Failure:
     """Whether nothing failed, and an instance that is degraded is handed over."""
     switch: Prepared | None = None
     """Where nothing failed either: the understudy that can drive instead, as is planned; or what was begun and isn't settled yet."""
+    follows: Sequence[DependencyRecovery] = ()
+    """The recoveries of others after which the instance in control is dealt with, where that is all."""
 
 
 @dataclass
@@ -140,6 +143,7 @@ class Supervisor:
         self._pauses = Pauses(parts.view, parts.reporter)
         self._spending = Spending(parts.view, parts.reporter)
         self._line = Line(parts.view, parts.reporter)
+        self._dependencies = Dependencies(parts.view, parts.reporter, self.wake.set)
         self._bringing = Bringing(parts.fleet, parts.sidecars, parts.reporter)
         self._leftovers = Leftovers(parts.fleet, parts.gate, parts.reporter)
         self._switching = Switching(parts.view, parts.fleet, parts.gate, parts.reporter, self._leftovers)
@@ -166,19 +170,28 @@ class Supervisor:
             if failure.switch is not None:
                 await self._hand_over(failure.switch)
                 continue
-            begun = self._switching.failed(failure.reason)
+            prepared = self._switching.failed(failure.reason)
             active = self._fleet.find(self._gate.state.active_uid)
             state = self._gate.state
             failed = [PodIdentity(name=state.active, uid=state.active_uid)] if not state.closed else []
             if failure.planned:
                 self._levels.handed_over()
                 self._reporter.event("Normal", "Rescheduling", failure.reason)
+            elif failure.follows:
+                self._reporter.event("Normal", "FollowsDependency", failure.reason)
             else:
                 metrics.lateness(time.time() - failure.detected)
-            what = "hand-over" if failure.planned else "failure"
+            what = "hand-over" if failure.planned else "dependency" if failure.follows else "failure"
             _logger.warning("%s of %s: %s", what, active.name if active else state.active, failure.reason)
             if failure.taken is not None:
                 await self._carry_out(reflex.begin(failure.taken, failed[0], self._reflexes.deadline))
+                continue
+            if failure.follows and failed:
+                if prepared is not None:
+                    self._leftovers.add(prepared)
+                await self._carry_out(
+                    self._dependencies.begin(failure.follows, failed[0], failure.onset, failure.detected)
+                )
                 continue
             progress = Progress.begin(
                 failure.reason,
@@ -187,7 +200,7 @@ class Supervisor:
                 failed=[*failed, *self._leftovers.failed()],
                 planned=failure.planned,
             )
-            progress.target = begun
+            progress.target = prepared
             if (first := self._first(failure, state.active_uid)) is not None:
                 progress.index = first
                 if await self._allowed(progress):
@@ -211,6 +224,8 @@ class Supervisor:
                 self._notice_word(now)
                 self._sight.follow(policy, self._view.spec)
                 self._follow_safety(policy)
+                self._dependencies.follow(self._view.settings)
+                self._dependencies.look(now)
                 self._sight.drain(self._fleet.of_workload(), self._gate.state.active)
                 self._keeping.take(policy.state, self._sight.addresses, self._gate.state.active)
                 failure, deadline = await self._look(policy, now)
@@ -284,8 +299,11 @@ class Supervisor:
         degraded = self._levels.look(policy, verdict, active, now=now, since=self._since)
         self._say(verdict, degraded=degraded)
         self._keeping.judge(verdict.state, now)
+        if verdict.state != "Starting" and (followed := self._followed(active, now)) is not None:
+            return followed, None
         if verdict.state != "Failed":
             self._debounce.clear()
+            self._dependencies.well(active.name)
             if verdict.state == "Healthy":
                 self._unattended.driven()
                 self._postponed = "" if self._postponed == "Paused" else self._postponed
@@ -301,11 +319,21 @@ class Supervisor:
         detected = time.time()
         if detected < self._looks.trusted_from:
             return None, self._looks.trusted_from
+        onset = verdict.onset if verdict.onset is not None else self._onset(active.name, now)
+        self._dependencies.notice(onset, detected)
         counts = self._debounce.failed(detected, seconds(policy.monitoring.debounce))
         if detected < counts:
             return None, counts
-        onset = verdict.onset if verdict.onset is not None else self._onset(active.name, now)
+        if (again := self._dependencies.hold(verdict.reason, onset, now)) is not None:
+            return None, again
         return self._counted(Failure(verdict.reason, onset, detected), now), None
+
+    def _followed(self, active: Instance, now: float) -> Failure | None:
+        """What is to be done with the instance in control since others were recovered, if it is due and the limits don't say not now."""
+        found = self._dependencies.due(active, now)
+        if found is None or now < self._not_before or self._pauses.on is not None:
+            return None
+        return Failure(told(found.follows), self._onset(active.name, now), time.time(), follows=found.follows)
 
     def _planned(self, policy: FailurePolicySpec, active: Instance, now: float) -> Failure | None:
         """The hand-over of a degraded instance, if it is due. The policy's first strategy must be there: nobody waits for it."""
@@ -377,7 +405,7 @@ class Supervisor:
     def _counted(self, failure: Failure, now: float) -> Failure | None:
         """The failure, unless the limits say not now."""
         self._keeping.judge("Failed", now)
-        self._reporter.set(health="Failed")
+        self._reporter.set(health="Failed", failing_since=failure.onset)
         if (pause := self._pauses.on) is not None:
             self._postpone("Paused", f"{failure.reason}; nothing is done about it: it is {pause.words}")
             return None
@@ -590,7 +618,8 @@ class Supervisor:
     async def _allowed(self, progress: Progress) -> bool:
         """Whether to carry it out. Where the policy's budget is spent that is known once it isn't any more."""
         now = time.time()
-        begun = "decided" in progress.moments or progress.planned or progress.taken_over is not None
+        begun = "decided" in progress.moments or progress.taken_over is not None
+        begun = begun or progress.planned or bool(progress.follows)
         waits = self._must_wait(now) if "held" in progress.moments else self._spending.spent_until(now) is not None
         if waits and not begun:
             try:
@@ -664,9 +693,10 @@ class Supervisor:
         self._follow_safety(policy)
         self._keeping.follow(policy.state)  # a recovery that an earlier monitor had begun comes before the first look
         self._sidecars.follow(self._fleet.of_workload())
-        began = "Rescheduling" if progress.planned else "FailureDetected"
+        began = "Rescheduling" if progress.planned else "FollowsDependency" if progress.follows else "FailureDetected"
         self._reporter.condition("Recovering", "True", began, progress.reason)
-        self._reporter.set(health="Recovering")  # why, first: that it is so is told at once
+        # Why, first: that it is so is told at once.
+        self._reporter.set(health="Recovering", failing_since=progress.moments.get("last_healthy"))
         try:
             async with self._keeping.recovering():
                 done = await self._recovered(progress, choices(policy, settings, self._view.spec))
@@ -683,6 +713,7 @@ class Supervisor:
         self._escalation.note(done)
         recovery = self._reporter.record(done)
         self._spending.count(done, time.time())
+        self._dependencies.note(done.follows)
         state = self._gate.state
         self._reporter.set(active=state.active, gate=GateStatus(epoch=state.epoch, active=state.active))
         self._keeping.tell(recovery)
@@ -777,6 +808,8 @@ class Supervisor:
             if progress.taken_over is not None:
                 await reflex.commit(progress, means)
                 choices = [Choice(reflex.ReflexFallback(), REFLEX_WITHIN), *choices]
+            elif progress.follows and self._view.spec is not None:
+                choices = following(progress.follows, self._view.spec, choices)
             return await recover(progress, choices, means)
         finally:
             self.recovering = None

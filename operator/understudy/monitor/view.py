@@ -95,7 +95,8 @@ class View:
                 spec = self._spec[1]
                 try:
                     given = RobotWorkloadSpec.model_validate(item["spec"])
-                    if spec is None or (problem := unloadable(("bringUp", given.bring_up))) is None:
+                    trees = ((f"dependsOn[{i}].procedure", d.procedure) for i, d in enumerate(given.depends_on))
+                    if spec is None or (problem := unloadable(("bringUp", given.bring_up), *trees)) is None:
                         spec = given
                     else:
                         # Whether it is to be left alone doesn't depend on the rest.

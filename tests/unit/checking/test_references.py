@@ -69,3 +69,44 @@ def test_a_wait_for_a_standby_of_the_workload_s_own() -> None:
     assert "FallbackPool hot is Executing, so each workload has standbys of its own" in finding.message
     shared = POOL.replace("Executing", "Uninitialized").replace("perWorkload", "replicas")
     assert found(waits, WORKLOAD, shared + "  templateFrom: {workload: robot-17}\n") == []
+
+
+def needing(name: str, *others: str) -> str:
+    listed = ", ".join(f"{{name: {other}}}" for other in others)
+    return WORKLOAD.replace("robot-17", name) + f"  dependsOn: [{listed}]\n"
+
+
+def test_workloads_that_depend_on_each_other_in_a_circle() -> None:
+    findings = found(POLICY, needing("a", "b"), needing("b", "c"), needing("c", "d", "a"), needing("d"))
+    assert [(one.severity, one.file, one.field) for one in findings] == [
+        ("error", "b.yaml", "spec.dependsOn[0].name"),
+        ("error", "c.yaml", "spec.dependsOn[0].name"),
+        ("error", "d.yaml", "spec.dependsOn[1].name"),
+    ]
+    assert all("a -> b -> c -> a is a circle" in one.message for one in findings)
+
+
+def test_a_workload_that_depends_on_itself_is_told_once() -> None:
+    finding = only(POLICY, needing("a", "a"))
+    assert (finding.severity, finding.field) == ("error", "spec.dependsOn")
+    assert "names this workload itself" in finding.message
+
+
+def test_a_workload_that_another_depends_on_and_that_is_not_there() -> None:
+    finding = only(POLICY, needing("planning", "localisation"), needing("localization"))
+    assert (finding.severity, finding.field) == ("warning", "spec.dependsOn[0].name")
+    assert 'did you mean "localization"?' in finding.message
+
+
+def test_what_is_done_after_a_recovery_needs_what_it_is_done_with() -> None:
+    def one(entry: str) -> str:
+        return WORKLOAD + f"  dependsOn: [{{name: other, {entry}}}]\n"
+
+    other = WORKLOAD.replace("robot-17", "other")
+    assert "procedure is required" in only(POLICY, other, one("onRecovery: Procedure")).message
+    assert "procedure is required" in only(POLICY, other, one("procedure: {yaml: {wait_for: {node: /a}}}")).message
+    assert "there is none: give spec.bringUp" in only(POLICY, other, one("onRecovery: Reinitialize")).message
+    wrong = only(
+        POLICY, other, one("onRecovery: Procedure, procedure: {yaml: {set_lifecycle: {node: amcl, state: active}}}")
+    )
+    assert wrong.field == "spec.dependsOn[0].procedure.yaml.set_lifecycle.node"

@@ -30,7 +30,8 @@ class Nothing:
 
 def known(item: Object, items: list[Object] | None = None, *events: Object) -> Known:
     observed = observed_from(item, items if items is not None else fleet.around(item), Nothing())
-    return Known.of(Around(dataclasses.replace(observed, now=fleet.NOW), events))
+    others = [one for one in items or [] if one["kind"] == "RobotWorkload"]
+    return Known.of(Around(dataclasses.replace(observed, now=fleet.NOW), events, others))
 
 
 def told(found: Known, columns: int | None = None) -> dict[str, list[str]]:
@@ -306,3 +307,27 @@ def test_nothing_is_wider_than_the_terminal(columns: int) -> None:
     item = fleet.unprotected()
     found = known(item, fleet.around(item, standby_waits="ImagePullBackOff"))
     assert max(len(line) for line in lines(found, columns=columns, colours=False)) <= columns
+
+
+def test_what_it_depends_on_and_what_depends_on_it() -> None:
+    needs = [{"name": "localization"}, {"name": "maps", "onRecovery": "Restart"}]
+    item = fleet.workload("planning", status=fleet.status("planning", "x8v2m", 4), dependsOn=needs)
+    first = fleet.workload("localization", status=fleet.status("localization", "c5n8r", 2, health="Recovering"))
+    last = fleet.workload("control", dependsOn=[{"name": "planning"}])
+    text = told(known(item, [*fleet.around(item), item, first, last]))
+    assert text["Dependencies"] == [
+        "✗ on localization (Recovering); once it was recovered, nothing is done here",
+        "✗ on maps, which is not there; once it was recovered, the pod in control here is replaced",
+        "On this one: control. While it isn't healthy, a failure of theirs that may follow from that is held.",
+    ]
+    assert "Dependencies" not in told(known(fleet.well()))
+
+
+def test_a_failure_that_is_held_is_told_and_why() -> None:
+    why = "no /plan for 500 ms; localization, on which it depends, is Recovering; that one comes first"
+    held = fleet.said("DependencyFailed", "True", "Held", why, since=4)
+    item = fleet.workload("planning", status=fleet.status("planning", "x8v2m", 4, held, health="Failed"))
+    text = told(known(item))
+    assert text[""][0] == "fleet/planning  Failed for 4s"
+    assert text[""][1] == f"{why}."
+    assert f"✗ held (Held, 4s): {why}" in text["Missing"]

@@ -226,6 +226,7 @@ class World:
         self.unclaimed: dict[str, list[Object]] = {}
         self.held_policies: dict[str, Object] = {}
         self.rivals: list[str] = []
+        self.dependencies: dict[str, list[str]] = {}
         self.resized: Object | None = None
         self.cordoned: frozenset[str] = frozenset()
         self.budgets: list[Object] = []
@@ -256,6 +257,7 @@ class World:
             reference=self.reference,
             rivals=self.rivals,
             expected=self.expected,
+            dependencies=self.dependencies,
             resized=self.resized,
             cordoned=self.cordoned,
             budgets=self.budgets,

@@ -1,0 +1,23 @@
+"""What the nodes of examples/dependent have in common."""
+
+from __future__ import annotations
+
+import rclpy
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+
+FRESH = 0.3
+"""Seconds after which what the node before said isn't gone by any more."""
+
+
+def run(node: Node) -> None:
+    """Run a node until it is told to stop."""
+    try:
+        rclpy.spin(node)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    except RuntimeError:
+        if rclpy.ok():  # otherwise a signal ended ROS in the middle of a callback
+            raise
+    finally:
+        node.destroy_node()

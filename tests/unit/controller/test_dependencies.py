@@ -1,0 +1,184 @@
+"""What workloads depend on: circles, names with nothing behind them, and what a monitor is told and may read."""
+
+from __future__ import annotations
+
+import json
+from typing import Any, cast
+
+import pytest
+
+from tests.unit.controller.world import IMAGES, World, applied, policy, workload
+from understudy.api.settings import WorkloadSettings
+from understudy.cluster.client import POLICIES, WORKLOADS, Client, Object
+from understudy.controller import affected, dependencies, statuses, workloads
+from understudy.controller.affected import Key
+from understudy.controller.expectations import Expectations
+from understudy.controller.observing import Observer
+from understudy.controller.stores import Sight, Store
+
+CIRCLE = {"a": ["b"], "b": ["c"], "c": ["a"], "d": ["a"], "e": []}
+LADDER = {"control": ["localization", "planning"], "planning": ["localization"], "localization": []}
+
+
+def needing(name: str, *others: str, **more: Any) -> Object:
+    return workload(name, dependsOn=[{"name": other} for other in others], **more)
+
+
+class TestCircles:
+    @pytest.mark.parametrize("name", ["a", "b", "c"])
+    def test_a_circle_reads_the_same_for_each_that_is_in_it(self, name: str) -> None:
+        assert dependencies.circle(CIRCLE, name) == ["a", "b", "c", "a"]
+
+    def test_who_only_depends_on_a_circle_is_not_in_it(self) -> None:
+        assert dependencies.circle(CIRCLE, "d") is None
+        assert dependencies.first_circle(CIRCLE, "d") == ["a", "b", "c", "a"]
+
+    def test_a_workload_that_depends_on_itself(self) -> None:
+        assert dependencies.circle({"a": ["a"]}, "a") == ["a", "a"]
+
+    def test_the_shortest_of_several_is_told(self) -> None:
+        known = {"a": ["b", "d"], "b": ["c"], "c": ["a"], "d": ["a"]}
+        assert dependencies.circle(known, "a") == ["a", "d", "a"]
+        assert dependencies.circle(known, "c") == ["a", "b", "c", "a"]
+
+    def test_two_ways_to_one_workload_are_no_circle(self) -> None:
+        assert all(dependencies.circle(LADDER, name) is None for name in LADDER)
+
+    def test_a_name_with_nothing_behind_it_ends_the_way(self) -> None:
+        assert dependencies.circle({"a": ["missing"]}, "a") is None
+
+
+class TestOrder:
+    def test_each_comes_after_what_it_depends_on(self) -> None:
+        found = dependencies.upstream(LADDER, "control")
+        assert [(one.name, one.depends_on) for one in found] == [("localization", []), ("planning", ["localization"])]
+
+    def test_what_is_depended_on_through_others_is_in_it(self) -> None:
+        known = {"d": ["c"], "c": ["b"], "b": ["a"], "a": []}
+        assert [one.name for one in dependencies.upstream(known, "d")] == ["a", "b", "c"]
+
+    def test_what_is_not_there_yet_is_in_it(self) -> None:
+        assert [one.name for one in dependencies.upstream({"a": ["later"]}, "a")] == ["later"]
+
+    @pytest.mark.parametrize("name", ["a", "d"])
+    def test_there_is_none_where_it_would_be_a_circle(self, name: str) -> None:
+        assert dependencies.upstream(CIRCLE, name) == []
+
+    def test_a_long_chain_is_no_trouble(self) -> None:
+        known = {str(n): [str(n + 1)] for n in range(300)}
+        assert len(dependencies.upstream(known, "0")) == 300
+
+
+def told(known: dependencies.Graph, name: str) -> tuple[str, str, str]:
+    (found,) = dependencies.resolved(known, workload(name))
+    return found.status, found.reason, found.message
+
+
+class TestCondition:
+    @pytest.mark.parametrize("name", ["a", "b", "c"])
+    def test_each_workload_of_a_circle_is_told_the_whole_of_it(self, name: str) -> None:
+        status, reason, message = told(CIRCLE, name)
+        assert (status, reason) == ("False", "DependencyCycle")
+        assert "a -> b -> c -> a" in message
+        assert "protected as though it depended on none" in message
+
+    def test_who_depends_on_a_circle_is_told_so(self) -> None:
+        assert "d depends on a circle: a -> b -> c -> a" in told(CIRCLE, "d")[2]
+
+    def test_one_that_depends_on_itself(self) -> None:
+        assert "a depends on itself (a -> a)" in told({"a": ["a"]}, "a")[2]
+
+    def test_one_that_is_missing_may_come_later(self) -> None:
+        status, reason, message = told({"planning": ["localisation"], "localization": []}, "planning")
+        assert (status, reason) == ("False", "DependencyNotFound")
+        assert 'no RobotWorkload "localisation" in namespace fleet (did you mean "localization"?)' in message
+
+    def test_the_order_is_told_where_all_is_well(self) -> None:
+        assert told(LADDER, "control")[:2] == ("True", "Resolved")
+        assert "localization, planning" in told(LADDER, "control")[2]
+
+    def test_nothing_is_told_of_one_that_depends_on_none(self) -> None:
+        assert dependencies.resolved(LADDER, workload("localization")) == []
+
+
+class Nobody:
+    """Nothing has to be asked."""
+
+
+async def observed(item: Object, *others: Object) -> workloads.Observed:
+    store = Store()
+    store.put(POLICIES, policy("Restart"))
+    for one in (item, *others):
+        store.put(WORKLOADS, one)
+    return await Observer(cast(Client, Nobody()), store, Expectations()).workload(item)
+
+
+async def test_others_are_looked_at_only_where_there_are_dependencies() -> None:
+    other = needing("a", "b")
+    assert (await observed(workload("w"), other)).dependencies == {}
+    assert (await observed(needing("w", "a"), other)).dependencies == {"a": ["b"], "w": ["a"]}
+
+
+async def test_one_that_is_being_deleted_is_missing() -> None:
+    going = workload("a")
+    going["metadata"]["deletionTimestamp"] = "2026-11-22T14:00:00Z"
+    found = await observed(needing("w", "a"), going)
+    status = statuses.status(found, workloads.understand(found, IMAGES), [])
+    assert "DependencyNotFound" in [one["reason"] for one in status["conditions"]]
+
+
+def depending(known: dict[str, list[str]]) -> World:
+    world = World(needing("w", *known["w"]), policy("Restart"))
+    world.dependencies = known
+    return world
+
+
+def rights(world: World) -> list[str]:
+    role = applied(world.plan(), "roles")["w-monitor"]
+    (found,) = (rule["resourceNames"] for rule in role["rules"] if rule["resources"] == ["robotworkloads"])
+    return list(found)
+
+
+def settings(world: World) -> WorkloadSettings:
+    data = applied(world.plan(), "configmaps")["w-settings"]["data"]
+    return WorkloadSettings.model_validate(json.loads(data["settings.json"]))
+
+
+def test_a_monitor_is_told_and_may_read_what_its_workload_depends_on_and_nothing_else() -> None:
+    world = depending({"w": ["b"], "b": ["a"], "a": [], "other": []})
+    assert [one.name for one in settings(world).upstream] == ["a", "b"]
+    assert rights(world) == ["w", "a", "b"]
+
+
+def test_a_monitor_is_told_of_no_circle_and_its_workload_is_protected_all_the_same() -> None:
+    world = depending({"w": ["a"], "a": ["w"]})
+    assert settings(world).upstream == []
+    assert rights(world) == ["w"]
+    assert world.condition("Accepted")["status"] == "True"
+    assert world.condition("DependenciesResolved")["reason"] == "DependencyCycle"
+
+
+def keys(old: Object | None, new: Object | None, *there: Object) -> set[str]:
+    store = Store()
+    for one in there:
+        store.put(WORKLOADS, one)
+    found = affected.keys(Sight(WORKLOADS, old, new), store)
+    return {key.name for key in found if key.plural == Key(WORKLOADS.plural, "", "").plural}
+
+
+def later(item: Object) -> Object:
+    return {**item, "metadata": {**item["metadata"], "generation": 4}}
+
+
+class TestWhoIsLookedAtAgain:
+    there = (needing("b", "c"), needing("c", "a"), workload("w"))
+
+    def test_whoever_depends_on_any_when_one_depends_on_others_than_before(self) -> None:
+        assert keys(workload("a"), later(needing("a", "b")), *self.there) == {"a", "b", "c"}
+
+    def test_whoever_depends_on_any_when_one_has_come_or_gone(self) -> None:
+        assert keys(None, workload("a"), *self.there) == {"a", "b", "c"}
+        assert keys(workload("a"), None, *self.there) == {"a", "b", "c"}
+
+    def test_nobody_else_when_something_else_was_changed(self) -> None:
+        assert keys(workload("a"), later(workload("a")), *self.there) == {"a"}
