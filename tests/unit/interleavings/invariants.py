@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 
 from tests.unit.interleavings.apiserver import ApiServer
 from tests.unit.interleavings.robots import Robots
+from tests.unit.interleavings.senses import GAP
 from understudy.api import names
 from understudy.cluster import gates
 from understudy.cluster.applying import controller_of
@@ -28,8 +29,8 @@ class Invariants:
         """Pods that an operator had asked for and that came when it led no longer: nobody could count with them."""
         self._sizes: dict[str, list[tuple[float, int]]] = {}
         """By pool, since when it was to have how many pods."""
-        self.failed: set[str] = set()
-        """Pods that failed for good while they were in control."""
+        self.failed: dict[str, float] = {}
+        """Pods that failed for good while they were in control, and when."""
         self.commits = self.claims = self.creations = 0
 
     # -- at every write ---------------------------------------------------------------------------------------------
@@ -82,6 +83,10 @@ class Invariants:
             if after.epoch != before.epoch + changed and (changed or after.epoch != before.epoch + 1):
                 self._broken(f"{_name(new)} went from epoch {before.epoch} to {after.epoch}")
             self.commits += changed
+            at = self.failed.get(before.active_uid, 0.0)
+            noticed = self._robots.now - at >= GAP or before.active_uid in after.recovery
+            if before.active_uid != after.active_uid and not noticed:
+                del self.failed[before.active_uid]  # control went elsewhere before anybody could know
         routed = self._routed(_name(new).removesuffix("-gate"), through)
         if len(routed) > 1:
             self._broken(f"{_name(new)} lets several through at once: {', '.join(routed)}")

@@ -165,10 +165,12 @@ class Simulation:
         self.invariants = Invariants(self.server, self.robots, broken=self._broken, leads=self._leads)
         self.server.changed = self._written
         self.network.noted = self.robots.noted = self.note
+        self.network.sending = self._sends
         self._names = itertools.count(1 if base is None else 1001)
         self._incarnations = itertools.count(1)
         self.monitors: list[Monitor] = []
         self.operators: list[OperatorProcess] = []
+        self._stalled: set[Process] = set()
         self._journals: dict[str, str] = {}
         self._calm = base is None
         self._over = self._disposed = False
@@ -191,11 +193,23 @@ class Simulation:
         self.outcome.faults.append(f"at {self.loop.time():.4f} s: {text}")
         self._over = True
 
+    def _leader(self) -> str:
+        """The replica that holds the lease; empty where none does."""
+        lease = self.server.get("leases", (NAMESPACE, LEASE))
+        found: str = lease["spec"]["holderIdentity"] if lease is not None else ""
+        return found
+
     def _leads(self, name: str) -> bool:
         """Whether an operator of that name holds the lease, and lives."""
-        lease = self.server.get("leases", (NAMESPACE, LEASE))
-        holder = lease["spec"]["holderIdentity"] if lease is not None else ""
-        return any(operator.process.name == name and operator.replica == holder for operator in self.operators)
+        return any(o.process.name == name and o.replica == self._leader() for o in self.operators)
+
+    def _sends(self, process: Process, method: str, path: str) -> None:
+        """An operator writes only while no other one leads. One that has just got no processor for long may be about to."""
+        operator = next((o for o in self.operators if o.process is process), None)
+        if operator is None or method == "GET" or "/leases" in path or process in self._stalled:
+            return
+        if (leader := self._leader()) not in ("", operator.replica):
+            self._broken(f"{process} sends {method} {path} while {leader} leads")
 
     def _surprised(self, process: Process | None, error: BaseException | None, message: str) -> None:
         if not isinstance(error, Killed) and (process is None or process.alive):
@@ -319,7 +333,7 @@ class Simulation:
         else:
             {"freezes": self.robots.freeze, "crashes": self.robots.crash, "fails": self.robots.fail}[how](uid)
             if found.broken and uid in {self._active(workload) for workload in self.workloads}:
-                self.invariants.failed.add(uid)
+                self.invariants.failed[uid] = self.robots.now
 
     def _one_fails(self) -> None:
         how = self.choices.choice(["freezes", "crashes", "fails", "deleted", "deleted by force"])
@@ -374,6 +388,7 @@ class Simulation:
         # An operator for so long that the other one takes over, and that one has yet to notice.
         seconds = self.choices.random() * (8 if any(o.process is process for o in self.operators) else 3)
         self.note(f"{process} gets no processor for {seconds:.1f} s")
+        self._stalled.add(process)
         self.loop.stall(process, seconds, self.world)
 
     def _somebody_is_cut_off(self) -> None:
