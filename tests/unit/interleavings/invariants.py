@@ -163,7 +163,9 @@ class Invariants:
                 if len(free) != spec["replicas"]:
                     yield f"pool {pool} has {len(free)} free pods instead of {spec['replicas']}"
                 yield from (f"pod {_name(pod)} isn't ready" for pod in free if not objects.ready(pod))
+                yield from self._misjudged(item, len(free))
                 continue
+            yield from self._misjudged(item, len(mine))
             for namespace, workload in sorted(self._server.items["robotworkloads"]):
                 standing = [pod for pod in mine if _labels(pod).get(names.WORKLOAD) == workload]
                 wanted = spec["perWorkload"]
@@ -173,6 +175,11 @@ class Invariants:
                 if len(standing) != wanted and all(self._stands_by(pod) for pod in standing):
                     yield f"pool {pool} has {len(standing)} pods of {workload} instead of {wanted}"
                 yield from (f"pod {_name(pod)} isn't up" for pod in standing if not self._up(pod))
+
+    def _misjudged(self, pool: Object, there: int) -> Iterator[str]:
+        """Whether a former leader's word on a pool is the last one."""
+        if (said := (pool.get("status") or {}).get("replicas")) != there:
+            yield f"pool {_name(pool)} says that it has {said} pods, and has {there}"
 
     def _stands_by(self, pod: Object) -> bool:
         found = self._robots.running.get(pod["metadata"]["uid"])
