@@ -62,8 +62,8 @@ class Scene:
     """Whether standbys wait initialized, and not executing."""
     activates: bool = False
     """Whether an application has to be brought up by a procedure before it sends."""
-    refers: bool = False
-    """Whether workloads refer to Deployments, and have no template."""
+    refers: str = ""
+    """The kind of what workloads refer to, where they have no template."""
     troubles: tuple[str, ...] = ()
     """All that goes wrong with processes and pods; everything, where nothing is named."""
     weather: tuple[float, ...] = (0.0, 0.5, 1.0, 2.0, 3.0)
@@ -75,7 +75,7 @@ SCENES = (
     Scene("scarce", workloads=2, strategies=("spare", "Restart"), spares=1),
     Scene("executing", workloads=2, strategies=("hot", "Restart"), standbys=1),
     Scene("initialized", workloads=2, strategies=("hot", "Restart"), standbys=1, initializes=True),
-    Scene("referred", workloads=2, strategies=("hot", "spare", "Restart"), spares=1, standbys=1, refers=True),
+    Scene("referred", workloads=2, strategies=("hot", "spare", "Restart"), spares=1, standbys=1, refers="Deployment"),
     Scene(
         "procedures",
         workloads=2,
@@ -85,6 +85,7 @@ SCENES = (
         initializes=True,
         activates=True,
     ),
+    Scene("stateful", workloads=2, strategies=("hot", "Restart"), standbys=1, refers="StatefulSet"),
     Scene("both", workloads=2, strategies=("hot", "spare", "Restart"), spares=1, standbys=1),
 )
 
@@ -427,6 +428,8 @@ class Simulation:
             for place, item in sorted(self.server.items[plural].items())
             if "template" in item["spec"]
         ]
+        if not found:
+            return
         plural, place = self.choices.choice(found)
         image = f"app:{next(self._ids) + 1}"
         self.note(f"{plural} {place[1]} is to run {image}")
@@ -541,7 +544,7 @@ class Simulation:
             more = {"readiness": "Initialized", **initialization} if scene.initializes else {}
             items.append(world.hot(per_workload=scene.standbys, **more))
         for name in self.workloads:
-            more = {"workloadRef": {"kind": "Deployment", "name": f"app-{name}"}} if scene.refers else {}
+            more = {"workloadRef": {"kind": scene.refers, "name": f"app-{name}"}} if scene.refers else {}
             if scene.activates:
                 more["bringUp"] = {"yaml": {"wait_for": {"node": "/controller"}}}
             items.append(world.workload(name, ros={"discovery": {"mode": "Multicast"}}, **more))
@@ -559,13 +562,16 @@ class Simulation:
             )
 
     def _deploy(self, workload: str) -> None:
-        """A Deployment that somebody has, and its ReplicaSet."""
-        name = f"app-{workload}"
+        """A Deployment that somebody has, and its ReplicaSet; or a StatefulSet."""
+        name, kind = f"app-{workload}", self.scene.refers
         labels = {REFERRED: workload}
         template = {"metadata": {"labels": {**labels, "pod-template-hash": "1"}}, "spec": world.TEMPLATE["spec"]}
         metadata = {"name": name, "namespace": NAMESPACE, "uid": f"uid-{name}", "generation": 1}
         spec = {"replicas": 1, "selector": {"matchLabels": labels}, "template": template}
-        self.server.write("deployments", (NAMESPACE, name), {"metadata": metadata, "spec": spec}, "somebody")
+        made = {"apiVersion": "apps/v1", "kind": kind, "metadata": metadata, "spec": spec}
+        self.server.write(f"{kind.lower()}s", (NAMESPACE, name), made, "somebody")
+        if kind != "Deployment":
+            return
         owner = {"apiVersion": "apps/v1", "kind": "Deployment", "name": name, "uid": f"uid-{name}", "controller": True}
         metadata = {
             **metadata,
@@ -574,7 +580,8 @@ class Simulation:
             "labels": labels,
             "ownerReferences": [owner],
         }
-        self.server.write("replicasets", (NAMESPACE, f"{name}-1"), {"metadata": metadata, "spec": spec}, "somebody")
+        made = {"apiVersion": "apps/v1", "kind": "ReplicaSet", "metadata": metadata, "spec": spec}
+        self.server.write("replicasets", (NAMESPACE, f"{name}-1"), made, "somebody")
 
     def base(self) -> Base:
         """What other runs may begin from."""
