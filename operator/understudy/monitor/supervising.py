@@ -384,7 +384,13 @@ class Supervisor:
         if active is not None and not active.leaving and active.running:
             return None
         onset = self._onset(name, now)
-        if active is None and (silent := self._sight.last_from(name)) is not None and now - silent < DEAD_AFTER:
+        if (
+            active is None
+            and (silent := self._sight.last_from(name)) is not None
+            and now - silent < DEAD_AFTER
+            # Once a successor of the same name has an address, as in a StatefulSet, it's that one which is heard.
+            and not any(i.name == name and i.ip for i in self._fleet.of_workload())
+        ):
             return None, silent + DEAD_AFTER
         gone = "is gone" if active is None else "is being deleted" if active.leaving else "has stopped running"
         return Failure(f"pod {name} {gone}", onset, time.time()), None

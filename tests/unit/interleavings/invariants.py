@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 
 from tests.unit.interleavings.apiserver import ApiServer
 from tests.unit.interleavings.robots import Robots
+from tests.unit.interleavings.senses import GAP
 from understudy.api import names
 from understudy.cluster import gates
 from understudy.cluster.applying import controller_of
@@ -28,8 +29,8 @@ class Invariants:
         """Pods that an operator had asked for and that came when it led no longer: nobody could count with them."""
         self._sizes: dict[str, list[tuple[float, int]]] = {}
         """By pool, since when it was to have how many pods."""
-        self.failed: set[str] = set()
-        """Pods that failed for good while they were in control."""
+        self.failed: dict[str, float] = {}
+        """Pods that failed for good while they were in control, and when."""
         self.commits = self.claims = self.creations = 0
 
     # -- at every write ---------------------------------------------------------------------------------------------
@@ -82,6 +83,10 @@ class Invariants:
             if after.epoch != before.epoch + changed and (changed or after.epoch != before.epoch + 1):
                 self._broken(f"{_name(new)} went from epoch {before.epoch} to {after.epoch}")
             self.commits += changed
+            at = self.failed.get(before.active_uid, 0.0)
+            noticed = self._robots.now - at >= GAP or before.active_uid in after.recovery
+            if before.active_uid != after.active_uid and not noticed:
+                del self.failed[before.active_uid]  # control went elsewhere before anybody could know
         routed = self._routed(_name(new).removesuffix("-gate"), through)
         if len(routed) > 1:
             self._broken(f"{_name(new)} lets several through at once: {', '.join(routed)}")
@@ -158,7 +163,9 @@ class Invariants:
                 if len(free) != spec["replicas"]:
                     yield f"pool {pool} has {len(free)} free pods instead of {spec['replicas']}"
                 yield from (f"pod {_name(pod)} isn't ready" for pod in free if not objects.ready(pod))
+                yield from self._misjudged(item, len(free))
                 continue
+            yield from self._misjudged(item, len(mine))
             for namespace, workload in sorted(self._server.items["robotworkloads"]):
                 standing = [pod for pod in mine if _labels(pod).get(names.WORKLOAD) == workload]
                 wanted = spec["perWorkload"]
@@ -168,6 +175,11 @@ class Invariants:
                 if len(standing) != wanted and all(self._stands_by(pod) for pod in standing):
                     yield f"pool {pool} has {len(standing)} pods of {workload} instead of {wanted}"
                 yield from (f"pod {_name(pod)} isn't up" for pod in standing if not self._up(pod))
+
+    def _misjudged(self, pool: Object, there: int) -> Iterator[str]:
+        """Whether a former leader's word on a pool is the last one."""
+        if (said := (pool.get("status") or {}).get("replicas")) != there:
+            yield f"pool {_name(pool)} says that it has {said} pods, and has {there}"
 
     def _stands_by(self, pod: Object) -> bool:
         found = self._robots.running.get(pod["metadata"]["uid"])

@@ -18,7 +18,7 @@ from understudy.cluster.client import Object
 BY = "the cluster"
 NODES = ("a", "b", "c")
 REFERRED = "of"
-"""Label of pods that a Deployment makes, with the workload that refers to it: they have none of ours at first."""
+"""Label of pods that a Deployment or StatefulSet makes, with the workload that refers to it: they have none of ours at first."""
 
 
 @dataclass
@@ -115,6 +115,8 @@ class Robots:
                 self.later(self.between(0.001, 0.02), self._enforce, name.removesuffix("-gate"))
         elif plural == "replicasets" and new is not None:
             self.later(self.between(0.005, 0.1), self._replicate, _place(new))
+        elif plural == "statefulsets" and new is not None:
+            self.later(self.between(0.005, 0.1), self._number, _place(new))
 
     def _pod(self, old: Object | None, new: Object | None) -> None:
         item = new or old
@@ -133,9 +135,10 @@ class Robots:
         elif uid in self.running and _labels(old) != _labels(new):
             self.later(self.between(0.001, 0.02), self._route, self.running[uid].robot)
         owner = controller_of(item)
-        if owner is not None and owner["kind"] == "ReplicaSet":
+        if owner is not None and owner["kind"] in ("ReplicaSet", "StatefulSet"):
             place = (item["metadata"]["namespace"], owner["name"])
-            self.later(self.between(0.005, 0.1), self._replicate, place)
+            work = self._replicate if owner["kind"] == "ReplicaSet" else self._number
+            self.later(self.between(0.005, 0.1), work, place)
 
     # -- what Kubernetes does ---------------------------------------------------------------------------------------
 
@@ -156,19 +159,29 @@ class Robots:
         wanted = replicas["spec"]["replicas"]
         for _ in range(wanted - len(mine)):
             self._addresses += 1
-            template = replicas["spec"]["template"]
-            owner = {"apiVersion": "apps/v1", "kind": "ReplicaSet", "name": place[1], "uid": uid, "controller": True}
-            metadata = {**template["metadata"], "name": f"{place[1]}-r{self._addresses:03}", "ownerReferences": [owner]}
-            self.server.request(
-                "POST",
-                f"/api/v1/namespaces/{place[0]}/pods",
-                None,
-                {"metadata": metadata, "spec": template["spec"]},
-                "",
-                BY,
-            )
+            self._make(replicas, f"{place[1]}-r{self._addresses:03}")
         for pod in sorted(mine, key=lambda pod: pod["metadata"]["name"])[: max(0, len(mine) - wanted)]:
             self.delete(pod)
+
+    def _number(self, place: Place) -> None:
+        """What the StatefulSets' own controller does: a pod's successor has its name, and waits for it to be gone."""
+        numbered = self.server.get("statefulsets", place)
+        if numbered is None:
+            return
+        name = f"{place[1]}-0"
+        pod = self.server.get("pods", (place[0], name))
+        if pod is None:
+            self._make(numbered, name)
+        elif (pod.get("status") or {}).get("phase") in ("Failed", "Succeeded"):
+            self.delete(pod)
+
+    def _make(self, owner: Object, name: str) -> None:
+        template, metadata = owner["spec"]["template"], owner["metadata"]
+        reference = {"apiVersion": "apps/v1", "kind": owner["kind"], "name": metadata["name"], "uid": metadata["uid"]}
+        references = [{**reference, "controller": True}]
+        body = {"metadata": {**template["metadata"], "name": name, "ownerReferences": references}}
+        path = f"/api/v1/namespaces/{metadata['namespace']}/pods"
+        self.server.request("POST", path, None, {**body, "spec": template["spec"]}, "", BY)
 
     def delete(self, pod: Object, *, by: str = BY, force: bool = False) -> None:
         """Delete a pod, as anybody may."""

@@ -62,8 +62,8 @@ class Scene:
     """Whether standbys wait initialized, and not executing."""
     activates: bool = False
     """Whether an application has to be brought up by a procedure before it sends."""
-    refers: bool = False
-    """Whether workloads refer to Deployments, and have no template."""
+    refers: str = ""
+    """The kind of what workloads refer to, where they have no template."""
     updates: tuple[tuple[str, str | int], ...] = ()
     """The updateStrategy of the shared pool; none where it is empty."""
     troubles: tuple[str, ...] = ()
@@ -77,7 +77,7 @@ SCENES = (
     Scene("scarce", workloads=2, strategies=("spare", "Restart"), spares=1),
     Scene("executing", workloads=2, strategies=("hot", "Restart"), standbys=1),
     Scene("initialized", workloads=2, strategies=("hot", "Restart"), standbys=1, initializes=True),
-    Scene("referred", workloads=2, strategies=("hot", "spare", "Restart"), spares=1, standbys=1, refers=True),
+    Scene("referred", workloads=2, strategies=("hot", "spare", "Restart"), spares=1, standbys=1, refers="Deployment"),
     Scene(
         "procedures",
         workloads=2,
@@ -87,6 +87,7 @@ SCENES = (
         initializes=True,
         activates=True,
     ),
+    Scene("stateful", workloads=2, strategies=("hot", "Restart"), standbys=1, refers="StatefulSet"),
     Scene("both", workloads=2, strategies=("hot", "spare", "Restart"), spares=1, standbys=1),
 )
 
@@ -167,10 +168,12 @@ class Simulation:
         self.invariants = Invariants(self.server, self.robots, broken=self._broken, leads=self._leads)
         self.server.changed = self._written
         self.network.noted = self.robots.noted = self.note
+        self.network.sending = self._sends
         self._names = itertools.count(1 if base is None else 1001)
         self._incarnations = itertools.count(1)
         self.monitors: list[Monitor] = []
         self.operators: list[OperatorProcess] = []
+        self._stalled: set[Process] = set()
         self._journals: dict[str, str] = {}
         self._calm = base is None
         self._over = self._disposed = False
@@ -193,11 +196,23 @@ class Simulation:
         self.outcome.faults.append(f"at {self.loop.time():.4f} s: {text}")
         self._over = True
 
+    def _leader(self) -> str:
+        """The replica that holds the lease; empty where none does."""
+        lease = self.server.get("leases", (NAMESPACE, LEASE))
+        found: str = lease["spec"]["holderIdentity"] if lease is not None else ""
+        return found
+
     def _leads(self, name: str) -> bool:
         """Whether an operator of that name holds the lease, and lives."""
-        lease = self.server.get("leases", (NAMESPACE, LEASE))
-        holder = lease["spec"]["holderIdentity"] if lease is not None else ""
-        return any(operator.process.name == name and operator.replica == holder for operator in self.operators)
+        return any(o.process.name == name and o.replica == self._leader() for o in self.operators)
+
+    def _sends(self, process: Process, method: str, path: str) -> None:
+        """An operator writes only while no other one leads. One that has just got no processor for long may be about to."""
+        operator = next((o for o in self.operators if o.process is process), None)
+        if operator is None or method == "GET" or "/leases" in path or process in self._stalled:
+            return
+        if (leader := self._leader()) not in ("", operator.replica):
+            self._broken(f"{process} sends {method} {path} while {leader} leads")
 
     def _surprised(self, process: Process | None, error: BaseException | None, message: str) -> None:
         if not isinstance(error, Killed) and (process is None or process.alive):
@@ -321,7 +336,7 @@ class Simulation:
         else:
             {"freezes": self.robots.freeze, "crashes": self.robots.crash, "fails": self.robots.fail}[how](uid)
             if found.broken and uid in {self._active(workload) for workload in self.workloads}:
-                self.invariants.failed.add(uid)
+                self.invariants.failed[uid] = self.robots.now
 
     def _one_fails(self) -> None:
         how = self.choices.choice(["freezes", "crashes", "fails", "deleted", "deleted by force"])
@@ -376,6 +391,7 @@ class Simulation:
         # An operator for so long that the other one takes over, and that one has yet to notice.
         seconds = self.choices.random() * (8 if any(o.process is process for o in self.operators) else 3)
         self.note(f"{process} gets no processor for {seconds:.1f} s")
+        self._stalled.add(process)
         self.loop.stall(process, seconds, self.world)
 
     def _somebody_is_cut_off(self) -> None:
@@ -414,6 +430,8 @@ class Simulation:
             for place, item in sorted(self.server.items[plural].items())
             if "template" in item["spec"]
         ]
+        if not found:
+            return
         plural, place = self.choices.choice(found)
         image = f"app:{next(self._ids) + 1}"
         self.note(f"{plural} {place[1]} is to run {image}")
@@ -529,7 +547,7 @@ class Simulation:
             more = {"readiness": "Initialized", **initialization} if scene.initializes else {}
             items.append(world.hot(per_workload=scene.standbys, **more))
         for name in self.workloads:
-            more = {"workloadRef": {"kind": "Deployment", "name": f"app-{name}"}} if scene.refers else {}
+            more = {"workloadRef": {"kind": scene.refers, "name": f"app-{name}"}} if scene.refers else {}
             if scene.activates:
                 more["bringUp"] = {"yaml": {"wait_for": {"node": "/controller"}}}
             items.append(world.workload(name, ros={"discovery": {"mode": "Multicast"}}, **more))
@@ -547,13 +565,16 @@ class Simulation:
             )
 
     def _deploy(self, workload: str) -> None:
-        """A Deployment that somebody has, and its ReplicaSet."""
-        name = f"app-{workload}"
+        """A Deployment that somebody has, and its ReplicaSet; or a StatefulSet."""
+        name, kind = f"app-{workload}", self.scene.refers
         labels = {REFERRED: workload}
         template = {"metadata": {"labels": {**labels, "pod-template-hash": "1"}}, "spec": world.TEMPLATE["spec"]}
         metadata = {"name": name, "namespace": NAMESPACE, "uid": f"uid-{name}", "generation": 1}
         spec = {"replicas": 1, "selector": {"matchLabels": labels}, "template": template}
-        self.server.write("deployments", (NAMESPACE, name), {"metadata": metadata, "spec": spec}, "somebody")
+        made = {"apiVersion": "apps/v1", "kind": kind, "metadata": metadata, "spec": spec}
+        self.server.write(f"{kind.lower()}s", (NAMESPACE, name), made, "somebody")
+        if kind != "Deployment":
+            return
         owner = {"apiVersion": "apps/v1", "kind": "Deployment", "name": name, "uid": f"uid-{name}", "controller": True}
         metadata = {
             **metadata,
@@ -562,7 +583,8 @@ class Simulation:
             "labels": labels,
             "ownerReferences": [owner],
         }
-        self.server.write("replicasets", (NAMESPACE, f"{name}-1"), {"metadata": metadata, "spec": spec}, "somebody")
+        made = {"apiVersion": "apps/v1", "kind": "ReplicaSet", "metadata": metadata, "spec": spec}
+        self.server.write("replicasets", (NAMESPACE, f"{name}-1"), made, "somebody")
 
     def base(self) -> Base:
         """What other runs may begin from."""

@@ -6,6 +6,7 @@ of them are ``scripts/bench interleavings``.
 
 from __future__ import annotations
 
+import asyncio
 import os
 import subprocess
 import sys
@@ -20,6 +21,8 @@ from tests.unit.interleavings import simulation
 from tests.unit.interleavings.simulation import SCENES, Outcome, Scene
 from understudy.cluster import applying, claims, gates
 from understudy.cluster.client import Client, Object
+from understudy.cluster.leases import Lease
+from understudy.controller.executing import Executor
 from understudy.controller.expectations import Expectations
 from understudy.monitor.leftovers import Leftovers
 from understudy.monitor.reporting import Reporter
@@ -150,3 +153,11 @@ def test_a_claimed_pod_that_is_deleted_as_if_it_were_free_is_found() -> None:
 def test_a_status_that_a_dead_monitor_overwrites_for_good_is_found() -> None:
     with mock.patch.object(Reporter, "look"):
         assert found("than the status", SCARCE, "monitor_dies_at_a_step", "all_fail", weather=3.0)
+
+
+def test_an_operator_that_goes_on_when_another_one_leads_is_found() -> None:
+    async def careless(self: Lease) -> None:
+        await asyncio.Event().wait()
+
+    with mock.patch.object(Lease, "keep", careless), mock.patch.object(Executor, "check"):
+        assert found("leads", SHARED, "somebody_is_cut_off", "all_fail")

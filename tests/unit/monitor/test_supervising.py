@@ -90,6 +90,17 @@ def test_a_pod_whose_processes_end_is_lost(pod: Instance | None, words: str) -> 
     assert failure.reason == f"pod w-1 {words}"
 
 
+@pytest.mark.parametrize(("ip", "lost"), [("10.0.0.2", True), ("", False)])
+def test_a_lost_pod_is_not_taken_to_live_on_in_its_successor_of_the_same_name(ip: str, lost: bool) -> None:
+    # As of a StatefulSet. While that one has no address, who is heard under the name is the process of the one before.
+    watching = supervisor(Told(), last_output=time.time())
+    successor = replace(ACTIVE, uid="uid-2", ip=ip)
+    watching._fleet = cast(Any, SimpleNamespace(of_workload=lambda: [successor]))
+    found = watching._lost(None, time.time())
+    assert found is not None
+    assert (found[0] is not None) == lost
+
+
 def test_after_every_strategys_instance_failed_at_once_there_is_a_pause_that_is_told() -> None:
     told, now = Told(), time.time()
     watching = supervisor(told)
