@@ -10,9 +10,10 @@ from collections.abc import Sequence
 
 from understudy.api import names
 from understudy.api.base import API_VERSION
+from understudy.api.conditions import Condition
 from understudy.cluster.client import CONFIG_MAPS, PODS, POLICIES, POOLS, WORKLOADS, ApiError, Client, Object, Resource
 from understudy.cluster.events import Recorder
-from understudy.controller import affected, metrics, objects, policies, pools, resizing, statuses, workloads
+from understudy.controller import affected, metrics, objects, policies, pools, resizing, statuses, storms, workloads
 from understudy.controller.affected import Key
 from understudy.controller.desired import Images
 from understudy.controller.executing import MANAGER, Executor
@@ -39,7 +40,7 @@ ABSENT = frozenset(
 TOGETHER_SECONDS = 3.0
 """For so long after an object was created, what it lacks isn't told yet."""
 
-WITHDRAWN = frozenset({resizing.CONDITION, statuses.CHOSEN})
+WITHDRAWN = frozenset({resizing.CONDITION, statuses.CHOSEN, storms.CONDITION})
 """Conditions of ours that are there only while there is something to be said."""
 
 _RESOURCES = {resource.plural: resource for resource in (WORKLOADS, POLICIES, POOLS)}
@@ -78,6 +79,8 @@ class Reconciler:
         if key.plural == WORKLOADS.plural:
             return await self._workload(key, item)
         if item is None or objects.deleted(item):
+            if key.plural == POLICIES.plural:
+                metrics.storm(key.namespace, key.name, None)
             return None
         if key.plural == POOLS.plural:
             return await self._pool(key, item)
@@ -149,8 +152,20 @@ class Reconciler:
         users = [key.name for key in affected.users(name, self._store, namespace)]
         found = self._store.in_namespace(POOLS, namespace)
         config_maps = self._store.in_namespace(CONFIG_MAPS, namespace)
-        status = policies.status(item, pools=found, config_maps=config_maps, users=users)
-        return await self._tell(POLICIES, item, status)
+        storm, again = self._storm(item, users)
+        status = policies.status(item, pools=found, config_maps=config_maps, users=users, storm=storm)
+        return _earliest(again, await self._tell(POLICIES, item, status))
+
+    def _storm(self, policy: Object, users: Sequence[str]) -> tuple[Condition | None, float | None]:
+        """What is said of a storm, and when to look again; nothing where the policy has no guard."""
+        guard, namespace = policies.storm_guard(policy), policy["metadata"]["namespace"]
+        if guard is None:
+            metrics.storm(namespace, objects.name(policy), None)
+            return None, None
+        found = self._store.in_namespace(WORKLOADS, namespace)
+        said, again = storms.judge(policy, guard, [found[name] for name in users], time.time())
+        metrics.storm(namespace, objects.name(policy), said.status == "True")
+        return said, again
 
     async def _tell(self, resource: Resource, item: Object, status: Object) -> float | None:
         """Write the status where it differs from the stored one, and tell transitions as Events.
@@ -186,7 +201,7 @@ class Reconciler:
     async def _announce(self, item: Object, transitions: Sequence[Object]) -> None:
         for found in transitions:
             reason = found["reason"] if found["status"] == "False" else found["type"]
-            if found["status"] == "False":
+            if (found["status"] == "False") != (found["type"] == storms.CONDITION):
                 await self._recorder.warning(item, reason, f"{found['type']}: {found['message']}")
             else:
                 await self._recorder.normal(item, reason, found["message"])

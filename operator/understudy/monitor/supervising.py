@@ -28,7 +28,7 @@ from understudy.mitigation.failover import Choice, recover
 from understudy.mitigation.interfaces import Instance, Superseded
 from understudy.mitigation.journal import Journal
 from understudy.mitigation.progress import PodIdentity, Progress
-from understudy.mitigation.strategies import Means
+from understudy.mitigation.strategies import Means, Strategy
 from understudy.monitor import enforcement, metrics
 from understudy.monitor.bringing import Bringing, expected, managed
 from understudy.monitor.budgeting import Spending
@@ -46,6 +46,7 @@ from understudy.monitor.reporting import Reporter, describe, in_vain
 from understudy.monitor.safety import SafeCommands, Unattended
 from understudy.monitor.sidecars import Sidecars
 from understudy.monitor.sight import Sight
+from understudy.monitor.storms import Storms
 from understudy.monitor.view import View
 from understudy.monitor.waiting import Line
 from understudy.trees.debounce import Debounce
@@ -135,6 +136,7 @@ class Supervisor:
         self._levels = Levels(parts.sight, parts.reporter)
         self._pauses = Pauses(parts.view, parts.reporter)
         self._spending = Spending(parts.view, parts.reporter)
+        self._storms = Storms(parts.view)
         self._line = Line(parts.view, parts.reporter)
         self._bringing = Bringing(parts.fleet, parts.sidecars, parts.reporter)
         self._leftovers = Leftovers(parts.fleet, parts.gate, parts.reporter)
@@ -350,18 +352,36 @@ class Supervisor:
             self._postpone("Paused", f"{failure.reason}; nothing is done about it: it is {pause.words}")
             return None
         if now >= self._not_before:
+            if (storm := self._storms.on(now)) is not None and not self._stands_by():
+                self._postpone("Storm", f"{failure.reason}; it waits, since others fail too: {storm}")
+                return None
             self._postponed = ""
             # What it went without in the pause was nobody's failure.
             return replace(failure, onset=max(failure.onset, min(self._pauses.ended, failure.detected)))
         self._postpone("Waiting", f"{failure.reason}; tried again in {self._not_before - now:.0f} s")
         return None
 
+    def _stands_by(self) -> bool:
+        """Whether an instance that is well is there to take over, which takes nothing from others."""
+        policy, settings = self._view.policy, self._view.settings
+        if policy is None or settings is None:
+            return False
+        means = self._means()
+        found = (choice.strategy for choice in choices(policy, settings, self._view.spec))
+        return any(strategy.standing and strategy.available(means) is None for strategy in found)
+
+    def _holds(self, strategy: Strategy) -> str | None:
+        """Why a strategy isn't tried now, although it could be."""
+        if strategy.standing or (storm := self._storms.on(time.time())) is None:
+            return None
+        return f"held, since others fail too: {storm}"
+
     def _postpone(self, why: str, text: str) -> None:
         """Say why nothing is done yet, once."""
         if self._postponed != why:
             self._postponed = why
             metrics.held(why)
-            self._reporter.condition("Recovering", "False", why, f"{text}.")
+            self._reporter.condition("Recovering", "False", why, f"{text.rstrip('.')}.")
             self._reporter.event("Warning", "RecoveryPostponed", text)
 
     def _say(self, verdict: Verdict, *, degraded: bool = False) -> None:
@@ -523,6 +543,7 @@ class Supervisor:
             workload_uid=settings.uid,
             kept=self._keeping.select,
             restore_within=seconds(policy.state.within) if (policy := self._view.policy) else 5.0,
+            holds=self._holds,
         )
 
     def _save(self, progress: Progress) -> None:
