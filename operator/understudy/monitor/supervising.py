@@ -349,16 +349,16 @@ class Supervisor:
         self._keeping.judge("Failed", now)
         self._reporter.set(health="Failed")
         if (pause := self._pauses.on) is not None:
-            self._postpone("Paused", f"{failure.reason}; nothing is done about it: it is {pause.words}")
+            self._postpone("Paused", failure, f"nothing is done about it: it is {pause.words}")
             return None
         if now >= self._not_before:
             if (storm := self._storms.on(now)) is not None and not self._stands_by():
-                self._postpone("Storm", f"{failure.reason}; it waits, since others fail too: {storm}")
+                self._postpone("Storm", failure, f"it waits, since others fail too: {storm}")
                 return None
             self._postponed = ""
             # What it went without in the pause was nobody's failure.
             return replace(failure, onset=max(failure.onset, min(self._pauses.ended, failure.detected)))
-        self._postpone("Waiting", f"{failure.reason}; tried again in {self._not_before - now:.0f} s")
+        self._postpone("Waiting", failure, f"tried again in {self._not_before - now:.0f} s")
         return None
 
     def _stands_by(self) -> bool:
@@ -376,11 +376,15 @@ class Supervisor:
             return None
         return f"held, since others fail too: {storm}"
 
-    def _postpone(self, why: str, text: str) -> None:
+    def _postpone(self, why: str, failure: Failure, then: str) -> None:
         """Say why nothing is done yet, once."""
         if self._postponed != why:
             self._postponed = why
+            text = f"{failure.reason}; {then}"
             metrics.held(why)
+            self._reporter.condition(
+                "Healthy", "False", "Failed", failure.reason
+            )  # of a pod that is gone no tree says so
             self._reporter.condition("Recovering", "False", why, f"{text.rstrip('.')}.")
             self._reporter.event("Warning", "RecoveryPostponed", text)
 
@@ -461,9 +465,10 @@ class Supervisor:
         self._spending.say(time.time())
         paused = self._pauses.on is not None
         if (spec := self._view.spec) is not None and not paused:
-            active = self._gate.state.active_uid
+            held = self.recovering if self._held else None
+            cared = [i for i in instances if held is None or not held.has_failed(i.uid)]
             self._bringing.housekeeping(
-                instances, policy, spec, settings, active, lambda: self._keeping.select(time.time())
+                cared, policy, spec, settings, self._driver, lambda: self._keeping.select(time.time())
             )
         if not paused:
             self._leftovers.housekeeping(instances, time.monotonic())
@@ -487,13 +492,20 @@ class Supervisor:
         ):
             self._reporter.event("Warning", f"Gate{judged[1]}", judged[2])
 
+    @property
+    def _driver(self) -> str:
+        """The UID of the pod by which the others are standbys: while a failure is held nobody is to take its place."""
+        if self._held and self.recovering is not None and self.recovering.failed:
+            return self.recovering.failed[0].uid
+        return self._gate.state.active_uid
+
     def _role(self, instance: Instance, brought: str) -> tuple[Mapping[str, Any] | None, bool]:
         """What an instance must be to be ready while it waits, and whether procedures bring its nodes up."""
         policy, spec, settings = self._view.policy, self._view.spec, self._view.settings
         if policy is None or spec is None or settings is None:
             return None, False
         ready = self._bringing.was_ready(instance) or self._sidecars.is_ready(instance)[0]
-        found = expected(instance, spec, settings, active_uid=self._gate.state.active_uid, brought=brought, ready=ready)
+        found = expected(instance, spec, settings, active_uid=self._driver, brought=brought, ready=ready)
         return found.standby, managed(spec, settings, policy)
 
     def _kept_up(self, instances: Sequence[Instance], settings: WorkloadSettings) -> list[tuple[Instance, float]]:
@@ -575,7 +587,9 @@ class Supervisor:
     async def _allowed(self, progress: Progress) -> bool:
         """Whether to carry it out. Where the policy's budget is spent that is known once it isn't any more."""
         now = time.time()
-        begun = "decided" in progress.moments or progress.planned or progress.taken_over is not None
+        begun = (
+            "decided" in progress.moments or progress.attempts or progress.planned or progress.taken_over is not None
+        )
         waits = self._must_wait(now) if "held" in progress.moments else self._spending.spent_until(now) is not None
         if waits and not begun:
             try:
@@ -605,6 +619,7 @@ class Supervisor:
             progress.moments.setdefault("fenced", time.time())
             epoch = self._gate.state.epoch
             self._reporter.set(active="", health="Failed", gate=GateStatus(epoch=epoch))
+            self._reporter.condition("Healthy", "False", "Failed", progress.reason)
             self._spending.say(time.time())
             self._spending.tell_held(progress)
             while self._must_wait(time.time()):
