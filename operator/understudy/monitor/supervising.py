@@ -309,7 +309,7 @@ class Supervisor:
             self._levels.wait("budget", "the budget of the policy is spent, see WithinBudget")
             return None
         first = choices(policy, settings, self._view.spec)[0].strategy
-        if (lacking := first.available(self._means())) is not None:
+        if (lacking := first.available(self._means()) or self._holds(first)) is not None:
             self._levels.wait("means", f"the first strategy can't be carried out ({lacking})")
             return None
         return Failure(reason, self._onset(active.name, now), time.time(), planned=True)
