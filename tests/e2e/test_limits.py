@@ -9,6 +9,7 @@ import pytest
 from tests.e2e.console import understudy
 from tests.e2e.kubectl import Kubectl
 from tests.e2e.scenario import Robot, eventually, manifest, patient
+from tests.e2e.test_shared_pool import fail_at_once
 from tests.e2e.test_strategies import assert_handed_over
 
 SAFE = "safe"
@@ -157,3 +158,37 @@ def test_one_that_fails_within_the_healthy_delay_is_followed_by_the_next_strateg
     assert relapse.strategy == "Restart", relapse
     told = [event for event in kubectl.list("events") if event["reason"] == "Relapsed"]
     assert any("limits.healthyDelay is 5m" in event["message"] for event in told), told
+
+
+@pytest.mark.long
+def test_in_a_storm_the_next_robot_that_fails_waits_until_it_is_over(kubectl: Kubectl) -> None:
+    policy, pool = patient(manifest("strategies/uninitialized.yaml"))
+    policy["spec"]["limits"] = {"stormGuard": {"percent": 50, "workloads": 2, "within": "40s"}}
+    kubectl.apply([policy, pool])
+    robots = [Robot(kubectl, f"robot-{number}") for number in (1, 2, 3)]
+    for robot in robots:
+        kubectl.apply(robot.objects(policy="quickstart-uninitialized"))
+    pods = {robot.name: robot.wait_driven(180) for robot in robots}
+
+    def storm() -> str:
+        conditions = kubectl.get("failurepolicy", "quickstart-uninitialized")["status"]["conditions"]
+        return next((c["status"] for c in conditions if c["type"] == "Storm"), "")
+
+    assert storm() == "False"
+    *first, last = robots
+    fail_at_once(first, pods)
+    eventually(lambda: storm() == "True", within=20, what="it is said that a storm is on", note=last.describe)
+    last.fail(pods[last.name], "frozen")
+    eventually(
+        lambda: last.condition("Recovering").get("reason") == "Storm",
+        within=20,
+        what="the third robot waits",
+        note=last.describe,
+    )
+    assert last.status()["active"] == pods[last.name], "it isn't fenced"
+    assert last.status().get("recoveryCount", 0) == 0
+    # Its own failure keeps two of three from being well until the others' are long enough ago.
+    eventually(lambda: storm() == "False", within=120, what="it is over", note=last.describe)
+    recovery = last.wait_recovered(1)
+    assert recovery.old == pods[last.name]
+    last.wait_driven()

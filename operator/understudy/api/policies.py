@@ -207,6 +207,31 @@ class Budget(Model):
         return f"{self.recoveries} {'recovery' if self.recoveries == 1 else 'recoveries'} within {self.within}"
 
 
+class StormGuard(Model):
+    """When so many workloads fail at once that it looks like the network or the cluster, and not like any of them."""
+
+    model_config = Model.model_config | {
+        "json_schema_extra": rules(
+            (
+                f"!self.within.matches(r'{DURATION_PATTERN}') || duration(self.within) >= duration('1s')",
+                "within is at least 1s",
+                ".within",
+            ),
+        )
+    }
+
+    percent: int = Field(
+        default=50, ge=1, le=99, description="More than so many percent of the policy's workloads must fail."
+    )
+    workloads: int = Field(default=3, ge=2, description="And at least so many of them.")
+    within: Duration = Field(
+        default="10s", description="Those that have failed in this time count too, whatever became of it."
+    )
+    hold_for: Duration = Field(
+        default="2m", description="How long recoveries are held for it at most, also where nobody says that it is over."
+    )
+
+
 class Limits(Model):
     """Bounds on what is done automatically."""
 
@@ -222,6 +247,11 @@ class Limits(Model):
         default=None,
         description="How many recoveries are made by themselves in a window of time. Once it is spent, an instance that fails is fenced "
         "and nothing else is done, until the window has moved on or understudy resume says so. Absent: any number. See docs/limits.md.",
+    )
+    storm_guard: StormGuard | None = Field(
+        default=None,
+        description="While so many of the policy's workloads fail at once, no pod of a shared pool is taken and nothing is restarted. "
+        "Standbys that are ready take over as ever. Absent: no guard. See docs/limits.md.",
     )
 
 
@@ -299,6 +329,11 @@ class FailurePolicySpec(Model):
                 "priority Safety says that limits don't delay a recovery, and a budget that is spent would: leave one of the two out",
                 ".limits.budget",
             ),
+            (
+                "self.priority != 'Safety' || !has(self.limits.stormGuard)",
+                "priority Safety says that limits don't delay a recovery, and a storm guard would: leave one of the two out",
+                ".limits.stormGuard",
+            ),
         )
     }
 
@@ -361,7 +396,8 @@ class FailurePolicyStatus(Model):
     )
     conditions: list[Condition] | None = Field(
         default=None,
-        description="Accepted: the tree and the strategies can be followed.",
+        description="Accepted: the tree and the strategies can be followed. Storm, where limits.stormGuard is given: so many of its "
+        "workloads fail at once that their monitors hold what can't help.",
         json_schema_extra={"x-kubernetes-list-type": "map", "x-kubernetes-list-map-keys": ["type"]},
     )
 

@@ -44,6 +44,13 @@ def spent(policy: FailurePolicySpec | None, status: RobotWorkloadStatus, item: O
         yield f"limits.budget of its policy ({budget.words}) has {left} left.", False
 
 
+def storm(policy: Object | None) -> Iterator[Told]:
+    """Whether so many others fail that it would be held."""
+    for said in ((policy or {}).get("status") or {}).get("conditions") or []:
+        if (said["type"], said["status"]) == ("Storm", "True"):
+            yield f"Unless a standby took over, it would be held by limits.stormGuard: {said['message']}", True
+
+
 def cooling_down(policy: FailurePolicySpec | None, said: Robot, now: float) -> Iterator[Told]:
     """How long limits.cooldown puts the next recovery off."""
     last = said.last_recovery

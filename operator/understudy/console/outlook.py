@@ -239,9 +239,11 @@ def _failing(known: Known) -> Iterator[_Entry]:
 def _pause(known: Known) -> Iterator[_Entry]:
     """What would put it off."""
     item, now = known.observed.workload, known.observed.now
+    policy = known.observed.policies.get(known.spec.failure_policy_ref.name) if known.spec is not None else None
     for text, off in (
         *limits.paused(known.spec, now),
         *limits.spent(known.policy, known.status, item, now),
+        *limits.storm(policy),
         *limits.cooling_down(known.policy, known.said, now),
     ):
         yield _Entry(text, "Degraded" if off else "")

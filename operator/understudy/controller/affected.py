@@ -22,7 +22,7 @@ from understudy.cluster.client import (
     Object,
     Resource,
 )
-from understudy.controller import choosing, dependencies, healthtrees, nodes, objects, policies
+from understudy.controller import choosing, dependencies, healthtrees, nodes, objects, policies, storms
 from understudy.controller.stores import Sight, Store
 
 
@@ -61,11 +61,13 @@ def _keys(sight: Sight, store: Store) -> Iterator[Key]:
         yield Key(plural, namespace, objects.name(found))
         if _spec_changed(sight):
             yield from _after_spec(sight, store, namespace)
-        elif plural == WORKLOADS.plural and _chosen_anew(sight):
-            for name in store.in_namespace(POOLS, namespace):  # how many standbys it has of each
-                yield Key(POOLS.plural, namespace, name)
-        elif plural == WORKLOADS.plural and _recovered_anew(sight):
-            yield from _sized(store, namespace)
+        elif plural == WORKLOADS.plural:
+            if _chosen_anew(sight):
+                for name in store.in_namespace(POOLS, namespace):  # how many standbys it has of each
+                    yield Key(POOLS.plural, namespace, name)
+            elif _recovered_anew(sight):
+                yield from _sized(store, namespace)
+            yield from _after_health(sight, store, namespace)
     elif plural == PODS.plural:
         yield from _after_pod(sight, store, namespace)
     elif plural == NETWORK_POLICIES.plural:
@@ -102,6 +104,15 @@ def _depends_anew(sight: Sight) -> bool:
     if sight.old is None or sight.new is None or objects.deleted(sight.old) != objects.deleted(sight.new):
         return True
     return dependencies.named(sight.old) != dependencies.named(sight.new)
+
+
+def _after_health(sight: Sight, store: Store, namespace: str) -> Iterator[Key]:
+    """The policy that looks how many of its workloads fail at once."""
+    if sight.old is None or sight.new is None or storms.health(sight.old) == storms.health(sight.new):
+        return
+    policy = store.get(POLICIES, namespace, used_policy(sight.new))
+    if policy is not None and policies.storm_guard(policy) is not None:
+        yield Key(POLICIES.plural, namespace, objects.name(policy))
 
 
 def _after_spec(sight: Sight, store: Store, namespace: str) -> Iterator[Key]:

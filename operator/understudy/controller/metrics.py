@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, ProcessCollector
 
 REGISTRY = CollectorRegistry()
@@ -40,6 +42,12 @@ POOL_FAILURES = Gauge(
     ["namespace", "pool"],
     registry=REGISTRY,
 )
+_STORM = Gauge(
+    "understudy_storm",
+    "1 while so many workloads of a policy fail at once that recoveries are held.",
+    ["namespace", "policy"],
+    registry=REGISTRY,
+)
 MISSED = Counter(
     "understudy_watch_missed_total",
     "Changes that only a full list brought, by resource.",
@@ -47,3 +55,12 @@ MISSED = Counter(
     registry=REGISTRY,
 )
 RESYNCED = Gauge("understudy_last_resync_timestamp_seconds", "When everything was listed last.", registry=REGISTRY)
+
+
+def storm(namespace: str, policy: str, on: bool | None) -> None:
+    """Set whether a policy says that a storm is on; None where it says nothing of storms."""
+    if on is not None:
+        _STORM.labels(namespace, policy).set(float(on))
+        return
+    with contextlib.suppress(KeyError):
+        _STORM.remove(namespace, policy)

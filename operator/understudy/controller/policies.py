@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from understudy.api.base import seconds
 from understudy.api.conditions import Condition, condition
 from understudy.api.degraded import InlineTree
-from understudy.api.policies import FailurePolicySpec
+from understudy.api.policies import FailurePolicySpec, StormGuard
 from understudy.api.pools import FallbackPoolSpec
 from understudy.api.procedures import Check, Procedure
 from understudy.cluster.client import Object
@@ -214,14 +214,32 @@ def tree_in_force(policy: Object, config_maps: Mapping[str, Object]) -> Object |
 
 
 def status(
-    policy: Object, *, pools: Mapping[str, Object], config_maps: Mapping[str, Object], users: Collection[str]
+    policy: Object,
+    *,
+    pools: Mapping[str, Object],
+    config_maps: Mapping[str, Object],
+    users: Collection[str],
+    storm: Condition | None = None,
 ) -> Object:
-    """The policy's status, but for the times of its conditions."""
+    """The policy's status, but for the times of its conditions. ``storm`` is what is said of one, where it is guarded against."""
     tree = tree_in_force(policy, config_maps)
     return {
         "observedGeneration": objects.generation(policy),
         "workloads": len(users),
         "strategies": in_short(policy, pools),
         **({"tree": tree} if tree is not None else {}),
-        "conditions": [c.to_wire() for c in conditions(policy, pools, config_maps)],
+        "conditions": [
+            c.to_wire() for c in (*conditions(policy, pools, config_maps), *([storm] if storm is not None else []))
+        ],
     }
+
+
+def storm_guard(policy: Object) -> StormGuard | None:
+    """What it says of storms; None where it says nothing, or doesn't fit the present kind."""
+    given = ((policy.get("spec") or {}).get("limits") or {}).get("stormGuard")
+    if not given:
+        return None  # nothing to parse for the many that have none
+    try:
+        return StormGuard.model_validate(given)
+    except ValidationError:
+        return None

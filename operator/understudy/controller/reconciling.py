@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 from understudy.api import names
 from understudy.api.base import API_VERSION
+from understudy.api.conditions import Condition
 from understudy.cluster.client import CONFIG_MAPS, PODS, POLICIES, POOLS, WORKLOADS, ApiError, Client, Object, Resource
 from understudy.cluster.events import Recorder
 from understudy.controller import (
@@ -23,6 +24,7 @@ from understudy.controller import (
     poolsizes,
     resizing,
     statuses,
+    storms,
     workloads,
 )
 from understudy.controller.affected import Key
@@ -60,6 +62,7 @@ WITHDRAWN = frozenset(
         poolsizes.CONDITION,
         pools.MOVING,
         dependencies.RESOLVED,
+        storms.CONDITION,
     }
 )
 """Conditions of ours that are there only while there is something to be said."""
@@ -102,6 +105,8 @@ class Reconciler:
         if item is None or objects.deleted(item):
             if key.plural == POOLS.plural:
                 self._measure(key, None)
+            if key.plural == POLICIES.plural:
+                metrics.storm(key.namespace, key.name, None)
             return None
         if key.plural == POOLS.plural:
             return await self._pool(key, item)
@@ -187,8 +192,20 @@ class Reconciler:
         users = [key.name for key in affected.users(name, self._store, namespace)]
         found = self._store.in_namespace(POOLS, namespace)
         config_maps = self._store.in_namespace(CONFIG_MAPS, namespace)
-        status = policies.status(item, pools=found, config_maps=config_maps, users=users)
-        return await self._tell(POLICIES, item, status)
+        storm, again = self._storm(item, users)
+        status = policies.status(item, pools=found, config_maps=config_maps, users=users, storm=storm)
+        return _earliest(again, await self._tell(POLICIES, item, status))
+
+    def _storm(self, policy: Object, users: Sequence[str]) -> tuple[Condition | None, float | None]:
+        """What is said of a storm, and when to look again; nothing where the policy has no guard."""
+        guard, namespace = policies.storm_guard(policy), policy["metadata"]["namespace"]
+        if guard is None:
+            metrics.storm(namespace, objects.name(policy), None)
+            return None, None
+        found = self._store.in_namespace(WORKLOADS, namespace)
+        said, again = storms.judge(policy, guard, [found[name] for name in users], time.time())
+        metrics.storm(namespace, objects.name(policy), said.status == "True")
+        return said, again
 
     async def _tell(self, resource: Resource, item: Object, status: Object) -> float | None:
         """Write the status where it differs from the stored one, and tell transitions as Events.
@@ -224,7 +241,7 @@ class Reconciler:
     async def _announce(self, item: Object, transitions: Sequence[Object]) -> None:
         for found in transitions:
             reason = found["reason"] if found["status"] == "False" else found["type"]
-            if found["status"] == "False":
+            if (found["status"] == "False") != (found["type"] == storms.CONDITION):
                 await self._recorder.warning(item, reason, f"{found['type']}: {found['message']}")
             else:
                 await self._recorder.normal(item, reason, found["message"])

@@ -24,6 +24,7 @@ PROGRESSING = frozenset(
         "InProgress",
         "PodsNotReady",
         "GateMissing",
+        "FewFail",
     }
 )
 """Reasons that are in order while something is being built: no Event when they come first."""

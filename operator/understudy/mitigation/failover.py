@@ -75,6 +75,9 @@ async def recover(progress: Progress, choices: Sequence[Choice], means: Means) -
 async def _attempt(
     progress: Progress, choice: Choice, means: Means, *, last: bool
 ) -> tuple[Literal["Verified", "NotVerified", "NotAvailable"], str]:
+    begun = progress.target is not None or progress.waiting is not None  # by a monitor that is gone
+    if not begun and (reason := means.holds(choice.strategy)) is not None:
+        return "NotAvailable", reason
     try:
         await _in_its_time(progress, choice, means, last=last)
     except NotAvailable as reason:

@@ -65,6 +65,8 @@ class Means:
     """The state that is given to the instance that takes over after a failure that began then (unix seconds)."""
     restore_within: float = 5.0
     """Seconds that giving it may take."""
+    holds: Callable[[Strategy], str | None] = lambda strategy: None
+    """Why a strategy isn't to be tried now although it could be; None where it is."""
 
 
 class Strategy(ABC):
@@ -72,6 +74,8 @@ class Strategy(ABC):
 
     name: str
     pool: str = ""
+    standing = False
+    """Whether the instance runs for this robot already, so that trying it takes nothing from others."""
 
     @abstractmethod
     async def prepare(self, progress: Progress, means: Means, *, within: float) -> Instance:
@@ -97,6 +101,7 @@ class ExecutingFallback(Strategy):
     """A standby that runs in full, receives everything and whose outputs are gated: one patch puts it in control."""
 
     name = "Fallback/Executing"
+    standing = True
 
     def __init__(
         self, pool: str, *, recovery: BringUp | None = None, others: Collection[str] = (), with_source: bool = True

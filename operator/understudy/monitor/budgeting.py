@@ -40,9 +40,11 @@ class Spending:
         return unix(said) if said else None
 
     def count(self, done: Progress, now: float) -> None:
-        """Count a recovery that is over. A hand-over that was planned is none, nor what follows from another workload's recovery."""
-        budget = self._budget
-        if budget is not None and not done.planned and not done.follows:
+        """Count a recovery that is over. What was planned is none, nor what follows from another workload's recovery, nor one in
+        which nothing could be tried.
+        """
+        budget, tried = self._budget, any(attempt.result != "NotAvailable" for attempt in done.attempts)
+        if budget is not None and tried and not done.planned and not done.follows:
             self._reporter.spend([*self._counted(now), done.began][-budget.recoveries :])
             self.say(now)
 

@@ -28,7 +28,7 @@ from understudy.mitigation.failover import Choice, recover
 from understudy.mitigation.interfaces import Instance, Superseded
 from understudy.mitigation.journal import Journal
 from understudy.mitigation.progress import PodIdentity, Progress
-from understudy.mitigation.strategies import Means
+from understudy.mitigation.strategies import Means, Strategy
 from understudy.mitigation.switchover import Prepared
 from understudy.monitor import enforcement, metrics
 from understudy.monitor.bringing import Bringing, expected, managed
@@ -48,6 +48,7 @@ from understudy.monitor.reporting import Reporter, describe, in_vain, switched
 from understudy.monitor.safety import SafeCommands, Unattended
 from understudy.monitor.sidecars import Sidecars
 from understudy.monitor.sight import Sight
+from understudy.monitor.storms import Storms
 from understudy.monitor.switching import Switching
 from understudy.monitor.view import View
 from understudy.monitor.waiting import Line
@@ -142,6 +143,7 @@ class Supervisor:
         self._levels = Levels(parts.sight, parts.reporter)
         self._pauses = Pauses(parts.view, parts.reporter)
         self._spending = Spending(parts.view, parts.reporter)
+        self._storms = Storms(parts.view)
         self._line = Line(parts.view, parts.reporter)
         self._dependencies = Dependencies(parts.view, parts.reporter, self.wake.set)
         self._bringing = Bringing(parts.fleet, parts.sidecars, parts.reporter)
@@ -350,7 +352,7 @@ class Supervisor:
             self._levels.wait("budget", "the budget of the policy is spent, see WithinBudget")
             return None
         first = choices(policy, settings, self._view.spec)[0].strategy
-        if (lacking := first.available(self._means())) is not None:
+        if (lacking := first.available(self._means()) or self._holds(first)) is not None:
             self._levels.wait("means", f"the first strategy can't be carried out ({lacking})")
             return None
         return Failure(reason, self._onset(active.name, now), time.time(), planned=True)
@@ -369,6 +371,8 @@ class Supervisor:
             lacking = f"{self._gate.state.active} isn't healthy yet ({verdict.reason or 'it has just begun to drive'})"
         elif now < self._not_before:
             lacking = "the policy's limits ask for a pause after the last recovery"
+        elif (storm := self._storms.on(now)) is not None and not self._stands_by():
+            lacking = f"others fail: {storm}"
         found = self._switching.look(lacking, lambda: choices(policy, settings, self._view.spec), self._means)
         return Failure(found.progress.reason, now, now, switch=found) if found is not None else None
 
@@ -413,21 +417,43 @@ class Supervisor:
         self._keeping.judge("Failed", now)
         self._reporter.set(health="Failed", failing_since=failure.onset)
         if (pause := self._pauses.on) is not None:
-            self._postpone("Paused", f"{failure.reason}; nothing is done about it: it is {pause.words}")
+            self._postpone("Paused", failure, f"nothing is done about it: it is {pause.words}")
             return None
         if now >= self._not_before:
+            if (storm := self._storms.on(now)) is not None and not self._stands_by():
+                self._postpone("Storm", failure, f"it waits, since others fail too: {storm}")
+                return None
             self._postponed = ""
             # What it went without in the pause was nobody's failure.
             return replace(failure, onset=max(failure.onset, min(self._pauses.ended, failure.detected)))
-        self._postpone("Waiting", f"{failure.reason}; tried again in {self._not_before - now:.0f} s")
+        self._postpone("Waiting", failure, f"tried again in {self._not_before - now:.0f} s")
         return None
 
-    def _postpone(self, why: str, text: str) -> None:
+    def _stands_by(self) -> bool:
+        """Whether an instance that is well is there to take over, which takes nothing from others."""
+        policy, settings = self._view.policy, self._view.settings
+        if policy is None or settings is None:
+            return False
+        means = self._means()
+        found = (choice.strategy for choice in choices(policy, settings, self._view.spec))
+        return any(strategy.standing and strategy.available(means) is None for strategy in found)
+
+    def _holds(self, strategy: Strategy) -> str | None:
+        """Why a strategy isn't tried now, although it could be."""
+        if strategy.standing or (storm := self._storms.on(time.time())) is None:
+            return None
+        return f"held, since others fail too: {storm}"
+
+    def _postpone(self, why: str, failure: Failure, then: str) -> None:
         """Say why nothing is done yet, once."""
         if self._postponed != why:
             self._postponed = why
+            text = f"{failure.reason}; {then}"
             metrics.held(why)
-            self._reporter.condition("Recovering", "False", why, f"{text}.")
+            self._reporter.condition(
+                "Healthy", "False", "Failed", failure.reason
+            )  # of a pod that is gone no tree says so
+            self._reporter.condition("Recovering", "False", why, f"{text.rstrip('.')}.")
             self._reporter.event("Warning", "RecoveryPostponed", text)
 
     def _say(self, verdict: Verdict, *, degraded: bool = False) -> None:
@@ -509,9 +535,10 @@ class Supervisor:
         paused = self._pauses.on is not None
         instances = [i for i in instances if i.uid != self._switching.preparing]
         if (spec := self._view.spec) is not None and not paused:
-            active = self._gate.state.active_uid
+            held = self.recovering if self._held else None
+            cared = [i for i in instances if held is None or not held.has_failed(i.uid)]
             self._bringing.housekeeping(
-                instances, policy, spec, settings, active, lambda: self._keeping.select(time.time())
+                cared, policy, spec, settings, self._driver, lambda: self._keeping.select(time.time())
             )
         if not paused:
             self._leftovers.housekeeping(instances, time.monotonic())
@@ -535,13 +562,20 @@ class Supervisor:
         ):
             self._reporter.event("Warning", f"Gate{judged[1]}", judged[2])
 
+    @property
+    def _driver(self) -> str:
+        """The UID of the pod by which the others are standbys: while a failure is held nobody is to take its place."""
+        if self._held and self.recovering is not None and self.recovering.failed:
+            return self.recovering.failed[0].uid
+        return self._gate.state.active_uid
+
     def _role(self, instance: Instance, brought: str) -> tuple[Mapping[str, Any] | None, bool]:
         """What an instance must be to be ready while it waits, and whether procedures bring its nodes up."""
         policy, spec, settings = self._view.policy, self._view.spec, self._view.settings
         if policy is None or spec is None or settings is None:
             return None, False
         ready = self._bringing.was_ready(instance) or self._sidecars.is_ready(instance)[0]
-        found = expected(instance, spec, settings, active_uid=self._gate.state.active_uid, brought=brought, ready=ready)
+        found = expected(instance, spec, settings, active_uid=self._driver, brought=brought, ready=ready)
         return found.standby, managed(spec, settings, policy)
 
     def _kept_up(self, instances: Sequence[Instance], settings: WorkloadSettings) -> list[tuple[Instance, float]]:
@@ -591,6 +625,7 @@ class Supervisor:
             workload_uid=settings.uid,
             kept=self._keeping.select,
             restore_within=seconds(policy.state.within) if (policy := self._view.policy) else 5.0,
+            holds=self._holds,
         )
 
     def _save(self, progress: Progress) -> None:
@@ -624,10 +659,10 @@ class Supervisor:
     async def _allowed(self, progress: Progress) -> bool:
         """Whether to carry it out. Where the policy's budget is spent that is known once it isn't any more."""
         now = time.time()
-        begun = "decided" in progress.moments or progress.taken_over is not None
-        begun = begun or progress.planned or bool(progress.follows)
+        nothing_failed = progress.planned or bool(progress.follows)
+        begun = "decided" in progress.moments or progress.attempts or progress.taken_over is not None
         waits = self._must_wait(now) if "held" in progress.moments else self._spending.spent_until(now) is not None
-        if waits and not begun:
+        if waits and not begun and not nothing_failed:
             try:
                 await self._hold(progress)
             except Superseded as reason:
@@ -655,6 +690,7 @@ class Supervisor:
             progress.moments.setdefault("fenced", time.time())
             epoch = self._gate.state.epoch
             self._reporter.set(active="", health="Failed", gate=GateStatus(epoch=epoch))
+            self._reporter.condition("Healthy", "False", "Failed", progress.reason)
             self._spending.say(time.time())
             self._spending.tell_held(progress)
             while self._must_wait(time.time()):

@@ -196,6 +196,14 @@ def test_what_the_budget_has_left(spent: list[float], resumed: float | None, exp
     assert first.startswith(expected or "✓ 1. Fallback")
 
 
+def test_a_storm_by_which_it_would_be_held() -> None:
+    item, policy = fleet.well(), fleet.policy(limits={"stormGuard": {}})
+    policy["status"] = {"conditions": [fleet.said("Storm", "True", "ManyFail", "12 of 20 workloads fail.").to_wire()]}
+    others = [i for i in fleet.around(item) if i["kind"] != "FailurePolicy"]
+    first = told(known(item, [*others, policy]))["If it failed now"][0]
+    assert first == "! Unless a standby took over, it would be held by limits.stormGuard: 12 of 20 workloads fail."
+
+
 def test_what_keeps_it_from_being_recovered_is_told_once_among_what_is_missing() -> None:
     item = fleet.well()
     text = "Paused by ann: a new gripper."

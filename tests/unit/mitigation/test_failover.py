@@ -198,3 +198,22 @@ async def test_a_monitor_killed_at_any_step_is_finished_by_the_next(
         assert "w-1" not in store.pods, f"killed at step {step}: the failed pod was left running"
         assert len(store.claims) <= 1, f"killed at step {step}: claimed more than one pod"
         assert store.commits.count(done.target.name) == 1, f"killed at step {step}: routed more than once"
+
+
+async def test_what_is_held_is_passed_over_and_takes_nothing() -> None:
+    store = protected(pool="spare", held=True)
+    world = World(store)
+    means = replace(world.means(), holds=lambda strategy: "others fail too" if not strategy.standing else None)
+    done = await recover(failure(world), choices(UninitializedFallback("spare"), Restart()), means)
+    assert done.result == "Failed"
+    assert [(a.result, a.message) for a in done.attempts] == [("NotAvailable", "others fail too")] * 2
+    assert (store.commits, store.deleted) == ([], []), "nothing was claimed, fenced or deleted"
+
+
+async def test_what_a_monitor_that_is_gone_has_begun_is_not_held() -> None:
+    store = protected(pool="hot")
+    world = World(store)
+    progress = failure(world)
+    progress.target = PodIdentity(name="w-2", uid="uid-w-2")
+    done = await recover(progress, choices(ExecutingFallback("hot")), replace(world.means(), holds=lambda _: "held"))
+    assert done.result == "Recovered"

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any, Literal, cast
 
 import pytest
 
 from understudy.api import names
 from understudy.api.policies import FailurePolicySpec
+from understudy.api.workloads import Attempt
 from understudy.mitigation.progress import PodIdentity, Progress, rfc3339
 from understudy.monitor.budgeting import Spending
 from understudy.monitor.reporting import Reporter
@@ -34,8 +35,11 @@ class World:
         self.reporter.event = lambda kind, reason, message: self.events.append((kind, reason))  # type: ignore[method-assign]
         self.spending = Spending(cast(View, self.view), self.reporter)
 
-    def recover(self, at: float, **more: Any) -> None:
+    def recover(
+        self, at: float, result: Literal["Verified", "NotVerified", "NotAvailable"] = "Verified", **more: Any
+    ) -> None:
         progress = Progress.begin("it ended", last_healthy=at - 0.5, detected=at, **more)
+        progress.attempts.append(Attempt(strategy="Restart", result=result))
         self.spending.count(progress, at + 1)
 
     def resume(self, at: float) -> None:
@@ -118,6 +122,13 @@ def test_a_planned_hand_over_spends_nothing(world: World) -> None:
     for at in (1000.0, 1060.0):
         world.recover(at, planned=True)
     assert world.reporter.spent == []
+
+
+def test_one_in_which_nothing_could_be_tried_spends_nothing_and_one_in_vain_does(world: World) -> None:
+    world.recover(1000.0, "NotAvailable")
+    assert world.reporter.spent == []
+    world.recover(1060.0, "NotVerified")
+    assert world.reporter.spent == [1060.0]
 
 
 def test_only_as_many_as_the_budget_has_are_kept(world: World) -> None:

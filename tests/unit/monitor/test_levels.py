@@ -368,14 +368,15 @@ class TestHandingOver:
 
 
 @pytest.mark.parametrize(
-    ("due", "available", "not_before", "spent", "paused", "planned"),
+    ("due", "available", "not_before", "spent", "storm", "paused", "planned"),
     [
-        ("degraded: slow", None, 0.0, None, None, True),
-        (None, None, 0.0, None, None, False),
-        ("degraded: slow", "pool hot has no standby for this workload", 0.0, None, None, False),
-        ("degraded: slow", None, 2e10, None, None, False),
-        ("degraded: slow", None, 0.0, 2e10, None, False),
-        ("degraded: slow", None, 0.0, None, Pause(reason="a new gripper", owner="ann"), False),
+        ("degraded: slow", None, 0.0, None, None, None, True),
+        (None, None, 0.0, None, None, None, False),
+        ("degraded: slow", "pool hot has no standby for this workload", 0.0, None, None, None, False),
+        ("degraded: slow", None, 2e10, None, None, None, False),
+        ("degraded: slow", None, 0.0, 2e10, None, None, False),
+        ("degraded: slow", None, 0.0, None, "held, since others fail too", None, False),
+        ("degraded: slow", None, 0.0, None, None, Pause(reason="a new gripper", owner="ann"), False),
     ],
 )
 def test_a_hand_over_is_begun_like_a_failure_once_the_first_strategy_is_there_and_the_limits_allow_it(
@@ -384,6 +385,7 @@ def test_a_hand_over_is_begun_like_a_failure_once_the_first_strategy_is_there_an
     available: str | None,
     not_before: float,
     spent: float | None,
+    storm: str | None,
     paused: Pause | None,
     planned: bool,
 ) -> None:
@@ -398,6 +400,7 @@ def test_a_hand_over_is_begun_like_a_failure_once_the_first_strategy_is_there_an
         _not_before=not_before,
         _pauses=SimpleNamespace(on=paused),
         _spending=SimpleNamespace(spent_until=lambda now: spent),
+        _holds=lambda strategy: storm,
         _means=object,
         _onset=lambda pod, now: now - 0.05,
     )

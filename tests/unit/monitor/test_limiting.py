@@ -155,6 +155,20 @@ async def test_once_it_is_spent_what_failed_is_fenced_and_the_robot_is_told_safe
     assert world.watching.recovering is None
 
 
+async def test_while_it_is_held_the_others_are_its_standbys_still_and_it_is_left_alone(world: World) -> None:
+    world.spend()
+    assert world.watching._driver == "uid-1"
+    holding = asyncio.create_task(world.watching._allowed(failure()))
+    await world.until(lambda: world.told.events)
+    assert world.gate.state.active_uid == ""
+    assert world.watching._driver == "uid-1", "or a pod of its own controller would be brought up to drive"
+    assert world.told.conditions["Healthy"] == ("False", "Failed", "no /cmd_vel")
+    world.resume()
+    async with asyncio.timeout(5):
+        await holding
+    assert world.watching._driver == ""
+
+
 async def test_it_goes_on_by_itself_when_the_window_has_moved_on(world: World) -> None:
     world.told.spent = [time.time() - 599.9]
     async with asyncio.timeout(5):

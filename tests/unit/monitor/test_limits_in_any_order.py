@@ -1,5 +1,5 @@
-"""A budget that is spent again and again, in whatever order failures, deaths of monitors and lost requests come: what must always hold
-(tests/unit/interleavings) holds, and every robot is driven again once its window has moved on.
+"""Budgets that are spent again and again, and storms, in whatever order failures, deaths of monitors and lost requests come: what must
+always hold (tests/unit/interleavings) holds, and every robot is driven again in the end.
 """
 
 from __future__ import annotations
@@ -12,28 +12,39 @@ from tests.unit.controller import world
 from tests.unit.interleavings import simulation
 from understudy.cluster.client import Object
 from understudy.mitigation.progress import Progress
+from understudy.monitor.storms import Storms
 from understudy.monitor.supervising import Supervisor
 
-LIMITS = {"budget": {"recoveries": 1, "within": "20s"}, "healthyDelay": "10s", "cooldown": "1s"}
-FIRST, RUNS = 200_000, 25
+BUDGET = {"budget": {"recoveries": 1, "within": "20s"}, "healthyDelay": "10s", "cooldown": "1s"}
+GUARD = {"stormGuard": {"percent": 40, "workloads": 2, "within": "5s", "holdFor": "15s"}}
+RUNS = 20
 
 
-def test_robots_whose_failures_are_held_are_driven_in_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
-    made, hold = world.policy, Supervisor._hold
-    held: list[Progress] = []
+@pytest.mark.parametrize(("limits", "first"), [(BUDGET, 200_000), (GUARD, 400_000)], ids=["budget", "storm"])
+def test_robots_whose_failures_are_held_are_driven_in_the_end(
+    monkeypatch: pytest.MonkeyPatch, limits: Object, first: int
+) -> None:
+    made, hold, on = world.policy, Supervisor._hold, Storms.on
+    held: list[str] = []
 
     def policy(*arguments: Any, **more: Any) -> Object:
         found = made(*arguments, **more)
-        found["spec"]["limits"] = LIMITS
+        found["spec"]["limits"] = limits
         return found
 
-    async def noted(self: Supervisor, progress: Progress) -> None:
+    async def holding(self: Supervisor, progress: Progress) -> None:
         await hold(self, progress)
-        held.append(progress)
+        held.append(progress.reason)
+
+    def storm(self: Storms, now: float) -> str | None:
+        if (said := on(self, now)) is not None:
+            held.append(said)
+        return said
 
     monkeypatch.setattr(world, "policy", policy)
-    monkeypatch.setattr(Supervisor, "_hold", noted)
-    for seed in range(FIRST, FIRST + RUNS):
+    monkeypatch.setattr(Supervisor, "_hold", holding)
+    monkeypatch.setattr(Storms, "on", storm)
+    for seed in range(first, first + RUNS):
         outcome = simulation.run(seed)
         assert not outcome.faults, str(outcome)
     assert held, "there were some"

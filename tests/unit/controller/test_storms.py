@@ -1,0 +1,105 @@
+"""A storm: so many workloads of a policy fail at once that it is said in the policy, once, and taken back by itself."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from tests.unit.controller import world
+from understudy.api.conditions import Condition
+from understudy.api.policies import StormGuard
+from understudy.cluster.client import WORKLOADS, Object
+from understudy.controller import affected, policies, statuses, storms
+from understudy.controller.affected import Key
+from understudy.controller.stores import Sight, Store
+from understudy.mitigation.progress import rfc3339
+
+NOW = 1000.0
+GUARD = StormGuard(percent=50, workloads=3, within="10s")
+
+
+def robot(number: int, health: str = "Healthy", *, failed: float | None = None, **status: Any) -> Object:
+    recoveries = [{"moments": {"detected": rfc3339(failed)}, "planned": False}] if failed is not None else []
+    return world.workload(f"w-{number}", status={"health": health, "recoveries": recoveries, **status})
+
+
+def judged(*workloads: Object, live: Condition | None = None) -> tuple[Condition, float | None]:
+    policy = world.policy("Restart")
+    if live is not None:
+        policy["status"] = {"conditions": [live.to_wire()]}
+    return storms.judge(policy, GUARD, workloads, NOW)
+
+
+def fleet(failing: int, of: int) -> list[Object]:
+    return [robot(i, "Failed" if i < failing else "Healthy") for i in range(of)]
+
+
+def test_more_than_the_share_must_fail() -> None:
+    assert judged(*fleet(3, 6))[0].status == "False", "half of them isn't more than half"
+    found, again = judged(*fleet(4, 6))
+    assert (found.status, found.reason, again) == ("True", "ManyFail", None)
+    assert found.message.startswith("4 of 6 workloads fail, or have failed within 10s: w-0, w-1, w-2, w-3. ")
+
+
+def test_and_at_least_so_many() -> None:
+    assert judged(*fleet(2, 2))[0].status == "False", "two robots of two are no storm"
+    assert judged(*fleet(3, 3))[0].status == "True"
+
+
+def test_those_that_failed_a_moment_ago_count_whatever_became_of_it_and_it_is_looked_at_again_when_they_do_no_longer() -> (
+    None
+):
+    recent = [robot(0, failed=NOW - 4), robot(1, "Recovering", failed=NOW - 1), robot(2, failed=NOW - 7)]
+    found, again = judged(*recent, robot(3))
+    assert found.status == "True"
+    assert again is not None
+    assert round(again, 6) == 3.0
+    assert judged(robot(0, failed=NOW - 10), *recent[1:], robot(3))[0].status == "False"
+
+
+def test_a_planned_hand_over_is_no_failure() -> None:
+    handed = robot(0)
+    handed["status"]["recoveries"] = [{"moments": {"detected": rfc3339(NOW - 1)}, "planned": True}]
+    assert storms.counted_until(handed, NOW, 10.0) is None
+
+
+def test_what_is_paused_neither_fails_nor_counts_as_well() -> None:
+    said = [{"type": "Paused", "status": "True", "reason": "Maintenance"}]
+    paused = [robot(i, "Failed", conditions=said) for i in range(10, 14)]
+    assert judged(*paused, robot(0))[0].status == "False"
+    assert judged(*paused, *fleet(3, 4))[0].status == "True"
+
+
+def test_while_it_is_on_its_text_stays_so_that_no_monitor_hears_of_each_robot() -> None:
+    first, _ = judged(*fleet(4, 6))
+    later, _ = judged(*fleet(6, 6), live=first)
+    assert later.message == first.message
+
+
+def test_it_is_told_when_it_begins_and_ends_and_not_before() -> None:
+    policy = world.policy("Restart")
+    calm, storm = judged(*fleet(0, 6))[0], judged(*fleet(6, 6))[0]
+
+    def status(said: Condition) -> Object:
+        return policies.status(policy, pools={}, config_maps={}, users=[], storm=said)
+
+    def told(live: Object, desired: Object) -> list[tuple[str, str]]:
+        found = statuses.transitions(live, desired)
+        return [(c["type"], c["status"]) for c in found if c["type"] == "Storm"]
+
+    assert told({}, status(calm)) == []
+    assert told({"status": status(calm)}, status(storm)) == [("Storm", "True")]
+    assert told({"status": status(storm)}, status(calm)) == [("Storm", "False")]
+
+
+def test_a_policy_with_a_guard_is_looked_at_when_a_workloads_health_is_another_and_others_are_not() -> None:
+    store, policy = Store(), world.policy("Restart")
+    store.put(affected.POLICIES, policy)
+    key = Key("failurepolicies", world.NAMESPACE, "policy")
+    well, failed = robot(0), robot(0, "Failed")
+    assert key not in affected.keys(Sight(WORKLOADS, well, failed), store)
+    guarded = world.policy("Restart")
+    guarded["spec"]["limits"] = {"stormGuard": {"percent": 40}}
+    guarded["metadata"]["resourceVersion"] = "999"
+    store.put(affected.POLICIES, guarded)
+    assert key in affected.keys(Sight(WORKLOADS, well, failed), store)
+    assert key not in affected.keys(Sight(WORKLOADS, failed, failed), store)
