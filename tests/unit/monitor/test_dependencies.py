@@ -407,6 +407,11 @@ class TestInTheMonitorsLoop:
         assert failure is not None
         assert failure.onset == NOW
 
+    async def test_what_is_critical_to_safety_is_never_held(self) -> None:
+        critical = POLICY.model_copy(update={"priority": "Safety"})
+        failure, _ = await supervising(Held(time.time() + 5), pod=active())._look(critical, time.time())
+        assert failure is not None
+
     async def test_a_pod_that_is_gone_is_acted_on_whatever_has_failed_besides(self) -> None:
         failure, _ = await supervising(Held(time.time() + 5))._look(POLICY, time.time())
         assert failure is not None
