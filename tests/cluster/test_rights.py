@@ -19,7 +19,8 @@ def operator(release: Release) -> str:
 
 
 def _access(kind: str, namespace: str) -> list[Object]:
-    items = [copy.deepcopy(item) for _, item in monitors.access("robot-17", source=(kind, "nav2"), pools=["spare"])]
+    found = monitors.access("robot-17", source=(kind, "nav2"), pools=["spare"], upstream=["robot-17-localization"])
+    items = [copy.deepcopy(item) for _, item in found]
     for item in items:
         for subject in item.get("subjects", ()):
             subject["namespace"] = namespace

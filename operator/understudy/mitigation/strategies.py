@@ -581,6 +581,7 @@ async def _prepare(target: Instance, progress: Progress, means: Means, recovery:
         within = min(recovery.within, max(MOMENT, rest - min(ANSWER, rest / 4)))
         state = kept(progress, means) if recovery.restores_state else KeptState()
         report = await means.agents.bring_up(target, recovery, within=within, state=state)
+        progress.charge("reinitialization", means.clock())  # the outputs of one that ran before were ready long ago
         if recovery.restores_state:
             progress.note_state(report)
             means.save(progress)

@@ -174,7 +174,7 @@ class Dependencies:
         """The health tree holds, or can't tell."""
         self._noticed, self._reason = None, ""
         if self._holds:
-            self._reporter.condition(CONDITION, "False", "HealthyAgain", f"{pod} is healthy again.")
+            self._reporter.condition(CONDITION, "False", "HealthyAgain", f"{pod} doesn't fail any more.")
 
     def hold(self, reason: str, onset: float, now: float) -> float | None:
         """By when to look again at a failure that isn't acted on yet; None where it is to be acted on."""
@@ -200,14 +200,11 @@ class Dependencies:
     def _say(self, found: Held, reason: str) -> None:
         until = datetime.fromtimestamp(found.until, UTC).strftime("%H:%M:%S UTC")
         if found.settling:
-            why, text = (
-                "Settling",
-                f"{found.name}, on which it depends, is healthy again; if it lasts, it is acted on at {until}",
-            )
+            why, then = "Settling", f"is healthy again; if it lasts, it is acted on at {until}"
         else:
             health = self._watched[found.name].seen.health
-            text = f"{found.name}, on which it depends, is {health}; that one comes first, and this is acted on at {until} at the latest"
-            why = "Held"
+            why, then = "Held", f"is {health}; that one comes first, and this is acted on at {until} at the latest"
+        text = f"{found.name}, on which it depends, {then}"
         began = not self._holds
         self._reporter.condition(CONDITION, "True", why, f"{reason}; {text}.")
         if began:

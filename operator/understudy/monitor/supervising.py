@@ -326,7 +326,9 @@ class Supervisor:
         counts = self._debounce.failed(detected, seconds(policy.monitoring.debounce))
         if detected < counts:
             return None, counts
-        if (again := self._dependencies.hold(verdict.reason, onset, now)) is not None:
+        # What is critical to safety isn't left in control for another's sake: it may do worse than to be silent.
+        urgent = policy.priority == "Safety"
+        if not urgent and (again := self._dependencies.hold(verdict.reason, onset, now)) is not None:
             return None, again
         return self._counted(Failure(verdict.reason, onset, detected), now), None
 

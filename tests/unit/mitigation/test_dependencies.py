@@ -296,6 +296,7 @@ class TestBringingUpAgain:
         assert store.deleted == []
         recovery = done.to_recovery(1)
         assert (recovery.from_pod, recovery.to_pod) == ("", "w-1")
+        assert done.parts["reinitialization"] > 0
         assert recovery.follows == [DependencyRecovery(name="localization", recovery="r1")]
 
     async def test_where_that_fails_the_policy_s_strategies_have_their_turn(self) -> None:

@@ -5,24 +5,25 @@ from __future__ import annotations
 import asyncio
 import time
 from datetime import UTC, datetime
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
 
 from tests.unit.cluster.memory import MemoryClient
-from tests.unit.monitor.test_waiting import Said
+from tests.unit.monitor.test_waiting import Said, gate, view
 from understudy.api import names
 from understudy.api.policies import FailurePolicySpec
 from understudy.api.settings import WorkloadSettings
 from understudy.api.workloads import Attempt, DependencyRecovery, RobotWorkloadSpec, RobotWorkloadStatus
-from understudy.cluster.client import Object
+from understudy.cluster.client import NETWORK_POLICIES, Object
 from understudy.mitigation.dependencies import Due
 from understudy.mitigation.interfaces import GateState, Instance
 from understudy.mitigation.progress import PodIdentity, Progress, rfc3339
 from understudy.monitor.choosing import choices
 from understudy.monitor.dependencies import Dependencies, following
-from understudy.monitor.reporting import QUIET, describe
+from understudy.monitor.reporting import QUIET, Reporter, describe
 from understudy.monitor.supervising import Parts, Supervisor
 from understudy.trees.health import Verdict
 
@@ -105,6 +106,12 @@ class Watching:
         told = [one.to_recovery(number) for number, one in enumerate(recoveries, 1)]
         found = RobotWorkloadStatus(health=health, recoveries=told[::-1], **status)  # type: ignore[arg-type]
         self._put(self.dependencies._watched["localization"].statuses, "localization", {"status": found.to_wire()})
+        self.dependencies.look(now)
+
+    def told(self, reporter: Reporter, now: float = NOW) -> None:
+        """Localization's monitor writes its status."""
+        reflector = self.dependencies._watched["localization"].statuses
+        self._put(reflector, "localization", {"status": reporter._body()["status"]})
         self.dependencies.look(now)
 
     def committed(self, progress: Progress, now: float = NOW) -> None:
@@ -400,6 +407,11 @@ class TestInTheMonitorsLoop:
         assert failure is not None
         assert failure.onset == NOW
 
+    async def test_what_is_critical_to_safety_is_never_held(self) -> None:
+        critical = POLICY.model_copy(update={"priority": "Safety"})
+        failure, _ = await supervising(Held(time.time() + 5), pod=active())._look(critical, time.time())
+        assert failure is not None
+
     async def test_a_pod_that_is_gone_is_acted_on_whatever_has_failed_besides(self) -> None:
         failure, _ = await supervising(Held(time.time() + 5))._look(POLICY, time.time())
         assert failure is not None
@@ -421,3 +433,44 @@ class TestInTheMonitorsLoop:
         watching._not_before = time.time() + 10
         failure, _ = await watching._look(POLICY, time.time())
         assert failure is None
+
+
+class TestBetweenMonitors:
+    """What one writes is what the other reads: without that nobody would be held, and nothing be done."""
+
+    async def test_the_first_commit_of_a_recovery_tells_of_the_failure(self, tmp_path: Path) -> None:
+        client = MemoryClient()
+        switch = await gate(client, view(client, "localization"), tmp_path)
+        world = Watching()
+        world.said("Healthy")
+        world.dependencies.notice(NOW - 0.5, NOW)
+        await switch.commit(None, recovery("r1", onset=NOW - 0.52, result="Running"))
+        reflector = world.dependencies._watched["localization"].gates
+        reflector.put(await client.get(NETWORK_POLICIES, "fleet", names.gate("localization")))
+        world.dependencies.look(NOW + 0.05)
+        world.dependencies.hold("no /plan for 500 ms", NOW - 0.5, NOW + 0.05)
+        assert world.condition()[:2] == ("True", "Held")
+
+    async def test_its_record_tells_that_it_is_over_and_that_something_is_to_be_done(self) -> None:
+        first, world = Said(), Watching(adopted="")
+        first.set(health="Recovering", failing_since=NOW - 5)
+        world.told(first)
+        assert world.dependencies._watched["localization"].seen.failing
+        assert world.dependencies.due(active(), NOW) is None, "not before it is over"
+        first.record(recovery("r1", onset=NOW - 5, verified=NOW - 1))
+        first.set(health="Healthy")
+        world.told(first)
+        found = world.dependencies.due(active(), NOW)
+        assert found is not None
+        assert (found.follows[0].recovery, found.since) == ("r1", pytest.approx(NOW - 1))
+
+    async def test_a_failure_that_is_held_is_known_to_those_that_wait_for_it_in_turn(self) -> None:
+        """Of a chain the middle one commits nothing: its status has to tell."""
+        middle, last = Watching(), Watching()
+        middle.said("Failed", failing_since=rfc3339(NOW - 1))
+        middle.reporter.set(health="Failed")
+        middle.dependencies.notice(NOW - 0.7, NOW)
+        last.told(middle.reporter)
+        last.dependencies.notice(NOW - 0.4, NOW + 0.1)
+        last.dependencies.hold("no /cmd_vel for 500 ms", NOW - 0.4, NOW + 0.1)
+        assert last.condition()[:2] == ("True", "Held")
