@@ -32,7 +32,7 @@ def is_cordoned(node: Object) -> bool:
 
 def seen(active: Object | None, cordoned: Collection[str], present: Drain | None, now: float) -> Drain | None:
     """What a monitor is told of the node of its instance in control; ``present`` is what it was told last."""
-    node = ((active or {}).get("spec") or {}).get("nodeName")
+    node: str = ((active or {}).get("spec") or {}).get("nodeName") or ""
     if active is None or node not in cordoned:
         return None
     uid = objects.uid(active)

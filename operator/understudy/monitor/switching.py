@@ -12,7 +12,6 @@ import logging
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from datetime import datetime
 
 from understudy.api import names
 from understudy.api.conditions import now as moment
@@ -192,10 +191,11 @@ class Switching:
         """Why a request comes too late."""
         if now - found.at > EXPIRES:
             return f"It was asked for {now - found.at:.0f} s ago, and nobody took it up. Ask again."
-        last = self._reporter.last
-        verified = last.moments.verified if last is not None and not last.planned else None
-        if verified is not None and datetime.fromisoformat(verified).timestamp() > found.at:
-            return "It failed and recovered since it was asked for. Ask again, if it is still wanted."
+        # Written with the gate, this lasts also where a status that a monitor wrote before its end is carried out after it.
+        last = self._gate.state.recovery
+        if last is not None and last.moments.get("detected", 0.0) > found.at:
+            what = "Control was handed over" if last.planned else "It failed and was recovered"
+            return f"{what} since it was asked for. Ask again, if it is still wanted."
         return None
 
     # -- preparing --------------------------------------------------------------------------------------------------
