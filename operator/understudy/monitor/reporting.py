@@ -233,11 +233,11 @@ class Reporter:
 
     def record(self, progress: Progress) -> Recovery:
         """Add a finished recovery. One that failed like the last is told once, with its latest times."""
+        fresh, before = progress.to_recovery(0), self._recoveries[0] if self._recoveries else None
         again = (
-            progress.result == "Failed"
-            and bool(self._recoveries)
-            and (self._recoveries[0].result, self._recoveries[0].from_pod)
-            == ("Failed", progress.to_recovery(0).from_pod)
+            before is not None
+            and before.result == fresh.result == "Failed"
+            and (before.from_pod, before.switchover) == (fresh.from_pod, fresh.switchover)
         )
         if again:
             self._recoveries.pop(0)

@@ -12,7 +12,6 @@ import logging
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from datetime import datetime
 
 from understudy.api import names
 from understudy.api.conditions import now as moment
@@ -40,6 +39,9 @@ PATIENCE = 30.0
 
 LOOK = 1.0
 """Seconds between two looks whether one that waits can begin."""
+
+TELL = 5.0
+"""Seconds between two updates of why one waits, in which figures may change with every look."""
 
 AGAIN = 30.0
 """Seconds after which a drain tries again, where an understudy was there and didn't come to drive."""
@@ -80,6 +82,7 @@ class Switching:
         self._touched: PodIdentity | None = None
         """The understudy that something was done to for the sake of a switchover: it is of no other use."""
         self._next = 0.0
+        self._told_at = 0.0
         self._waits_since: tuple[tuple[str, str, str], float] = (("", "", ""), 0.0)
 
     @property
@@ -120,7 +123,7 @@ class Switching:
         progress = self._progress if self._task is not None else None
         self._stop()
         if wanted is not None and wanted.request:
-            self._end("NotDone", f"It failed meanwhile ({reason}), which was dealt with instead.", wanted)
+            self._end("NotDone", f"Something else came first: {reason}.", wanted)
         if progress is None or progress.target is None:
             return None
         if progress.index == 0 and wanted is not None and wanted.kind != "Failback":
@@ -192,10 +195,11 @@ class Switching:
         """Why a request comes too late."""
         if now - found.at > EXPIRES:
             return f"It was asked for {now - found.at:.0f} s ago, and nobody took it up. Ask again."
-        last = self._reporter.last
-        verified = last.moments.verified if last is not None and not last.planned else None
-        if verified is not None and datetime.fromisoformat(verified).timestamp() > found.at:
-            return "It failed and recovered since it was asked for. Ask again, if it is still wanted."
+        # Written with the gate, this lasts also where a status that a monitor wrote before its end is carried out after it.
+        last = self._gate.state.recovery
+        if last is not None and last.moments.get("detected", 0.0) > found.at:
+            what = "Control was handed over" if last.planned else "It failed and was recovered"
+            return f"{what} since it was asked for. Ask again, if it is still wanted."
         return None
 
     # -- preparing --------------------------------------------------------------------------------------------------
@@ -246,15 +250,19 @@ class Switching:
             self._waits_since = (wanted.key, now)
         if wanted.request and now - self._waits_since[1] >= PATIENCE:
             self._end("NotDone", f"It couldn't begin for {PATIENCE:g} s, and nothing was changed: {reason}.", wanted)
-        else:
-            said = SwitchoverStatus(
-                kind=wanted.kind, request=wanted.request, phase="Waiting", message=f"{reason}.", since=moment()
-            )
-            if self._is_new(wanted):
-                self._reporter.event(
-                    "Warning" if wanted.drain else "Normal", "SwitchoverWaits", f"{wanted.reason}: {reason}"
+            return
+        new = self._is_new(wanted)
+        if new:
+            kind = "Warning" if wanted.drain is not None else "Normal"
+            self._reporter.event(kind, "SwitchoverWaits", f"{wanted.reason}: {reason}")
+        said = self._reporter.switchover
+        if new or (said is not None and said.phase != "Waiting") or now - self._told_at >= TELL:
+            self._told_at = now
+            self._tell(
+                SwitchoverStatus(
+                    kind=wanted.kind, request=wanted.request, phase="Waiting", message=f"{reason}.", since=moment()
                 )
-            self._tell(said)
+            )
 
     def _abandon(self, reason: str) -> None:
         wanted, progress = self._wanted, self._progress

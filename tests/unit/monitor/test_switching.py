@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import time
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -14,7 +13,6 @@ import pytest
 from tests.unit.mitigation.world import Store, World
 from understudy.api import names
 from understudy.api.switchovers import Drain, SwitchoverStatus, request
-from understudy.api.workloads import Moments, Recovery
 from understudy.mitigation import switchover
 from understudy.mitigation.bringing import BringUp
 from understudy.mitigation.failover import Choice
@@ -34,7 +32,6 @@ class Told:
 
     switchover: SwitchoverStatus | None = None
     events: list[tuple[str, str]] = field(default_factory=list)
-    last: Recovery | None = None
     recorded: set[str] = field(default_factory=set)
 
     def say_switchover(self, status: SwitchoverStatus) -> None:
@@ -217,10 +214,26 @@ async def test_a_failure_comes_first_and_ends_the_request() -> None:
 async def test_what_was_asked_for_before_a_recovery_is_not_done_after_it() -> None:
     scene = Scene()
     scene.ask(request("failover", time.time() - 5))
-    verified = datetime.fromtimestamp(time.time() - 1, UTC).isoformat()
-    scene.told.last = Recovery(id="r", reason="it failed", result="Recovered", moments=Moments(verified=verified))
+    recovery = Progress.begin("it failed", last_healthy=time.time() - 2, detected=time.time() - 1)
+    scene.store.gate = GateState(epoch=2, active="w-1", active_uid="uid-w-1", recovery=recovery)
     assert await scene.looked(0.05) is None
-    assert "It failed and recovered since it was asked for" in scene.told.message
+    assert "It failed and was recovered since it was asked for" in scene.told.message
+
+
+async def test_a_status_that_an_earlier_monitor_wrote_and_that_comes_late_has_nothing_done_twice() -> None:
+    scene = Scene()
+    scene.ask(asked := request("failover", time.time()))
+    found = await scene.looked()
+    assert found is not None
+    done = await scene.switch(found)
+    done.moments["detected"] = time.time()  # the world's clock isn't that of who asks
+    scene.store.gate = GateState(epoch=2, active="w-2", active_uid="uid-w-2", recovery=done)
+    scene.store.add("w-3", pool="hot")
+    scene.told.switchover = None
+    assert await scene.looked(0.1) is None
+    assert "Control was handed over since it was asked for" in scene.told.message
+    assert scene.told.switchover is not None
+    assert scene.told.switchover.handled == asked
 
 
 async def test_a_request_that_is_taken_back_leaves_nothing_behind() -> None:

@@ -1,0 +1,183 @@
+"""Planned switchovers, seen from the robot: asked for in the console, and by a node that is drained."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+
+import pytest
+from understudy_demo.recovery import Recovered
+
+from tests.e2e.console import understudy
+from tests.e2e.kubectl import Failed, Kubectl, Object
+from tests.e2e.scenario import Robot, eventually, manifest
+from tests.e2e.test_strategies import ENFORCEMENT, assert_handed_over
+
+PERIOD = 0.05
+"""Seconds between two commands of the quickstart's application."""
+
+BUSY = 0.1
+"""Seconds by which a command may be late on a machine that is busy with other things."""
+
+
+@pytest.fixture
+def managed(kubectl: Kubectl) -> Robot:
+    """A robot whose application is a managed node, with a standby that waits configured."""
+    robot = Robot(kubectl)
+    kubectl.apply(manifest("strategies/initialized.yaml"))
+    kubectl.apply(robot.objects(policy="quickstart-initialized", workload="managed/robotworkload.yaml"))
+    robot.wait_protected()
+    return robot
+
+
+@pytest.fixture
+def cordoned(kubectl: Kubectl) -> Iterator[list[str]]:
+    """The nodes that a test has cordoned, which is undone."""
+    found: list[str] = []
+    yield found
+    for node in found:
+        kubectl("uncordon", node)
+
+
+def record(robot: Robot, number: int) -> Object:
+    """A recovery as it stands in the status."""
+    found: Object = next(entry for entry in robot.status()["recoveries"] if entry["number"] == number)
+    return found
+
+
+def assert_unnoticed(robot: Robot, recovery: Recovered, *, kind: str) -> None:
+    """The robot was never without commands for longer than ever, and never driven by two."""
+    assert_handed_over(robot, recovery)
+    handover = robot.log().handover(recovery.old, recovery.new, switch=recovery.moments["decided"])
+    assert handover.gap is not None
+    assert handover.gap <= PERIOD + ENFORCEMENT + BUSY
+    entry = record(robot, recovery.number)
+    assert (entry["planned"], entry["switchover"]) == (True, kind)
+    assert entry["parts"]["detection"] == entry["parts"]["startup"] == entry["parts"]["reinitialization"] == 0
+    said = robot.status()["switchover"]
+    assert (said["kind"], said["phase"], said["recovery"]) == (kind, "Done", entry["id"])
+
+
+def node_of(robot: Robot, pod: str) -> str:
+    node: str = robot.kubectl.get("pod", pod)["spec"]["nodeName"]
+    return node
+
+
+def drain(robot: Robot, node: str, within: float = 120.0) -> None:
+    """As an administrator does it, of this robot's instances only: other tests' pods stay. Raises Failed."""
+    options = ("--ignore-daemonsets", "--delete-emptydir-data", f"--timeout={within:g}s")
+    selector = f"--pod-selector=understudy.dev/workload={robot.workload}"
+    robot.kubectl("drain", node, selector, *options, timeout=within + 30)
+
+
+def test_a_failover_that_is_asked_for_is_not_noticed_by_the_robot(executing: Robot) -> None:
+    old = executing.wait_protected()
+    executing.wait_standby()
+    done = understudy(executing.kubectl, "failover", executing.workload)
+    assert done.returncode == 0, done.stderr
+    assert " by Fallback/Executing, gate epoch 2" in done.stdout
+    assert "at the robot: no command for " in done.stdout
+    recovery = executing.wait_recovered(1)
+    assert recovery.old == old
+    assert_unnoticed(executing, recovery, kind="Failover")
+    eventually(lambda: not executing.has_pod(old), within=60, what=f"{old} is gone", note=executing.describe)
+    executing.replace_monitor()
+    assert executing.wait_protected() == recovery.new
+    time.sleep(3)
+    assert len(executing.recoveries()) == 1, "a new monitor doesn't carry it out again"
+
+
+def test_an_initialized_standby_is_activated_before_the_switch(managed: Robot) -> None:
+    managed.wait_protected()
+    done = understudy(managed.kubectl, "failover", managed.workload)
+    assert done.returncode == 0, done.stdout + done.stderr
+    recovery = managed.wait_recovered(1)
+    assert recovery.strategy == "Fallback/Initialized", recovery
+    assert_unnoticed(managed, recovery, kind="Failover")
+
+
+def test_a_pod_of_a_shared_pool_takes_over_and_the_robot_goes_home_again(uninitialized: Robot) -> None:
+    uninitialized.wait_protected()
+    done = understudy(uninitialized.kubectl, "failover", uninitialized.workload)
+    assert done.returncode == 0, done.stdout + done.stderr
+    away = uninitialized.wait_recovered(1)
+    assert away.strategy == "Fallback/Uninitialized", away
+    assert_unnoticed(uninitialized, away, kind="Failover")
+    assert uninitialized.wait_protected() == away.new
+
+    done = understudy(uninitialized.kubectl, "failback", uninitialized.workload)
+    assert done.returncode == 0, done.stdout + done.stderr
+    home = uninitialized.wait_recovered(2)
+    assert home.old == away.new
+    assert_unnoticed(uninitialized, home, kind="Failback")
+    labels = uninitialized.kubectl.get("pod", home.new)["metadata"]["labels"]
+    assert labels.get("understudy.dev/source") == "workload"
+    again = understudy(uninitialized.kubectl, "failback", uninitialized.workload)
+    assert again.returncode == 0
+    assert "is in control already" in again.stdout
+    assert len(uninitialized.recoveries()) == 2
+
+
+def test_without_an_understudy_nothing_is_changed_and_the_reason_is_told(restarting: Robot) -> None:
+    active = restarting.wait_protected()
+    done = understudy(restarting.kubectl, "failover", restarting.workload)
+    assert done.returncode == 1, done.stdout + done.stderr
+    assert "NOT done: " in done.stdout
+    assert "its own controller runs one pod, which drives" in done.stdout
+    assert restarting.wait_driven() == active
+    assert restarting.recoveries() == []
+
+
+def test_a_drained_node_lets_its_robot_be_driven_from_another_one_first(executing: Robot, cordoned: list[str]) -> None:
+    old = executing.wait_protected()
+    executing.wait_standby()
+    node = node_of(executing, old)
+    cordoned.append(node)
+    drain(executing, node)
+    recovery = executing.wait_recovered(1)
+    assert recovery.old == old
+    assert_unnoticed(executing, recovery, kind="Drain")
+    assert node_of(executing, recovery.new) != node
+    executing.wait_protected()
+    eventually(lambda: not executing.condition("Draining"), within=30, what="that is over", note=executing.describe)
+
+
+def test_an_eviction_waits_until_an_understudy_is_ready(managed: Robot, cordoned: list[str]) -> None:
+    old = managed.wait_protected()
+    node = node_of(managed, old)
+    cordoned.append(node)
+    drain(managed, node)
+    recovery = managed.wait_recovered(1)
+    assert_unnoticed(managed, recovery, kind="Drain")
+    assert node_of(managed, recovery.new) != node
+
+
+def test_evictions_are_not_held_up_for_ever(executing: Robot, cordoned: list[str]) -> None:
+    kubectl = executing.kubectl
+    old = executing.wait_protected()
+    kubectl.patch("fallbackpool", "quickstart-executing", {"spec": {"perWorkload": 0}})
+    kubectl.patch("robotworkload", executing.workload, {"spec": {"draining": {"holdFor": "15s"}}})
+    eventually(lambda: len(executing.pods()) == 1, within=60, what="no standby is left", note=executing.describe)
+    node = node_of(executing, old)
+    cordoned.append(node)
+    kubectl("cordon", node)
+    eventually(
+        lambda: executing.condition("Draining").get("status") == "True",
+        within=10,
+        what="the drain is noticed",
+        note=executing.describe,
+    )
+    with pytest.raises(Failed, match="disruption budget"):
+        drain(executing, node, within=5)
+    assert executing.wait_driven() == old, "the eviction waits"
+    eventually(
+        lambda: executing.condition("Draining").get("reason") == "HoldEnded",
+        within=30,
+        what="nobody is held up any longer",
+        note=executing.describe,
+    )
+    drain(executing, node)
+    recovery = executing.wait_recovered(1)
+    assert (recovery.strategy, recovery.old) == ("Restart", old)
+    assert not record(executing, 1)["planned"]
+    executing.wait_driven()
