@@ -11,6 +11,7 @@ from understudy.cluster.applying import controller_of
 from understudy.cluster.client import (
     CONFIG_MAPS,
     DEPLOYMENTS,
+    DISRUPTION_BUDGETS,
     NETWORK_POLICIES,
     NODES,
     PODS,
@@ -48,6 +49,9 @@ def _keys(sight: Sight, store: Store) -> Iterator[Key]:
     plural = sight.resource.plural
     if plural == NODES.plural:
         yield from _after_node(sight, store)
+        return
+    if plural == DISRUPTION_BUDGETS.plural:
+        yield from _after_budget(sight, store, namespace)
         return
     for item in (sight.old, sight.new):
         owner = controller_of(item) if item is not None else None
@@ -150,6 +154,13 @@ def _after_node(sight: Sight, store: Store) -> Iterator[Key]:
         for label, plural in ((names.WORKLOAD, WORKLOADS), (names.POOL, POOLS)):
             if label in labels:
                 yield Key(plural.plural, namespace, labels[label])
+
+
+def _after_budget(sight: Sight, store: Store, namespace: str) -> Iterator[Key]:
+    """Any may select the waiting pods of a pool."""
+    if _spec_changed(sight):  # its status is another with every pod
+        for name in store.in_namespace(POOLS, namespace):
+            yield Key(POOLS.plural, namespace, name)
 
 
 def _after_trees(config_map: Object, store: Store, namespace: str) -> Iterator[Key]:

@@ -15,6 +15,7 @@ import kopf
 
 from understudy.cluster.client import (
     DEPLOYMENTS,
+    DISRUPTION_BUDGETS,
     NETWORK_POLICIES,
     NODES,
     PODS,
@@ -39,6 +40,7 @@ WATCHED = (
     STATEFUL_SETS,
     NETWORK_POLICIES,
     SERVICES,
+    DISRUPTION_BUDGETS,
     NODES,
 )
 

@@ -10,6 +10,7 @@ from understudy.api import names
 from understudy.cluster.client import (
     CONFIG_MAPS,
     DEPLOYMENTS,
+    DISRUPTION_BUDGETS,
     NETWORK_POLICIES,
     NODES,
     PODS,
@@ -24,6 +25,7 @@ from understudy.cluster.client import (
 from understudy.controller import (
     affected,
     choosing,
+    evictions,
     levels,
     nodes,
     objects,
@@ -175,6 +177,7 @@ class Observer:
             spared=sum(self._spared(item, workload) for workload in found.values()),
             asking=[workload for workload in found.values() if self._asks(item, workload)],
             leaving=self._leaving(),
+            budgets=[b for b in store.in_namespace(DISRUPTION_BUDGETS, namespace).values() if not evictions.is_ours(b)],
         )
 
     def _asks(self, pool: Object, workload: Object) -> bool:

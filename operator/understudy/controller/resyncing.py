@@ -15,6 +15,7 @@ from understudy.cluster.applying import controller_of
 from understudy.cluster.client import (
     CONFIG_MAPS,
     DEPLOYMENTS,
+    DISRUPTION_BUDGETS,
     NETWORK_POLICIES,
     NODES,
     PODS,
@@ -50,6 +51,7 @@ LISTED: tuple[tuple[Resource, tuple[str | None, ...]], ...] = (
     (DEPLOYMENTS, (_OURS,)),
     (SERVICES, (_OURS,)),
     (NETWORK_POLICIES, (_OURS,)),
+    (DISRUPTION_BUDGETS, (None,)),
     (NODES, (None,)),
     (CONFIG_MAPS, (_OURS, TREES)),
     (SECRETS, (_OURS,)),
@@ -60,12 +62,24 @@ LISTED: tuple[tuple[Resource, tuple[str | None, ...]], ...] = (
 """What is kept, and by which label selectors it is found."""
 
 WATCHED = frozenset(
-    r.plural for r in (WORKLOADS, POLICIES, POOLS, PODS, REPLICA_SETS, DEPLOYMENTS, SERVICES, NETWORK_POLICIES, NODES)
+    r.plural
+    for r in (
+        WORKLOADS,
+        POLICIES,
+        POOLS,
+        PODS,
+        REPLICA_SETS,
+        DEPLOYMENTS,
+        SERVICES,
+        NETWORK_POLICIES,
+        DISRUPTION_BUDGETS,
+        NODES,
+    )
 )
 """Of these a list should bring nothing new."""
 
-_WHOLLY = frozenset(r.plural for r in (WORKLOADS, POLICIES, POOLS, NODES))
-"""Of these all are kept."""
+_WHOLLY = frozenset(r.plural for r in (WORKLOADS, POLICIES, POOLS, DISRUPTION_BUDGETS, NODES))
+"""Of these all are kept: a budget of somebody else's matters to what may be done with a pod."""
 
 
 def listed(resource: Resource, item: Object) -> bool:

@@ -21,6 +21,7 @@ CUSTOM = ("robotworkloads", "failurepolicies", "fallbackpools")
 KINDS = {
     "pods": ("v1", "Pod"),
     "nodes": ("v1", "Node"),
+    "poddisruptionbudgets": ("policy/v1", "PodDisruptionBudget"),
     "services": ("v1", "Service"),
     "configmaps": ("v1", "ConfigMap"),
     "secrets": ("v1", "Secret"),
