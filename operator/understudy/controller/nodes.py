@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Collection
 
 from understudy.cluster.client import Object
-from understudy.controller import objects
 
 _TAINTS = frozenset(
     {
@@ -22,11 +21,7 @@ _TAINTS = frozenset(
 def is_leaving(node: Object) -> bool:
     """Whether a node's pods are better replaced elsewhere: it takes no new ones, or was lost."""
     spec = node.get("spec") or {}
-    return (
-        objects.deleted(node)
-        or bool(spec.get("unschedulable"))
-        or any(taint.get("key") in _TAINTS for taint in spec.get("taints") or [])
-    )
+    return bool(spec.get("unschedulable")) or any(taint.get("key") in _TAINTS for taint in spec.get("taints") or [])
 
 
 def of(pod: Object) -> str:

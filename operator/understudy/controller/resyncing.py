@@ -78,6 +78,7 @@ WATCHED = frozenset(
 )
 """Of these a list should bring nothing new."""
 
+
 _WHOLLY = frozenset(r.plural for r in (WORKLOADS, POLICIES, POOLS, DISRUPTION_BUDGETS, NODES))
 """Of these all are kept: a budget of somebody else's matters to what may be done with a pod."""
 

@@ -74,6 +74,10 @@ def test_everything_that_the_code_asks_for_is_held(held: set[Right]) -> None:
     assert _used() - held == set()
 
 
+def test_monitors_see_no_nodes_and_hold_up_no_evictions() -> None:
+    assert not {resource for _, resource, _ in _granted()} & {"nodes", "poddisruptionbudgets"}
+
+
 def test_nodes_are_only_looked_at(held: set[Right]) -> None:
     assert {verb for _, resource, verb in held if resource == NODES.plural} == {"get", "list", "watch"}
 

@@ -20,8 +20,6 @@ EPOCH = 1_700_000_000.0
 CUSTOM = ("robotworkloads", "failurepolicies", "fallbackpools")
 KINDS = {
     "pods": ("v1", "Pod"),
-    "nodes": ("v1", "Node"),
-    "poddisruptionbudgets": ("policy/v1", "PodDisruptionBudget"),
     "services": ("v1", "Service"),
     "configmaps": ("v1", "ConfigMap"),
     "secrets": ("v1", "Secret"),
@@ -30,6 +28,8 @@ KINDS = {
     "replicasets": ("apps/v1", "ReplicaSet"),
     "statefulsets": ("apps/v1", "StatefulSet"),
     "networkpolicies": ("networking.k8s.io/v1", "NetworkPolicy"),
+    "poddisruptionbudgets": ("policy/v1", "PodDisruptionBudget"),
+    "nodes": ("v1", "Node"),
     "roles": ("rbac.authorization.k8s.io/v1", "Role"),
     "rolebindings": ("rbac.authorization.k8s.io/v1", "RoleBinding"),
     "robotworkloads": ("understudy.dev/v1alpha1", "RobotWorkload"),
