@@ -298,7 +298,7 @@ def count(observed: Observed, spec: FallbackPoolSpec, sized: Sized | None = None
     """The numbers of a pool's status."""
     living = [pod for pod in observed.pods if objects.alive(pod)]
     if spec.readiness == "Uninitialized":
-        held = [pod for pod in living if objects.labels(pod).get(names.HELD) == "true"]
+        held = _held(observed)
         policy = observed.owned.get(("networkpolicies", names.held(objects.name(observed.pool))))
         return Counts(
             replicas=len(held),
@@ -315,6 +315,11 @@ def count(observed: Observed, spec: FallbackPoolSpec, sized: Sized | None = None
         ready=sum(objects.ready(pod) for pod in waiting),
         claimed=len(driving),
     )
+
+
+def _held(observed: Observed) -> list[Object]:
+    """The living pods that nobody has claimed."""
+    return [pod for pod in observed.pods if objects.alive(pod) and objects.labels(pod).get(names.HELD) == "true"]
 
 
 def claimable_now(held: Sequence[Object], policy: Object | None) -> list[Object]:
@@ -352,9 +357,8 @@ def status(observed: Observed, understanding: Understanding, problems: Sequence[
             result["waiting"] = len(observed.waiting)
             conditions.append(_available(observed, spec, counts))
             if understanding.built is not None:
-                held = [pod for pod in unclaimed(pool, observed.pods) if objects.alive(pod)]
                 present = instances.template_hash(understanding.built)
-                result["updated"] = sum(fleets.hash_of(pod) == present for pod in held)
+                result["updated"] = sum(fleets.hash_of(pod) == present for pod in _held(observed))
                 conditions.append(_updated(observed, spec, counts, result["updated"]))
         if understanding.sized is not None:
             result |= poolsizes.status(understanding.sized)
