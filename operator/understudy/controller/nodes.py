@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 
 from understudy.cluster.client import Object
+from understudy.controller import objects
 
 _TAINTS = frozenset(
     {
@@ -22,6 +23,12 @@ def is_leaving(node: Object) -> bool:
     """Whether a node's pods are better replaced elsewhere: it takes no new ones, or was lost."""
     spec = node.get("spec") or {}
     return bool(spec.get("unschedulable")) or any(taint.get("key") in _TAINTS for taint in spec.get("taints") or [])
+
+
+def leaving(found: Collection[Object]) -> frozenset[str]:
+    """The names of those among all nodes; none where no node is left that others could be put on."""
+    names = frozenset(objects.name(node) for node in found if is_leaving(node))
+    return names if len(names) < len(found) else frozenset()
 
 
 def of(pod: Object) -> str:

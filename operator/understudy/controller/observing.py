@@ -93,7 +93,7 @@ class Observer:
 
     def _leaving(self) -> frozenset[str]:
         """The nodes whose pods are about to go."""
-        return frozenset(objects.name(node) for node in self._store.all(NODES) if nodes.is_leaving(node))
+        return nodes.leaving(self._store.all(NODES))
 
     def _expected(self, key: Key, pool: str) -> int:
         """Pods that were asked for, and of which neither an answer nor a watch has told."""

@@ -74,6 +74,11 @@ class TestWhichNodesLeave:
     def test_those_that_are_emptied_and_those_that_were_lost(self, found: Object, leaves: bool) -> None:
         assert nodes.is_leaving(found) is leaves
 
+    def test_where_no_other_is_left_all_stays_as_it_is(self) -> None:
+        lost = [node("n", taint="node.kubernetes.io/unreachable"), node("m", unschedulable=True)]
+        assert nodes.leaving(lost) == frozenset()
+        assert nodes.leaving([*lost, node("o")]) == {"n", "m"}
+
     def test_of_a_node_nothing_else_is_kept(self) -> None:
         store = Store()
         assert resyncing.kept(NODES, node("n"))
