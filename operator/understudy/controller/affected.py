@@ -141,14 +141,17 @@ def _after_policy(policy: Object, store: Store, namespace: str) -> Iterator[Key]
 
 
 def _after_node(sight: Sight, store: Store) -> Iterator[Key]:
-    """Nodes report all the time; only whether their pods are about to go means something, and to those whose pods are there."""
-    leaving = [item is not None and nodes.is_leaving(item) for item in (sight.old, sight.new)]
-    if leaving[0] == leaving[1]:
+    """Nodes report all the time; only which pods are about to go means something, and to those whose pods these are."""
+    places = {
+        objects.name(node) for node in store.all(NODES) if nodes.is_leaving(node)
+    }  # also others: where one is left to go to
+    leaves = [item is not None and nodes.is_leaving(item) for item in (sight.old, sight.new)]
+    if leaves[0] != leaves[1]:
+        places |= {objects.name(item) for item in (sight.old, sight.new) if item is not None}
+    elif sight.old is not None and sight.new is not None:
         return
-    found = sight.new or sight.old
-    assert found is not None
     for pod in store.all(PODS):
-        if nodes.of(pod) != objects.name(found):
+        if nodes.of(pod) not in places:
             continue
         labels, namespace = objects.labels(pod), pod["metadata"]["namespace"]
         for label, plural in ((names.WORKLOAD, WORKLOADS), (names.POOL, POOLS)):

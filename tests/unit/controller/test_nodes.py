@@ -106,6 +106,14 @@ class TestWhichNodesLeave:
         }
         assert told == [set(), set(), mine, mine]
 
+    def test_a_node_that_joins_has_those_looked_at_that_had_nowhere_to_go(self) -> None:
+        store, told = Store(), []
+        store.put(PODS, held(spare(), "n")[0])
+        store.put(NODES, node("n", unschedulable=True))
+        store.noticed = lambda sight: told.append(affected.keys(sight, store))
+        store.put(NODES, node("m", version=9))
+        assert told == [{Key(POOLS.plural, "fleet", "spare")}]
+
     async def test_the_operator_knows_them(self) -> None:
         client: Any = None
         store, pool = Store(), spare()
