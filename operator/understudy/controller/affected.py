@@ -142,14 +142,11 @@ def _after_policy(policy: Object, store: Store, namespace: str) -> Iterator[Key]
 
 def _after_node(sight: Sight, store: Store) -> Iterator[Key]:
     """Nodes report all the time; only which pods are about to go means something, and to those whose pods these are."""
-    places = {
-        objects.name(node) for node in store.all(NODES) if nodes.is_leaving(node)
-    }  # also others: where one is left to go to
-    leaves = [item is not None and nodes.is_leaving(item) for item in (sight.old, sight.new)]
-    if leaves[0] != leaves[1]:
-        places |= {objects.name(item) for item in (sight.old, sight.new) if item is not None}
-    elif sight.old is not None and sight.new is not None:
+    known = [item for item in (sight.old, sight.new) if item is not None]
+    if len(known) == 2 and nodes.is_leaving(known[0]) == nodes.is_leaving(known[1]):
         return
+    # Those on other nodes too: there may be one now that they can go to, or none any more.
+    places = {objects.name(node) for node in (*known, *store.all(NODES)) if nodes.is_leaving(node)}
     for pod in store.all(PODS):
         if nodes.of(pod) not in places:
             continue
