@@ -34,6 +34,7 @@ from understudy.controller.desired import Images
 from understudy.controller.reconciling import TOGETHER_SECONDS
 
 APPS, CORE, NETWORK, RBAC = "apps/v1", "v1", "networking.k8s.io/v1", "rbac.authorization.k8s.io/v1"
+POLICY = "policy/v1"
 NOWHERE = "understudy.invalid/nowhere:1"
 IMAGES = Images(NOWHERE, "Never")
 BUILT = (
@@ -44,6 +45,7 @@ BUILT = (
     (APPS, "Deployment"),
     (APPS, "ReplicaSet"),
     (NETWORK, "NetworkPolicy"),
+    (POLICY, "PodDisruptionBudget"),
     (RBAC, "Role"),
     (RBAC, "RoleBinding"),
 )
@@ -619,12 +621,21 @@ def test_pods_on_a_node_that_is_to_be_emptied_are_replaced_before_they_go(
         fleet.cluster.request("POST", path, body=body)
         fleet.make_ready(pod)
 
+    def evict(pod: Object) -> None:
+        """What ``kubectl drain`` asks for."""
+        metadata = {"name": pod["metadata"]["name"], "namespace": fleet.namespace}
+        path = fleet.cluster.path(CORE, "Pod", fleet.namespace, pod["metadata"]["name"], "eviction")
+        fleet.cluster.request("POST", path, body={"apiVersion": POLICY, "kind": "Eviction", "metadata": metadata})
+
     fleet.create(policy("spare"), spare(replicas=1), workload())
     (old,) = until(fleet.held, "a held pod")
     place(old, nodes[0])
     until(lambda: fleet.get("FallbackPool", "spare")["status"].get("ready") == 1, "it to be ready")
     fleet.cluster.patch(nodes[0], {"spec": {"unschedulable": True}})
     until(lambda: len(fleet.held()) == 2, "another one beside it")
+    with pytest.raises(Refused, match="disruption budget") as refused:
+        evict(old)
+    assert refused.value.status == 429
     assert identities([old]) <= identities(fleet.held())
     found = fleet.wait_condition("FallbackPool", "spare", "Moving", "NodeLeaves", "True")
     assert nodes[0]["metadata"]["name"] in found["message"]

@@ -160,18 +160,19 @@ def _after_policy(policy: Object, store: Store, namespace: str) -> Iterator[Key]
             yield Key(POOLS.plural, namespace, name)
 
 
+def _going(node: Object) -> tuple[bool, bool]:
+    return nodes.is_cordoned(node), nodes.is_leaving(node)
+
+
 def _after_node(sight: Sight, store: Store) -> Iterator[Key]:
-    """Nodes report all the time; only whether their pods are about to go means something, and to those whose pods are there."""
-    before, after = (
-        (False, False) if item is None else (nodes.is_cordoned(item), nodes.is_leaving(item))
-        for item in (sight.old, sight.new)
-    )
-    if before == after:
+    """Nodes report all the time; only which pods are about to go means something, and to those whose pods these are."""
+    known = [item for item in (sight.old, sight.new) if item is not None]
+    if len(known) == 2 and _going(known[0]) == _going(known[1]):
         return
-    found = sight.new or sight.old
-    assert found is not None
+    # Those on other nodes too: there may be one now that they can go to, or none any more.
+    places = {objects.name(node) for node in (*known, *store.all(NODES)) if nodes.is_leaving(node)}
     for pod in store.all(PODS):
-        if nodes.of(pod) != objects.name(found):
+        if nodes.of(pod) not in places:
             continue
         labels, namespace = objects.labels(pod), pod["metadata"]["namespace"]
         for label, plural in ((names.WORKLOAD, WORKLOADS), (names.POOL, POOLS)):
@@ -180,15 +181,16 @@ def _after_node(sight: Sight, store: Store) -> Iterator[Key]:
 
 
 def _after_budget(sight: Sight, store: Store, namespace: str) -> Iterator[Key]:
-    """Ours is its workload's. One of somebody else's may select any instance."""
+    """Ours is its owner's. One of somebody else's may select any instance, and the waiting pods of any pool."""
     if not _spec_changed(sight):  # its status is another with every pod
         return
     owner = controller_of(sight.new or sight.old or {"metadata": {}})
     if owner is not None and owner.get("apiVersion") == API_VERSION:
-        yield Key(WORKLOADS.plural, namespace, owner["name"])
+        yield Key(_PLURALS[owner["kind"]], namespace, owner["name"])
         return
-    for name in store.in_namespace(WORKLOADS, namespace):
-        yield Key(WORKLOADS.plural, namespace, name)
+    for plural in (WORKLOADS, POOLS):
+        for name in store.in_namespace(plural, namespace):
+            yield Key(plural.plural, namespace, name)
 
 
 def _after_trees(config_map: Object, store: Store, namespace: str) -> Iterator[Key]:

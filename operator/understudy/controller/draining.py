@@ -11,10 +11,9 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 
 from understudy.api import names
-from understudy.api.base import API_VERSION, seconds
+from understudy.api.base import seconds
 from understudy.api.conditions import Condition, condition
 from understudy.api.switchovers import Drain, Draining
-from understudy.cluster.applying import controller_of
 from understudy.cluster.client import Object
 from understudy.controller import nodes, objects, selectors
 
@@ -75,12 +74,6 @@ def hold(
         words = f"no understudy on another node took over within {asked.hold_for}; see status.switchover for what it waited for"
         return Hold("HoldEnded", words)
     return Hold("Held", "", holds=True, until=until)
-
-
-def is_ours(budget: Object) -> bool:
-    """Whether it was made for a RobotWorkload."""
-    owner = controller_of(budget)
-    return owner is not None and owner.get("apiVersion") == API_VERSION
 
 
 def _selects(budget: Object, pod: Object) -> bool:

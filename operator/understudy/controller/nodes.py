@@ -21,7 +21,13 @@ def is_cordoned(node: Object) -> bool:
 
 def is_leaving(node: Object) -> bool:
     """Whether a node's pods are better replaced elsewhere: it takes no new ones, or was lost."""
-    return objects.deleted(node) or is_cordoned(node) or _tainted(node, _LOST)
+    return is_cordoned(node) or _tainted(node, _LOST)
+
+
+def leaving(found: Collection[Object]) -> frozenset[str]:
+    """The names of those among all nodes; none where no node is left that others could be put on."""
+    names = frozenset(objects.name(node) for node in found if is_leaving(node))
+    return names if len(names) < len(found) else frozenset()
 
 
 def _tainted(node: Object, taints: Collection[str]) -> bool:

@@ -26,7 +26,7 @@ from understudy.controller import (
     affected,
     choosing,
     dependencies,
-    draining,
+    evictions,
     levels,
     nodes,
     objects,
@@ -92,16 +92,17 @@ class Observer:
             resized=await self._resized(item),
             cordoned=frozenset(objects.name(node) for node in store.all(NODES) if nodes.is_cordoned(node)),
             leaving=self._leaving(),
-            budgets=[
-                budget
-                for budget in store.in_namespace(DISRUPTION_BUDGETS, namespace).values()
-                if not draining.is_ours(budget)
-            ],
+            budgets=self._budgets(namespace),
         )
+
+    def _budgets(self, namespace: str) -> list[Object]:
+        """The PodDisruptionBudgets of others."""
+        found = self._store.in_namespace(DISRUPTION_BUDGETS, namespace).values()
+        return [budget for budget in found if not evictions.is_ours(budget)]
 
     def _leaving(self) -> frozenset[str]:
         """The nodes whose pods are about to go."""
-        return frozenset(objects.name(node) for node in self._store.all(NODES) if nodes.is_leaving(node))
+        return nodes.leaving(self._store.all(NODES))
 
     def _expected(self, key: Key, pool: str) -> int:
         """Pods that were asked for, and of which neither an answer nor a watch has told."""
@@ -196,6 +197,7 @@ class Observer:
             spared=sum(self._spared(item, workload) for workload in found.values()),
             asking=[workload for workload in found.values() if self._asks(item, workload)],
             leaving=self._leaving(),
+            budgets=self._budgets(namespace),
         )
 
     def _asks(self, pool: Object, workload: Object) -> bool:

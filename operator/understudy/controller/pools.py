@@ -10,8 +10,19 @@ from typing import Any
 from understudy.api import names
 from understudy.api.conditions import Condition, condition
 from understudy.api.pools import FallbackPoolSpec
-from understudy.cluster.client import NETWORK_POLICIES, PODS, SECRETS, Object
-from understudy.controller import fleets, gates, instances, nodes, objects, ownership, policies, poolsizes, selectors
+from understudy.cluster.client import DISRUPTION_BUDGETS, NETWORK_POLICIES, PODS, SECRETS, Object
+from understudy.controller import (
+    evictions,
+    fleets,
+    gates,
+    instances,
+    nodes,
+    objects,
+    ownership,
+    policies,
+    poolsizes,
+    selectors,
+)
 from understudy.controller.desired import Apply, Create, Delete, Images, Plan, Problem
 from understudy.controller.poolsizes import Sized
 from understudy.controller.troubles import trouble
@@ -59,6 +70,8 @@ class Observed:
     """The workloads that take a pod of it when they fail, where its size follows that."""
     leaving: frozenset[str] = frozenset()
     """The nodes whose pods are about to go."""
+    budgets: Sequence[Object] = ()
+    """PodDisruptionBudgets of the namespace that aren't ours."""
 
 
 @dataclass(frozen=True)
@@ -172,6 +185,8 @@ def plan(observed: Observed, understanding: Understanding, fresh: Fresh) -> Plan
     made = Plan()
     spec, built = understanding.spec, understanding.built
     if understanding.problem is not None or spec is None or built is None or objects.deleted(observed.pool):
+        if any(nodes.on(pod, observed.leaving) for pod in observed.pods):
+            _let_go(made, observed)  # nothing comes in their place
         return made
     pool, name = observed.pool, objects.name(observed.pool)
     owner = objects.owner("FallbackPool", pool)
@@ -196,6 +211,7 @@ def plan(observed: Observed, understanding: Understanding, fresh: Fresh) -> Plan
         moving=lambda pod: nodes.on(pod, observed.leaving),
         update=update,
     )
+    _hold(made, observed, living, built, want)
     namespace = pool["metadata"]["namespace"]
     wait = _until_driving(observed)
     if change.create and wait > 0:
@@ -211,6 +227,35 @@ def plan(observed: Observed, understanding: Understanding, fresh: Fresh) -> Plan
     if understanding.sized is not None:
         made.later(poolsizes.LOOK_AGAIN)
     return made
+
+
+def _hold(made: Plan, observed: Observed, living: Sequence[Object], built: Object, want: int) -> None:
+    """Have evictions of waiting pods wait for others elsewhere, as long as those may come."""
+    name = objects.name(observed.pool)
+    moving = any(nodes.on(pod, observed.leaving) for pod in living)
+    coming = [pod for pod in living if not objects.ready(pod) and not nodes.on(pod, observed.leaving)]
+    left = evictions.patience(coming, _moving_since(observed), observed.now) if moving else evictions.PATIENCE
+    if not want or not left or evictions.decided_elsewhere(observed.budgets, built["metadata"]["labels"]):
+        _let_go(made, observed)
+        return
+    owner = objects.owner("FallbackPool", observed.pool)
+    made.writes.append(Apply(DISRUPTION_BUDGETS, ownership.ours(evictions.budget(name, want), owner, observed.pool)))
+    if moving:
+        made.later(left)
+
+
+def _moving_since(observed: Observed) -> float:
+    """When pods began to be replaced elsewhere, by the pool's status; now where it doesn't say so yet."""
+    conditions = (observed.pool.get("status") or {}).get("conditions") or []
+    said = next((one["lastTransitionTime"] for one in conditions if one["type"] == MOVING), None)
+    return datetime.fromisoformat(said).timestamp() if said is not None else observed.now
+
+
+def _let_go(made: Plan, observed: Observed) -> None:
+    """Let waiting pods be evicted."""
+    live = observed.owned.get((DISRUPTION_BUDGETS.plural, names.held(objects.name(observed.pool))))
+    if live is not None and not objects.deleted(live):
+        made.writes.append(Delete(DISRUPTION_BUDGETS, live))
 
 
 def _update(spec: FallbackPoolSpec, want: int) -> fleets.Update:
@@ -253,7 +298,7 @@ def count(observed: Observed, spec: FallbackPoolSpec, sized: Sized | None = None
     """The numbers of a pool's status."""
     living = [pod for pod in observed.pods if objects.alive(pod)]
     if spec.readiness == "Uninitialized":
-        held = [pod for pod in living if objects.labels(pod).get(names.HELD) == "true"]
+        held = _held(observed)
         policy = observed.owned.get(("networkpolicies", names.held(objects.name(observed.pool))))
         return Counts(
             replicas=len(held),
@@ -270,6 +315,11 @@ def count(observed: Observed, spec: FallbackPoolSpec, sized: Sized | None = None
         ready=sum(objects.ready(pod) for pod in waiting),
         claimed=len(driving),
     )
+
+
+def _held(observed: Observed) -> list[Object]:
+    """The living pods that nobody has claimed."""
+    return [pod for pod in observed.pods if objects.alive(pod) and objects.labels(pod).get(names.HELD) == "true"]
 
 
 def claimable_now(held: Sequence[Object], policy: Object | None) -> list[Object]:
@@ -307,9 +357,8 @@ def status(observed: Observed, understanding: Understanding, problems: Sequence[
             result["waiting"] = len(observed.waiting)
             conditions.append(_available(observed, spec, counts))
             if understanding.built is not None:
-                held = [pod for pod in unclaimed(pool, observed.pods) if objects.alive(pod)]
                 present = instances.template_hash(understanding.built)
-                result["updated"] = sum(fleets.hash_of(pod) == present for pod in held)
+                result["updated"] = sum(fleets.hash_of(pod) == present for pod in _held(observed))
                 conditions.append(_updated(observed, spec, counts, result["updated"]))
         if understanding.sized is not None:
             result |= poolsizes.status(understanding.sized)

@@ -181,10 +181,9 @@ def slim(resource: Resource, item: Object) -> Object:
     if resource.plural == "pods":
         kept["spec"] = {"nodeName": (item.get("spec") or {}).get("nodeName")}
     if resource.plural == "nodes":
-        spec = item.get("spec") or {}
-        kept["spec"] = {key: spec[key] for key in ("unschedulable", "taints") if key in spec}
-        kept["metadata"] = {
-            key: metadata[key] for key in ("name", "uid", "resourceVersion", "deletionTimestamp") if key in metadata
+        kept["metadata"] = {key: metadata[key] for key in ("name", "uid", "resourceVersion") if key in metadata}
+        kept["spec"] = {
+            key: found for key in ("unschedulable", "taints") if (found := (item.get("spec") or {}).get(key))
         }
         kept.pop("status", None)
     return kept

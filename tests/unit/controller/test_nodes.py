@@ -9,6 +9,7 @@ import pytest
 
 from tests.unit.controller.test_pools import condition, created, deleted, observe, plan, present, status
 from tests.unit.controller.world import (
+    NOW,
     World,
     applied,
     gate,
@@ -17,12 +18,13 @@ from tests.unit.controller.world import (
     policy,
     source_pod,
     spare,
+    stamp,
     standby_pod,
     workload,
 )
 from understudy.api import names
-from understudy.cluster.client import NODES, PODS, POOLS, WORKLOADS, Object
-from understudy.controller import affected, instances, nodes, pools, resyncing
+from understudy.cluster.client import DISRUPTION_BUDGETS, NODES, PODS, POOLS, WORKLOADS, Object
+from understudy.controller import affected, instances, nodes, objects, pools, resyncing
 from understudy.controller.affected import Key
 from understudy.controller.expectations import Expectations
 from understudy.controller.observing import Observer
@@ -72,6 +74,11 @@ class TestWhichNodesLeave:
     def test_those_that_are_emptied_and_those_that_were_lost(self, found: Object, leaves: bool) -> None:
         assert nodes.is_leaving(found) is leaves
 
+    def test_where_no_other_is_left_all_stays_as_it_is(self) -> None:
+        lost = [node("n", taint="node.kubernetes.io/unreachable"), node("m", unschedulable=True)]
+        assert nodes.leaving(lost) == frozenset()
+        assert nodes.leaving([*lost, node("o")]) == {"n", "m"}
+
     def test_of_a_node_nothing_else_is_kept(self) -> None:
         store = Store()
         assert resyncing.kept(NODES, node("n"))
@@ -98,6 +105,14 @@ class TestWhichNodesLeave:
             Key(WORKLOADS.plural, "fleet", "w"),
         }
         assert told == [set(), set(), mine, mine]
+
+    def test_a_node_that_joins_has_those_looked_at_that_had_nowhere_to_go(self) -> None:
+        store, told = Store(), []
+        store.put(PODS, held(spare(), "n")[0])
+        store.put(NODES, node("n", unschedulable=True))
+        store.noticed = lambda sight: told.append(affected.keys(sight, store))
+        store.put(NODES, node("m", version=9))
+        assert told == [{Key(POOLS.plural, "fleet", "spare")}]
 
     async def test_the_operator_knows_them(self) -> None:
         client: Any = None
@@ -166,6 +181,72 @@ class TestASharedPool:
             "1 of 2 waiting pods is on a node that is to be emptied or was lost (n), and goes once there are others elsewhere."
         )
         assert "Moving" not in {c["type"] for c in status(observe(pool, held(pool, "n", "m")))["conditions"]}
+
+
+class TestEvictions:
+    """Of waiting pods: whether the API server refuses them for now."""
+
+    def budget(self, observed: pools.Observed) -> Object | None:
+        return applied(plan(observed), "poddisruptionbudgets").get("spare-held")
+
+    def moving(self, pool: Object, *, since: float) -> Object:
+        said = {"type": "Moving", "status": "True", "reason": "NodeLeaves", "lastTransitionTime": stamp(since)}
+        return pool | {"status": {"conditions": [said]}}
+
+    def test_they_wait_until_there_are_others_elsewhere(self) -> None:
+        pool = spare(replicas=2)
+        for observed in (observe(pool), leaving(observe(pool, held(pool, "n", "m")), "n")):
+            found = self.budget(observed)
+            assert found is not None
+            assert found["spec"]["minAvailable"] == 2
+            assert found["spec"]["unhealthyPodEvictionPolicy"] == "AlwaysAllow"
+            assert found["spec"]["selector"] == {"matchLabels": {names.POOL: "spare", names.HELD: "true"}}
+
+    def test_not_for_an_empty_pool(self) -> None:
+        assert self.budget(observe(spare(replicas=0))) is None
+
+    def test_not_where_somebody_else_s_budget_decides(self) -> None:
+        pool = spare(replicas=1)
+        others = [{"spec": {"selector": {"matchLabels": {"app": "nav"}}}}]
+        assert self.budget(replace(observe(pool), budgets=others)) is None
+        unrelated = [{"spec": {"selector": {"matchLabels": {"app": "other"}}}}, {"spec": {}}]
+        assert self.budget(replace(observe(pool), budgets=unrelated)) is not None
+
+    def let_go(self, observed: pools.Observed) -> bool:
+        live = {("poddisruptionbudgets", "spare-held"): {"metadata": {"name": "spare-held"}}}
+        return "spare-held" in deleted(plan(replace(observed, owned=live)))
+
+    def test_not_where_what_is_to_come_can_not(self) -> None:
+        pool = spare(replicas=1)
+        coming = held_pod("new", of=pool, template_hash=present(pool), ready=False, waiting="ErrImageNeverPull")
+        assert self.let_go(leaving(observe(pool, [*held(pool, "n"), coming]), "n"))
+        assert not self.let_go(observe(pool, [*held(pool, "n"), coming])), "nothing is moved"
+
+    def test_not_for_longer_than_two_minutes(self) -> None:
+        pool = spare(replicas=1)
+        late = self.moving(pool, since=NOW - 119)
+        observed = leaving(observe(late, held(pool, "n"), expected=1), "n")
+        assert not self.let_go(observed)
+        assert plan(observed).again_after == pytest.approx(1)
+        assert self.let_go(leaving(observe(self.moving(pool, since=NOW - 120), held(pool, "n")), "n"))
+
+    def test_not_where_nothing_is_made_any_more(self) -> None:
+        pool = spare(replicas=1)
+        pods = held(pool, "n")
+        del pool["spec"]["template"]["spec"]["containers"][0]["command"]
+        assert self.let_go(leaving(observe(pool, pods), "n"))
+        assert not self.let_go(observe(pool, pods))
+
+    async def test_budgets_of_others_are_known(self) -> None:
+        client: Any = None
+        store, pool = Store(), spare()
+        store.put(POOLS, pool)
+        metadata = {"name": "theirs", "namespace": "fleet", "uid": "u", "resourceVersion": "3"}
+        store.put(DISRUPTION_BUDGETS, {"metadata": metadata, "spec": {}})
+        ours = {**metadata, "name": "ours", "uid": "v", "ownerReferences": [objects.owner("FallbackPool", pool)]}
+        store.put(DISRUPTION_BUDGETS, {"metadata": ours, "spec": {}})
+        (found,) = (await Observer(client, store, Expectations()).pool(pool)).budgets
+        assert found["metadata"]["name"] == "theirs"
 
 
 class TestStandbysOfARobot:

@@ -20,7 +20,6 @@ EPOCH = 1_700_000_000.0
 CUSTOM = ("robotworkloads", "failurepolicies", "fallbackpools")
 KINDS = {
     "pods": ("v1", "Pod"),
-    "nodes": ("v1", "Node"),
     "services": ("v1", "Service"),
     "configmaps": ("v1", "ConfigMap"),
     "secrets": ("v1", "Secret"),

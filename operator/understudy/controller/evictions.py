@@ -1,0 +1,51 @@
+"""Evictions of a shared pool's waiting pods, as ``kubectl drain`` asks for: refused until there are others elsewhere.
+
+A PodDisruptionBudget says so to the API server, and whoever drains tries again until the operator has replaced them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from understudy.api import names
+from understudy.api.base import API_VERSION
+from understudy.cluster.applying import controller_of
+from understudy.cluster.client import Object
+from understudy.controller import selectors
+from understudy.controller.troubles import trouble
+
+PATIENCE = 120.0
+"""Seconds for which evictions wait at most: what is to come in place of the pods may never come, such as where a quota is used up."""
+
+
+def budget(pool: str, least: int) -> Object:
+    """The budget by which so many waiting pods stay. One that isn't ready is nobody's loss."""
+    return {
+        "apiVersion": "policy/v1",
+        "kind": "PodDisruptionBudget",
+        "metadata": {"name": names.held(pool)},
+        "spec": {
+            "minAvailable": least,
+            "unhealthyPodEvictionPolicy": "AlwaysAllow",
+            "selector": {"matchLabels": {names.POOL: pool, names.HELD: "true"}},
+        },
+    }
+
+
+def is_ours(found: Object) -> bool:
+    """Whether a budget was made for an object of ours."""
+    owner = controller_of(found)
+    return owner is not None and owner.get("apiVersion") == API_VERSION
+
+
+def decided_elsewhere(budgets: Sequence[Object], labels: Mapping[str, str]) -> bool:
+    """Whether a budget of somebody else's selects the pods: with two of them Kubernetes refuses every eviction, for good."""
+    chosen = [(found.get("spec") or {}).get("selector") for found in budgets]
+    return any(selector is not None and selectors.matches(selector, dict(labels)) for selector in chosen)
+
+
+def patience(coming: Sequence[Object], since: float, now: float) -> float:
+    """Seconds for which evictions may still wait for the pods that are to come; 0 where one of them can't."""
+    if any(trouble(pod) is not None for pod in coming):
+        return 0.0
+    return max(0.0, PATIENCE - (now - since))
