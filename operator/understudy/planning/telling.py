@@ -12,6 +12,9 @@ from understudy.trees.leaves import duration
 _LARGEST = 1000
 """Pods that a FallbackPool may have."""
 
+_SMALLEST = 1e-6
+"""Below it a risk isn't told as a figure."""
+
 _HEAD = ("", "BY THE MODEL", "BY TRIAL")
 
 
@@ -58,7 +61,7 @@ def told(size: Size) -> str:
 
 def percent(value: float) -> str:
     """With as many digits as tell something."""
-    if 0 < value < 1e-6:
+    if 0 < value < _SMALLEST:
         return "< 0.0001 %"
     return f"{float(f'{value * 100:.3g}'):g} %"
 
@@ -73,7 +76,12 @@ def _needed(size: Size) -> str:
 
 def _pool(size: Size) -> list[str]:
     """How a pool is told to keep the risk by itself."""
-    if size.risk is None or size.risk_of == "window" or not 0 < size.outcome.fallbacks <= _LARGEST:
+    if (
+        size.risk is None
+        or size.risk < _SMALLEST
+        or size.risk_of == "window"
+        or not 0 < size.outcome.fallbacks <= _LARGEST
+    ):
         return []
     question, most = size.question, min(_LARGEST, 2 * size.outcome.fallbacks)
     asked = f"risk: {percent(size.risk).replace(' ', '')}, riskOf: {size.risk_of.capitalize()}"

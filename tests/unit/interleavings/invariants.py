@@ -11,7 +11,7 @@ from understudy.api import names
 from understudy.cluster import gates
 from understudy.cluster.applying import controller_of
 from understudy.cluster.client import Object
-from understudy.controller import objects
+from understudy.controller import objects, poolsizes
 
 KNOWN = 70.0
 """Seconds within which an operator knows of a pool's new size: two of its lists, and their longest waits."""
@@ -160,8 +160,8 @@ class Invariants:
             spec = item["spec"]
             if spec["readiness"] == "Uninitialized":
                 free = [pod for pod in mine if names.HELD in _labels(pod)]
-                if len(free) != spec["replicas"]:
-                    yield f"pool {pool} has {len(free)} free pods instead of {spec['replicas']}"
+                if len(free) != poolsizes.size(item):
+                    yield f"pool {pool} has {len(free)} free pods instead of {poolsizes.size(item)}"
                 yield from (f"pod {_name(pod)} isn't ready" for pod in free if not objects.ready(pod))
                 yield from self._misjudged(item, len(free))
                 continue
@@ -236,7 +236,11 @@ def _labels(item: Object) -> dict[str, str]:
 
 
 def _size(pool: Object) -> int:
-    found: int = pool["spec"].get("replicas", pool["spec"].get("perWorkload", 0))
+    spec = pool["spec"]
+    if "sizing" in spec:  # how many exactly is said after they were made
+        most: int = spec["sizing"]["max"]
+        return most
+    found: int = spec.get("replicas", spec.get("perWorkload", 0))
     return found
 
 

@@ -66,6 +66,8 @@ class Scene:
     """The kind of what workloads refer to, where they have no template."""
     updates: tuple[tuple[str, str | int], ...] = ()
     """The updateStrategy of the shared pool; none where it is empty."""
+    sizing: tuple[tuple[str, str | int | float], ...] = ()
+    """The sizing of the shared pool, instead of so many spares."""
     troubles: tuple[str, ...] = ()
     """All that goes wrong with processes and pods; everything, where nothing is named."""
     weather: tuple[float, ...] = (0.0, 0.5, 1.0, 2.0, 3.0)
@@ -541,7 +543,11 @@ class Simulation:
         items[0]["spec"]["monitoring"]["startupGrace"] = "6s"
         if scene.spares:
             updates = {"updateStrategy": dict(scene.updates)} if scene.updates else {}
-            items.append(world.spare(replicas=scene.spares, **updates))
+            pool = world.spare(replicas=scene.spares, **updates)
+            if scene.sizing:
+                del pool["spec"]["replicas"]
+                pool["spec"]["sizing"] = dict(scene.sizing)
+            items.append(pool)
         if scene.standbys:
             initialization = {"initialization": {"yaml": {"wait_for": {"node": "/localization"}}}}
             more = {"readiness": "Initialized", **initialization} if scene.initializes else {}

@@ -1,4 +1,6 @@
-"""A shared pool's template changes again and again, by each strategy, while its pods are claimed, lost and drained."""
+"""A shared pool's template changes again and again, by each strategy, and its size follows what fails, while its pods are claimed,
+lost and drained.
+"""
 
 from __future__ import annotations
 
@@ -22,6 +24,22 @@ def test_no_pod_is_made_too_many_or_left_over(name: str, troubles: tuple[str, ..
     scene = Scene(
         name, workloads=3, strategies=("spare", "Restart"), spares=2, updates=STRATEGIES[name], troubles=troubles
     )
+    for seed in range(FIRST, FIRST + RUNS):
+        outcome = simulation.run(seed, scene=scene)
+        assert not outcome.faults, str(simulation.run(seed, tracing=True, scene=scene))
+
+
+def test_a_pool_whose_size_follows_the_failures_has_as_many_as_that_says() -> None:
+    sizing = (
+        ("risk", "1%"),
+        ("failuresPerRobotHour", 0.5),
+        ("refill", "300s"),
+        ("history", "1h"),
+        ("min", 1),
+        ("max", 4),
+    )
+    troubles = (*(one for one in TROUBLES if one != "pool_is_resized"), "monitor_dies", "somebody_is_cut_off")
+    scene = Scene("sized", workloads=3, strategies=("spare", "Restart"), spares=1, sizing=sizing, troubles=troubles)
     for seed in range(FIRST, FIRST + RUNS):
         outcome = simulation.run(seed, scene=scene)
         assert not outcome.faults, str(simulation.run(seed, tracing=True, scene=scene))
