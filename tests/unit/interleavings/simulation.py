@@ -45,6 +45,9 @@ CALM = 300.0
 LOOK = 1.0
 """Seconds between two looks whether it is."""
 
+NOTICES = 0.1
+"""Seconds in which an operator that gets a processor again notices that another one leads."""
+
 TICK = 1.0
 """Seconds between a monitor's looks while nothing wakes it. The simulated senses wake it whenever what they say changes."""
 
@@ -394,6 +397,7 @@ class Simulation:
         seconds = self.choices.random() * (8 if any(o.process is process for o in self.operators) else 3)
         self.note(f"{process} gets no processor for {seconds:.1f} s")
         self._stalled.add(process)
+        self.later(seconds + NOTICES, self._stalled.discard, process)
         self.loop.stall(process, seconds, self.world)
 
     def _somebody_is_cut_off(self) -> None:
