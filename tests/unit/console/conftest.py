@@ -11,7 +11,8 @@ from tests.unit.console.kubectl import Stand
 
 @pytest.fixture
 def stand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Stand:
-    """kubectl on the PATH, in front of a fleet."""
+    """kubectl on the PATH, in front of a fleet; and no terminal, whatever the process that runs the tests says of one."""
+    monkeypatch.delenv("COLUMNS", raising=False)
     made = Stand(tmp_path)
     made.tell(fleet.fleet())
     monkeypatch.setenv("PATH", str(tmp_path), prepend=":")

@@ -131,7 +131,7 @@ def test_a_gate_that_is_opened_before_the_failed_pod_is_fenced_is_found() -> Non
 
 def test_forgotten_expectations_are_found() -> None:
     with mock.patch.object(Expectations, "expect"):
-        assert found("free pods, ", SHARED, "understudy_fails", "watch_falls_silent", weather=3.0)
+        assert found("free pods, ", SHARED, "understudy_fails", "watch_falls_silent", weather=3.0, within=400)
 
 
 def test_a_claim_whose_lost_answer_is_taken_for_a_refusal_is_found() -> None:

@@ -341,7 +341,7 @@ class TestBringingUpAgain:
         done.target, done.moments["verified"] = PodIdentity(name="w-1", uid="uid-w-1"), NOW
         escalation = Escalation()
         escalation.note(done)
-        assert escalation.first("uid-w-1", NOW + 0.5, 2) == 0
+        assert escalation.first("uid-w-1", NOW + 0.5, 2, healthy_delay=2.0) == 0
 
 
 def test_it_survives_being_written_down() -> None:

@@ -45,6 +45,8 @@ TIGHT = policy(monitoring=WELL, clearAfter="5s")
 class Reporter:
     """What is said."""
 
+    switchover = None
+
     def __init__(self, *said: Condition, adopted: str = "") -> None:
         self.adopted = adopted
         self.said = {one.type: one for one in said}
