@@ -99,10 +99,8 @@ def budget(workload: str, active: Object) -> Object:
     }
 
 
-def said(active: Object | None, drain: Drain | None, found: Hold, generation: int | None) -> Condition | None:
-    """The condition that tells of it; None where nothing is drained."""
-    if drain is None or active is None:
-        return None
+def said(active: Object, drain: Drain, found: Hold, generation: int | None) -> Condition:
+    """The condition that tells of it, while a node is drained."""
     told = f"Node {drain.node}, from which {objects.name(active)} drives the robot, is to be emptied (it is cordoned)."
     if not found.holds:
         then = f"Evictions of it don't wait: {found.message}."

@@ -72,15 +72,11 @@ def status(
 
 
 def _draining(observed: Observed, understanding: Understanding) -> list[Condition]:
-    if understanding.spec is None:
+    drain = workloads.drain(observed)
+    if understanding.spec is None or drain is None or observed.active is None:
         return []
-    found = draining.said(
-        observed.active,
-        workloads.drain(observed),
-        workloads.hold(observed, understanding),
-        objects.generation(observed.workload),
-    )
-    return [found] if found is not None else []
+    found, generation = workloads.hold(observed, understanding), objects.generation(observed.workload)
+    return [draining.said(observed.active, drain, found, generation)]
 
 
 def timed(live: Object, desired: Object) -> Object:

@@ -408,10 +408,11 @@ def _gate(made: Plan, observed: Observed, spec: RobotWorkloadSpec) -> None:
 
 def drain(observed: Observed) -> Drain | None:
     """Where the instance in control runs on a node that is to be emptied."""
+    if not observed.cordoned:
+        return None  # nothing to parse, as mostly
     present = _present_settings(observed)
-    return draining.seen(
-        observed.active, observed.cordoned, present.drain if present is not None else None, observed.now
-    )
+    told = present.drain if present is not None else None
+    return draining.seen(observed.active, observed.cordoned, told, observed.now)
 
 
 def hold(observed: Observed, understanding: Understanding) -> draining.Hold:
@@ -421,10 +422,18 @@ def hold(observed: Observed, understanding: Understanding) -> draining.Hold:
         observed.active,
         drain(observed),
         understanding.spec.draining,
-        fallbacks=bool(_choices(observed, understanding)),
+        fallbacks=_falls_back(observed, understanding),
         budgets=observed.budgets,
         now=observed.now,
     )
+
+
+def _falls_back(observed: Observed, understanding: Understanding) -> bool:
+    """Whether its policy has a pool that serves it. While that can't be followed, whether it had."""
+    if understanding.policy_problem is not None:
+        return bool(_present_choices(observed))
+    served = serving(observed)
+    return any(name in served for name in _named(strategies(observed)))
 
 
 def _hold(made: Plan, observed: Observed, understanding: Understanding) -> None:

@@ -270,8 +270,9 @@ class Reporter:
 
     @property
     def planned(self) -> float | None:
-        """When the last planned hand-over was begun, in unix seconds; None for never, of the recoveries that are kept."""
-        found = (r.moments.detected for r in self._recoveries if r.planned and r.moments.detected is not None)
+        """When a degraded instance was handed over last, in unix seconds; None for never, of the recoveries that are kept."""
+        handed = (r for r in self._recoveries if r.planned and r.switchover is None)
+        found = (r.moments.detected for r in handed if r.moments.detected is not None)
         times = [datetime.fromisoformat(moment).timestamp() for moment in found]
         return max(times, default=None)
 

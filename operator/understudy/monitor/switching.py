@@ -166,13 +166,16 @@ class Switching:
 
     def _asked(self, now: float) -> Wanted | None:
         text = ((self._view.object or {}).get("metadata", {}).get("annotations") or {}).get(names.SWITCHOVER)
-        before = self._reporter.switchover
-        if text and (before is None or before.handled != text) and (wanted := self._requested(text, now)) is not None:
+        if text and not self._was_handled(text) and (wanted := self._requested(text, now)) is not None:
             return wanted
         drain = self._view.settings.drain if self._view.settings is not None else None
         if drain is None or drain.uid != self._gate.state.active_uid:
             return None
         return Wanted("Drain", f"node {drain.node} is to be emptied (it is cordoned)", drain=drain)
+
+    def _was_handled(self, text: str) -> bool:
+        said = self._reporter.switchover
+        return said is not None and said.handled == text
 
     def _requested(self, text: str, now: float) -> Wanted | None:
         """What a request asks for; None where nothing comes of it, which is said."""

@@ -18,7 +18,7 @@ from tests.unit.interleavings.scheduling import Killed, Process
 from tests.unit.interleavings.senses import Keeping, Probes, Sidecars, Sight
 from understudy.api import names
 from understudy.cluster import gates
-from understudy.cluster.client import NETWORK_POLICIES, PODS, ApiError, Expired, Object, Resource
+from understudy.cluster.client import NETWORK_POLICIES, NODES, PODS, ApiError, Expired, Object, Resource
 from understudy.cluster.events import Recorder
 from understudy.cluster.leases import LeadershipLost, Lease, Timing
 from understudy.controller import affected, handlers, running
@@ -255,14 +255,15 @@ class OperatorProcess:
 
     async def _watch(self, resource: Resource) -> None:
         """What kopf does for it."""
+        namespace = NAMESPACE if resource != NODES else None
         while True:
             try:
-                answer = await self._client.list(resource, NAMESPACE)
+                answer = await self._client.list(resource, namespace)
                 for item in answer["items"]:
                     self._operator.see(resource, item, False)
                 version = answer["metadata"]["resourceVersion"]
                 while True:
-                    async for kind, item in self._client.watch(resource, NAMESPACE, version=version):
+                    async for kind, item in self._client.watch(resource, namespace, version=version):
                         version = item["metadata"]["resourceVersion"]
                         if resource.plural not in self.silent:
                             self._operator.see(resource, item, kind == "DELETED")

@@ -243,7 +243,7 @@ async def test_the_level_of_a_workload_and_that_it_neither_causes_nor_delays_a_f
     )
     at_once = policy(monitoring={**WELL, "debounce": "0s"})
     parts: dict[str, Any] = {
-        "view": SimpleNamespace(policy=at_once, settings=SimpleNamespace(), spec=None, object=None),
+        "view": SimpleNamespace(policy=at_once, settings=SimpleNamespace(drain=None), spec=None, object=None),
         "fleet": SimpleNamespace(find=lambda uid: ACTIVE),
         "gate": SimpleNamespace(state=GateState(epoch=3, active="w-1", active_uid="uid-1"), exists=True),
         "sidecars": SimpleNamespace(status=lambda instance: None),

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 import pytest
+from prometheus_client import REGISTRY
 
 from tests.unit.interleavings.apiserver import ApiServer
+from understudy.api.switchovers import SwitchoverStatus
 from understudy.api.tasks import TaskStatus
 from understudy.cluster.client import Client, Object
-from understudy.mitigation.progress import Progress
+from understudy.mitigation.progress import PodIdentity, Progress
 from understudy.monitor import reporting
-from understudy.monitor.reporting import Reporter
+from understudy.monitor.reporting import Reporter, switched
 
 
 def reporter() -> Reporter:
@@ -33,6 +35,53 @@ async def test_the_last_planned_hand_over_is_known_by_the_record() -> None:
     for at, planned in ((2000.5, True), (3000.0, False)):
         found.record(done(at, planned=planned))
     assert found.planned == 2000.5
+
+
+def switchover(at: float, result: Literal["Recovered", "Failed"] = "Recovered") -> Progress:
+    progress = done(at, planned=True)
+    progress.result, progress.switchover = result, "Drain"
+    progress.former = PodIdentity(name="w-1", uid="uid-1")
+    progress.target = PodIdentity(name="w-2", uid="uid-2") if result == "Recovered" else None
+    progress.strategy = "Fallback/Executing" if result == "Recovered" else ""
+    progress.moments |= {"last_output": at - 0.012, "first_output": at + 0.04}
+    return progress
+
+
+def counted(kind: str, result: str) -> float:
+    return REGISTRY.get_sample_value("understudy_switchovers_total", {"kind": kind, "result": result}) or 0.0
+
+
+async def test_a_switchover_is_no_recovery_of_the_metrics_and_no_hand_over_of_a_degraded_instance() -> None:
+    found, before = reporter(), counted("Drain", "Recovered")
+    recoveries = {"strategy": "Fallback/Executing", "result": "Recovered"}
+    failures = REGISTRY.get_sample_value("understudy_recoveries_total", recoveries)
+    recovery = found.record(switchover(2000.0))
+    assert found.planned is None
+    assert counted("Drain", "Recovered") == before + 1
+    assert REGISTRY.get_sample_value("understudy_recoveries_total", recoveries) == failures
+    assert switched(recovery) == (
+        "slow. w-2 took over from w-1 by Fallback/Executing, epoch 0. The robot got no command for 0.052 s"
+    )
+
+
+async def test_one_that_is_given_back_again_and_again_is_one_record_and_no_failure_s() -> None:
+    found = reporter()
+    failure = done(1000.0, planned=False)
+    failure.result, failure.failed = "Failed", [PodIdentity(name="w-1", uid="uid-1")]
+    found.record(failure)
+    for at in (2000.0, 3000.0):
+        found.record(switchover(at, "Failed"))
+    assert found.count == 2
+    assert found.last is not None
+    assert switched(found.last).startswith("slow. w-1 was let through again: ")
+
+
+async def test_what_was_handled_is_known_to_the_next_monitor() -> None:
+    before, after = reporter(), reporter()
+    said = SwitchoverStatus(kind="Failover", request="r", handled="r", phase="Done", since="2026-11-22T14:02:11Z")
+    before.say_switchover(said)
+    after.adopt({"metadata": {"name": "w", "namespace": "fleet", "uid": "u"}, "status": before._body()["status"]})
+    assert after.switchover == said
 
 
 async def test_a_new_monitor_knows_it_and_what_was_said_of_whom() -> None:
