@@ -146,6 +146,7 @@ def test_it_is_handed_over_at_an_idle_moment_and_not_before(kubectl: Kubectl) ->
     assert "Rescheduling" in cell.said()
 
 
+@pytest.mark.long
 def test_a_standby_is_made_ready_while_it_is_degraded_and_takes_over_like_any(kubectl: Kubectl) -> None:
     cell = Degrading(kubectl, {"prewarm": {"poolRef": {"name": NAME}}}, standbys=0)
     first = cell.wait_well()

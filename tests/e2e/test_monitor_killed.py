@@ -40,10 +40,12 @@ def test_an_executing_fallback_survives_the_monitors_death_at_every_step(executi
     killed_at_every_step(executing, "Fallback/Executing")
 
 
+@pytest.mark.long
 def test_an_uninitialized_fallback_survives_the_monitors_death_at_every_step(uninitialized: Robot) -> None:
     killed_at_every_step(uninitialized, "Fallback/Uninitialized")
 
 
+@pytest.mark.long
 def test_a_restart_survives_the_monitors_death_at_every_step(restarting: Robot) -> None:
     killed_at_every_step(restarting, "Restart")
 

@@ -17,7 +17,7 @@ def unchanged(before: dict[str, object], after: dict[str, object]) -> bool:
     }
 
 
-@pytest.mark.parametrize("strategy", ["executing", "restart"])
+@pytest.mark.parametrize("strategy", ["executing", pytest.param("restart", marks=pytest.mark.long)])
 def test_a_deployment_is_protected_without_a_change_to_it(kubectl: Kubectl, strategy: str) -> None:
     robot = Robot(kubectl)
     kubectl.apply(manifest("workload-ref/deployment.yaml"))

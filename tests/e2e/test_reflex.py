@@ -151,6 +151,7 @@ def test_it_works_without_the_api_server_and_is_committed_when_that_is_back(
     eventually(lambda: not reflexive.has_pod(old), within=60, what=f"the failed pod {old} is gone")
 
 
+@pytest.mark.long
 @pytest.mark.local_only
 def test_a_pod_that_thaws_while_there_is_no_api_server_drives_until_the_commit_and_never_after(
     reflexive: Robot, api_server: ApiServer

@@ -152,6 +152,7 @@ def test_an_eviction_waits_until_an_understudy_is_ready(managed: Robot, cordoned
     assert node_of(managed, recovery.new) != node
 
 
+@pytest.mark.long
 def test_evictions_are_not_held_up_for_ever(executing: Robot, cordoned: list[str]) -> None:
     kubectl = executing.kubectl
     old = executing.wait_protected()

@@ -183,6 +183,7 @@ class Client:
         return found
 
 
+@pytest.mark.long
 def test_goals_outlive_two_instances_and_the_proxys_restart_with_held_pods(kubectl: Kubectl) -> None:
     def restart_the_proxy(pod: str) -> None:
         stop = "import os, signal; os.kill(1, signal.SIGTERM)"

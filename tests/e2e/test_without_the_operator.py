@@ -8,7 +8,10 @@ from tests.e2e.scenario import Robot
 from tests.e2e.test_strategies import assert_handed_over
 
 
-@pytest.mark.parametrize("strategy", ["executing", "uninitialized", "restarting"])
+@pytest.mark.parametrize(
+    "strategy",
+    ["executing", *(pytest.param(name, marks=pytest.mark.long) for name in ("uninitialized", "restarting"))],
+)
 def test_a_failover_works_with_the_operator_scaled_to_nothing(strategy: str, request: pytest.FixtureRequest) -> None:
     robot: Robot = request.getfixturevalue(strategy)
     old = robot.wait_protected()
