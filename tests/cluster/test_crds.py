@@ -75,6 +75,7 @@ def test_defaults_are_filled_in(make) -> None:
         "failurePolicyRef": {"name": "navigation"},
         "ros": {"domainId": 0, "discovery": {"mode": "Managed"}},
         "gate": {"kind": "NetworkPolicy"},
+        "draining": {"holdFor": "5m"},
         "monitor": {"diagnostics": False, "snapshots": False},
         "poolPriority": 0,
     }
