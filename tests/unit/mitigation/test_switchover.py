@@ -13,7 +13,7 @@ from understudy.api.kept import KeptSample, KeptState
 from understudy.mitigation import switchover
 from understudy.mitigation.bringing import BringUp
 from understudy.mitigation.failover import Choice
-from understudy.mitigation.interfaces import GateState, Instance, Superseded
+from understudy.mitigation.interfaces import GateState, Instance, NotAvailable, Superseded
 from understudy.mitigation.progress import Progress
 from understudy.mitigation.strategies import (
     ExecutingFallback,
@@ -270,3 +270,13 @@ async def test_a_preparation_can_be_broken_off() -> None:
     with pytest.raises(asyncio.CancelledError):
         await task
     assert (store.gate.active, store.commits, store.deleted) == ("w-1", [], [])
+
+
+async def test_an_understudy_that_is_gone_before_the_switch_changes_nothing() -> None:
+    store = driven(pool="hot")
+    world = World(store)
+    found = await prepared_by(world, ExecutingFallback("hot"))
+    store.pods.pop("w-2")
+    with pytest.raises(NotAvailable, match="w-2, which was ready, is gone"):
+        await switch(found, world.means())
+    assert (store.gate.active, store.commits) == ("w-1", [])
