@@ -109,6 +109,12 @@ async def test_its_record_counts_what_the_robot_saw_and_not_the_preparation() ->
     assert [(a.strategy, a.result) for a in recovery.attempts] == [("Fallback/Uninitialized", "Verified")]
 
 
+async def test_when_a_standbys_processes_were_started_is_of_no_interest() -> None:
+    done = await switched(World(driven(pool="warm")), InitializedFallback("warm", recovery=BRING_UP))
+    assert "started" not in done.moments, "long ago"
+    assert "ready" in done.moments
+
+
 async def test_where_no_understudy_is_ready_nothing_is_changed_and_the_reason_is_told() -> None:
     store = driven(pool="hot", ready=False)
     found = await prepared_by(World(store), ExecutingFallback("hot"), UninitializedFallback("spare"), Restart())
