@@ -157,7 +157,7 @@ def test_evictions_are_not_held_up_for_ever(executing: Robot, cordoned: list[str
     kubectl = executing.kubectl
     old = executing.wait_protected()
     kubectl.patch("fallbackpool", "quickstart-executing", {"spec": {"perWorkload": 0}})
-    kubectl.patch("robotworkload", executing.workload, {"spec": {"draining": {"holdFor": "15s"}}})
+    kubectl.patch("robotworkload", executing.workload, {"spec": {"draining": {"holdFor": "30s"}}})
     eventually(lambda: len(executing.pods()) == 1, within=60, what="no standby is left", note=executing.describe)
     node = node_of(executing, old)
     cordoned.append(node)
@@ -173,7 +173,7 @@ def test_evictions_are_not_held_up_for_ever(executing: Robot, cordoned: list[str
     assert executing.wait_driven() == old, "the eviction waits"
     eventually(
         lambda: executing.condition("Draining").get("reason") == "HoldEnded",
-        within=30,
+        within=60,
         what="nobody is held up any longer",
         note=executing.describe,
     )

@@ -16,7 +16,7 @@ from pydantic import ValidationError
 from understudy.api import names
 from understudy.api.policies import Strategy
 from understudy.api.settings import PoolChoice, WorkloadSettings
-from understudy.api.switchovers import Drain
+from understudy.api.switchovers import ENDED, Drain
 from understudy.api.workloads import RobotWorkloadSpec
 from understudy.choosing.ordering import Order
 from understudy.cluster.client import (
@@ -600,24 +600,25 @@ def waits_for_standby(observed: Observed, understanding: Understanding) -> str |
 def _scale(made: Plan, observed: Observed) -> None:
     """One pod of the template, or none while a pod of a shared pool drives and nobody wants another as a standby.
 
-    While the gate is closed the monitor may be at it, so it stays as it is.
+    While the gate is closed the monitor may be at it, so it stays as it is; and while a switchover is asked for or under way, for
+    which a pod may be started beside the one that drives.
     """
     live = observed.owned.get(("replicasets", objects.name(observed.workload)))
-    if live is None or observed.gate is None or not objects.active(observed.gate)[0]:
+    if live is None or observed.gate is None or not objects.active(observed.gate)[0] or _switching(observed.workload):
         return
     driving = [p for p in observed.pods if objects.is_active(p, observed.gate) and objects.alive(p)]
     foreign = any(objects.labels(pod).get(names.SOURCE) != "workload" for pod in driving)
     standing_by = sum(wanted(observed, pool) for pool in standby_pools(observed))
-    replicas = 0 if foreign and not standing_by and not _going_home(observed.workload) else 1
+    replicas = 0 if foreign and not standing_by else 1
     if (live.get("spec") or {}).get("replicas", 1) != replicas:
         made.writes.append(Patch(REPLICA_SETS, live, {"spec": {"replicas": replicas}}, subresource="scale"))
 
 
-def _going_home(workload: Object) -> bool:
-    """Whether somebody asks for a failback, and its monitor hasn't come to an end of that: the pod for it is started beside."""
-    asked = objects.notes(workload).get(names.SWITCHOVER, "")
+def _switching(workload: Object) -> bool:
+    """Whether a switchover is asked for or under way, by what its monitor says."""
+    asked = objects.notes(workload).get(names.SWITCHOVER)
     said = (workload.get("status") or {}).get("switchover") or {}
-    return asked.startswith("failback") and asked != said.get("handled")
+    return bool(asked and asked != said.get("handled")) or said.get("phase", ENDED[0]) not in ENDED
 
 
 def _standbys(made: Plan, observed: Observed, pool: str, built: Object, fresh: Fresh) -> None:

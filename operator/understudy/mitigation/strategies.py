@@ -341,6 +341,7 @@ class UninitializedFallback(Strategy):
         progress.target = PodIdentity(name=target.name, uid=target.uid)
         progress.moments["claimed"] = means.clock()
         await means.agents.start(target)
+        await _started(target, progress, means)
         await _make_ready(target, progress, means, self._recovery, within=end - _now())
         return target
 
@@ -420,6 +421,8 @@ class Restart(Strategy):
         progress.target = PodIdentity(name=target.name, uid=target.uid)
         if (reason := unfit(target)) is not None:
             raise NotVerified(f"{target.name} {reason}")
+        if not own:
+            await _started(target, progress, means)
         # What has run for a while was brought up already (monitor/bringing.py).
         standing = bool(own) and means.agents.is_ready(target)[0]
         await _make_ready(target, progress, means, None if standing else self._recovery, within=end - _now())
@@ -538,10 +541,12 @@ async def _started(target: Instance, progress: Progress, means: Means) -> None:
 async def _make_ready(
     target: Instance, progress: Progress, means: Means, recovery: BringUp | None, *, within: float
 ) -> None:
-    """Bring an instance to where it can drive while another one does, with the state that is kept of that. Raises NotVerified."""
+    """Bring an instance whose processes are up to where it can drive while another one does, with the state that is kept of that.
+
+    Raises NotVerified.
+    """
     end = _now() + within
     progress.target = PodIdentity(name=target.name, uid=target.uid)
-    await _started(target, progress, means)
     await _prepare(target, progress, means, recovery, end=end)
     if target.has_agent:
         progress.moments["ready"] = await means.agents.ready(target)

@@ -92,11 +92,13 @@ async def prepare(progress: Progress, choices: Sequence[Choice], means: Means, u
 async def switch(prepared: Prepared, means: Means) -> Progress:
     """Have a prepared understudy drive, and the instance that drives now no longer.
 
-    Returns the progress with its result; with Failed the former instance drives. Raises Superseded, and TimeoutError where
-    the API server didn't answer: whether the gate was switched will be seen.
+    Returns the progress with its result; with Failed the former instance drives. Raises NotAvailable where the understudy is gone
+    meanwhile, Superseded, and TimeoutError where the API server didn't answer: whether the gate was switched will be seen.
     """
     progress, target, state = prepared.progress, prepared.target, means.gate.state
     assert target is not None, "it was prepared"
+    if not any(i.uid == target.uid and i.usable for i in means.instances.of_workload()):
+        raise NotAvailable(f"{target.name}, which was ready, is gone")
     progress.former = PodIdentity(name=state.active, uid=state.active_uid)
     progress.attempts = list(prepared.attempts)
     now = means.clock()

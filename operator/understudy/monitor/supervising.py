@@ -25,7 +25,7 @@ from understudy.cluster.probes import ProbeReceiver
 from understudy.mitigation import reflex, switchover
 from understudy.mitigation.escalation import Escalation
 from understudy.mitigation.failover import Choice, recover
-from understudy.mitigation.interfaces import Instance, Superseded
+from understudy.mitigation.interfaces import Instance, NotAvailable, Superseded
 from understudy.mitigation.journal import Journal
 from understudy.mitigation.progress import PodIdentity, Progress
 from understudy.mitigation.strategies import Means, Strategy
@@ -795,7 +795,7 @@ class Supervisor:
                     await switchover.switch(prepared, means)
                 else:
                     await switchover.settle(progress, means)
-        except (Superseded, ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
+        except (NotAvailable, Superseded, ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
             if progress.result == "Running":
                 reason = str(error) or f"the API server didn't answer within {switchover.COMMIT_WITHIN:g} s"
                 _logger.warning("switchover %s given up: %s", progress.id, reason)

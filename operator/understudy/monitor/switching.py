@@ -108,7 +108,10 @@ class Switching:
             elif now >= self._next and self._progress is not None:
                 self._say(self._progress, "Preparing", "An understudy is being brought to where it can drive.")
             return None
-        if wanted is None or now < self._next:
+        if wanted is None:
+            self._over_and_done()
+            return None
+        if now < self._next:
             return None
         self._next = now + LOOK
         if lacking:
@@ -128,7 +131,7 @@ class Switching:
             return None
         if progress.index == 0 and wanted is not None and wanted.kind != "Failback":
             return progress.target
-        self._leftovers.add(progress.target)
+        self._leave(progress, progress.target)
         return None
 
     def switching(self, progress: Progress) -> None:
@@ -139,10 +142,9 @@ class Switching:
 
     def given_up(self, progress: Progress, reason: str) -> None:
         """The gate couldn't be switched. What was prepared isn't needed; should it drive after all, that will be seen."""
-        if self._touched is not None:
-            self._leftovers.add(self._touched)
+        self._leave(progress, self._touched)
         self._stop()
-        self._next = time.monotonic() + AGAIN
+        self._rest(progress.switchover)
         text = f"The gate wasn't switched: {reason}."
         self._reporter.event("Warning", "SwitchoverNotDone", text)
         self._say(progress, "NotDone", text)
@@ -150,8 +152,9 @@ class Switching:
     def done(self, progress: Progress, text: str) -> None:
         """The gate was switched, and it was seen what came of it."""
         self._stop()
-        self._next = time.monotonic() + (0.0 if progress.result == "Recovered" else AGAIN)
-        self._say(progress, "Done" if progress.result == "Recovered" else "NotDone", text)
+        if progress.result != "Recovered":
+            self._rest(progress.switchover)
+        self._say(progress, "Done" if progress.result == "Recovered" else "NotDone", text, recovery=progress.id)
 
     def unsettled(self) -> Progress | None:
         """A switchover whose commit was carried out after it had been given up, or by a monitor that is gone."""
@@ -244,11 +247,12 @@ class Switching:
         if prepared.passing:
             self._wait(wanted, prepared.reason, time.monotonic())
         else:
-            self._next = time.monotonic() + AGAIN
+            self._rest(wanted.kind)
             self._end("NotDone", f"No understudy could drive, and nothing was changed: {prepared.reason}.", wanted)
         return None
 
     def _wait(self, wanted: Wanted, reason: str, now: float) -> None:
+        reason = reason.rstrip(".")
         if self._waits_since[0] != wanted.key:
             self._waits_since = (wanted.key, now)
         if wanted.request and now - self._waits_since[1] >= PATIENCE:
@@ -270,10 +274,26 @@ class Switching:
     def _abandon(self, reason: str) -> None:
         wanted, progress = self._wanted, self._progress
         self._stop()
-        if progress is not None and progress.target is not None:
-            self._leftovers.add(progress.target)
+        if progress is not None:
+            self._leave(progress, progress.target)
         if wanted is not None:
             self._end("NotDone", f"Nothing was changed: {reason}.", wanted)
+
+    def _over_and_done(self) -> None:
+        """Nobody asks for one. What waited, or was being prepared by an earlier monitor, comes to its end with that."""
+        said = self._reporter.switchover
+        if said is not None and said.phase not in ENDED:
+            message = "Nothing was changed: it isn't asked for any more."
+            self._tell(said.model_copy(update={"phase": "NotDone", "message": message, "since": moment()}))
+
+    def _leave(self, progress: Progress, target: PodIdentity | None) -> None:
+        """An understudy that something was done to isn't needed. A pod of the workload's own controller is that one's business."""
+        if target is not None and progress.strategy != Restart.name:
+            self._leftovers.add(target)
+
+    def _rest(self, kind: Kind | None) -> None:
+        """Have what goes on asking ask again after a while only."""
+        self._next = time.monotonic() + (AGAIN if kind == "Drain" else LOOK)
 
     def _stop(self) -> None:
         if self._task is not None:
@@ -287,9 +307,8 @@ class Switching:
         said = self._reporter.switchover
         return said is None or said.phase in ENDED or (said.kind, said.request) != (wanted.kind, wanted.request)
 
-    def _say(self, progress: Progress, phase: Phase, message: str) -> None:
+    def _say(self, progress: Progress, phase: Phase, message: str, *, recovery: str = "") -> None:
         target = progress.target.name if progress.target is not None else ""
-        recovery = progress.id if phase in ENDED else ""
         kind = progress.switchover
         assert kind is not None, "it is a switchover"
         self._tell(

@@ -228,7 +228,7 @@ def test_a_budget_of_somebody_else_means_something_to_every_workload_of_its_name
     assert seen == [{Key(WORKLOADS.plural, NAMESPACE, "w")}, set()], "what its controller counts means nothing"
 
 
-def test_for_a_failback_the_workloads_own_controller_runs_a_pod_beside_the_one_that_drives() -> None:
+def test_a_pod_that_is_started_for_a_switchover_beside_the_one_that_drives_is_left() -> None:
     made = world("spare", "Restart")
     made.others = [item for item in made.others if objects.name(item) != "hot"]
     driving = on("node-2", claimed_pod("s-1", of=spare(), by=made.workload))
@@ -239,5 +239,7 @@ def test_for_a_failback_the_workloads_own_controller_runs_a_pod_beside_the_one_t
     asked = request("failback", NOW)
     made.workload["metadata"]["annotations"] = {names.SWITCHOVER: asked}
     assert "w" not in patched(made.plan(), "replicasets")
-    made.workload["status"] = {"switchover": {"handled": asked}}
+    made.workload["status"] = {"switchover": {"handled": asked, "phase": "Waiting"}}
+    assert "w" not in patched(made.plan(), "replicasets"), "such as for a drain, for which nobody asks"
+    made.workload["status"] = {"switchover": {"handled": asked, "phase": "NotDone"}}
     assert patched(made.plan(), "replicasets")["w"] == {"spec": {"replicas": 0}}, "it came to nothing"

@@ -13,7 +13,7 @@ from understudy.api.kept import KeptSample, KeptState
 from understudy.mitigation import switchover
 from understudy.mitigation.bringing import BringUp
 from understudy.mitigation.failover import Choice
-from understudy.mitigation.interfaces import GateState, Instance, Superseded
+from understudy.mitigation.interfaces import GateState, Instance, NotAvailable, Superseded
 from understudy.mitigation.progress import Progress
 from understudy.mitigation.strategies import (
     ExecutingFallback,
@@ -107,6 +107,12 @@ async def test_its_record_counts_what_the_robot_saw_and_not_the_preparation() ->
     assert (recovery.parts.detection, recovery.parts.startup, recovery.parts.reinitialization) == (0.0, 0.0, 0.0)
     assert recovery.moments.last_output is not None
     assert [(a.strategy, a.result) for a in recovery.attempts] == [("Fallback/Uninitialized", "Verified")]
+
+
+async def test_when_a_standbys_processes_were_started_is_of_no_interest() -> None:
+    done = await switched(World(driven(pool="warm")), InitializedFallback("warm", recovery=BRING_UP))
+    assert "started" not in done.moments, "long ago"
+    assert "ready" in done.moments
 
 
 async def test_where_no_understudy_is_ready_nothing_is_changed_and_the_reason_is_told() -> None:
@@ -270,3 +276,13 @@ async def test_a_preparation_can_be_broken_off() -> None:
     with pytest.raises(asyncio.CancelledError):
         await task
     assert (store.gate.active, store.commits, store.deleted) == ("w-1", [], [])
+
+
+async def test_an_understudy_that_is_gone_before_the_switch_changes_nothing() -> None:
+    store = driven(pool="hot")
+    world = World(store)
+    found = await prepared_by(world, ExecutingFallback("hot"))
+    store.pods.pop("w-2")
+    with pytest.raises(NotAvailable, match="w-2, which was ready, is gone"):
+        await switch(found, world.means())
+    assert (store.gate.active, store.commits) == ("w-1", [])

@@ -48,7 +48,7 @@ class Reporter:
     switchover = None
 
     def __init__(self, *said: Condition, adopted: str = "") -> None:
-        self.adopted = adopted
+        self.adopted, self.switchover = adopted, None
         self.said = {one.type: one for one in said}
         self.events: list[tuple[str, str, str]] = []
         self.writes = 0

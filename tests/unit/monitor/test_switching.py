@@ -246,6 +246,16 @@ async def test_a_request_that_is_taken_back_leaves_nothing_behind() -> None:
     assert (scene.told.phase, scene.left) == ("NotDone", ["w-2"]), "what was begun with is of no use"
 
 
+async def test_one_that_waits_ends_when_nobody_asks_for_it_any_more() -> None:
+    scene = Scene(ready=False)
+    scene.drain()
+    assert await scene.looked(0.05) is None
+    assert scene.told.phase == "Waiting"
+    scene.view.settings.drain = None
+    assert await scene.looked(0.05) is None
+    assert (scene.told.phase, scene.told.message) == ("NotDone", "Nothing was changed: it isn't asked for any more.")
+
+
 async def test_a_drain_takes_no_understudy_of_a_node_that_is_drained_too_and_waits() -> None:
     scene = Scene()
     scene.drain("node-2")
