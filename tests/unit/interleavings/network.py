@@ -65,7 +65,7 @@ class Network:
         self.weather = Weather()
         self.noted: Callable[[str], None] = lambda text: None
         self.sending: Callable[[Process, str, str], None] = lambda process, method, path: None
-        """Called with a process that sends a request, its method and its path."""
+        """Called with a process that sends a request, its method and its path; not where the server is only to judge it."""
         self.cut_off: set[Process] = set()
         """Processes of which nothing arrives, and to which nothing comes."""
         self._waiting: dict[str, list[asyncio.Future[None]]] = {}
@@ -127,7 +127,8 @@ class SimulatedClient(Client):
         content_type: str = "application/json",
     ) -> Object:
         network, process = self._network, self._process
-        network.sending(process, method, path)
+        if "dryRun" not in (params or {}):
+            network.sending(process, method, path)
         answer: asyncio.Future[Object] = network.loop.create_future()
         fate = "lost" if process in network.cut_off else network.fate()
         short = f"{method} {path.rpartition('/namespaces/')[2]}"
