@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 
 from tests.unit.interleavings.apiserver import ApiServer
@@ -11,7 +12,7 @@ from understudy.api import names
 from understudy.cluster import gates
 from understudy.cluster.applying import controller_of
 from understudy.cluster.client import Object
-from understudy.controller import objects, poolsizes
+from understudy.controller import nodes, objects, poolsizes
 
 KNOWN = 70.0
 """Seconds within which an operator knows of a pool's new size: two of its lists, and their longest waits."""
@@ -29,6 +30,8 @@ class Invariants:
         """Pods that an operator had asked for and that came when it led no longer: nobody could count with them."""
         self._sizes: dict[str, list[tuple[float, int]]] = {}
         """By pool, since when it was to have how many pods."""
+        self._emptied: dict[str, float] = {}
+        """By node, until when an operator may take it for one that is to be emptied."""
         self.failed: dict[str, float] = {}
         """Pods that failed for good while they were in control, and when."""
         self.commits = self.claims = self.creations = 0
@@ -46,6 +49,8 @@ class Invariants:
         elif plural == "fallbackpools" and new is not None and old is not None:
             sizes = self._sizes.setdefault(_name(new), [(self._robots.now, _size(old))])
             sizes += [(self._robots.now, _size(old)), (self._robots.now, _size(new))]
+        elif plural == "nodes" and new is not None:
+            self._emptied[_name(new)] = math.inf if nodes.is_cordoned(new) else self._robots.now + KNOWN
         elif plural == "networkpolicies" and new is not None and _name(new).endswith("-gate"):
             self._gate(old, new)
 
@@ -114,6 +119,7 @@ class Invariants:
             and _labels(other)[names.TEMPLATE_HASH] == labels[names.TEMPLATE_HASH]
             and not _claimed(other)
             and _living(other)
+            and self._emptied.get(nodes.of(other), 0.0) < self._robots.now  # else it is replaced before it goes
         ]
         wanted = _size(self._server.items["fallbackpools"][(pod["metadata"]["namespace"], pool)])
         of_late = [size for since, size in self._sizes.get(pool, []) if self._robots.now - since < KNOWN]
