@@ -152,3 +152,21 @@ tools.mkdir(exist_ok=True)
 (tools / "helm").symlink_to(built / "helm")
 PYTHON
 }
+
+# kwok_program: makes sure that there is the kwok that simulates nodes and pods for benches, in $CACHE/tools.
+kwok_program() {
+    (cd "$REPOSITORY" && "$PYTHON" - "$CACHE/tools") <<'PYTHON'
+import sys
+from pathlib import Path
+
+from testcluster import golang
+from testcluster.progress import Progress
+
+source = Path("testcluster/local/kwok")
+built = golang.build("kwok", source.resolve(), ["sigs.k8s.io/kwok/cmd/kwok"], ["-ldflags=-s -w"], Progress(), "one to five minutes, once")
+tools = Path(sys.argv[1])
+tools.mkdir(exist_ok=True)
+(tools / "kwok").unlink(missing_ok=True)
+(tools / "kwok").symlink_to(built / "kwok")
+PYTHON
+}

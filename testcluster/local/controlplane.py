@@ -60,7 +60,10 @@ def _apiserver(layout: Layout, pki: Path) -> list[str]:
     ]
 
 
-def _controller_manager(pki: Path) -> list[str]:
+def _controller_manager(layout: Layout, pki: Path) -> list[str]:
+    # A node is lost six seconds after its last sign of life (upstream: 50), and its pods are evicted at once. Simulated
+    # ones are never lost: whoever is late with their signs of life is the simulator.
+    losses = ["--node-monitor-period=1s", "--node-monitor-grace-period=6s"] if layout.node_count else []
     return [
         "kube-controller-manager",
         f"--kubeconfig={pki}/controller-manager.conf",
@@ -70,9 +73,7 @@ def _controller_manager(pki: Path) -> list[str]:
         f"--cluster-signing-key-file={pki}/ca.key",
         "--use-service-account-credentials",
         "--leader-elect=false",
-        # A node is lost six seconds after its last sign of life (upstream: 50), and its pods are evicted at once.
-        "--node-monitor-period=1s",
-        "--node-monitor-grace-period=6s",
+        *losses,
         "--node-eviction-rate=10",
         "--kube-api-qps=200",
         "--kube-api-burst=400",
@@ -80,7 +81,13 @@ def _controller_manager(pki: Path) -> list[str]:
 
 
 def _scheduler(pki: Path) -> list[str]:
-    return ["kube-scheduler", f"--kubeconfig={pki}/scheduler.conf", "--leader-elect=false"]
+    return [
+        "kube-scheduler",
+        f"--kubeconfig={pki}/scheduler.conf",
+        "--leader-elect=false",
+        "--kube-api-qps=200",
+        "--kube-api-burst=400",
+    ]
 
 
 def kubectl(layout: Layout, programs: Programs, *arguments: str, input: str | None = None) -> str:
@@ -158,6 +165,6 @@ def up(layout: Layout, programs: Programs, pki: Path, holder: int) -> None:
     start(_etcd(layout))
     start(_apiserver(layout, pki))
     wait_until(lambda: answers(layout), 180, f"the API server answers (its log: {layout.log}/kube-apiserver.log)")
-    start(_controller_manager(pki))
+    start(_controller_manager(layout, pki))
     start(_scheduler(pki))
     layout.api_ready.touch()

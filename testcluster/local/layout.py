@@ -226,6 +226,6 @@ def decide(name: str) -> Layout:
     else:
         network = _free_network(taken)
     asked = os.environ.get("UNDERSTUDY_CLUSTER_NODES", "3")
-    if not asked.isdigit() or not 1 <= int(asked) <= MAX_NODES:
-        raise BadSetting(f"UNDERSTUDY_CLUSTER_NODES={asked}: a number from 1 to {MAX_NODES} is needed")
+    if not asked.isdigit() or not 0 <= int(asked) <= MAX_NODES:
+        raise BadSetting(f"UNDERSTUDY_CLUSTER_NODES={asked}: a number from 0 to {MAX_NODES} is needed")
     return Layout(name, slot, network, int(asked), f"understudy-{name}-{mark()}")

@@ -135,7 +135,7 @@ class LocalProvider(Provider):
         ready: set[str] = set()
         if answers:
             with contextlib.suppress(CommandFailed):
-                ready = system.ready_nodes(layout, programs)
+                ready = system.ready_nodes(layout, programs) & {node_name(node) for node in layout.nodes}
         for node in layout.nodes:
             power = "on" if nodes.init(layout, node) else "off"
             cable = "" if network.node_connected(layout, node) else ", cable out"

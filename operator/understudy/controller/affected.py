@@ -22,7 +22,7 @@ from understudy.cluster.client import (
     Object,
     Resource,
 )
-from understudy.controller import choosing, dependencies, healthtrees, nodes, objects, policies, storms
+from understudy.controller import choosing, dependencies, healthtrees, nodes, objects, policies, pools, storms
 from understudy.controller.stores import Sight, Store
 
 
@@ -147,8 +147,24 @@ def _after_pod(sight: Sight, store: Store, namespace: str) -> Iterator[Key]:
         for label, plural in ((names.WORKLOAD, WORKLOADS), (names.MONITORED, WORKLOADS), (names.POOL, POOLS)):
             if label in labels:
                 yield Key(plural.plural, namespace, labels[label])
-        if names.HELD in labels:
+        if names.HELD in labels and not _plenty(item, store, namespace):
             yield from _pool_users(labels.get(names.POOL, ""), store, namespace)
+
+
+def _plenty(held: Object, store: Store, namespace: str) -> bool:
+    """Whether a shared pool has so many other pods that can be claimed that this one makes no difference to any workload.
+
+    Without that each claim, and each step of a pod that comes up, would have every workload of a fleet looked at.
+    """
+    name = objects.labels(held).get(names.POOL, "")
+    pool = store.get(POOLS, namespace, name)
+    if pool is None:
+        return False
+    pods = store.labelled(PODS, namespace, names.POOL, name)
+    others = [pod for pod in pods if names.HELD in objects.labels(pod) and objects.uid(pod) != objects.uid(held)]
+    others = [pod for pod in others if objects.alive(pod)]
+    reserved = ((pool.get("spec") or {}).get("reserve") or {}).get("pods") or 0
+    return len(pools.claimable_now(others, store.get(NETWORK_POLICIES, namespace, names.held(name)))) > reserved
 
 
 def _after_policy(policy: Object, store: Store, namespace: str) -> Iterator[Key]:

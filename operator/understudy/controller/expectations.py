@@ -5,8 +5,10 @@ from __future__ import annotations
 import time
 from collections import defaultdict
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
-from understudy.controller.affected import Key
+if TYPE_CHECKING:  # whom a change affects depends on pods, and so on what is expected of them
+    from understudy.controller.affected import Key
 
 LASTS = 60.0
 """Seconds after which an unobserved pod is taken as never made; a request's own timeout is far shorter."""

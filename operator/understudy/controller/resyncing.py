@@ -33,7 +33,7 @@ from understudy.cluster.client import (
     Resource,
 )
 from understudy.controller import healthtrees, objects
-from understudy.controller.stores import Sight, Store
+from understudy.controller.stores import Sight, Store, slim
 
 _logger = logging.getLogger(__name__)
 
@@ -109,10 +109,14 @@ async def resync(client: Client, store: Store, namespaces: Sequence[str]) -> lis
     sights: list[Sight] = []
     for resource, selectors in LISTED:
         for namespace in (namespaces if resource != NODES else ()) or (None,):
-            answers = [await client.list(resource, namespace, labels=selector) for selector in selectors]
-            items = [item for answer in answers for item in _items(answer)]
+            items: list[Object] = []
             # the first list's version: what was made between two lists is newer and stays
-            version = int(answers[0]["metadata"]["resourceVersion"])
+            version: int | None = None
+            for selector in selectors:
+                async for answer in client.pages(resource, namespace, labels=selector):
+                    version = int(answer["metadata"]["resourceVersion"]) if version is None else version
+                    items += (slim(resource, item) for item in _items(answer))
+            assert version is not None, "every list has a part"
             covered = functools.partial(listed, resource)
             sights += store.replace(resource, items, version, namespace, covered=covered)
     return sights

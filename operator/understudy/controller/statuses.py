@@ -373,12 +373,13 @@ def _uninitialized(observed: Observed, label: str, pool: Object, priority: int) 
     ready = pools.claimable_now(held, observed.held_policies.get(name))
     kept = policies.pool_spec(pool).kept_from(priority) if workloads.refused(observed, name) is None else 0
     if len(ready) > kept:
-        return Means(label, True, message=f"{len(ready) - kept} ready (Uninitialized)")
+        # How many it has is in its own status: here each claim would be a write for every workload that it serves.
+        return Means(label, True, message="it has pods ready (Uninitialized)")
     if ready:
         words = (
             f"FallbackPool {name} keeps its last {kept} for workloads with a higher spec.poolPriority (spec.reserve)"
         )
-        return Means(label, False, "PodsReserved", f"{words}, and has {len(ready)} ready")
+        return Means(label, False, "PodsReserved", f"{words}, and has no more ready")
     if not poolsizes.size(pool):
         field = "spec.sizing.min" if pool["spec"].get("sizing") else "spec.replicas"
         return Means(label, False, "PoolEmpty", f"FallbackPool {name} has {field} 0")
@@ -400,9 +401,12 @@ def standby(observed: Observed, understanding: Understanding) -> str:
             have = sum(objects.ready(pod) for pod in waiting(observed, pool))
             return f"{policies.readiness(pool)} ({min(have, want)}/{want})"
         if policies.readiness(pool) == "Uninitialized":
-            want = poolsizes.size(pool)
+            # Of a shared pool one counts, which is all that it could claim: a number that changes with each claim of any
+            # other workload would be written as often to all of them.
+            want = min(1, poolsizes.size(pool))
             held = observed.unclaimed.get(name, ())
-            return f"Uninitialized ({len(pools.claimable_now(held, observed.held_policies.get(name)))}/{want})"
+            have = len(pools.claimable_now(held, observed.held_policies.get(name)))
+            return f"Uninitialized ({min(have, want)}/{want})"
     if understanding.policy_problem is not None or understanding.spec is None:
         known: str = (observed.workload.get("status") or {}).get("standby") or "Unknown"
         return known

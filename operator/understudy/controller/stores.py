@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from understudy.api import names
 from understudy.cluster.applying import controller_of
 from understudy.cluster.client import Object, Resource
+from understudy.controller.sharing import Sharing
 
 REMEMBERED_SECONDS = 300.0
 """How long a deleted object is remembered, so that a list from before its deletion doesn't bring it back."""
@@ -39,6 +40,7 @@ class Store:
         self._index: dict[Index, dict[tuple[str, str, str], Object]] = defaultdict(dict)
         self._gone: dict[str, tuple[int, float]] = {}
         self._swept = clock()
+        self._sharing = Sharing(clock=clock)
         self.noticed: Callable[[Sight], None] = lambda sight: None
         """Called with every change, whoever brought it: what one object's work writes may mean something to another."""
 
@@ -80,7 +82,7 @@ class Store:
         gone = self._gone.get(metadata.get("uid", ""))
         if gone is not None and gone[0] >= version(item):
             return None
-        new = slim(resource, item)
+        new = self._sharing.of(slim(resource, item), old)
         self._unindex(resource, place, old)
         self._items[resource.plural][place] = new
         for key in _keys(resource, new):

@@ -7,6 +7,7 @@ understudy is brought up behind it, and the gate then opens for it (DESIGN: the 
 from __future__ import annotations
 
 import asyncio
+import hashlib
 import logging
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Coroutine, Sequence
@@ -364,8 +365,14 @@ class UninitializedFallback(Strategy):
 
     async def _claim(self, progress: Progress, means: Means, unfit: Unfit = lambda instance: None) -> Instance | None:
         """One of the pods that it may take; None where others were first."""
-        ahead = before(self._place(progress, means), means.queue.others(self.pool), means.clock())
-        for candidate in left_by(ahead, self._free(progress, means)):
+        others = means.queue.others(self.pool)
+        ahead = before(self._place(progress, means), others, means.clock())
+        candidates = left_by(ahead, self._free(progress, means))
+        if progress.waiting is None and not others:
+            # Where many fail at once, each begins with another pod: all but one would lose the race for the first one, and
+            # for the second. Those that wait have an order instead.
+            candidates = apart(candidates, means.workload_uid)
+        for candidate in candidates:
             if unfit(candidate) is not None:
                 continue
             try:
@@ -373,6 +380,11 @@ class UninitializedFallback(Strategy):
             except ClaimLost:
                 self._lost.add(candidate.uid)
         return None
+
+
+def apart(pods: Sequence[Instance], workload_uid: str) -> list[Instance]:
+    """Pods in an order that is another for each workload, and always the same for one (rendezvous hashing)."""
+    return sorted(pods, key=lambda pod: hashlib.sha256(f"{workload_uid}/{pod.uid}".encode()).digest())
 
 
 class Restart(Strategy):

@@ -227,7 +227,7 @@ IMAGE = (
 
 def unprotected() -> Object:
     name = "robot-19-navigation"
-    outlook = "If it failed now, Fallback from pool navigation-spare would be used: 3 ready (Uninitialized)."
+    outlook = "If it failed now, Fallback from pool navigation-spare would be used: it has pods ready (Uninitialized)."
     return workload(
         name,
         status=status(

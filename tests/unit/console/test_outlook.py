@@ -59,7 +59,7 @@ def test_a_robot_whose_protection_is_complete() -> None:
         "median of the last 2 times."
     )
     assert second.startswith(
-        "✓ 2. Fallback from pool navigation-spare is next, if that is not verified within 1s: 3 ready"
+        "✓ 2. Fallback from pool navigation-spare is next, if that is not verified within 1s: it has pods ready"
     )
     assert third.startswith("✓ 3. Restart is next, if that is not verified within 20s. It took 3.68 s, the last time.")
     assert text["Missing"] == ["✓ Nothing: its protection is complete."]
@@ -101,7 +101,7 @@ def test_a_strategy_that_could_not_be_carried_out_is_told_with_the_way_out_and_w
         "✗ 1. Fallback from pool navigation-hot can't be carried out (ImagePullBackOff): pod robot-19"
     )
     assert first.endswith("Check the image's name, that its registry can be reached, and imagePullSecrets.")
-    assert second.startswith("✓ 2. Fallback from pool navigation-spare would be carried out: 3 ready")
+    assert second.startswith("✓ 2. Fallback from pool navigation-spare would be carried out: it has pods ready")
     assert "robot-19-navigation-w7h5k on node-2: not ready (ImagePullBackOff)" in text["Pools"]
     assert text["Missing"] == [
         "✗ not protected (ImagePullBackOff, 3m12s): the first strategy of its policy can't be carried out, see above."

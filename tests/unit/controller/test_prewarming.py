@@ -125,7 +125,7 @@ class TestWhatIsSaid:
             made = world(said)
             assert made.condition("Protected")["status"] == "True"
             assert "from pool spare" in made.condition("Protected")["message"]
-            assert made.status()["standby"] == "Uninitialized (1/2)"
+            assert made.status()["standby"] == "Uninitialized (1/1)"
 
     def test_then_it_is_the_first(self) -> None:
         made = world("True")

@@ -139,8 +139,22 @@ def test_a_shared_pool_in_the_column() -> None:
     found = world(policy("spare", "Restart"), spare(replicas=2))
     pool = spare(replicas=2)
     found.unclaimed = {"spare": [held_pod("spare-a", of=pool), held_pod("spare-b", of=pool, ready=False)]}
-    assert found.status()["standby"] == "Uninitialized (1/2)"
+    assert found.status()["standby"] == "Uninitialized (1/1)"
     assert found.condition("Protected")["status"] == "True"
+    found.unclaimed = {"spare": [held_pod("spare-b", of=pool, ready=False)]}
+    assert found.status()["standby"] == "Uninitialized (0/1)"
+    assert found.condition("Protected")["status"] == "False"
+
+
+def test_how_many_pods_a_shared_pool_has_changes_nothing_of_a_workload() -> None:
+    """Or each claim would be a write for each workload of a fleet."""
+    pool = spare(replicas=9)
+    said = []
+    for count in (1, 2, 9):
+        found = world(policy("spare", "Restart"), pool)
+        found.unclaimed = {"spare": [held_pod(f"spare-{n}", of=pool) for n in range(count)]}
+        said.append(found.status())
+    assert said[0] == said[1] == said[2]
 
 
 @pytest.mark.parametrize(("priority", "status"), [(0, "False"), (100, "True")])
@@ -157,7 +171,7 @@ def test_the_last_pods_that_are_kept_for_others_protect_nobody_else(priority: in
     if not priority:
         assert protected["reason"] == "PodsReserved"
         assert protected["message"] == (
-            "FallbackPool spare keeps its last 1 for workloads with a higher spec.poolPriority (spec.reserve), and has 1 ready. "
+            "FallbackPool spare keeps its last 1 for workloads with a higher spec.poolPriority (spec.reserve), and has no more ready. "
             "If it failed now, Restart would be used."
         )
 

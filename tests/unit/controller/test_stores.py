@@ -136,6 +136,28 @@ class TestAffected:
         found = self.keys(Sight(PODS, None, held_pod("spare-a", of=spare())))
         assert found == {("fallbackpools", "spare"), ("robotworkloads", "w")}
 
+    def test_of_many_held_pods_one_means_its_pool_alone(self) -> None:
+        """Or a fleet's workloads would all be looked at with each claim, and with each step of a pod that comes up."""
+        store, pool = self.store(), spare()
+        first = Sight(PODS, None, held_pod("spare-a", of=pool))
+        for others, known in ((0, True), (1, False)):
+            if others:
+                store.put(PODS, held_pod("spare-b", of=pool))
+            found = {(key.plural, key.name) for key in affected.keys(first, store)}
+            assert ("fallbackpools", "spare") in found
+            assert (("robotworkloads", "w") in found) is known
+
+    def test_where_the_others_are_reserved_or_not_ready_a_held_pod_means_the_workloads_too(self) -> None:
+        for pool, other in (
+            (spare(reserve={"pods": 1, "poolPriority": 100}), held_pod("spare-b", of=spare())),
+            (spare(), held_pod("spare-b", of=spare(), ready=False)),
+        ):
+            store = self.store()
+            store.put(POOLS, at(pool, 11))
+            store.put(PODS, other)
+            found = affected.keys(Sight(PODS, None, held_pod("spare-a", of=spare())), store)
+            assert Key("robotworkloads", "fleet", "w") in found
+
     def test_a_claim_means_pool_and_workload(self) -> None:
         before = held_pod("spare-a", of=spare())
         after = at(pod("spare-a", labels={names.WORKLOAD: "v", names.POOL: "spare"}), 9)

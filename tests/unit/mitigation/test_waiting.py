@@ -14,9 +14,9 @@ from tests.unit.mitigation.test_failover import choices, failure
 from tests.unit.mitigation.world import Killed, Store, World
 from understudy.mitigation import waiting
 from understudy.mitigation.failover import Choice, recover
-from understudy.mitigation.interfaces import GateState
+from understudy.mitigation.interfaces import GateState, Instance
 from understudy.mitigation.progress import Progress, waiter
-from understudy.mitigation.strategies import Restart, UninitializedFallback
+from understudy.mitigation.strategies import Restart, UninitializedFallback, apart
 from understudy.mitigation.waiting import YIELD, YIELD_MOST, Waiter, before, due, in_order, left_by
 
 POOL = "spare"
@@ -416,3 +416,33 @@ async def test_a_monitor_killed_at_any_step_of_a_wait_is_finished_by_the_next() 
         assert len(store.claims) == 1, f"killed at step {step}: claimed more than one pod"
         assert store.gate.recovery is not None
         assert store.gate.recovery.waiting is None, f"killed at step {step}: it still says that it waits"
+
+
+# -- where nobody waits ---------------------------------------------------------------------------------------------------
+
+
+def test_in_a_burst_robots_rarely_race_for_one_pod() -> None:
+    """If all began with the same one, a hundred would lose some five thousand races."""
+    pods = [Instance(f"spare-{n}", f"pod-{n}") for n in range(100)]
+    orders = [apart(pods, f"workload-{n}") for n in range(100)]
+    taken, races = set[str](), 0
+    while orders:  # everybody tries the next one in their order at the same moment
+        left = []
+        for order in orders:
+            if order[0].uid in taken:
+                races += 1
+                left.append(order[1:])
+            taken.add(order[0].uid)
+        orders = left
+    assert len(taken) == 100, "everybody gets one"
+    assert races < 1500
+
+
+def test_a_workload_tries_the_same_pods_in_the_same_order_whoever_lists_them() -> None:
+    pods = [Instance(f"spare-{n}", f"pod-{n}") for n in range(20)]
+    order = apart(pods, "workload")
+    assert order == apart(pods[::-1], "workload")
+    assert sorted(i.uid for i in order) == sorted(i.uid for i in pods)
+    assert [i.uid for i in order if i.uid != order[3].uid] == [
+        i.uid for i in apart([i for i in pods if i.uid != order[3].uid], "workload")
+    ], "one that is gone changes nothing of the others"

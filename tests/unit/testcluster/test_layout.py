@@ -74,9 +74,9 @@ def test_all_parts_of_a_cluster_lie_in_its_network_and_apart(monkeypatch: pytest
         ("UNDERSTUDY_CLUSTER_NETWORK", "10.0.0.0/24", "a /18 is needed"),
         ("UNDERSTUDY_CLUSTER_NETWORK", "10.1.2.3/18", "host bits"),
         ("UNDERSTUDY_CLUSTER_NETWORK", "somewhere", "IPv4 network such as"),
-        ("UNDERSTUDY_CLUSTER_NODES", "none", "a number from 1 to"),
-        ("UNDERSTUDY_CLUSTER_NODES", "0", "a number from 1 to"),
-        ("UNDERSTUDY_CLUSTER_NODES", "32", "a number from 1 to"),
+        ("UNDERSTUDY_CLUSTER_NODES", "none", "a number from 0 to"),
+        ("UNDERSTUDY_CLUSTER_NODES", "-1", "a number from 0 to"),
+        ("UNDERSTUDY_CLUSTER_NODES", "32", "a number from 0 to"),
     ],
 )
 def test_a_setting_that_cannot_be_used_is_named(

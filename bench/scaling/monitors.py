@@ -1,0 +1,313 @@
+"""Many monitors in one process: the real ones but for their senses (bench/scaling/senses.py), each with its own account,
+connections and watches. Run as a role of the bench (bench/roles.py).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import gc
+import logging
+import resource
+import sys
+import tempfile
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, cast
+
+import aiohttp
+
+from bench.roles import answer, end_with_parent, tell
+from bench.scaling.fleets import POOL, Robot
+from bench.scaling.senses import Application, Keeping, Probes, Sidecars, Sight
+from bench.scaling.watches import Borrowed, Drain
+from understudy.api import names
+from understudy.cluster.client import NETWORK_POLICIES, PODS, POLICIES, Access, ApiError
+from understudy.cluster.events import Recorder
+from understudy.cluster.watching import Reflector
+from understudy.mitigation.interfaces import Instance
+from understudy.mitigation.journal import Journal
+from understudy.mitigation.progress import Progress
+from understudy.mitigation.strategies import UninitializedFallback
+from understudy.monitor import supervising
+from understudy.monitor.faults import CrashPoints
+from understudy.monitor.fleet import Fleet
+from understudy.monitor.gating import PolicyGate
+from understudy.monitor.reporting import Reporter
+from understudy.monitor.supervising import Parts, Supervisor
+from understudy.monitor.view import View
+
+TICK = 10.0
+"""Seconds between two looks of a monitor that nothing wakes: what it looks at is simulated here, and wakes it."""
+
+AT_ONCE = 16
+"""Monitors that start at the same time."""
+
+CLAIM_WITHIN = 20.0
+"""Seconds after which a claim that found no pod counts as lost."""
+
+_UNREACHABLE = (ApiError, aiohttp.ClientError, TimeoutError, OSError)
+
+
+class Recording(Reporter):
+    """Tells of each recovery as it is recorded."""
+
+    robot = ""
+    intended = 0.0
+    """When the bench wanted the failure, in unix seconds."""
+
+    def record(self, progress: Progress) -> Any:
+        """Add a finished recovery."""
+        moments = progress.moments
+        tell(
+            "recovered",
+            robot=self.robot,
+            result=progress.result,
+            strategy=progress.strategy,
+            intended=self.intended,
+            attempts=[f"{a.strategy}: {a.result} {a.message}" for a in progress.attempts],
+            moments={name: moments[name] for name in sorted(moments)},
+        )
+        return super().record(progress)
+
+
+@dataclass(frozen=True)
+class Copies:
+    """What all monitors of a namespace watch alike."""
+
+    policies: Reflector
+    held: Reflector
+    waiting: Reflector
+
+
+class Monitor:
+    """One robot's monitor."""
+
+    def __init__(self, robot: Robot, client: Drain, copies: Copies, state: Path) -> None:
+        self.robot, self._client, self._copies, self._state = robot, client, copies, state
+        self.application = Application()
+        self.supervisor: Supervisor | None = None
+        self.fleet: Fleet | None = None
+        self.gate: PolicyGate | None = None
+        self.reporter: Recording | None = None
+
+    async def run(self, watching: asyncio.Event) -> None:
+        """As ``understudy.monitor.running`` puts it together; ``watching`` is set once its copies are there."""
+        client, copies, namespace = self._client, self._copies, self.robot.namespace
+        async with asyncio.TaskGroup() as group:
+            view = View(client, namespace, self.robot.name, on_pod=self.wake)
+            view.policies = Borrowed(copies.policies, client, POLICIES, namespace)
+            view.held_pods = Borrowed(copies.held, client, PODS, namespace, labels=f"{names.HELD}=true")
+            view.waiting_gates = Borrowed(copies.waiting, client, NETWORK_POLICIES, namespace, labels=names.WAITS_FOR)
+            await view.run(group)
+            crash_points = CrashPoints(self._state)
+            self.fleet = Fleet(client, view, crash_points)
+            probes = Probes(self.application)
+            self.gate = probes.gate = PolicyGate(client, view, self.fleet, cast(Any, probes), crash_points)
+            recorder = Recorder(client, "understudy-monitor", "bench")
+            self.reporter = Recording(client, namespace, self.robot.name, recorder)
+            self.reporter.robot = self.robot.key
+            if (item := view.object) is not None:
+                self.reporter.adopt(item)
+            parts = Parts(
+                view=view,
+                fleet=self.fleet,
+                gate=self.gate,
+                sidecars=cast(Any, Sidecars(self.application)),
+                sight=cast(Any, Sight(self.application)),
+                probes=cast(Any, probes),
+                reporter=self.reporter,
+                journal=Journal(self._state / "recovery.json"),
+                crash_points=crash_points,
+                keeping=cast(Any, Keeping()),
+            )
+            self.supervisor = Supervisor(parts)
+            group.create_task(self.reporter.run())
+            watching.set()
+            await self.supervisor.run()
+
+    def wake(self) -> None:
+        """Have it look at once."""
+        if self.supervisor is not None:
+            self.supervisor.wake.set()
+
+    @property
+    def drives(self) -> str:
+        """UID of the instance in control if its outputs flow and nothing is being recovered, else nothing."""
+        if self.gate is None or self.supervisor is None or self.supervisor.recovering is not None:
+            return ""
+        uid = self.gate.state.active_uid
+        return uid if self.application.well(uid) else ""
+
+    def fail(self, intended: float) -> bool:
+        """Have the instance in control fail now; whether there was one."""
+        uid = self.drives
+        if not uid or self.reporter is None:
+            return False
+        self.reporter.intended = intended
+        self.application.failed[uid] = time.time()
+        self.wake()
+        return True
+
+    async def claim(self, intended: float) -> None:
+        """Claim a pod of the pool as a recovery does, and nothing else of it."""
+        assert self.supervisor is not None
+        begun = time.time()
+        strategy = UninitializedFallback(POOL)
+        progress = Progress.begin("claim", last_healthy=begun, detected=begun)
+        means = self.supervisor._means()
+        found: Instance | None = None
+        error = "no pod was free"
+        while found is None and time.time() < begun + CLAIM_WITHIN:
+            try:
+                found = await strategy._claim(progress, means)
+            except _UNREACHABLE as reason:
+                error = repr(reason)
+                break
+            if found is None:
+                with contextlib.suppress(TimeoutError):
+                    async with asyncio.timeout(1.0):
+                        await means.queue.changed()
+        tell(
+            "claimed",
+            robot=self.robot.key,
+            intended=intended,
+            begun=begun,
+            done=time.time(),
+            uid=found.uid if found is not None else "",
+            claim=found.claim if found is not None else "",
+            lost=len(strategy._lost),
+            error="" if found is not None else error,
+        )
+
+
+class Process:
+    """All monitors of this process."""
+
+    def __init__(self, kubeconfig: str, folder: Path) -> None:
+        self._access = Access.from_kubeconfig(kubeconfig)
+        self._folder = folder
+        self._monitors: dict[str, Monitor] = {}
+        self._copies: dict[str, Copies] = {}
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._at_once = asyncio.Semaphore(AT_ONCE)
+
+    # -- what it is asked -------------------------------------------------------------------------------------------
+
+    def begin(self, asked: Mapping[str, Any]) -> dict[str, Any]:
+        """Start monitors: ``robots`` has namespace, name and token of each."""
+        for namespace, name, token in asked["robots"]:
+            self._do(self._protect(Robot(namespace, name), token))
+        return {}
+
+    def state(self, asked: Mapping[str, Any]) -> dict[str, Any]:
+        """How many there are, and how many of their robots are driven."""
+        return {"monitors": len(self._monitors), "driven": sum(bool(m.drives) for m in self._monitors.values())}
+
+    def settle(self, asked: Mapping[str, Any]) -> dict[str, Any]:
+        """What is there now stays: looking through all of it for garbage would stop every monitor of this process at once."""
+        gc.collect()
+        gc.freeze()
+        return {}
+
+    def fail(self, asked: Mapping[str, Any]) -> dict[str, Any]:
+        """Have robots fail: ``failures`` has unix time and robot of each."""
+        for at, robot in asked["failures"]:
+            self._do(self._fail(at, self._monitors[robot]))
+        return {}
+
+    def claim(self, asked: Mapping[str, Any]) -> dict[str, Any]:
+        """Have robots claim: ``claims`` has unix time and robot of each."""
+        for at, robot in asked["claims"]:
+            self._do(self._claim(at, self._monitors[robot]))
+        return {}
+
+    # -- what it does -----------------------------------------------------------------------------------------------
+
+    def _do(self, work: Any) -> None:
+        task = asyncio.get_running_loop().create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._done)
+
+    def _done(self, task: asyncio.Task[None]) -> None:
+        self._tasks.discard(task)
+        if not task.cancelled() and (error := task.exception()) is not None:
+            tell("broken", error=repr(error.exceptions if isinstance(error, BaseExceptionGroup) else error))
+
+    async def _protect(self, robot: Robot, token: str) -> None:
+        state = self._folder / robot.namespace / robot.name
+        state.mkdir(parents=True)
+        access = replace(self._access, token=token, context=_shared(self._access))
+        watching = asyncio.Event()
+        async with Drain(access, timeout=60) as client:
+            await self._at_once.acquire()
+            if robot.namespace not in self._copies:
+                self._copies[robot.namespace] = self._copy(robot.namespace, client)
+            monitor = self._monitors[robot.key] = Monitor(robot, client, self._copies[robot.namespace], state)
+            running = asyncio.create_task(monitor.run(watching))
+            waiting = asyncio.create_task(watching.wait())
+            await asyncio.wait((running, waiting), return_when=asyncio.FIRST_COMPLETED)
+            self._at_once.release()
+            await running
+
+    def _copy(self, namespace: str, client: Drain) -> Copies:
+        copies = Copies(
+            Reflector(client, POLICIES, namespace),
+            Reflector(client, PODS, namespace, labels=f"{names.HELD}=true"),
+            Reflector(client, NETWORK_POLICIES, namespace, labels=names.WAITS_FOR),
+        )
+        for one in (copies.policies, copies.held, copies.waiting):
+            self._do(one.run())
+        return copies
+
+    async def _fail(self, at: float, monitor: Monitor) -> None:
+        await asyncio.sleep(at - time.time())
+        # It may be recovering from another; nothing tells when that is over.
+        while not monitor.fail(at):  # noqa: ASYNC110
+            await asyncio.sleep(0.05)
+
+    async def _claim(self, at: float, monitor: Monitor) -> None:
+        await asyncio.sleep(at - time.time())
+        await monitor.claim(at)
+
+
+def _shared(access: Access) -> Any:
+    """The context of TLS connections without the administrator's certificate: monitors prove who they are by tokens."""
+    global _context
+    if _context is None:
+        import ssl
+
+        authorities = access.context.get_ca_certs(binary_form=True)
+        _context = ssl.create_default_context(cadata="".join(ssl.DER_cert_to_PEM_cert(ca) for ca in authorities))
+    return _context
+
+
+_context: Any = None
+
+
+async def _run(kubeconfig: str, folder: Path) -> None:
+    process = Process(kubeconfig, folder)
+    answers = {
+        "begin": process.begin,
+        "state": process.state,
+        "settle": process.settle,
+        "fail": process.fail,
+        "claim": process.claim,
+    }
+    asyncio.get_running_loop().add_reader(sys.stdin, lambda: answer(sys.stdin.readline(), answers))
+    tell("ready")
+    await asyncio.Event().wait()
+
+
+def main(kubeconfig: str) -> None:
+    """Run until killed."""
+    end_with_parent()
+    logging.basicConfig(level=logging.ERROR, stream=sys.stderr, format="monitors: %(name)s %(message)s")
+    most = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
+    resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
+    supervising.TICK = supervising.SLOW = TICK  # type: ignore[misc]
+    gc.set_threshold(50_000, 20, 100)
+    with tempfile.TemporaryDirectory() as folder:
+        asyncio.run(_run(kubeconfig, Path(folder)))

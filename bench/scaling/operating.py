@@ -1,0 +1,155 @@
+"""The operator as a process that is measured: its processor time and memory as the kernel counts them, and its own metrics."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+import threading
+import time
+import urllib.error
+import urllib.request
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from bench.scaling.cluster import REPOSITORY, SYSTEM
+from bench.scaling.exposition import Reading, read
+from bench.scaling.fleets import IMAGE
+
+QUEUE, RESYNCED, LEADER = "understudy_queue_length", "understudy_last_resync_timestamp_seconds", "understudy_leader"
+RECONCILED, MISSED = "understudy_reconciliations_total", "understudy_watch_missed_total"
+NAMES = frozenset({QUEUE, RESYNCED, LEADER, RECONCILED, MISSED})
+SAMPLE = 0.5
+"""Seconds between two looks at its memory."""
+
+PROGRAM = """
+import sys
+sys.modules["kubernetes"] = sys.modules["kubernetes_asyncio"] = None
+from understudy.main import main
+sys.exit(main())
+"""
+"""``understudy`` as in its image: kopf imports these clients wherever it finds them, which takes 75 MB, and only tests need them."""
+
+
+@dataclass
+class Usage:
+    """Between two moments."""
+
+    seconds: float
+    cpu: float
+    """Seconds of a processor."""
+    memory: list[float] = field(default_factory=list)
+    """Resident, in MB, at each look."""
+
+    @property
+    def milli(self) -> float:
+        """Mean milli-CPU."""
+        return 1000 * self.cpu / self.seconds
+
+
+class Operator:
+    """One operator between ``with`` and its end."""
+
+    def __init__(self, kubeconfig: Path, log: Path) -> None:
+        self._kubeconfig, self._log = kubeconfig, log
+        self._port = _free_port()
+        self._process: subprocess.Popen[bytes] | None = None
+        self._memory: list[float] = []
+        self._ended = threading.Event()
+        self._sampling = threading.Thread(target=self._sample, daemon=True)
+
+    def __enter__(self) -> Operator:
+        command = [
+            sys.executable, "-c", PROGRAM, "operator", "--kubeconfig", str(self._kubeconfig),
+            "--monitor-image", IMAGE, "--lease-namespace", SYSTEM, "--identity", f"bench-{time.time():.0f}",
+            "--port", str(self._port), "--log-level", "warning",
+        ]  # fmt: skip
+        environment = {**os.environ, "PYTHONPATH": str(REPOSITORY / "operator"), "NO_PROXY": "*"}
+        with self._log.open("ab") as out:
+            self._process = subprocess.Popen(command, env=environment, stdout=out, stderr=out)
+        self._sampling.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        assert self._process is not None
+        self._ended.set()
+        self._process.terminate()  # it gives its lease back
+        try:
+            self._process.wait(30)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._sampling.join()
+
+    def metrics(self) -> Reading | None:
+        """Its own metrics; None while it doesn't answer."""
+        self._check()
+        try:
+            with urllib.request.urlopen(f"http://127.0.0.1:{self._port}/metrics", timeout=10) as answer:
+                return read(answer.read().decode(), NAMES)
+        except (OSError, urllib.error.URLError):
+            return None
+
+    @property
+    def idle(self) -> bool:
+        """Whether it leads, has listed everything and has nothing left to look at."""
+        found = self.metrics()
+        if found is None or not found.total(LEADER) or not found.total(RESYNCED):
+            return False
+        return found.total(RECONCILED) > 0 and found.total(QUEUE) == 0
+
+    def measure(self) -> Measure:
+        """Begin to measure."""
+        return Measure(self)
+
+    def cpu(self) -> float:
+        """Processor time so far, in seconds."""
+        assert self._process is not None
+        self._check()
+        fields = Path(f"/proc/{self._process.pid}/stat").read_text().rsplit(")", 1)[1].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+    def memory(self) -> float:
+        """Resident, in MB."""
+        assert self._process is not None
+        status = Path(f"/proc/{self._process.pid}/status").read_text()
+        return int(status.split("VmRSS:")[1].split()[0]) * 1024 / 1e6
+
+    @property
+    def samples(self) -> list[float]:
+        """All looks at its memory so far."""
+        return self._memory
+
+    def _sample(self) -> None:
+        while not self._ended.wait(SAMPLE):
+            try:
+                self._memory.append(self.memory())
+            except (OSError, IndexError):
+                return
+
+    def _check(self) -> None:
+        assert self._process is not None
+        if self._process.poll() is not None:
+            text = self._log.read_text(errors="replace")[-3000:]
+            raise SystemExit(f"the operator has ended with {self._process.returncode}:\n{text}")
+
+
+class Measure:
+    """What an operator uses from now on."""
+
+    def __init__(self, operator: Operator) -> None:
+        self._operator = operator
+        self._begun, self._cpu, self._first = time.monotonic(), operator.cpu(), len(operator.samples)
+
+    def end(self) -> Usage:
+        """What it has used."""
+        memory = self._operator.samples[self._first :] or [self._operator.memory()]
+        return Usage(time.monotonic() - self._begun, self._operator.cpu() - self._cpu, memory)
+
+
+def _free_port() -> int:
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        port: int = found.getsockname()[1]
+        return port

@@ -1,0 +1,193 @@
+"""What a monitor knows of its robot and of its instances' agents, where the real one has DDS and connections.
+
+Everything goes well at once, but for failures that the bench asks for: what is measured is the API server and what is asked of it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from collections.abc import AsyncIterator, Mapping, Sequence
+from typing import Any
+
+from understudy.api.agents import AgentStatus
+from understudy.api.kept import KeptState, RestoreReport
+from understudy.mitigation.bringing import BringUp
+from understudy.mitigation.interfaces import Gate, Instance
+from understudy.trees.health import Verdict
+
+STARTUP = 0.1
+"""Seconds from telling a claimed instance to start until its outputs flow."""
+
+LOOK = 0.02
+"""Seconds between two looks at what is waited for."""
+
+
+class Application:
+    """The instances of one workload, as far as they drive or could."""
+
+    def __init__(self) -> None:
+        self.healthy_since: dict[str, float] = {}
+        """By UID, in unix seconds."""
+        self.failed: dict[str, float] = {}
+        """When an instance failed for good, by UID."""
+
+    def well(self, uid: str) -> bool:
+        """Whether its outputs flow, into a gate or through it."""
+        return self.healthy_since.get(uid, float("inf")) <= time.time() and uid not in self.failed
+
+    def start(self, uid: str, after: float = 0.0) -> None:
+        """Its processes begin."""
+        self.healthy_since.setdefault(uid, time.time() + after)
+
+
+class Sight:
+    """What arrives at the gated readers of one robot."""
+
+    graph = None
+    coming = None
+    problems: Sequence[str] = ()
+    waiting: Sequence[str] = ()
+    summary = "Watching what reaches the robot."
+    addresses: Mapping[str, str] = {}
+
+    def __init__(self, application: Application) -> None:
+        self._application = application
+        self._uids: dict[str, str] = {}
+        self._active = ""
+
+    def follow(self, policy: Any, spec: Any) -> None:
+        return
+
+    def drain(self, instances: Sequence[Instance], active: str) -> None:
+        self._uids = {i.name: i.uid for i in instances}
+        self._active = self._uids.get(active, "")
+
+    def last_from(self, pod: str) -> float | None:
+        uid = self._uids.get(pod)
+        if uid is None or uid not in self._application.healthy_since:
+            return None
+        return self._application.failed.get(uid, time.time())
+
+    last_well = last_from
+
+    def verdict(self, *, now: float, since: float) -> Verdict:
+        if (failed := self._application.failed.get(self._active)) is not None:
+            return Verdict("Failed", "no /cmd_vel for 0.5 s", "topic", failed)
+        if not self._application.well(self._active):
+            return Verdict("Starting", "not heard yet", "topic", None)
+        return Verdict("Healthy", "", "", None)
+
+    def deadline(self, *, now: float, since: float) -> float | None:
+        return None
+
+    def arrivals(self, topic: str, pod: str) -> Sequence[float]:
+        return ()
+
+    def ambiguous(self, pod: str) -> bool:
+        return False
+
+    def outputs(self, fleet: Any, gate: Gate) -> Outputs:
+        return Outputs(self._application, gate)
+
+
+class Outputs:
+    """What the failover protocol sees of it."""
+
+    expected: Sequence[str] = ("/cmd_vel",)
+
+    def __init__(self, application: Application, gate: Gate) -> None:
+        self._application, self._gate = application, gate
+
+    async def first_from(self, instance: Instance, *, since: float) -> float | None:
+        while self._gate.state.active_uid != instance.uid or not self._application.well(instance.uid):  # noqa: ASYNC110
+            await asyncio.sleep(LOOK)
+        return max(since, self._application.healthy_since[instance.uid])
+
+    def last_from_others(self, instance: Instance) -> tuple[float, str]:
+        return 0.0, ""
+
+
+class Probes:
+    """Enforced at once: there is no network."""
+
+    def __init__(self, application: Application) -> None:
+        self._application = application
+        self.gate: Gate | None = None
+
+    async def wait(self, uid: str, after: float, within: float | None = None) -> float:
+        return max(after, time.time())
+
+    def last(self, uid: str) -> float | None:
+        through = self.gate is not None and self.gate.state.active_uid == uid and self._application.well(uid)
+        return time.time() if through else None
+
+
+class Sidecars:
+    """The agents of a workload's instances: those of its own controller start by themselves, claimed ones when they are told to."""
+
+    def __init__(self, application: Application) -> None:
+        self._application = application
+        self.role: Any = None
+
+    def follow(self, instances: Sequence[Instance]) -> None:
+        for instance in instances:
+            if instance.running and not instance.held and not instance.claim:
+                self._application.start(instance.uid)
+
+    async def settle(self, instances: Sequence[Instance], within: float) -> None:
+        self.follow(instances)
+
+    def status(self, instance: Instance) -> AgentStatus | None:
+        if not instance.running or instance.uid not in self._application.healthy_since:
+            return None
+        at, well = self._application.healthy_since[instance.uid], self._application.well(instance.uid)
+        return AgentStatus(phase="Running", configured=True, ready=well, ready_at=at, process_up_at=at)
+
+    def is_ready(self, instance: Instance) -> tuple[bool, str]:
+        self.follow([instance])
+        well = instance.running and self._application.well(instance.uid)
+        return well, "" if well else "its outputs are not healthy"
+
+    async def probe(self, instance: Instance, duration: float) -> None:
+        return
+
+    async def give_way(self, instance: Instance) -> None:
+        return
+
+    async def start(self, instance: Instance) -> None:
+        self._application.start(instance.uid, STARTUP)
+
+    async def up(self, instance: Instance) -> float:
+        return await self.ready(instance)
+
+    async def ready(self, instance: Instance) -> float:
+        self.follow([instance])
+        while not self._application.well(instance.uid):  # noqa: ASYNC110
+            await asyncio.sleep(LOOK)
+        return self._application.healthy_since[instance.uid]
+
+    async def bring_up(
+        self, instance: Instance, procedure: BringUp, *, within: float, state: KeptState
+    ) -> RestoreReport:
+        return RestoreReport()
+
+    async def restore(self, instance: Instance, state: KeptState, within: float) -> RestoreReport:
+        return RestoreReport()
+
+
+class Keeping:
+    """Nothing is kept."""
+
+    def take(self, *_: Any) -> None:
+        return
+
+    follow = judge = tell = housekeeping = take
+
+    def select(self, onset: float) -> KeptState:
+        return KeptState()
+
+    @contextlib.asynccontextmanager
+    async def recovering(self) -> AsyncIterator[None]:
+        yield

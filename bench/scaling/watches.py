@@ -1,0 +1,77 @@
+"""Copies of what all monitors of a fleet watch alike: each has its watch, and what it brings is read once.
+
+In a real fleet each monitor reads it on a machine of its own. Here they share some processors with the API server, of which is
+measured what all these watches ask of it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping
+
+import aiohttp
+
+from understudy.cluster.client import Client, Object, Resource
+from understudy.cluster.watching import RETRY_FIRST, Reflector
+
+LIFETIME = 300
+"""Seconds of one watch, as in the monitor."""
+
+
+class Drain(Client):
+    """A client that can hold a watch open without reading what it brings."""
+
+    async def drain(self, resource: Resource, namespace: str, selector: Mapping[str, str], version: str) -> None:
+        """Take in what comes until the server ends the watch."""
+        assert self._session is not None
+        params = {
+            **selector,
+            "watch": "true",
+            "resourceVersion": version,
+            "allowWatchBookmarks": "true",
+            "timeoutSeconds": str(LIFETIME),
+        }
+        timeout = aiohttp.ClientTimeout(total=None, sock_connect=10, sock_read=LIFETIME + 15)
+        url = self._access.server + resource.path(namespace)
+        async with self._session.get(url, params=params, headers=self._headers(), timeout=timeout) as response:
+            response.raise_for_status()
+            async for _ in response.content.iter_any():
+                pass
+
+
+class Borrowed(Reflector):
+    """What another reflector has a copy of, with a watch of one's own that isn't read."""
+
+    def __init__(
+        self, original: Reflector, client: Drain, resource: Resource, namespace: str, *, labels: str | None = None
+    ) -> None:
+        self._original, self._drain = original, client
+        self._of, self._in = resource, namespace
+        self._selector = {"labelSelector": labels} if labels else {}
+        self.synced = original.synced
+
+    @property
+    def items(self) -> dict[str, Object]:  # type: ignore[override]
+        """As the original has them."""
+        return self._original.items
+
+    @property
+    def revision(self) -> int:  # type: ignore[override]
+        """As the original has it."""
+        return self._original.revision
+
+    async def run(self) -> None:
+        """Watch until cancelled, through every error."""
+        await self.synced.wait()
+        while True:
+            try:
+                await self._drain.drain(self._of, self._in, self._selector, str(self._original._told))
+            except (aiohttp.ClientError, TimeoutError, OSError):
+                await asyncio.sleep(RETRY_FIRST)
+
+    def put(self, item: Object) -> None:
+        """Never needed: nobody writes these."""
+
+    async def changed(self) -> None:
+        """Wait for the next change."""
+        await self._original.changed()

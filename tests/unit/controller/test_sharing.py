@@ -1,0 +1,93 @@
+"""What objects say alike is kept once, and says the same as before."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.unit.controller.world import workload
+from understudy.cluster.client import WORKLOADS, Object
+from understudy.controller.sharing import REMEMBERED_SECONDS, Sharing
+from understudy.controller.stores import Store
+
+VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers(-2, 2) | st.floats(-2, 2) | st.sampled_from(["", "a", "b", "1", "true"]),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from("abc"), inner, max_size=3),
+    max_leaves=12,
+)
+
+
+class Clock:
+    def __init__(self) -> None:
+        self.now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def robot(name: str, **more: Any) -> Object:
+    return {"metadata": {"name": name}, "spec": {"ports": [{"port": 1}], "env": {"name": "robot"}, **more}}
+
+
+def alike(value: Any, other: Any) -> bool:
+    """Equal, and of the same types: 1 isn't True."""
+    if type(value) is not type(other):
+        return False
+    if isinstance(value, dict):
+        return list(value) == list(other) and all(alike(value[key], other[key]) for key in value)
+    if isinstance(value, list):
+        return len(value) == len(other) and all(map(alike, value, other))
+    return bool(value == other)
+
+
+@given(st.lists(VALUES, max_size=5))
+def test_everything_says_what_it_said(values: list[Any]) -> None:
+    clock = Clock()
+    sharing = Sharing(clock=clock)
+    for value in values:
+        clock.now += REMEMBERED_SECONDS / 2
+        assert alike(sharing.of({"spec": copy.deepcopy(value)}, None)["spec"], value)
+
+
+def test_what_two_objects_have_in_common_is_kept_once() -> None:
+    sharing = Sharing(clock=Clock())
+    one, two = sharing.of(robot("1", own="1"), None), sharing.of(robot("2", own="2"), None)
+    assert one["spec"]["ports"] is two["spec"]["ports"]
+    assert one["spec"]["env"] is two["spec"]["env"]
+    assert (one["spec"]["own"], two["spec"]["own"]) == ("1", "2")
+    assert one["metadata"] == {"name": "1"}
+
+
+def test_a_later_self_keeps_what_has_not_changed_however_long_ago_that_was() -> None:
+    clock = Clock()
+    sharing = Sharing(clock=clock)
+    old = sharing.of(robot("1"), None)
+    clock.now += 10 * REMEMBERED_SECONDS
+    assert sharing.of(robot("1"), old)["spec"] is old["spec"]
+    changed = sharing.of(robot("1", more=True), old)
+    assert changed["spec"]["more"] is True
+    assert "more" not in old["spec"]
+
+
+def test_what_no_object_has_any_more_is_forgotten() -> None:
+    clock = Clock()
+    sharing = Sharing(clock=clock)
+    sharing.of(robot("1"), None)
+    for _ in range(2):
+        clock.now += REMEMBERED_SECONDS
+        sharing.of({"spec": "another"}, None)
+    assert len(sharing._known) + len(sharing._before) <= 2
+
+
+def test_a_store_keeps_what_its_objects_have_in_common_once() -> None:
+    store = Store()
+    for name in ("v", "w"):
+        store.put(WORKLOADS, copy.deepcopy(workload(name)))
+    one, two = (store.get(WORKLOADS, "fleet", name) for name in ("v", "w"))
+    assert one is not None
+    assert two is not None
+    assert one["spec"]["template"] is two["spec"]["template"]
+    assert one["spec"] == workload("v")["spec"]
