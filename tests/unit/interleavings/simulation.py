@@ -388,11 +388,13 @@ class Simulation:
             self.note(f"{operator.process} is to end")
             self.loop.call_soon(operator.end, context=operator.process.context)
 
-    def _anybody(self) -> Process:
-        return self.choices.choice([actor.process for actor in (*self.monitors, *self.operators)])
+    def _anybody(self) -> Process | None:
+        found = [actor.process for actor in (*self.monitors, *self.operators)]
+        return self.choices.choice(found) if found else None
 
     def _somebody_stalls(self) -> None:
-        process = self._anybody()
+        if (process := self._anybody()) is None:
+            return
         # An operator for so long that the other one takes over, and that one has yet to notice.
         seconds = self.choices.random() * (8 if any(o.process is process for o in self.operators) else 3)
         self.note(f"{process} gets no processor for {seconds:.1f} s")
@@ -401,7 +403,8 @@ class Simulation:
         self.loop.stall(process, seconds, self.world)
 
     def _somebody_is_cut_off(self) -> None:
-        process = self._anybody()
+        if (process := self._anybody()) is None:
+            return
         seconds = self.choices.random() * 12
         self.note(f"{process} is cut off for {seconds:.1f} s")
         self.network.cut_off.add(process)
