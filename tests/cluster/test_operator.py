@@ -559,8 +559,12 @@ def test_a_new_template_of_a_pool_leaves_as_many_ready_as_it_says(fleet: Fleet, 
     until(lambda: len(fleet.held()) == 5, "three new ones, and two of the old ones")
     new = [pod for pod in fleet.held() if pod["metadata"]["uid"] not in identities(old)]
     assert len(new) == 3
-    found = fleet.wait_condition("FallbackPool", "spare", "Updated", "RollingOut")
-    assert "2 of 5 unclaimed pods" in found["message"]
+    until(
+        lambda: (
+            "2 of 5 unclaimed pods" in fleet.wait_condition("FallbackPool", "spare", "Updated", "RollingOut")["message"]
+        ),
+        "what is so to be told",
+    )
     fleet.make_ready(new[0])
     until(lambda: fleet.get("FallbackPool", "spare")["status"].get("updated") == 3, "its numbers")
     time.sleep(2)
