@@ -89,6 +89,7 @@ def test_the_budget_is_there_again_when_its_window_has_moved_on(kubectl: Kubectl
     first = robot.wait_protected()
     robot.fail(first, "killed")
     recovery = robot.wait_recovered(1)
+    robot.wait_standby()
     robot.fail(recovery.new, "frozen")
     again = robot.wait_recovered(2, within=120)
     assert again.moments["released"] >= recovery.moments["detected"] + 40
