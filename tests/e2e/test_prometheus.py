@@ -127,9 +127,10 @@ def query(prometheus: Callable[[str], Any]) -> Query:
 
 
 def value(query: Query, expression: str) -> float:
-    """The value of the only series of an expression."""
-    (found,) = query(expression)
-    return float(found["value"][1])
+    """The value of the only series of an expression. Raises IndexError while there is none."""
+    found = query(expression)
+    assert len(found) <= 1, found
+    return float(found[0]["value"][1])
 
 
 def expressions(kubectl: Kubectl, workload: str) -> list[str]:
