@@ -48,7 +48,7 @@ def test_once_the_budget_is_spent_the_robot_is_told_the_safe_command_and_nothing
         safety={"after": "200ms", "commands": [command]},
     )
     first = robot.wait_protected()
-    robot.fail(first, "killed")
+    robot.fail(first, "frozen")
     recovery = robot.wait_recovered(1)
     eventually(
         lambda: robot.condition("Protected").get("reason") == "BudgetSpent",
@@ -87,7 +87,7 @@ def test_once_the_budget_is_spent_the_robot_is_told_the_safe_command_and_nothing
 def test_the_budget_is_there_again_when_its_window_has_moved_on(kubectl: Kubectl) -> None:
     robot = executing_with(kubectl, limits={"budget": {"recoveries": 1, "within": "40s"}})
     first = robot.wait_protected()
-    robot.fail(first, "killed")
+    robot.fail(first, "frozen")
     recovery = robot.wait_recovered(1)
     robot.wait_standby()
     robot.fail(recovery.new, "frozen")
@@ -148,13 +148,13 @@ def test_one_that_fails_within_the_healthy_delay_is_followed_by_the_next_strateg
 ) -> None:
     robot = executing_with(kubectl, limits={"healthyDelay": "5m"})
     first = robot.wait_protected()
-    robot.fail(first, "killed")
+    robot.fail(first, "frozen")
     recovery = robot.wait_recovered(1)
     robot.wait_driven()
     robot.wait_standby()
     robot.replace_monitor()
     robot.wait_driven()
-    robot.fail(recovery.new, "killed")
+    robot.fail(recovery.new, "frozen")
     relapse = robot.wait_recovered(2)
     assert relapse.strategy == "Restart", relapse
     told = [event for event in kubectl.list("events") if event["reason"] == "Relapsed"]
