@@ -15,7 +15,7 @@ from understudy.api.base import seconds
 from understudy.api.conditions import Condition, condition
 from understudy.api.switchovers import Drain, Draining
 from understudy.cluster.client import Object
-from understudy.controller import nodes, objects, selectors
+from understudy.controller import evictions, nodes, objects
 
 CONDITION = "Draining"
 
@@ -62,7 +62,7 @@ def hold(
         return Hold(
             "NoFallback", "its policy has no Fallback whose pool serves it, so nothing could take over before it goes"
         )
-    if other := next((objects.name(b) for b in budgets if _selects(b, active)), None):
+    if other := next((objects.name(b) for b in budgets if evictions.selects(b, objects.labels(active))), None):
         # With two of them Kubernetes refuses every eviction, for good.
         return Hold(
             "OtherBudget", f"PodDisruptionBudget {other}, which isn't of Understudy, selects it and decides alone"
@@ -76,27 +76,13 @@ def hold(
     return Hold("Held", "", holds=True, until=until)
 
 
-def _selects(budget: Object, pod: Object) -> bool:
-    selector = (budget.get("spec") or {}).get("selector")
-    return selector is not None and selectors.matches(selector, objects.labels(pod))
-
-
 def budget(workload: str, active: Object) -> Object:
     """The budget by which an eviction of the instance in control is refused for now (429), as whoever drains tries again.
 
     An instance that isn't ready doesn't wait: what isn't well fails over anyway.
     """
     chosen = {names.WORKLOAD: workload, names.INSTANCE: objects.name(active)}
-    return {
-        "apiVersion": "policy/v1",
-        "kind": "PodDisruptionBudget",
-        "metadata": {"name": names.in_control(workload)},
-        "spec": {
-            "minAvailable": 1,
-            "unhealthyPodEvictionPolicy": "AlwaysAllow",
-            "selector": {"matchLabels": chosen},
-        },
-    }
+    return evictions.keeping(names.in_control(workload), 1, chosen)
 
 
 def said(active: Object, drain: Drain, found: Hold, generation: int | None) -> Condition:

@@ -20,14 +20,19 @@ PATIENCE = 120.0
 
 def budget(pool: str, least: int) -> Object:
     """The budget by which so many waiting pods stay. One that isn't ready is nobody's loss."""
+    return keeping(names.held(pool), least, {names.POOL: pool, names.HELD: "true"})
+
+
+def keeping(name: str, least: int, chosen: Mapping[str, str]) -> Object:
+    """A budget by which at least so many of the pods with these labels stay; those that aren't ready may always go."""
     return {
         "apiVersion": "policy/v1",
         "kind": "PodDisruptionBudget",
-        "metadata": {"name": names.held(pool)},
+        "metadata": {"name": name},
         "spec": {
             "minAvailable": least,
             "unhealthyPodEvictionPolicy": "AlwaysAllow",
-            "selector": {"matchLabels": {names.POOL: pool, names.HELD: "true"}},
+            "selector": {"matchLabels": dict(chosen)},
         },
     }
 
@@ -40,8 +45,13 @@ def is_ours(found: Object) -> bool:
 
 def decided_elsewhere(budgets: Sequence[Object], labels: Mapping[str, str]) -> bool:
     """Whether a budget of somebody else's selects the pods: with two of them Kubernetes refuses every eviction, for good."""
-    chosen = [(found.get("spec") or {}).get("selector") for found in budgets]
-    return any(selector is not None and selectors.matches(selector, dict(labels)) for selector in chosen)
+    return any(selects(found, labels) for found in budgets)
+
+
+def selects(found: Object, labels: Mapping[str, str]) -> bool:
+    """Whether a budget is for pods with these labels."""
+    selector = (found.get("spec") or {}).get("selector")
+    return selector is not None and selectors.matches(selector, dict(labels))
 
 
 def patience(coming: Sequence[Object], since: float, now: float) -> float:
