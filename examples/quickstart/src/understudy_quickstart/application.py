@@ -16,7 +16,6 @@ import numpy as np
 import rclpy
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import OccupancyGrid, Odometry
-from rclpy.executors import ExternalShutdownException
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
@@ -25,6 +24,7 @@ from sensor_msgs.msg import LaserScan
 from understudy_quickstart import STARTED
 from understudy_quickstart.kinematics import Pose
 from understudy_quickstart.pursuit import WAYPOINTS, Circuit, Pursuit, space_ahead
+from understudy_quickstart.running import run
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
@@ -156,15 +156,7 @@ def main() -> None:
     rclpy.init()
     kind = ManagedDrive if os.environ.get("DRIVE_MANAGED") else Drive
     drive = kind(os.environ.get("HOSTNAME") or socket.gethostname())
-    try:
-        rclpy.spin(drive)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    except RuntimeError:
-        if rclpy.ok():  # otherwise a signal ended ROS in the middle of a callback
-            raise
-    finally:
-        drive.destroy_node()
+    run(drive)
 
 
 if __name__ == "__main__":

@@ -15,7 +15,6 @@ import numpy as np
 import rclpy
 from geometry_msgs.msg import Quaternion, TwistStamped
 from nav_msgs.msg import OccupancyGrid, Odometry
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import LaserScan
@@ -23,6 +22,7 @@ from sensor_msgs.msg import LaserScan
 from understudy_quickstart import STARTED
 from understudy_quickstart.journal import Journal
 from understudy_quickstart.kinematics import Base
+from understudy_quickstart.running import run
 from understudy_quickstart.world import ROBOT_RADIUS, START, quickstart_room
 
 BEAMS = 180
@@ -148,15 +148,7 @@ def main() -> None:
     """Run the robot until it is told to stop. ``ROBOT_LOG`` names the journal's file."""
     rclpy.init()
     robot = Robot(Journal(os.environ.get("ROBOT_LOG")))
-    try:
-        rclpy.spin(robot)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    except RuntimeError:
-        if rclpy.ok():  # otherwise a signal ended ROS in the middle of a callback
-            raise
-    finally:
-        robot.destroy_node()
+    run(robot)
 
 
 if __name__ == "__main__":

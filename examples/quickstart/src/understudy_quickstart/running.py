@@ -1,4 +1,4 @@
-"""What the nodes of examples/dependent have in common."""
+"""What the nodes have in common."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 
 FRESH = 0.3
-"""Seconds after which what the node before said isn't gone by any more."""
+"""Seconds after which what the node before said isn't gone by any more, in examples/dependent."""
 
 
 def run(node: Node) -> None:
