@@ -19,6 +19,13 @@ NAME = "understudy"
 NAMESPACE = "understudy-system"
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """A test that fails is run once more, and said to have been, but for the one that looks for what may never be."""
+    for item in items:
+        if "tests/cluster" in str(item.path) and item.path.name != "test_contention.py":
+            item.add_marker(pytest.mark.flaky(reruns=1))
+
+
 @pytest.fixture(scope="session", autouse=True)
 def _one_cluster(kubeconfig: Path) -> None:
     """Also for tests that only look at $KUBECONFIG."""

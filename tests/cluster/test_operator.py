@@ -157,9 +157,16 @@ class Fleet:
         except AssertionError as error:
             raise AssertionError(f"{error}: {self.get(kind, name).get('status')}") from error
 
-    def events(self, name: str) -> list[Object]:
-        found = self.cluster.list(CORE, "Event", self.namespace)
-        return [e for e in found if e["involvedObject"]["name"] == name and e["involvedObject"]["kind"] != "Pod"]
+    def told(self, name: str, reason: str, type_: str = "") -> list[Object]:
+        """The Events of a reason, and where it is given of a type, about an object that isn't a pod."""
+        return [
+            event
+            for event in self.cluster.list(CORE, "Event", self.namespace)
+            if event["involvedObject"]["name"] == name
+            and event["involvedObject"]["kind"] != "Pod"
+            and event["reason"] == reason
+            and type_ in ("", event["type"])
+        ]
 
     def wait_built(self, name: str = "w") -> None:
         self.wait_condition("RobotWorkload", name, "Reconciled", "Reconciled", "True")
@@ -540,7 +547,7 @@ def test_a_pool_s_size_follows_the_failures_that_its_robots_status_tells_of(flee
     found = fleet.wait_condition("FallbackPool", "spare", "Sized", "AtMaximum")
     assert "asked for a pod 10 times" in found["message"]
     assert "spec.sizing.max is 5" in found["message"]
-    told = [event for event in fleet.events("spare") if event["reason"] == "Resized"]
+    told = until(lambda: fleet.told("spare", "Resized"), "an Event, which comes after the status")
     assert [event["message"].partition(":")[0] for event in told] == ["from 3 to 5 pods"]
     before = fleet.settled()
     operator.stop()
@@ -685,7 +692,7 @@ def test_protected_says_by_what_and_stops_saying_so(protected: Fleet) -> None:
     protected.make_ready(standby, ready=False)
     found = protected.wait_condition("RobotWorkload", "w", "Protected", "StandbyNotReady")
     assert "If it failed now, Restart would be used" in found["message"]
-    assert [e for e in protected.events("w") if e["reason"] == "StandbyNotReady" and e["type"] == "Warning"]
+    until(lambda: protected.told("w", "StandbyNotReady", "Warning"), "an Event, which comes after the status")
     protected.make_ready(standby)
     protected.wait_condition("RobotWorkload", "w", "Protected", "FirstStrategyReady", "True")
 
@@ -718,7 +725,7 @@ def test_bad_input_takes_nothing_away(protected: Fleet, harm: Callable[[Fleet], 
     harm(protected)
     found = protected.wait_condition("RobotWorkload", "w", "Accepted", reason)
     assert word in found["message"]
-    until(lambda: [e for e in protected.events("w") if e["reason"] == reason], "an Event")
+    until(lambda: protected.told("w", reason), "an Event")
     time.sleep(1)
     assert identities(protected.instances()) == pods
     assert protected.gate()["spec"] == gate["spec"]
@@ -848,10 +855,7 @@ def test_bad_input_gives_a_condition_and_an_event_that_say_what_to_do(
     found = fleet.wait_condition(kind, name, type_, reason)
     assert words in found["message"]
 
-    def told() -> Object | None:
-        return next((e for e in fleet.events(name) if e["type"] == "Warning" and e["reason"] == reason), None)
-
-    event: Object = until(told, f"an Event {reason}") or {}
+    event: Object = until(lambda: fleet.told(name, reason, "Warning"), f"an Event {reason}")[0]
     assert words in event["message"]
     if case == "a name that belongs to somebody else":
         assert fleet.gate()["spec"]["podSelector"] == {"matchLabels": {"mine": "yes"}}

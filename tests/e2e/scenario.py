@@ -50,10 +50,17 @@ def patient(objects: list[Object], gap: str = "2s") -> list[Object]:
 
 
 class Late(AssertionError):
-    """Something didn't come in time. On a machine that is busy with other things a test that ends so is run once more.
+    """Something didn't come in time."""
 
-    What may never be, such as a command of a pod that isn't in control, is an AssertionError of its own and isn't.
-    """
+
+class Never(AssertionError):
+    """What may never be, however busy the machine is. Any other test that fails is run once more; one that ends so isn't."""
+
+
+def never(found: object, what: str) -> None:
+    """Such as a command of a pod that isn't in control: fails with what was found, where there is anything."""
+    if found:
+        raise Never(f"{what}: {found!r}"[:2000])
 
 
 def eventually(

@@ -10,7 +10,7 @@ import pytest
 
 from tests.e2e.faults import Switch
 from tests.e2e.kubectl import Kubectl, Object
-from tests.e2e.scenario import Robot, eventually, manifest, patient
+from tests.e2e.scenario import Robot, eventually, manifest, never, patient
 from tests.e2e.test_strategies import assert_handed_over
 
 PATIENCE = 240.0
@@ -129,7 +129,7 @@ def test_when_every_new_instance_crashes_that_is_told_nothing_thrashes_and_the_f
     rounds = took / LAST + 1
     assert robot.status()["recoveryCount"] - recoveries <= rounds
     assert len(seen) <= 2 + 2 * rounds, f"{seen}: a new pod again and again"
-    assert set(robot.log().sources()) == {first, second}, "nothing of what crashed reached the robot"
+    never(set(robot.log().sources()) - {first, second}, "what crashed reached the robot")
 
     switch.off()
     third = robot.wait_driven(180)
@@ -143,7 +143,7 @@ def test_when_every_new_instance_crashes_that_is_told_nothing_thrashes_and_the_f
         what="it is told that it is well again",
         note=robot.describe,
     )
-    assert not robot.log().returns(), "control only ever moved on"
+    never(robot.log().returns(), "control moved back")
     assert robot.status()["active"] == third
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.e2e.kubectl import Kubectl, Object
-from tests.e2e.scenario import Robot, eventually, manifest, patient
+from tests.e2e.scenario import Robot, eventually, manifest, never, patient
 from tests.e2e.test_initialized import POOL, is_ready, standbys, wait_standing_by
 from tests.e2e.test_strategies import assert_handed_over
 
@@ -93,7 +93,7 @@ def test_a_waiting_standby_is_given_what_is_new_and_drives_by_it(robot: Robot) -
         )
     assert "noted the door is open" in said_by(robot, standby)
     assert not any(line.startswith("told") for line in said_by(robot, old)), "the instance in control is given nothing"
-    assert not robot.log().of(standby), "and the standby still waits"
+    never(robot.log().of(standby), "commands of the standby")
     assert not any(event["reason"] == "StandbyNotKeptUp" for event in robot.kubectl.list("events"))
 
     robot.fail(old, "deleted")

@@ -10,6 +10,7 @@ import pytest
 from tests.e2e.faults import Stage, staying
 from tests.e2e.kubectl import Kubectl, Object
 from tests.e2e.navigation import CONFIGURATIONS, GOAL_TOLERANCE, Navigator, Tour
+from tests.e2e.scenario import never
 
 LOCALIZATION = 0.3
 """Metres that localization may be off after a hand-over."""
@@ -43,8 +44,8 @@ def assert_clean(navigator: Navigator, number: int) -> None:
     """At the robot nothing of the new instance came before the switch, and nothing of the old one after it."""
     recovery = navigator.recoveries()[number - 1]
     handover = navigator.log().handover(recovery.old, recovery.new, switch=recovery.moments["decided"])
-    assert not handover.early, handover
-    assert not handover.late, handover
+    never(handover.early, "commands of the new instance before the switch")
+    never(handover.late, "commands of the old instance after the switch")
 
 
 @pytest.mark.parametrize(
@@ -143,7 +144,7 @@ def test_a_stack_that_has_nothing_to_do_may_be_silent_and_is_missed_when_it_is_l
     navigator.set_up("executing", edit=only_restart_would_take_long)
     active = navigator.wait_ready()
     assert_left_alone(active, 0)
-    assert not navigator.log().of(active), "nobody asked it to drive"
+    never(navigator.log().of(active), "it drove, and nobody asked it to")
     navigator.send_signal(active, "STOP")
     recovery = navigator.wait_recovered(1, within=120)
     assert recovery.old == active

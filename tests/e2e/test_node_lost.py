@@ -9,7 +9,7 @@ import pytest
 
 from tests.e2e.faults import Stage, signal_processes, staying
 from tests.e2e.kubectl import Kubectl
-from tests.e2e.scenario import APPLICATION, Late, Robot, eventually, manifest, patient
+from tests.e2e.scenario import APPLICATION, Late, Robot, eventually, manifest, never, patient
 from tests.e2e.test_strategies import assert_handed_over
 
 pytestmark = pytest.mark.local_only
@@ -49,7 +49,7 @@ def assert_it_stays_so(robot: Robot, stage: Stage, old: str, new: str) -> None:
     assert robot.status()["active"] == new
     assert len(robot.recoveries()) == 1
     log = robot.log()
-    assert not log.returns(), "the lost pod never drives again"
+    never(log.returns(), "the lost pod drives again")
     assert log.commands[-1].source == new
     assert log.commands[-1].received > time.time() - 3
 

@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable
 
 from tests.e2e.kubectl import Kubectl, Object
-from tests.e2e.scenario import Robot, eventually, manifest
+from tests.e2e.scenario import Robot, eventually, manifest, never
 from tests.e2e.test_strategies import assert_handed_over
 
 POOL = "quickstart-uninitialized"
@@ -70,7 +70,7 @@ def test_two_workloads_claiming_the_last_pod_have_one_owner(kubectl: Kubectl) ->
         others = {pod for name, pod in old.items() if name != robot.name} | {
             recovery.new for name, recovery in recoveries.items() if name != robot.name
         }
-        assert not others & set(robot.log().sources()), "no robot ever heard another robot's instance"
+        never(others & set(robot.log().sources()), "a robot heard another robot's instance")
     eventually(
         lambda: any(
             p["metadata"]["name"] != spare["metadata"]["name"] for p in kubectl.list("pods", "understudy.dev/held=true")

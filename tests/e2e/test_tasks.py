@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from tests.e2e.kubectl import Kubectl, Object
-from tests.e2e.scenario import eventually
+from tests.e2e.scenario import eventually, never
 
 NODES = Path(__file__).parents[1] / "unit" / "tasks" / "nodes.py"
 IMAGE = "localhost/understudy-monitor:dev"
@@ -292,7 +292,7 @@ def test_a_goal_is_aborted_or_sent_by_the_recovery_tree_as_its_task_says(kubectl
     executed = [e["goal"] for e in cell.events(second, "carry") if e["event"] == "executing"]
     assert executed == [goal], "once, under its client's id"
     assert going.wait("ended", 60, index=0)["status"] == ABORTED
-    assert not [e for e in cell.events(second) if e["event"] == "executing"], "it is never sent again"
+    never([e for e in cell.events(second) if e["event"] == "executing"], "it is sent again")
     assert carrying.wait("ended", 150, index=0)["status"] == SUCCEEDED
     assert len(carrying.said("answered")) == 1
     assert cell.condition("TasksProxied")["status"] == "True"
