@@ -1,0 +1,47 @@
+"""The site: whatever pages link to is in it, and no link leads nowhere."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from scripts import pages
+
+REPOSITORY = Path(__file__).parents[3]
+
+
+def test_the_site_is_built_of_all_pages_and_no_link_in_it_leads_nowhere(tmp_path: Path) -> None:
+    found = pages.lay_out(REPOSITORY, tmp_path / "pages")
+    every = {str(page.relative_to(REPOSITORY)) for page in (REPOSITORY / "docs").rglob("*.md")}
+    assert every <= set(found)
+    assert pages.mkdocs(tmp_path / "pages", ["build", "--site-dir", str(tmp_path / "site")]) == 0, (
+        "see the warnings above"
+    )
+    assert "failurepolicy-what-you-say-spec" in (tmp_path / "site/docs/reference/api.html").read_text()
+
+
+def test_a_link_that_leads_nowhere_is_an_error(tmp_path: Path) -> None:
+    pages.lay_out(REPOSITORY, tmp_path / "pages")
+    with (tmp_path / "pages/docs/trees.md").open("a") as page:
+        page.write("\n[there is no such heading](reference/api.md#no-such-heading)\n")
+    assert pages.mkdocs(tmp_path / "pages", ["build", "--site-dir", str(tmp_path / "site")]) == 1
+
+
+def test_a_link_to_a_folder_leads_to_its_page_or_to_a_list_of_its_files(tmp_path: Path) -> None:
+    source = tmp_path / "repository"
+    for path, text in {
+        "README.md": "[all](docs/README.md) [one](one) [two](two#here)",
+        "docs/README.md": "[up](../README.md)",
+        "docs/site.css": "",
+        "one/README.md": "# One",
+        "two/a.yaml": "a: 1",
+    }.items():
+        (source / path).parent.mkdir(parents=True, exist_ok=True)
+        (source / path).write_text(text)
+    found = pages.lay_out(source, tmp_path / "pages")
+    assert found == [
+        "README.md", "docs/README.md", "docs/site.css", "one/README.md", "two/a.yaml", "two/index.md"
+    ]  # fmt: skip
+    assert (tmp_path / "pages/README.md").read_text() == (
+        "[all](docs/README.md) [one](one/README.md) [two](two/index.md#here)"
+    )
+    assert (tmp_path / "pages/two/index.md").read_text() == "# two\n\n- [a.yaml](a.yaml)\n"
