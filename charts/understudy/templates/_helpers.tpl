@@ -60,9 +60,3 @@ capabilities:
     fieldRef:
       fieldPath: metadata.name
 {{- end -}}
-
-{{- define "understudy.testRights" -}}
-helm.sh/hook: test
-helm.sh/hook-weight: "-1"
-helm.sh/hook-delete-policy: before-hook-creation,hook-succeeded
-{{- end -}}
