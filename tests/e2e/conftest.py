@@ -33,8 +33,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.flaky(reruns=1, only_rerun=RERUN))
 
 
-def install(kubeconfig: Path, chart: Path = CHART, *more: str) -> Kubectl:
-    """Install by the chart (with more values than those of the tests), in a namespace at Pod Security `restricted`.
+def install(kubeconfig: Path, chart: Path = CHART, *arguments: str) -> Kubectl:
+    """Install by the chart (with more arguments of helm, such as values), in a namespace at Pod Security `restricted`.
 
     Answers with kubectl in the operator's namespace. The pods are new, since the images may be, under one tag.
     """
@@ -45,7 +45,7 @@ def install(kubeconfig: Path, chart: Path = CHART, *more: str) -> Kubectl:
     rolled = f"operator.podAnnotations.rolled-out={time.time():.0f}"
     helm(
         kubeconfig, "upgrade", "--install", "understudy", str(chart), "--namespace", SYSTEM,
-        "--set", ",".join((values, *more)), "--set-string", rolled, "--wait", "--timeout", "180s",
+        *arguments, "--set", values, "--set-string", rolled, "--wait", "--timeout", "180s",
     )  # fmt: skip
     return system
 

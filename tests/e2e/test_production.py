@@ -1,5 +1,5 @@
-"""The chart as one runs it in production: in namespaces at Pod Security `restricted`, verified by `helm test`, and upgraded while
-robots are driven.
+"""The chart as one runs it in production (docs/how-to/production.md): in namespaces at Pod Security `restricted`, verified by `helm
+test`, and upgraded while robots are driven.
 """
 
 from __future__ import annotations
@@ -7,6 +7,7 @@ from __future__ import annotations
 import shutil
 import time
 from collections.abc import Iterator
+from datetime import datetime
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,7 @@ from tests.e2e.conftest import CHART, SYSTEM, install
 from tests.e2e.kubectl import Kubectl, Object, helm
 from tests.e2e.scenario import Robot, eventually, manifest
 from tests.e2e.test_strategies import assert_handed_over
+from understudy.api import names
 
 LONGEST = 0.45
 """Seconds without a command, which is due every 50 ms; after 500 ms the robot stops by itself."""
@@ -78,6 +80,9 @@ def test_helm_test_says_that_the_installation_works(release: Kubectl) -> None:
 ADDED = ("spec", "monitor", "resources")
 """A field that the earlier version of the chart doesn't know."""
 
+NEW = ["registry"]
+"""The Secrets by which images are pulled in production."""
+
 
 @pytest.fixture
 def earlier(release: Kubectl, tmp_path: Path) -> Iterator[None]:
@@ -93,12 +98,32 @@ def earlier(release: Kubectl, tmp_path: Path) -> Iterator[None]:
     file = chart / "files" / "crds" / "understudy.dev_robotworkloads.yaml"
     definition = yaml.safe_load(file.read_text())
     del fields(definition, *ADDED[:-1])[ADDED[-1]]
-    file.write_text(
-        "apiVersion: apiextensions.k8s.io/v1\n" + yaml.safe_dump(definition, sort_keys=False).split("\n", 1)[1]
-    )
-    install(release.kubeconfig, chart, "images.monitorPullSecrets[0].name=earlier")
+    file.write_text(yaml.safe_dump(definition, sort_keys=False))
+    install(release.kubeconfig, chart, "--set", "images.monitorPullSecrets[0].name=earlier")
     yield
     install(release.kubeconfig)
+
+
+PRIORITY = {
+    "apiVersion": "scheduling.k8s.io/v1",
+    "kind": "PriorityClass",
+    "metadata": {"name": "understudy"},
+    "value": 1000000,
+}
+
+
+@pytest.fixture
+def priority(release: Kubectl) -> Iterator[None]:
+    """The PriorityClass that the values for production name."""
+    release.apply([PRIORITY])
+    yield
+    release("delete", "priorityclass", "understudy")
+
+
+def install_for_production(release: Kubectl) -> None:
+    """Upgrade with the values for production, but for what this cluster hasn't: named namespaces and a Prometheus operator."""
+    without = "watchNamespaces=null,metrics.podMonitors.enabled=false,metrics.rules.enabled=false"
+    install(release.kubeconfig, CHART, "--values", str(CHART / "production.yaml"), "--set", without)
 
 
 def fields(definition: Object, *path: str) -> Object:
@@ -114,8 +139,17 @@ def secrets(pod_template: Object) -> list[str]:
     return [secret["name"] for secret in pod_template["spec"].get("imagePullSecrets") or []]
 
 
+def starting(pod: Object) -> float:
+    """Seconds (whole ones) from when a pod was made to when it was ready."""
+    ready = next(c["lastTransitionTime"] for c in pod["status"]["conditions"] if c["type"] == "Ready")
+    moments = [datetime.fromisoformat(text) for text in (pod["metadata"]["creationTimestamp"], ready)]
+    return (moments[1] - moments[0]).total_seconds()
+
+
 @pytest.mark.long
-def test_an_upgrade_leaves_no_gap_at_the_robot(earlier: None, kubectl: Kubectl, release: Kubectl) -> None:
+def test_an_upgrade_leaves_no_gap_at_the_robot(
+    priority: None, earlier: None, kubectl: Kubectl, release: Kubectl
+) -> None:
     robot = protected(kubectl, "executing")
     old = robot.wait_protected()
     assert secrets(kubectl.get("pod", old)) == ["earlier"]
@@ -123,30 +157,32 @@ def test_an_upgrade_leaves_no_gap_at_the_robot(earlier: None, kubectl: Kubectl, 
     assert ADDED[-1] not in fields(release.get("crd", crd), *ADDED[:-1])
 
     begun = time.time()
-    install(release.kubeconfig)
+    install_for_production(release)
     installed = time.time()
     assert ADDED[-1] in fields(release.get("crd", crd), *ADDED[:-1]), "Helm upgrades the definitions too"
 
     def renewed() -> bool:
         """Monitor, discovery server and standby are those of the new version, and ready."""
-        deployments = kubectl.list("deployments", "understudy.dev/monitored=" + robot.workload)
-        rolled = [d for d in deployments if not secrets(d["spec"]["template"])]
+        deployments = kubectl.list("deployments", f"{names.MONITORED}={robot.workload}")
+        rolled = [d for d in deployments if secrets(d["spec"]["template"]) == NEW]
         done = [d for d in rolled if d["status"].get("readyReplicas") == d["status"].get("updatedReplicas") == 1]
-        standbys = [
-            p for p in robot.pods() if p["metadata"]["name"] != old and not p["metadata"].get("deletionTimestamp")
-        ]
-        return len(done) == len(deployments) == 2 and bool(standbys) and not any(secrets(pod) for pod in standbys)
+        pods = [p for p in robot.pods() if not p["metadata"].get("deletionTimestamp")]
+        standbys = [secrets(p) for p in pods if p["metadata"]["name"] != old]
+        return len(done) == 2 and bool(standbys) and all(found == NEW for found in standbys)
 
     eventually(renewed, within=120, what="all around the robot is of the new version", note=robot.describe)
     robot.wait_protected()
     time.sleep(2)
     ended = time.time()
+    (monitor,) = robot.monitor_pods()
+    assert monitor["spec"]["priorityClassName"] == "understudy"
     during = robot.log().between(begun, ended)
     longest = during.longest_silence()
     assert longest is not None
     print(
         f"\nupgrade: helm {installed - begun:.1f} s, all of it {ended - begun:.1f} s; {len(during.commands)} commands, "
-        f"the longest time without one {longest.seconds * 1000:.0f} ms; by {during.sources()}"
+        f"the longest time without one {longest.seconds * 1000:.0f} ms; by {during.sources()}; "
+        f"the monitor's pod was ready after {starting(monitor):.0f} s"
     )
     assert longest.seconds <= LONGEST
     assert during.sources() == [old], "one pod drove all the while"
@@ -158,6 +194,6 @@ def test_an_upgrade_leaves_no_gap_at_the_robot(earlier: None, kubectl: Kubectl, 
     assert recovery.strategy == "Fallback/Executing"
     assert_handed_over(robot, recovery)
     eventually(
-        lambda: not any(secrets(pod) for pod in robot.pods()),
+        lambda: all(secrets(pod) == NEW for pod in robot.pods()),
         within=60, what="all its pods are of the new version", note=robot.describe,
     )  # fmt: skip
