@@ -131,42 +131,28 @@ python_environment() {
     exec 9>&-
 }
 
+# go_program NAME SOURCE PACKAGE: builds a program from the Go module in a folder, unless that was done before, into $CACHE/tools.
+go_program() {
+    (cd "$REPOSITORY" && "$PYTHON" - "$CACHE/tools" "$@") <<'PYTHON'
+import sys
+from pathlib import Path
+
+from testcluster import golang
+from testcluster.progress import Progress
+
+tools, name, source, package = Path(sys.argv[1]), *sys.argv[2:]
+built = golang.build(name, Path(source).resolve(), [package], ["-ldflags=-s -w"], Progress(), "one to five minutes, once")
+tools.mkdir(exist_ok=True)
+(tools / name).unlink(missing_ok=True)
+(tools / name).symlink_to(built / name)
+PYTHON
+}
+
 # helm_program: makes sure that there is a helm from 3.17 on (--take-ownership); `scripts/cluster up` brings one too.
 helm_program() {
     local found
     found=$(helm version --template '{{.Version}}' 2>/dev/null | sed 's/^v//') || found=
     [ "$(printf '%s\n' 3.17 "${found:-0}" | sort -V | head -n 1)" = 3.17 ] && return
-    say "building helm, since there is ${found:-none}${found:+, which is too old} (one to five minutes, once)"
-    (cd "$REPOSITORY" && "$PYTHON" - "$CACHE/tools") <<'PYTHON'
-import sys
-from pathlib import Path
-
-from testcluster import golang
-from testcluster.progress import Progress
-
-source = Path("testcluster/local/hyperkube")
-built = golang.build("helm", source.resolve(), ["helm.sh/helm/v3/cmd/helm"], ["-ldflags=-s -w"], Progress(), "one to five minutes, once")
-tools = Path(sys.argv[1])
-tools.mkdir(exist_ok=True)
-(tools / "helm").unlink(missing_ok=True)
-(tools / "helm").symlink_to(built / "helm")
-PYTHON
-}
-
-# kwok_program: makes sure that there is the kwok that simulates nodes and pods for benches, in $CACHE/tools.
-kwok_program() {
-    (cd "$REPOSITORY" && "$PYTHON" - "$CACHE/tools") <<'PYTHON'
-import sys
-from pathlib import Path
-
-from testcluster import golang
-from testcluster.progress import Progress
-
-source = Path("testcluster/local/kwok")
-built = golang.build("kwok", source.resolve(), ["sigs.k8s.io/kwok/cmd/kwok"], ["-ldflags=-s -w"], Progress(), "one to five minutes, once")
-tools = Path(sys.argv[1])
-tools.mkdir(exist_ok=True)
-(tools / "kwok").unlink(missing_ok=True)
-(tools / "kwok").symlink_to(built / "kwok")
-PYTHON
+    say "building helm, since there is ${found:-none}${found:+, which is too old}"
+    go_program helm testcluster/local/hyperkube helm.sh/helm/v3/cmd/helm
 }

@@ -1,4 +1,5 @@
-"""One command: for the parts that run in pods, ``understudy operator | monitor | agent | tasks | prepare``, and for people.
+"""One command: for the parts that run in pods, ``understudy operator | monitor | agent | tasks | prepare | verify``, and
+for people.
 
 ``understudy check`` validates manifests without a cluster, ``understudy status`` shows the robots of one, ``understudy
 timeline`` their recoveries, ``understudy explain`` why one is as it is, ``understudy tree`` a workload's live health tree,
@@ -19,6 +20,7 @@ _PARTS = {
     "agent": "understudy.agent.running",
     "tasks": "understudy.tasks.running",
     "prepare": "understudy.agent.preparing",
+    "verify": "understudy.controller.verifying",
     "simulate": "understudy.trying.simulating",
     "watch": "understudy.trying.watching",
     "learn": "understudy.trying.learning",

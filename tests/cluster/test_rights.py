@@ -124,6 +124,58 @@ def test_a_monitor_sees_who_waits_and_commits_to_its_own_gate_only(cluster: Clus
         cluster.patch(made[1], body, user=monitor)
 
 
+OF_ALL = {
+    "pods": {
+        "get",
+        "list",
+        "watch",
+        "patch",
+        "delete",
+    },  # of which the admission policy leaves its own, see test_admission.py
+    "pods.metrics.k8s.io": {"list"},
+    "networkpolicies.networking.k8s.io": {"list", "watch"},
+    "failurepolicies.understudy.dev": {"get", "list", "watch"},
+    "events": {"create", "patch"},
+    "selfsubjectreviews.authentication.k8s.io": {"create"},
+    "selfsubjectaccessreviews.authorization.k8s.io": {"create"},
+    "selfsubjectrulesreviews.authorization.k8s.io": {"create"},
+}
+"""What a monitor may do to any object of its namespace, by kind. The last three everybody may."""
+
+
+def _rights(cluster: Cluster, namespace: str, user: str) -> list[tuple[str, set[str], set[str]]]:
+    """What ``kubectl auth can-i --list`` says that a user may do: resource, names of objects (none for all), verbs."""
+    text = cluster.kubectl("auth", "can-i", "--list", f"--as={user}", f"--namespace={namespace}")
+    head, *lines = text.splitlines()
+    starts = [head.index(title) for title in ("Resources", "Non-Resource URLs", "Resource Names", "Verbs")]
+    rows = [[line[a:b].strip() for a, b in zip(starts, [*starts[1:], None], strict=True)] for line in lines]
+    return [
+        (resource, set(only.strip("[]").split()), set(verbs.strip("[]").split()))
+        for resource, _, only, verbs in rows
+        if resource
+    ]
+
+
+def test_what_can_i_lists_for_a_monitor_is_its_own_workload_s(cluster: Cluster, namespace: str) -> None:
+    for item in _access("Deployment", namespace):
+        cluster.create(item, namespace)
+    user = account(namespace, names.monitor_account("robot-17"))
+    until(lambda: any(one == "pods" for one, _, _ in _rights(cluster, namespace, user)), "its role to take effect")
+    own = {
+        "networkpolicies.networking.k8s.io": {names.gate("robot-17")},
+        "robotworkloads.understudy.dev": {"robot-17", "robot-17-localization"},  # on which it depends
+        "robotworkloads.understudy.dev/status": {"robot-17"},
+        "configmaps": {names.settings("robot-17")},
+        "secrets": {names.agent_secret("robot-17"), names.pool_secret("spare")},
+        "deployments.apps": {"nav2"},
+    }
+    found = _rights(cluster, namespace, user)
+    named = {resource: only for resource, only, _ in found if only}
+    assert named == own
+    assert {resource: verbs for resource, only, verbs in found if not only} == OF_ALL
+    assert not {"create", "update", "*"} & {verb for resource, only, verbs in found if only for verb in verbs}
+
+
 def _allowed(cluster: Cluster, path: str, user: str) -> bool:
     try:
         cluster.request("GET", path, params={"labelSelector": names.WAITS_FOR}, user=user)

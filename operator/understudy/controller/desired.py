@@ -72,12 +72,19 @@ class Plan:
 
 @dataclass(frozen=True)
 class Images:
-    """The image of everything that Understudy runs itself."""
+    """The image of everything that Understudy runs itself, and how its own pods get it and a place."""
 
     monitor: str
     pull_policy: str = "IfNotPresent"
     pull_secrets: tuple[str, ...] = ()
     """Names of Secrets, in the workload's namespace, by which the image is pulled."""
+    priority_class: str = ""
+    """PriorityClass of monitors and discovery servers; an agent is in a pod of the user's."""
+
+
+def priority(images: Images) -> Object:
+    """The field of the spec of a pod of our own with its PriorityClass; empty where there is none."""
+    return {"priorityClassName": images.priority_class} if images.priority_class else {}
 
 
 def pull_secrets(names: Sequence[str], given: Sequence[Object] = ()) -> Object:

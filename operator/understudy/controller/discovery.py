@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from understudy.api import names
 from understudy.cluster.client import Object
-from understudy.controller.desired import Images, pull_secrets
+from understudy.controller.desired import Images, priority, pull_secrets
 from understudy.controller.instances import HARDENED
 
 _REQUESTS = {"cpu": "10m", "memory": "32Mi"}
@@ -72,6 +72,7 @@ def deployment(workload: str, images: Images, address: str) -> Object:
                     "enableServiceLinks": False,
                     "terminationGracePeriodSeconds": 2,
                     "tolerations": TOLERATIONS,
+                    **priority(images),
                     **pull_secrets(images.pull_secrets),
                     "containers": [container],
                     "volumes": [{"name": "tmp", "emptyDir": {}}],

@@ -14,6 +14,11 @@ from understudy.controller.executing import Ending
 FORGET_REFUSAL = 30.0
 """Seconds after which a refusal is asked about again: a quota, an account or an admission rule may have changed."""
 _REMEMBERED_MOST = 2048
+_POD_SECURITY = "violates PodSecurity"
+_ADVICE = (
+    ". Set that in it, or have another level enforced in the namespace: Understudy's own containers are within any. "
+    "See docs/how-to/production.md"
+)
 
 
 class Judge:
@@ -42,9 +47,9 @@ class Judge:
             if error.status == 409:  # there is a pod of that name: it passed
                 found = None
             elif error.status in (400, 403, 422):
-                found = Problem(
-                    "TemplateInvalid", f"{path}: the API server refuses a pod made from it: {error.message}"
-                )
+                advice = _ADVICE if _POD_SECURITY in error.message else ""
+                words = f"{path}: the API server refuses a pod made from it: {error.message}{advice}"
+                found = Problem("TemplateInvalid", words)
             else:
                 raise
         self._known[key] = (found, self._clock())

@@ -11,7 +11,7 @@ from understudy.api.workloads import MonitorSettings
 from understudy.cluster.applying import digest
 from understudy.cluster.client import Object
 from understudy.controller import robots
-from understudy.controller.desired import Images, pull_secrets
+from understudy.controller.desired import Images, priority, pull_secrets
 from understudy.controller.discovery import TOLERATIONS
 from understudy.controller.instances import HARDENED, away_from
 
@@ -131,6 +131,7 @@ def deployment(
                         }
                     },
                     **owned,
+                    **priority(images),
                     **pull_secrets(images.pull_secrets),
                     "containers": containers,
                     "volumes": [
@@ -197,7 +198,7 @@ def access(
         _rule("networking.k8s.io", ["networkpolicies"], ["list", "watch"]),  # who else waits for a pod of a pool
         _rule(GROUP, ["robotworkloads"], watch, [workload, *sorted(upstream)]),
         _rule(GROUP, ["robotworkloads/status"], ["patch"], [workload]),
-        _rule(GROUP, ["failurepolicies", "fallbackpools"], watch),
+        _rule(GROUP, ["failurepolicies"], watch),
         _rule("", ["configmaps"], watch, [names.settings(workload)]),
         _rule("", ["secrets"], ["get"], tokens),
         _rule("apps", [f"{source_kind.lower()}s"], watch, [source_name]),

@@ -139,6 +139,12 @@ def options(argv: Sequence[str]) -> tuple[argparse.Namespace, Options]:
         help="a Secret of the workloads' namespaces by which the monitor's image is pulled; may be repeated",
     )
     parser.add_argument(
+        "--priority-class",
+        default=environment("UNDERSTUDY_PRIORITY_CLASS", ""),
+        metavar="NAME",
+        help="PriorityClass of the pods of monitors and discovery servers",
+    )
+    parser.add_argument(
         "--watch-namespace", action="append", default=[], help="look after this namespace only; may be repeated"
     )
     parser.add_argument("--lease", default=LEASE)
@@ -153,7 +159,7 @@ def options(argv: Sequence[str]) -> tuple[argparse.Namespace, Options]:
     secrets = given.image_pull_secret or (environment("UNDERSTUDY_IMAGE_PULL_SECRETS") or "").split(",")
     watched = [n for n in given.watch_namespace or (environment("UNDERSTUDY_WATCH_NAMESPACES") or "").split(",") if n]
     return given, Options(
-        images=Images(given.monitor_image, given.image_pull_policy, tuple(filter(None, secrets))),
+        images=Images(given.monitor_image, given.image_pull_policy, tuple(filter(None, secrets)), given.priority_class),
         lease_namespace=given.lease_namespace,
         lease=given.lease,
         identity=given.identity,

@@ -21,8 +21,9 @@ Render = Callable[..., list[Object]]
 def run(helm: str) -> Run:
     """Runs ``helm template``."""
 
-    def template(*settings: str, release: str = "understudy") -> subprocess.CompletedProcess[str]:
+    def template(*settings: str, release: str = "understudy", tests: bool = False) -> subprocess.CompletedProcess[str]:
         words = [word for setting in settings for word in ("--set", setting)]
+        words += [] if tests else ["--skip-tests"]
         command = [helm, "template", release, str(CHART), "--namespace", "system", "--kube-version", "1.34", *words]
         return subprocess.run(command, capture_output=True, text=True, timeout=60)
 
@@ -31,10 +32,10 @@ def run(helm: str) -> Run:
 
 @pytest.fixture(scope="session")
 def render(run: Run) -> Render:
-    """The objects that the chart renders to with some values."""
+    """The objects that the chart renders to with some values; with ``tests`` also what only ``helm test`` makes."""
 
-    def objects(*settings: str, release: str = "understudy") -> list[Object]:
-        done = run(*settings, release=release)
+    def objects(*settings: str, release: str = "understudy", tests: bool = False) -> list[Object]:
+        done = run(*settings, release=release, tests=tests)
         assert done.returncode == 0, done.stderr
         return [item for item in yaml.safe_load_all(done.stdout) if item]
 

@@ -1,4 +1,8 @@
-"""The chart as Helm renders it, and what it refuses."""
+"""The chart as Helm renders it, and what it refuses.
+
+In Python, and not as YAML for a plugin such as helm-unittest, since much of it is compared with what the code says: definitions, names,
+rights. A real API server judges the objects in tests/cluster/test_chart.py.
+"""
 
 from __future__ import annotations
 
@@ -13,8 +17,9 @@ from understudy.api import names
 from understudy.api.crds import definitions
 
 
-def test_lint_is_clean(helm: str) -> None:
-    done = subprocess.run([helm, "lint", "--strict", str(CHART)], capture_output=True, text=True, timeout=60)
+@pytest.mark.parametrize("values", [(), ("--values", str(CHART / "production.yaml"))], ids=["as-it-is", "production"])
+def test_lint_is_clean(helm: str, values: tuple[str, ...]) -> None:
+    done = subprocess.run([helm, "lint", "--strict", str(CHART), *values], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stdout
     assert "[WARNING]" not in done.stdout
     assert "[ERROR]" not in done.stdout
@@ -66,8 +71,10 @@ def test_the_operator_is_told_by_which_secrets_monitors_are_pulled(render: Rende
     assert {"name": "UNDERSTUDY_IMAGE_PULL_SECRETS", "value": "registry,other"} in container["env"]
 
 
-def test_the_operator_meets_the_restricted_pod_security_standard(render: Render) -> None:
-    pod = one(render(), "Deployment")["spec"]["template"]["spec"]
+@pytest.mark.parametrize("kind", ["Deployment", "Pod"])
+def test_its_pods_meet_the_restricted_pod_security_standard(render: Render, kind: str) -> None:
+    found = one(render(tests=True), kind)["spec"]
+    pod = found["template"]["spec"] if kind == "Deployment" else found
     assert pod["securityContext"]["runAsNonRoot"] is True
     assert pod["securityContext"]["seccompProfile"] == {"type": "RuntimeDefault"}
     for container in pod["containers"]:
@@ -118,6 +125,70 @@ def test_values_reach_the_operator(render: Render) -> None:
     assert pod["tolerations"] == [{"operator": "Exists"}]
 
 
+def test_the_operator_is_told_the_priority_of_monitors(render: Render) -> None:
+    deployment = one(render("monitors.priorityClassName=robots"), "Deployment")
+    (container,) = deployment["spec"]["template"]["spec"]["containers"]
+    assert {"name": "UNDERSTUDY_PRIORITY_CLASS", "value": "robots"} in container["env"]
+
+
+def test_its_pods_are_spread_as_one_says(render: Render) -> None:
+    constraint = "operator.topologySpreadConstraints[0]"
+    zones = (
+        f"{constraint}.maxSkew=1",
+        f"{constraint}.topologyKey=zone",
+        f"{constraint}.whenUnsatisfiable=DoNotSchedule",
+    )
+
+    def spread(*settings: str) -> list[Object]:
+        found: list[Object] = one(render(*zones, *settings), "Deployment")["spec"]["template"]["spec"][
+            "topologySpreadConstraints"
+        ]
+        return found
+
+    [found] = spread()
+    assert (found["topologyKey"], found["whenUnsatisfiable"]) == ("zone", "DoNotSchedule")
+    assert found["labelSelector"]["matchLabels"]["app.kubernetes.io/component"] == "operator"
+    [given] = spread(f"{constraint}.labelSelector.matchLabels.team=robots")
+    assert given["labelSelector"] == {"matchLabels": {"team": "robots"}}
+    none = one(render("operator.topologySpreadConstraints=null"), "Deployment")
+    assert "topologySpreadConstraints" not in none["spec"]["template"]["spec"]
+
+
+def test_in_named_namespaces_only_the_operator_has_its_rights_there_only(render: Render) -> None:
+    everywhere = one(render(), "ClusterRole", "understudy-operator")["rules"]
+    items = render("watchNamespaces={fleet-a,fleet-b}", "metrics.podMonitors.enabled=true")
+    of_cluster = one(items, "ClusterRole", "understudy-operator")["rules"]
+    assert {(resource, verb) for rule in of_cluster for resource in rule["resources"] for verb in rule["verbs"]} == {
+        *(("nodes", verb) for verb in ("get", "list", "watch")),
+        *(("customresourcedefinitions", verb) for verb in ("list", "watch")),
+    }
+    roles = [i for i in items if i["kind"] == "Role" and i["metadata"]["name"] == "understudy-operator-workloads"]
+    assert [role["metadata"]["namespace"] for role in roles] == ["fleet-a", "fleet-b"]
+    assert all([*role["rules"], *of_cluster] == everywhere for role in roles)
+    bindings = [
+        i for i in items if i["kind"] == "RoleBinding" and i["roleRef"]["name"] == "understudy-operator-workloads"
+    ]
+    assert [binding["metadata"]["namespace"] for binding in bindings] == ["fleet-a", "fleet-b"]
+    account = {"kind": "ServiceAccount", "name": "understudy-operator", "namespace": "system"}
+    assert all(binding["subjects"] == [account] for binding in bindings)
+    (container,) = one(items, "Deployment")["spec"]["template"]["spec"]["containers"]
+    assert {"name": "UNDERSTUDY_WATCH_NAMESPACES", "value": "fleet-a,fleet-b"} in container["env"]
+    scraped = one(items, "PodMonitor", "understudy-monitors")["spec"]["namespaceSelector"]
+    assert scraped == {"matchNames": ["fleet-a", "fleet-b"]}
+
+
+def test_helm_test_runs_as_an_account_that_the_admission_policy_means(render: Render) -> None:
+    items = render(tests=True)
+    pod = one(items, "Pod")
+    assert pod["spec"]["serviceAccountName"].endswith(names.MONITOR_ACCOUNT_ENDING)
+    selected = one(items, "Deployment")["spec"]["selector"]["matchLabels"]
+    assert not selected.items() <= pod["metadata"]["labels"].items(), "it isn't taken for a replica of the operator"
+    (container,) = pod["spec"]["containers"]
+    assert container["args"] == ["verify", "--operator=understudy-operator"]
+    without = one(render("admission.enabled=false", tests=True), "Pod")["spec"]["containers"][0]
+    assert without["args"][-1] == "--no-admission"
+
+
 def test_a_drain_takes_one_replica_at_a_time(render: Render) -> None:
     budget = one(render(), "PodDisruptionBudget")
     assert budget["spec"]["maxUnavailable"] == 1
@@ -129,20 +200,21 @@ def test_a_drain_takes_one_replica_at_a_time(render: Render) -> None:
 
 def test_parts_can_be_left_to_others(render: Render) -> None:
     def kinds(setting: str) -> set[str]:
-        return {item["kind"] for item in render(setting, "rbac.aggregate=false")}
+        items = render(setting, "rbac.aggregate=false")
+        return {item["kind"] for item in items if not item["metadata"]["name"].startswith("understudy-test")}
 
     assert not {"ClusterRole", "ClusterRoleBinding", "Role", "RoleBinding"} & kinds("rbac.create=false")
     assert "ServiceAccount" not in kinds("serviceAccount.create=false")
     assert not {"ValidatingAdmissionPolicy", "ValidatingAdmissionPolicyBinding"} & kinds("admission.enabled=false")
     named = render("serviceAccount.create=false", "serviceAccount.name=mine")
     assert one(named, "Deployment")["spec"]["template"]["spec"]["serviceAccountName"] == "mine"
-    assert one(named, "ClusterRoleBinding")["subjects"] == [
+    assert one(named, "ClusterRoleBinding", "understudy-operator")["subjects"] == [
         {"kind": "ServiceAccount", "name": "mine", "namespace": "system"}
     ]
 
 
 def test_the_release_names_its_objects(render: Render) -> None:
-    items = render(release="r" * 53)
+    items = render(release="r" * 53, tests=True)
     for item in items:
         if item["kind"] != "CustomResourceDefinition":
             assert len(item["metadata"]["name"]) <= 63
@@ -177,6 +249,13 @@ def test_the_admission_policy_means_the_names_that_the_code_means(render: Render
         ("images.pullSecrets={registry}", "at '/images/pullSecrets/0': got string, want object"),
         ("operator.env[0].value=x", "at '/operator/env/0': missing property 'name'"),
         ("operator.logLevel=loud", "at '/operator/logLevel': value must be one of"),
+        ("watchNamespaces=fleet", "at '/watchNamespaces': got string, want array"),
+        ("watchNamespaces={Fleet}", "at '/watchNamespaces/0': 'Fleet' does not match pattern"),
+        ("monitors.priority=x", "at '/monitors': additional properties 'priority' not allowed"),
+        (
+            "operator.topologySpreadConstraints[0].maxSkew=1",
+            "at '/operator/topologySpreadConstraints/0': missing properties 'topologyKey', 'whenUnsatisfiable'",
+        ),
         ("crds.install=maybe", "at '/crds/install': got string, want boolean"),
         ("admission.enabled=1", "at '/admission/enabled': got number, want boolean"),
         ("operator.podLabels.a=1", "at '/operator/podLabels/a': got number, want string"),

@@ -102,7 +102,7 @@ def test_nobody_can_be_given_more_than_that(held: set[Right]) -> None:
 
 
 def test_the_lease_is_in_the_operator_s_own_namespace(render: Render) -> None:
-    role = one(render(), "Role")
+    role = one(render(), "Role", "understudy-operator")
     assert role["metadata"]["namespace"] == "system"
     assert _rights(role["rules"]) == _each(LEASES, "get", "create", "patch")
 

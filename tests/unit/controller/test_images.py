@@ -1,4 +1,4 @@
-"""By which Secrets the pods are pulled that have the monitor's image in them."""
+"""By which Secrets the pods are pulled that have the monitor's image in them, and which of them go last."""
 
 from __future__ import annotations
 
@@ -59,9 +59,26 @@ def test_the_pods_of_a_shared_pool_are_pulled_by_them_too() -> None:
     assert pod["spec"]["imagePullSecrets"] == SECRET
 
 
+def test_monitors_and_discovery_servers_have_their_priority_and_instances_that_of_their_template(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(world, "IMAGES", replace(IMAGES, priority_class="robots"))
+    found = pods(World(workload(), policy("hot"), hot()))
+    given = {name: pod["priorityClassName"] for name, pod in found.items() if "priorityClassName" in pod}
+    assert given == {"w-monitor": "robots", "w-discovery": "robots"}
+
+
 def test_the_operator_has_them_of_its_environment_or_its_options(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("UNDERSTUDY_MONITOR_IMAGE", "monitor:1")
     assert running.options([])[1].images.pull_secrets == ()
     monkeypatch.setenv("UNDERSTUDY_IMAGE_PULL_SECRETS", "registry,other")
     assert running.options([])[1].images.pull_secrets == ("registry", "other")
     assert running.options(["--image-pull-secret", "mine"])[1].images.pull_secrets == ("mine",)
+
+
+def test_the_operator_has_the_priority_of_its_environment_or_its_options(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("UNDERSTUDY_MONITOR_IMAGE", "monitor:1")
+    assert running.options([])[1].images.priority_class == ""
+    monkeypatch.setenv("UNDERSTUDY_PRIORITY_CLASS", "robots")
+    assert running.options([])[1].images.priority_class == "robots"
+    assert running.options(["--priority-class", "mine"])[1].images.priority_class == "mine"

@@ -1,0 +1,57 @@
+"""An operator that has its rights in some namespaces only, as the chart gives them to it."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import yaml
+
+from tests.cluster.conftest import REPOSITORY, Release
+from tests.cluster.test_operator import Fleet, Operator, alone, hot, policy, workload
+from tests.support.cluster import Cluster, Object, Refused, account, until
+
+__all__ = ["alone"]  # a fixture
+
+RIGHTS = ("ServiceAccount", "ClusterRole", "ClusterRoleBinding", "Role", "RoleBinding")
+
+
+@pytest.fixture
+def confined(cluster: Cluster, helm: str, kubeconfig: Path, namespace: str, tmp_path: Path) -> Iterator[Path]:
+    """The kubeconfig of an operator that the chart lets look after one namespace."""
+    chart = str(REPOSITORY / "charts" / "understudy")
+    settings = f"watchNamespaces={{{namespace}}},rbac.aggregate=false"
+    command = [helm, "template", namespace, chart, "--namespace", namespace, "--skip-tests", "--set", settings]
+    rendered = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True).stdout
+    items: list[Object] = [i for i in yaml.safe_load_all(rendered) if i and i["kind"] in RIGHTS]
+    made = [cluster.create(item) for item in items]
+    config = yaml.safe_load(kubeconfig.read_text())
+    name = f"{namespace}-understudy-operator"
+    config["users"] = [
+        {"name": "operator", "user": {"token": cluster.kubectl("create", "token", name, "-n", namespace)}}
+    ]
+    config["contexts"][0]["context"]["user"] = "operator"
+    config["current-context"] = config["contexts"][0]["name"]
+    file = tmp_path / "kubeconfig"
+    file.write_text(yaml.safe_dump(config))
+    yield file
+    for item in made:
+        cluster.delete(item)
+
+
+def test_it_protects_what_is_there_and_sees_nothing_else(
+    cluster: Cluster, release: Release, namespace: str, confined: Path
+) -> None:
+    fleet = Fleet(cluster, namespace)
+    with Operator(confined, namespace) as operator:
+        fleet.create(policy("hot"), hot(), workload())
+        fleet.wait_built()
+        until(lambda: len(fleet.instances()) == 2, "a pod and a standby")
+        assert operator.status is None, "it is at work still"
+    user = account(namespace, f"{namespace}-understudy-operator")
+    assert cluster.request("GET", cluster.path("v1", "Pod", namespace), user=user)["items"]
+    for kind in ("Pod", "Secret", "ConfigMap"):
+        with pytest.raises(Refused, match="cannot list resource"):
+            cluster.request("GET", cluster.path("v1", kind, "default"), user=user)
