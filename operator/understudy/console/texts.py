@@ -27,9 +27,11 @@ def age(moment: str, now: float) -> str:
     return "".join(told[:2]) or "0s"
 
 
-def clock(moment: str) -> str:
-    """A moment as a date and a time in UTC, as the cluster's logs have it."""
-    return datetime.fromtimestamp(unix(moment), UTC).strftime("%Y-%m-%d %H:%M:%SZ")
+def clock(moment: str | float) -> str:
+    """A moment (RFC 3339, or unix seconds) as a date and a time in UTC, as the cluster's logs have it."""
+    return datetime.fromtimestamp(unix(moment) if isinstance(moment, str) else moment, UTC).strftime(
+        "%Y-%m-%d %H:%M:%SZ"
+    )
 
 
 def wrapped(text: str, columns: int | None, *, indent: int, hanging: int | None = None) -> list[str]:
