@@ -10,6 +10,7 @@ from understudy.console.bars import NAMES, length
 from understudy.console.texts import clock, counted
 from understudy.reporting.markup import Markup, element, joined
 from understudy.reporting.records import Course, Entry, Findings, Group, Span
+from understudy.reporting.resources import ROLES, Share
 from understudy.reporting.samples import Spread
 from understudy.reporting.tables import span
 
@@ -38,17 +39,8 @@ def recovery_times(groups: Sequence[Group]) -> Markup:
         rows.append(_heading(group, group.spread, top))
         for part, seconds in group.parts.items():
             if seconds > 0:
-                rows.append(
-                    element(
-                        "rect",
-                        element("title", f"{NAMES[part]}: mean {length(seconds)}"),
-                        x=_percent(place(begin)),
-                        y=top + 34,
-                        width=_percent(place(seconds)),
-                        height=18,
-                        class_=f"part {part}",
-                    )
-                )
+                words = element("title", f"{NAMES[part]}: mean {length(seconds)}")
+                rows.append(_bar(words, place(begin), place(seconds), top + 34, part))
             begin += seconds
         rows += _quantiles(group.spread, place, top + 30, 26)
         rows += _dots(group.entries, group.times, place, top + 62)
@@ -85,24 +77,69 @@ def gaps(groups: Sequence[Group]) -> Markup:
     )
 
 
+def reserved(shares: Sequence[Share]) -> Markup:
+    """The CPU that is reserved by strategy, stacked by what the pods are for."""
+    steps = list(_ticks(max(share.total.cpu for share in shares) * 1000 or 1.0))
+
+    def place(milli: float) -> float:
+        return milli / steps[-1] * _ROOM
+
+    rows, height = [], 62
+    for number, share in enumerate(shares):
+        top, begin = 8 + number * height, 0.0
+        note = f"{milli(share.total.cpu)}, {_of(share)}"
+        rows.append(element("text", share.name, x="0", y=top + 12, class_="head"))
+        rows.append(element("text", note, x="0", y=top + 27, class_="note"))
+        for role, amounts in share.roles.items():
+            wide = amounts.cpu * 1000
+            if wide > 0:
+                words = element("title", f"{ROLES[role]}: {milli(amounts.cpu)}")
+                rows.append(_bar(words, place(begin), place(wide), top + 33, role))
+            begin += wide
+    return _figure(
+        "Reserved CPU by strategy",
+        "; ".join(f"{share.name}: {milli(share.total.cpu)}, {_of(share)}" for share in shares),
+        joined(_grid(((place(s), f"{s:g} m") for s in steps), 8, len(shares) * height), *rows),
+        len(shares) * height + 34,
+    )
+
+
+def milli(cores: float) -> str:
+    """An amount of CPU as Kubernetes has it."""
+    return f"{cores * 1000:.4g} milli-CPU"
+
+
+def _of(share: Share) -> str:
+    return (
+        counted(share.count, "pod")
+        if "pool" in share.roles and len(share.roles) == 1
+        else f"mean of {counted(share.count, 'robot')}"
+    )
+
+
+def _bar(words: Markup, begin: float, wide: float, top: int, kind: str) -> Markup:
+    """A piece of a stacked bar."""
+    return element("rect", words, x=_percent(begin), y=top, width=_percent(wide), height=18, class_=f"part {kind}")
+
+
 def timeline(findings: Findings) -> Markup:
-    """What happened to each robot over the period, and of which time nothing is known."""
+    """What happened over the period to each robot to which something did, and of which time nothing is known."""
     period = findings.period
 
     def place(moment: float) -> float:
         return 1.5 + (moment - period.begin) / period.length * (_ROOM - 1.5)
 
     rows, height = [], 50
-    for number, course in enumerate(findings.courses):
+    for number, course in enumerate(findings.eventful):
         top = 8 + number * height
         rows.append(element("text", findings.named(course.robot), x="0", y=top + 14, class_="head"))
         rows.append(element("text", _told_of(course), x="100%", y=top + 14, text_anchor="end", class_="note"))
         rows += _lane(course, period, place, top + 20)
     ends = [(place(period.begin + period.length * share), "") for share in (0.0, 0.25, 0.5, 0.75, 1.0)]
-    bottom = len(findings.courses) * height + 8
+    bottom = len(findings.eventful) * height + 8
     return _figure(
         "Recoveries over time",
-        "; ".join(f"{findings.named(course.robot)}: {_told_of(course)}" for course in findings.courses),
+        "; ".join(f"{findings.named(course.robot)}: {_told_of(course)}" for course in findings.eventful),
         joined(
             _grid(ends, 8, bottom - 8),
             *rows,
@@ -172,9 +209,7 @@ def _lane(course: Course, period: Span, place: Callable[[float], float], top: in
 
 
 def _told_of(course: Course) -> str:
-    if course.known is None:
-        return "not known"
-    return counted(len(course.entries), "recovery", "recoveries") if course.entries else "no recovery"
+    return counted(len(course.entries), "recovery", "recoveries")
 
 
 def _heading(group: Group, spread: Spread, top: int) -> Markup:

@@ -32,6 +32,7 @@ def page(findings: Findings, sheets: Mapping[str, str], *, where: str, made: flo
         *sections.strategies(findings),
         *sections.over_time(findings),
         *sections.gaps(findings),
+        *sections.reserved(findings),
         *sections.failures(findings),
         *sections.recoveries(findings),
         _downloads(sheets),

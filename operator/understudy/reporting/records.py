@@ -17,6 +17,7 @@ from understudy.console.bars import NAMES
 from understudy.console.recoveries import parts_of, start_of
 from understudy.console.robots import Robot, robot, status_of
 from understudy.console.texts import unix
+from understudy.reporting.resources import Share, shares
 from understudy.reporting.samples import Spread
 
 
@@ -181,11 +182,20 @@ class Findings:
     period: Span
     courses: Sequence[Course]
     """By namespace and name."""
+    shares: Sequence[Share] = ()
+    """What their pods have reserved now."""
+    shares_unknown: str = ""
+    """Why that can't be told, where it can't."""
 
     @cached_property
     def entries(self) -> Sequence[Entry]:
         """The recoveries of all robots, newest first."""
         return sorted((e for course in self.courses for e in course.entries), key=lambda e: e.began, reverse=True)
+
+    @cached_property
+    def eventful(self) -> Sequence[Course]:
+        """The robots to which something happened in the period."""
+        return [course for course in self.courses if course.entries or course.outages]
 
     @cached_property
     def groups(self) -> Sequence[Group]:
@@ -218,10 +228,16 @@ class Findings:
         return max(self.period.begin, unix(created) if created else self.period.begin)
 
 
-def findings(items: Iterable[Mapping[str, Any]], period: Span) -> Findings:
-    """What RobotWorkloads as the API server gives them say of a period. Raises Unusable where a status isn't understood."""
-    courses = [course(item, period) for item in items]
-    return Findings(period, sorted(courses, key=lambda one: (one.robot.namespace, one.robot.name)))
+def findings(
+    items: Iterable[Mapping[str, Any]], period: Span, pods: Iterable[Mapping[str, Any]] = (), *, pods_unknown: str = ""
+) -> Findings:
+    """What RobotWorkloads and pods as the API server gives them say of a period; ``pods_unknown`` says why there are no pods.
+
+    Raises Unusable where a status isn't understood.
+    """
+    courses = sorted((course(item, period) for item in items), key=lambda one: (one.robot.namespace, one.robot.name))
+    found = [] if pods_unknown else shares([one.robot for one in courses], pods)
+    return Findings(period, courses, found, pods_unknown)
 
 
 def course(item: Mapping[str, Any], period: Span) -> Course:

@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from understudy.api import base
+from understudy.api import base, names
 from understudy.console.kubectl import WORKLOADS, Kubectl, Unusable, add_options
 from understudy.console.texts import clock, counted
 from understudy.reporting.page import page
@@ -27,8 +27,10 @@ def main(arguments: list[str]) -> int:
     try:
         now = time.time()
         period = _period(given, now)
-        items = _robots(Kubectl(given), given)
-        found = findings(items, period)
+        kubectl = Kubectl(given)
+        items = _robots(kubectl, given)
+        pods, unknown = _pods(kubectl, given)
+        found = findings(items, period, pods, pods_unknown=unknown)
         data = sheets(found)
         where = _where(found, given)
         _write(Path(given.output), page(found, data, where=where, made=now))
@@ -52,6 +54,18 @@ def _robots(kubectl: Kubectl, given: argparse.Namespace) -> Sequence[Mapping[str
         raise Unusable(f"there is no namespace {given.namespace}")
     where = "the cluster" if given.all_namespaces else "this namespace (-n NAMESPACE and -A ask elsewhere)"
     raise Unusable(f"there is no RobotWorkload in {where}")
+
+
+def _pods(kubectl: Kubectl, given: argparse.Namespace) -> tuple[Sequence[Mapping[str, Any]], str]:
+    """The pods that robots and pools have; and why they can't be told, where they can't: that is no reason to write nothing."""
+    where, found = ["-A"] if given.all_namespaces else [], {}
+    try:
+        for label in (names.WORKLOAD, names.MONITORED, names.POOL):  # of a cluster's pods they may be few
+            for pod in kubectl.get("pods", *where, "-l", label)["items"]:
+                found[pod["metadata"]["uid"]] = pod
+    except Unusable as error:
+        return [], str(error)
+    return list(found.values()), ""
 
 
 def _period(given: argparse.Namespace, now: float) -> Span:
@@ -111,8 +125,8 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="understudy report",
         description="Writes what the recoveries of a period came to into one HTML file: recovery times by strategy and part, the robots' "
-        "gaps and downtime, and every recovery. It is made from the records in the RobotWorkloads' status, which keep the last ten of "
-        "each robot, and says of which time they aren't whole. It acts on nothing.",
+        "gaps and downtime, what is reserved for them, and every recovery. It is made from the records in the RobotWorkloads' status, "
+        "which keep the last ten of each robot, and says of which time they aren't whole. It acts on nothing.",
         epilog="Exit status: 0 where it is written, 2 where it can't be: kubectl failed, a name isn't there, or there is no robot at all.",
     )
     parser.add_argument("names", metavar="NAME", nargs="*", help="a RobotWorkload; all where none is named")
@@ -128,7 +142,9 @@ def _parser() -> argparse.ArgumentParser:
         "-o", "--output", metavar="FILE", default="understudy-report.html", help="the page (%(default)s)"
     )
     parser.add_argument(
-        "--csv", metavar="FOLDER", help="write the data there too: recoveries.csv, robots.csv, strategies.csv"
+        "--csv",
+        metavar="FOLDER",
+        help="write the data there too: recoveries.csv, robots.csv, strategies.csv and reserved.csv",
     )
     add_options(parser, all_namespaces=True)
     return parser

@@ -12,6 +12,7 @@ from understudy.console.texts import clock, counted, listed, unix
 from understudy.reporting import charts, tables
 from understudy.reporting.markup import Markup, element
 from understudy.reporting.records import Course, Entry, Findings
+from understudy.reporting.resources import ROLES, Amounts
 from understudy.reporting.samples import Spread
 from understudy.reporting.tables import Cell, moment, number, seconds, span
 
@@ -183,6 +184,11 @@ def _spread(spread: Spread) -> list[Cell]:
 def over_time(findings: Findings) -> Iterator[Markup]:
     """When each of them was."""
     yield element("h2", "Recoveries over time")
+    if not findings.eventful:
+        yield element("p", "Nothing that is known happened to these robots in this period.", class_="card")
+        return
+    quiet = len(findings.courses) - len(findings.eventful)
+    others = f" Of {counted(quiet, 'robot')} there is nothing to be shown." if quiet else ""
     yield element(
         "figure",
         _legend(
@@ -194,7 +200,7 @@ def over_time(findings: Findings) -> Iterator[Markup]:
             ("unknown", "not known, or before it was made"),
         ),
         charts.timeline(findings),
-        element("figcaption", "By robot, in UTC. Every mark is in the table of recoveries below."),
+        element("figcaption", f"By robot, in UTC. Every mark is in the table of recoveries below.{others}"),
     )
 
 
@@ -217,6 +223,45 @@ def gaps(findings: Findings) -> Iterator[Markup]:
     )
     rows = [[Cell(g.name), number(len(g.gaps)), *_spread(Spread.of(g.gaps))] for g in groups]
     yield tables.table("Gap by strategy", ("Strategy", "n", "Mean", "p50", "p95", "Least", "Greatest"), rows)
+
+
+def reserved(findings: Findings) -> Iterator[Markup]:
+    """What each strategy keeps reserved: the other side of how long it takes."""
+    yield element("h2", "Reserved CPU and memory")
+    shares = findings.shares
+    if findings.shares_unknown:
+        yield element("p", f"The pods can't be told: {findings.shares_unknown}", class_="card")
+        return
+    roles = [role for role in ROLES if any(share.roles.get(role, Amounts()).cpu for share in shares)]
+    if not roles:
+        yield element("p", "No pod of these robots requests CPU, so that nothing is reserved.", class_="card")
+        return
+    yield element(
+        "figure",
+        _legend(*((role, ROLES[role]) for role in roles)),
+        charts.reserved(shares),
+        element(
+            "figcaption",
+            "CPU that pods request, by the strategy that would be used if a robot failed now: the mean of a robot, by what its pods are "
+            "for; and of each shared pool what waits there. It is what is set aside for them, not what they use.",
+        ),
+    )
+    head = ("Strategy", "n", *(ROLES[role].capitalize() for role in roles), "All", "Memory")
+    rows = [
+        [
+            Cell(share.name),
+            number(share.count),
+            *(_milli(share.roles.get(role, Amounts()).cpu) for role in roles),
+            _milli(share.total.cpu),
+            Cell(f"{share.total.memory / 2**20:.0f} MiB", share.total.memory, number=True),
+        ]
+        for share in shares
+    ]
+    yield tables.table("Reserved CPU and memory by strategy", head, rows)
+
+
+def _milli(cores: float) -> Cell:
+    return Cell(f"{cores * 1000:.4g} m", cores, number=True)
 
 
 def failures(findings: Findings) -> Iterator[Markup]:

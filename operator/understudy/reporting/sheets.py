@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 from understudy.api.workloads import Moments
 from understudy.console.bars import NAMES
@@ -13,6 +13,7 @@ from understudy.console.recoveries import parts_of
 from understudy.console.robots import Robot
 from understudy.mitigation.progress import rfc3339
 from understudy.reporting.records import Course, Entry, Findings, Group, Span
+from understudy.reporting.resources import ROLES, Share
 
 Value = str | int | float | bool | None
 Row = Mapping[str, Value]
@@ -27,6 +28,7 @@ def sheets(findings: Findings) -> dict[str, str]:
         "recoveries.csv": _written([_recovery(entry) for entry in findings.entries], _recovery_columns()),
         "robots.csv": _written([_robot(course, findings.period) for course in findings.courses], _ROBOT),
         "strategies.csv": _written([_strategy(group) for group in findings.groups], _STRATEGY),
+        "reserved.csv": _written([row for share in findings.shares for row in _reserved(share)], _RESERVED),
     }
 
 
@@ -146,3 +148,12 @@ def _strategy(group: Group) -> Row:
         "least_seconds": spread.least,
         "greatest_seconds": spread.greatest,
     }
+
+
+_RESERVED = ("strategy", "count", "role", "cpu_cores", "memory_bytes")
+
+
+def _reserved(share: Share) -> Iterator[Row]:
+    for role, amounts in share.roles.items():
+        values = {"cpu_cores": amounts.cpu, "memory_bytes": amounts.memory}
+        yield {"strategy": share.name, "count": share.count, "role": ROLES[role], **values}

@@ -8,6 +8,8 @@ from typing import Any
 
 from tests.unit.console import fleet
 from tests.unit.console.fleet import NOW, ago, said
+from tests.unit.controller import world
+from understudy.api import names
 from understudy.api.workloads import Attempt, Moments, Recovery
 from understudy.reporting.records import Span
 
@@ -95,3 +97,25 @@ def quiet() -> Object:
 
 def robots() -> list[Object]:
     return [whole(), forgetful(), in_vain(), hostile(), quiet()]
+
+
+def pods() -> list[Object]:
+    """Of the first robot, and what waits in a pool that is shared: the stand-in's answer to every selector."""
+    return [
+        pod("robot-1-drive-x8v2m", names.WORKLOAD, "robot-1-drive"),
+        pod("robot-1-drive-w7h5k", names.WORKLOAD, "robot-1-drive", agent="20m"),
+        pod("robot-1-drive-monitor-1", names.MONITORED, "robot-1-drive", cpu="100m"),
+        pod("spare-1", names.POOL, "spare", cpu="1"),
+        pod("spare-2", names.POOL, "spare", cpu="1"),
+        pod("robot-1-59dd", "app", "robot-1"),
+    ]
+
+
+def pod(name: str, label: str, value: str, *, cpu: str = "500m", agent: str = "") -> Object:
+    made = world.pod(name, labels={label: value, **({names.COMPONENT: "monitor"} if label == names.MONITORED else {})})
+    resources = {"requests": {"cpu": cpu, "memory": "256Mi"}}
+    made["spec"] = {"containers": [{"name": "app", "resources": resources}]}
+    if agent:
+        lasting = {"name": names.AGENT_CONTAINER, "restartPolicy": "Always", "resources": {"requests": {"cpu": agent}}}
+        made["spec"]["initContainers"] = [lasting, {"name": "copy", "resources": {"requests": {"cpu": "4"}}}]
+    return made

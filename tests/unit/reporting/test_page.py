@@ -113,13 +113,23 @@ def test_bars_are_as_long_as_the_parts_took() -> None:
 
 
 def test_every_figure_is_described_and_has_a_table() -> None:
-    shown = read(*fleet.robots())
+    shown = Read(written(findings(fleet.robots(), DAY, fleet.pods())))
     charts = [e for e in shown.all("svg") if e.get("role") == "img"]
-    assert len(charts) == len(shown.all("figure")) == 3
+    assert len(charts) == len(shown.all("figure")) == 4
     assert all(e["aria-label"] for e in charts)
     assert "Restart: n = 2, mean 3.68 s, p50 3.68 s, p95 3.68 s" in (charts[0]["aria-label"] or "")
-    assert len(shown.tables) == 4
+    assert len(shown.tables) == 5
     assert shown.all("html")[0]["lang"] == "en"
+
+
+def test_what_is_reserved_by_strategy() -> None:
+    shown = Read(written(findings([fleet.whole()], DAY, fleet.pods())))
+    executing, pool = shown.table("Reserved CPU")
+    assert (executing[0][0], [value(cell) for cell in executing[2:6]]) == ("Executing", [0.5, 0.52, 0.1, 0.0])
+    assert (pool[0][0], value(pool[6])) == ("pool spare", 2.0)
+    assert "No pod of these robots requests CPU" in read(fleet.whole()).text
+    told = Read(written(findings([fleet.whole()], DAY, pods_unknown="you may not list pods"))).text
+    assert "The pods can't be told: you may not list pods" in told
 
 
 def test_names_and_messages_of_others_are_text() -> None:
@@ -156,8 +166,15 @@ def test_what_is_not_known_is_said_first() -> None:
     assert "Not the whole period" not in read(fleet.whole()).text
 
 
+def test_only_robots_to_which_something_happened_have_a_lane() -> None:
+    shown = read(*fleet.robots())
+    assert shown.texts.count("robot-1-drive") > shown.texts.count("robot-5-drive") == 1, "it is in the table of robots"
+    assert "Of 1 robot there is nothing to be shown." in shown.text
+
+
 def test_a_period_without_recoveries_says_so() -> None:
     told = read(fleet.in_vain(), period=Span(NOW - 60.0, NOW)).text
+    assert "Nothing that is known happened to these robots in this period." in told
     assert (
         "No recovery that is known began in this period. The last one that is known ended at 2026-11-22 13:06:24Z."
         in told

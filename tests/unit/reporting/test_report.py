@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import re
+import shlex
 from pathlib import Path
 
 import pytest
@@ -11,6 +13,8 @@ from tests.unit.console import fleet as others
 from tests.unit.console.kubectl import Stand
 from tests.unit.reporting import fleet
 from understudy.reporting.report import main
+
+DOCUMENTATION = Path(__file__).parents[3] / "docs" / "report.md"
 
 pytestmark = pytest.mark.usefixtures("in_the_present")
 
@@ -28,14 +32,26 @@ def test_a_page_and_the_data(stand: Stand, written: Path, capsys: pytest.Capture
         f"{written}: 5 robots, 18 recoveries from 2026-11-21 14:06:24Z to 2026-11-22 14:06:24Z; of 1 robot not the whole "
         "period is known, since a status keeps the last ten recoveries only\n"
     )
-    (asked,) = stand.asked
-    assert asked.startswith("--namespace=fleet get robotworkloads.understudy.dev -o json")
+    robots, *pods = stand.asked
+    assert robots.startswith("--namespace=fleet get robotworkloads.understudy.dev -o json")
+    assert all(asked.startswith("--namespace=fleet get pods -l understudy.dev/") for asked in pods)
     assert written.read_text().startswith("<!doctype html>\n")
     assert sorted(path.name for path in (written.parent / "data").iterdir()) == [
-        *("recoveries.csv", "robots.csv", "strategies.csv")
+        *("recoveries.csv", "reserved.csv", "robots.csv", "strategies.csv")
     ]
     with (written.parent / "data" / "recoveries.csv").open(newline="") as file:
         assert len(list(csv.DictReader(file))) == 18
+
+
+def test_the_documentation_shows_what_it_says(
+    stand: Stand, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    stand.tell(fleet.robots())
+    ((arguments, expected),) = re.findall(r"\$ understudy report (.*?)\n(.*?)```", DOCUMENTATION.read_text(), re.DOTALL)
+    assert main(shlex.split(arguments)) == 0
+    assert capsys.readouterr().out == expected
+    assert (tmp_path / "understudy-report.html").exists()
 
 
 @pytest.mark.parametrize(
