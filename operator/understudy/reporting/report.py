@@ -50,10 +50,18 @@ def _robots(kubectl: Kubectl, given: argparse.Namespace) -> Sequence[Mapping[str
     items: list[Mapping[str, Any]] = answer.get("items", [answer])
     if items:
         return items
-    if given.namespace and kubectl.find("namespaces", given.namespace) is None:
+    if given.namespace and not _may_be_there(kubectl, given.namespace):
         raise Unusable(f"there is no namespace {given.namespace}")
     where = "the cluster" if given.all_namespaces else "this namespace (-n NAMESPACE and -A ask elsewhere)"
     raise Unusable(f"there is no RobotWorkload in {where}")
+
+
+def _may_be_there(kubectl: Kubectl, namespace: str) -> bool:
+    """Whether there is such a namespace, or nobody knows: who may look into it may not be allowed to look at it."""
+    try:
+        return kubectl.find("namespaces", namespace) is not None
+    except Unusable:
+        return True
 
 
 def _pods(kubectl: Kubectl, given: argparse.Namespace) -> tuple[Sequence[Mapping[str, Any]], str]:

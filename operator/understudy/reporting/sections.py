@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 
-from understudy.console.bars import NAMES, length, short
+from understudy.console.bars import NAMES, short
 from understudy.console.overview import summary
-from understudy.console.recoveries import parts_of, tried
+from understudy.console.recoveries import outcome, parts_of, tried
 from understudy.console.texts import clock, counted, listed, unix
 from understudy.reporting import charts, tables
 from understudy.reporting.markup import Markup, element
@@ -277,17 +277,12 @@ def failures(findings: Findings) -> Iterator[Markup]:
     for entry in failed:
         recovery = entry.recovery
         vain = [element("li", tried(attempt)) for attempt in recovery.attempts if attempt.result != "Verified"]
-        ended = (
-            f"recovered by {recovery.strategy} in {length(recovery.recovery_seconds or 0.0)}"
-            if entry.recovered
-            else "FAILED"
-        )
         yield element(
             "section",
             element(
                 "h3",
                 f"{findings.named(entry)} #{recovery.number}, {clock(entry.began)}: ",
-                element("span", ended, class_="bad" if entry.failed else "good"),
+                element("span", outcome(recovery), class_="bad" if entry.failed else "good"),
             ),
             element("p", recovery.reason),
             element("ul", *vain) if vain else element("p", "Of its attempts nothing is recorded."),

@@ -187,6 +187,7 @@ def test_what_failed_is_told_with_all_that_was_tried() -> None:
     told = read(fleet.in_vain()).text
     assert "Fallback/Executing: not available: no standby is ready" in told
     assert "Restart with robot-z9: not verified: no output within 60 s" in told
+    assert "FAILED: nothing verified" in told
 
 
 def test_robots_of_several_namespaces_are_told_apart() -> None:
