@@ -24,6 +24,10 @@ _LEAST_SHOWN = 0.15
 """Percent of the width that an outage takes at least: most are shorter than a pixel."""
 
 
+_LEAST_GAP = 0.001
+"""Seconds from which on a logarithmic axis tells gaps apart; where a reader fell over by itself there may be none at all."""
+
+
 def recovery_times(groups: Sequence[Group]) -> Markup:
     """The mean of each part of the recovery time by strategy, stacked as in the paper, with each recovery as a dot."""
     most = max((group.spread.greatest for group in groups), default=0.0) or 1.0
@@ -55,8 +59,8 @@ def recovery_times(groups: Sequence[Group]) -> Markup:
 def gaps(groups: Sequence[Group]) -> Markup:
     """The gap of each recovery by strategy, on a logarithmic axis: those of a switchover and of a restart are far apart."""
     known = [gap for group in groups for gap in group.gaps]
-    low = min(_decade(max(min(known), 0.001)), _decade(max(known)) - 1)
-    high = max(low + 1, math.ceil(math.log10(max(max(known), 0.002))))
+    low = math.floor(math.log10(max(min(known), _LEAST_GAP)))
+    high = max(low + 1, math.ceil(math.log10(max(max(known), _LEAST_GAP))))
 
     def place(seconds: float) -> float:
         share = (math.log10(max(seconds, 10.0**low)) - low) / (high - low)
@@ -81,8 +85,8 @@ def reserved(shares: Sequence[Share]) -> Markup:
     """The CPU that is reserved by strategy, stacked by what the pods are for."""
     steps = list(_ticks(max(share.total.cpu for share in shares) * 1000 or 1.0))
 
-    def place(milli: float) -> float:
-        return milli / steps[-1] * _ROOM
+    def place(cpu: float) -> float:
+        return cpu / steps[-1] * _ROOM
 
     rows, height = [], 62
     for number, share in enumerate(shares):
@@ -285,10 +289,6 @@ def _ticks(most: float) -> Iterator[float]:
 
 def _tick(seconds: float) -> str:
     return f"{seconds:g} s" if seconds >= 1 else f"{seconds * 1000:g} ms" if seconds else "0"
-
-
-def _decade(value: float) -> int:
-    return math.floor(math.log10(value))
 
 
 def _percent(value: float) -> str:

@@ -112,6 +112,13 @@ def test_bars_are_as_long_as_the_parts_took() -> None:
         assert widths[part] / widths["cluster"] == pytest.approx(seconds / group.parts["cluster"], rel=1e-3)
 
 
+def test_a_robot_that_missed_nothing_has_a_gap_of_nothing() -> None:
+    reflex = fleet.switchover(1, 700.0)
+    reflex.moments.first_output = reflex.moments.last_output
+    (row,) = read(fleet.robot("r", [reflex])).table("Gap by strategy")
+    assert [value(cell) for cell in row[2:]] == [0.0] * 5
+
+
 def test_every_figure_is_described_and_has_a_table() -> None:
     shown = Read(written(findings(fleet.robots(), DAY, fleet.pods())))
     charts = [e for e in shown.all("svg") if e.get("role") == "img"]
