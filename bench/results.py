@@ -23,16 +23,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from understudy.reporting.samples import quantile
+
 HERE = Path(__file__).resolve().parent
-
-
-def quantile(values: Sequence[float], fraction: float) -> float:
-    """The value below which this fraction of the values lies, linearly between the two nearest ranks."""
-    ordered = sorted(values)
-    place = fraction * (len(ordered) - 1)
-    low = int(place)
-    high = min(low + 1, len(ordered) - 1)
-    return ordered[low] + (ordered[high] - ordered[low]) * (place - low)
 
 
 @dataclass

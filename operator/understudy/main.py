@@ -6,7 +6,8 @@ timeline`` their recoveries, ``understudy explain`` why one is as it is, ``under
 ``understudy pause`` has one left alone and ``understudy resume`` no longer,
 ``understudy failover`` and ``understudy failback`` have a robot driven by another instance as planned,
 ``understudy tracker`` watches robots by a camera, ``understudy size`` says how many fallbacks a fleet needs, ``understudy
-recommend`` which strategies. What tries a policy without a cluster is in ``understudy.trying``.
+recommend`` which strategies, ``understudy report`` writes what a period's recoveries came to. What tries a policy without a
+cluster is in ``understudy.trying``.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ _PARTS = {
     "tracker": "understudy.tracker.running",
     "size": "understudy.planning.size",
     "recommend": "understudy.planning.recommend",
+    "report": "understudy.reporting.report",
 }
 
 

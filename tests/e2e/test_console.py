@@ -1,14 +1,16 @@
-"""``understudy status``, ``timeline`` and ``explain`` of a workload that runs and fails, asked for as a user would."""
+"""``understudy status``, ``timeline``, ``explain`` and ``report`` of a workload that runs and fails, asked for as a user would."""
 
 from __future__ import annotations
 
+import csv
 import json
+from pathlib import Path
 
 from tests.e2e.console import understudy
 from tests.e2e.scenario import Robot
 
 
-def test_a_robot_is_told_before_and_after_a_failure(executing: Robot) -> None:
+def test_a_robot_is_told_before_and_after_a_failure(executing: Robot, tmp_path: Path) -> None:
     kubectl, name = executing.kubectl, executing.workload
     active = executing.wait_protected()
     executing.wait_standby()
@@ -37,3 +39,18 @@ def test_a_robot_is_told_before_and_after_a_failure(executing: Robot) -> None:
     assert shown.returncode == 0, shown.stdout
     assert "1 robot: all protected; 1 healthy" in shown.stdout
     assert understudy(kubectl, "status", "robot-2-drive").returncode == 2
+
+    page = tmp_path / "report.html"
+    reported = understudy(kubectl, "report", "-o", str(page), "--csv", str(tmp_path))
+    assert reported.returncode == 0, reported.stderr
+    with (tmp_path / "recoveries.csv").open(newline="") as file:
+        (row,) = csv.DictReader(file)
+    last = robot["lastRecovery"]
+    assert float(row["recovery_seconds"]) == last["recoverySeconds"]
+    assert (row["robot"], row["strategy"], row["reason"]) == (name, last["strategy"], last["reason"])
+    assert f'data-value="{last["recoverySeconds"]!r}"' in page.read_text()
+    with (tmp_path / "robots.csv").open(newline="") as file:
+        (told_of,) = csv.DictReader(file)
+    assert (told_of["recoveries_ever"], told_of["protected"]) == ("1", "true")
+    assert float(told_of["down_seconds"]) >= last["recoverySeconds"] - 1e-6
+    assert understudy(kubectl, "report", "-o", str(page), "robot-2-drive").returncode == 2

@@ -9,6 +9,7 @@ from understudy.console import outlook, terminal
 from understudy.console.kubectl import Kubectl, Unusable, add_options
 from understudy.console.observing import around
 from understudy.console.outlook import Known
+from understudy.console.texts import structured
 
 WELL, NOT_WELL, CANT = 0, 1, 2
 """Exit statuses."""
@@ -20,7 +21,10 @@ def main(arguments: list[str]) -> int:
     try:
         known = Known.of(around(Kubectl(given), given.name))
         out = sys.stdout
-        print("\n".join(outlook.lines(known, columns=terminal.columns(out), colours=terminal.colours(out))))
+        if given.output == "text":
+            print("\n".join(outlook.lines(known, columns=terminal.columns(out), colours=terminal.colours(out))))
+        else:
+            print(structured(outlook.for_scripts(known), given.output))
         return WELL if known.is_well else NOT_WELL
     except Unusable as error:
         print(f"understudy explain: {error}", file=sys.stderr)
@@ -36,5 +40,8 @@ def _parser() -> argparse.ArgumentParser:
         epilog="Exit status: 0 where it is protected and healthy (or degraded), 1 where it isn't, 2 where it can't be told.",
     )
     parser.add_argument("name", metavar="NAME", help="the RobotWorkload")
+    parser.add_argument(
+        "-o", "--output", choices=["text", "json", "yaml"], default="text", help="text, or all of it as JSON or YAML"
+    )
     add_options(parser)
     return parser

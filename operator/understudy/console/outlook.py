@@ -8,6 +8,7 @@ from __future__ import annotations
 import statistics
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 from understudy.api import names
 from understudy.api.conditions import Condition
@@ -117,6 +118,10 @@ class _Entry:
     """By which its mark is coloured; empty for no mark."""
     depth: int = 0
 
+    def to_wire(self) -> dict[str, str]:
+        """For scripts: ``state`` is Healthy for a tick, Failed for a cross, Degraded for what has to be looked at, or empty."""
+        return {"text": self.text, "state": self.state}
+
 
 _MARKS = {"Healthy": "✓ ", "Failed": "✗ ", "Degraded": "! ", "": ""}
 
@@ -128,20 +133,56 @@ def lines(known: Known, *, columns: int | None, colours: bool) -> Iterator[str]:
     yield f"{known.said.namespace}/{known.said.name}  {health}{_for(known)}"
     for entry in _state(known):
         yield from _drawn(entry, columns, colours)
-    for heading, entries in (
-        ("If it failed now", _failing(known)),
-        ("Dependencies", _dependencies(known)),
-        ("Pools", _pools(known)),
-        ("Missing", _missing(known)),
-        ("Not covered", _not_covered(known)),
-        ("Lately", _lately(known.events, known.observed.now)),
-    ):
-        told = list(entries)
-        if told:
+    for heading, entries in _sections(known).items():
+        if entries:
             yield ""
             yield heading
-        for entry in told:
+        for entry in entries:
             yield from _drawn(entry, columns, colours)
+
+
+def for_scripts(known: Known) -> dict[str, Any]:
+    """All of it as plain values: what can be told in fields, and the rest as it is said."""
+    name, _ = objects.active(known.observed.gate)
+    strategies = [
+        {
+            "name": means.name,
+            "available": means.available,
+            "reason": means.reason,
+            "message": means.message,
+            "verifyWithin": strategy.verify_within,
+        }
+        for strategy, means in known.considered
+    ]
+    sections = {"State": list(_state(known)), **_sections(known)}
+    return {
+        "namespace": known.said.namespace,
+        "name": known.said.name,
+        "health": known.health,
+        "protected": known.protected.status == "True",
+        "reason": known.protected.reason,
+        "message": known.protected.message,
+        "active": name,
+        "strategies": strategies,
+        **{_camel(heading): [entry.to_wire() for entry in entries] for heading, entries in sections.items()},
+    }
+
+
+def _sections(known: Known) -> dict[str, list[_Entry]]:
+    """What is told under which heading, in order."""
+    return {
+        "If it failed now": list(_failing(known)),
+        "Dependencies": list(_dependencies(known)),
+        "Pools": list(_pools(known)),
+        "Missing": list(_missing(known)),
+        "Not covered": list(_not_covered(known)),
+        "Lately": list(_lately(known.events, known.observed.now)),
+    }
+
+
+def _camel(heading: str) -> str:
+    first, *others = heading.lower().split()
+    return first + "".join(word.capitalize() for word in others)
 
 
 def _drawn(entry: _Entry, columns: int | None, colours: bool) -> Iterator[str]:

@@ -41,9 +41,9 @@ def compared(recoveries: Sequence[Recovery], *, now: float, columns: int, colour
     heads = [_short_head(recovery, now) for recovery in recoveries]
     label = max(map(len, heads)) + 2
     room = max(_LEAST, columns - label - _FIGURE)
-    longest = max(sum(_parts(recovery).values()) for recovery in recoveries)
+    longest = max(sum(parts_of(recovery).values()) for recovery in recoveries)
     for recovery, head in zip(recoveries, heads, strict=True):
-        parts = _parts(recovery)
+        parts = parts_of(recovery)
         total = sum(parts.values())
         drawn = stacked(parts, longest / room) if longest > 0 else ""
         state = "" if recovery.result == "Recovered" else "Failed"
@@ -53,20 +53,20 @@ def compared(recoveries: Sequence[Recovery], *, now: float, columns: int, colour
 
 def told(recovery: Recovery, *, now: float, columns: int, colours: bool) -> Iterator[str]:
     """One with all that is recorded of it."""
-    start = _start(recovery)
-    head, outcome = f"#{recovery.number}", _outcome(recovery)
+    start = start_of(recovery)
+    head, ended = f"#{recovery.number}", outcome(recovery)
     if start:
         head += f"  {clock(start)} ({age(start, now)} ago)"
     state = "Healthy" if recovery.result == "Recovered" else "Failed"
-    between = "  " if len(head) + 2 + len(outcome) <= columns else "\n    "
-    yield from f"{head}{between}{coloured(plain(outcome), state, colours=colours)}".split("\n")
+    between = "  " if len(head) + 2 + len(ended) <= columns else "\n    "
+    yield from f"{head}{between}{coloured(plain(ended), state, colours=colours)}".split("\n")
     yield from wrapped(recovery.reason, columns, indent=4)
     yield from _bars(recovery, columns)
     for label, text in (
         ("control", _control(recovery)),
         ("moments", " · ".join(_moments(recovery, start))),
         ("state", " · ".join(_state(recovery))),
-        *(("in vain", _tried(attempt)) for attempt in recovery.attempts if attempt.result != "Verified"),
+        *(("in vain", tried(attempt)) for attempt in recovery.attempts if attempt.result != "Verified"),
         (
             "resumed",
             "its monitor was replaced in the midst of it, and the new one finished it" if recovery.resumed else "",
@@ -79,7 +79,7 @@ def told(recovery: Recovery, *, now: float, columns: int, colours: bool) -> Iter
 
 
 def _bars(recovery: Recovery, columns: int) -> Iterator[str]:
-    parts = _parts(recovery)
+    parts = parts_of(recovery)
     total = sum(parts.values())
     room = max(_LEAST, columns - _LABEL - _FIGURE - 1)
     begin = 0.0
@@ -90,22 +90,24 @@ def _bars(recovery: Recovery, columns: int) -> Iterator[str]:
         begin += seconds
 
 
-def _parts(recovery: Recovery) -> dict[str, float]:
+def parts_of(recovery: Recovery) -> dict[str, float]:
+    """The parts of its time by name, in seconds; none where they aren't recorded."""
     return recovery.parts.model_dump() if recovery.parts is not None else {}
 
 
-def _start(recovery: Recovery) -> str | None:
+def start_of(recovery: Recovery) -> str | None:
     """What its times count from."""
     return recovery.moments.last_healthy or recovery.moments.detected
 
 
 def _short_head(recovery: Recovery, now: float) -> str:
-    start = _start(recovery)
+    start = start_of(recovery)
     how = recovery.strategy if recovery.result == "Recovered" else recovery.result.upper()
     return f"#{recovery.number}  {f'{age(start, now)} ago' if start else '':10}  {how}"
 
 
-def _outcome(recovery: Recovery) -> str:
+def outcome(recovery: Recovery) -> str:
+    """How it ended, in a few words."""
     if recovery.result == "Running":
         return "under way"
     if recovery.result == "Failed":
@@ -145,6 +147,7 @@ def _state(recovery: Recovery) -> Iterator[str]:
         yield f"{entry.name}{old}{carried}{f' ({entry.message})' if entry.message else ''}"
 
 
-def _tried(attempt: Attempt) -> str:
+def tried(attempt: Attempt) -> str:
+    """What was tried without success, and why it came to nothing."""
     how = "not verified" if attempt.result == "NotVerified" else "not available"
     return f"{attempt.strategy}{f' with {attempt.pod}' if attempt.pod else ''}: {how}: {attempt.message}"

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import json
 import sys
 import time
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import TextIO
 
-import yaml
-
 from understudy.console import overview, terminal
 from understudy.console.kubectl import Kubectl, Unusable, add_options
 from understudy.console.overview import Look
 from understudy.console.robots import Pool, Robot, pool, robot
+from understudy.console.texts import structured
 
 PROTECTED, NOT_PROTECTED, CANT = 0, 1, 2
 """Exit statuses."""
@@ -82,7 +80,7 @@ def _once(asking: _Asking, output: str) -> int:
     robots, pools = asking()
     if output in ("json", "yaml"):
         told = {"robots": [one.to_wire() for one in robots], "pools": [one.to_wire() for one in pools]}
-        print(json.dumps(told, indent=2) if output == "json" else yaml.safe_dump(told, sort_keys=False).rstrip())
+        print(structured(told, output))
     else:
         print("\n".join(overview.lines(robots, pools, _look(sys.stdout, asking, wide=output == "wide"))))
     return _exit_status(robots)

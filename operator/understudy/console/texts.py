@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import textwrap
 from collections.abc import Iterable
 from datetime import UTC, datetime
+from typing import Any
+
+import yaml
 
 from understudy.console.drawing import plain
 
@@ -27,9 +31,11 @@ def age(moment: str, now: float) -> str:
     return "".join(told[:2]) or "0s"
 
 
-def clock(moment: str) -> str:
-    """A moment as a date and a time in UTC, as the cluster's logs have it."""
-    return datetime.fromtimestamp(unix(moment), UTC).strftime("%Y-%m-%d %H:%M:%SZ")
+def clock(moment: str | float) -> str:
+    """A moment (RFC 3339, or unix seconds) as a date and a time in UTC, as the cluster's logs have it."""
+    return datetime.fromtimestamp(unix(moment) if isinstance(moment, str) else moment, UTC).strftime(
+        "%Y-%m-%d %H:%M:%SZ"
+    )
 
 
 def wrapped(text: str, columns: int | None, *, indent: int, hanging: int | None = None) -> list[str]:
@@ -59,3 +65,8 @@ def counted(number: int, one: str, many: str = "") -> str:
 def listed(parts: Iterable[str]) -> str:
     """Parts of a sentence with commas, without the empty ones."""
     return ", ".join(part for part in parts if part)
+
+
+def structured(told: Any, form: str) -> str:
+    """Plain values as ``json`` or ``yaml``, for programs."""
+    return json.dumps(told, indent=2) if form == "json" else yaml.safe_dump(told, sort_keys=False).rstrip()

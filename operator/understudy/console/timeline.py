@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 
 from understudy.console import recoveries, terminal
 from understudy.console.kubectl import Kubectl, Unusable, add_options
 from understudy.console.robots import status_of
+from understudy.console.texts import structured
 
 SHOWN, CANT = 0, 2
 """Exit statuses."""
@@ -28,10 +28,10 @@ def main(arguments: list[str]) -> int:
         print(f"understudy timeline: {error}", file=sys.stderr)
         return CANT
     found, count = status.recoveries or [], status.recovery_count or 0
-    if given.output == "json":
+    if given.output != "text":
         told = {"recoveryCount": count, "recoveries": [recovery.to_wire() for recovery in found]}
         metadata = {key: item["metadata"][key] for key in ("namespace", "name")}
-        print(json.dumps({**metadata, **told}, indent=2))
+        print(structured({**metadata, **told}, given.output))
         return SHOWN
     told_lines = recoveries.lines(
         f"{item['metadata']['namespace']}/{item['metadata']['name']}",
@@ -57,6 +57,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--last", metavar="N", type=int, default=EACH, help="how many are shown one by one (%(default)s)"
     )
-    parser.add_argument("-o", "--output", choices=["text", "json"], default="text", help="text, or the records as JSON")
+    parser.add_argument(
+        "-o", "--output", choices=["text", "json", "yaml"], default="text", help="text, or the records as JSON or YAML"
+    )
     add_options(parser)
     return parser

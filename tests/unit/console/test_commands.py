@@ -8,8 +8,10 @@ import shlex
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
+import yaml
 
 from tests.unit.console import fleet
 from tests.unit.console.kubectl import Stand
@@ -34,8 +36,11 @@ def test_the_last_recoveries(stand: Stand, capsys: pytest.CaptureFixture[str], i
 
 
 def test_the_records_for_scripts(stand: Stand, capsys: pytest.CaptureFixture[str]) -> None:
+    assert timeline.main(["robot-17-navigation", "-o", "yaml"]) == 0
+    written = yaml.safe_load(capsys.readouterr().out)
     assert timeline.main(["robot-17-navigation", "-o", "json"]) == 0
     told = json.loads(capsys.readouterr().out)
+    assert told == written
     assert told["recoveries"] == fleet.well()["status"]["recoveries"]
     assert (told["namespace"], told["name"], told["recoveryCount"]) == ("fleet", "robot-17-navigation", 3)
 
@@ -53,6 +58,27 @@ def test_a_robot_is_explained_by_what_is_around_it(
     assert not any("configmaps" in line for line in stand.asked), "the policy has its tree in it"
     stand.tell([i for i in fleet.around(item) if "monitor" not in i["metadata"]["name"]])
     assert explain.main(["robot-17-navigation"]) == 1
+
+
+@pytest.mark.parametrize(("output", "read"), [("json", json.loads), ("yaml", yaml.safe_load)])
+def test_what_is_explained_for_scripts(
+    stand: Stand, capsys: pytest.CaptureFixture[str], in_the_present: None, output: str, read: Callable[[str], Any]
+) -> None:
+    item = fleet.unprotected()
+    stand.tell([*fleet.around(item, standby_waits="ImagePullBackOff"), fleet.event(9, "GateBlocked", "Packets of w-2")])
+    assert explain.main(["robot-19-navigation", "-o", output]) == 1
+    told = read(capsys.readouterr().out)
+    assert (told["namespace"], told["name"], told["health"]) == ("fleet", "robot-19-navigation", "Healthy")
+    assert (told["protected"], told["reason"], told["active"]) == (
+        False,
+        "ImagePullBackOff",
+        "robot-19-navigation-c5n8r",
+    )
+    assert [one["available"] for one in told["strategies"]] == [False, True, True]
+    assert told["strategies"][1]["verifyWithin"] == "20s"
+    assert told["ifItFailedNow"][0]["state"] == "Failed"
+    assert told["missing"][0]["text"].startswith("not protected (ImagePullBackOff")
+    assert told["lately"] == [{"text": "9s ago  GateBlocked: Packets of w-2", "state": ""}]
 
 
 def test_what_a_workload_refers_to_is_asked_for(stand: Stand, capsys: pytest.CaptureFixture[str]) -> None:

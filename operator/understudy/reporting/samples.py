@@ -1,0 +1,33 @@
+"""Figures over several measured values; pure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from statistics import fmean
+
+
+def quantile(values: Sequence[float], fraction: float) -> float:
+    """The value below which this fraction of the values lies, linearly between the two nearest ranks."""
+    ordered = sorted(values)
+    place = fraction * (len(ordered) - 1)
+    low = int(place)
+    high = min(low + 1, len(ordered) - 1)
+    return ordered[low] + (ordered[high] - ordered[low]) * (place - low)
+
+
+@dataclass(frozen=True)
+class Spread:
+    """How values lie, of which there is at least one."""
+
+    count: int
+    least: float
+    mean: float
+    p50: float
+    p95: float
+    greatest: float
+
+    @classmethod
+    def of(cls, values: Sequence[float]) -> Spread:
+        """Of these."""
+        return cls(len(values), min(values), fmean(values), quantile(values, 0.5), quantile(values, 0.95), max(values))
