@@ -45,6 +45,19 @@ class Kubectl:
             raise Unusable("kubectl isn't on the PATH; install it, since the cluster is asked through it")
         where = {"namespace": given.namespace, "context": given.context, "kubeconfig": given.kubeconfig}
         self._options = [f"--{key}={value}" for key, value in where.items() if value]
+        self._given: str | None = given.namespace
+
+    @property
+    def namespace(self) -> str:
+        """The namespace that is meant: the one given, or the context's. Raises Unusable with what kubectl said."""
+        if not self._given:
+            contexts = json.loads(self._run("config", "view", "--minify", "-o", "json")).get("contexts") or [{}]
+            self._given = (contexts[0].get("context") or {}).get("namespace") or "default"
+        return self._given
+
+    def command(self, *arguments: str) -> list[str]:
+        """The command line of a kubectl that goes on while others are asked."""
+        return ["kubectl", *self._options, *arguments]
 
     def get(self, kind: str, *arguments: str) -> Any:
         """An object, or a list of them. Raises Unusable with what kubectl said."""
@@ -63,11 +76,15 @@ class Kubectl:
         """Write an annotation of an object, over what it was. Raises Unusable with what kubectl said."""
         self._run("annotate", kind, name, "--overwrite", f"{note}={value}")
 
+    def delete(self, kinds: str, *arguments: str) -> None:
+        """Delete objects, without waiting until they are gone. Raises Unusable with what kubectl said."""
+        self._run("delete", kinds, *arguments, "--ignore-not-found", "--wait=false")
+
     def _got(self, kind: str, *arguments: str) -> str:
         return self._run("get", kind, *arguments, "-o", "json")
 
     def _run(self, *arguments: str) -> str:
-        command = ["kubectl", *self._options, *arguments, f"--request-timeout={TIMEOUT:g}s"]
+        command = [*self.command(*arguments), f"--request-timeout={TIMEOUT:g}s"]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode:
             said = done.stderr.strip().splitlines()
@@ -81,7 +98,7 @@ class Kubectl:
         It tells that they did and not how: whoever is told asks for all of them again. Where the watch ends, as
         API servers end every one after a while, it is begun anew.
         """
-        command = ["kubectl", *self._options, "get", kind, *arguments, "--watch-only", "-o", "name"]
+        command = self.command("get", kind, *arguments, "--watch-only", "-o", "name")
         running: list[subprocess.Popen[bytes]] = []
 
         def begin() -> None:
@@ -107,7 +124,7 @@ class Kubectl:
     @contextlib.contextmanager
     def forwarded(self, pod: str, port: int) -> Iterator[int]:
         """A port on this machine that leads to one of a pod, while the context lasts. Raises Unusable."""
-        command = ["kubectl", *self._options, "port-forward", f"pod/{pod}", f":{port}", "--address=127.0.0.1"]
+        command = self.command("port-forward", f"pod/{pod}", f":{port}", "--address=127.0.0.1")
         with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
             try:
                 yield _port(running)
