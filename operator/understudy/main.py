@@ -4,7 +4,8 @@
 timeline`` their recoveries, ``understudy explain`` why one is as it is, ``understudy tree`` a workload's live health tree,
 ``understudy pause`` has one left alone and ``understudy resume`` no longer,
 ``understudy failover`` and ``understudy failback`` have a robot driven by another instance as planned,
-``understudy doctor`` finds out whether a cluster does what is needed,
+``understudy fence`` shuts everybody out of one, ``understudy inject`` makes one fail, ``understudy robot-profile`` gives out what a
+robot outside the cluster needs, ``understudy doctor`` finds out whether a cluster does what is needed,
 ``understudy tracker`` watches robots by a camera, ``understudy size`` says how many fallbacks a fleet needs, ``understudy
 recommend`` which strategies. What tries a policy without a cluster is in ``understudy.trying``.
 """
@@ -32,6 +33,9 @@ _PARTS = {
     "resume": "understudy.console.resume",
     "failover": "understudy.console.failover",
     "failback": "understudy.console.failback",
+    "fence": "understudy.console.fence",
+    "inject": "understudy.console.inject",
+    "robot-profile": "understudy.console.robotprofile",
     "doctor": "understudy.console.doctor",
     "tracker": "understudy.tracker.running",
     "size": "understudy.planning.size",

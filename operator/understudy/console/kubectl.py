@@ -76,6 +76,15 @@ class Kubectl:
         """Write an annotation of an object, over what it was. Raises Unusable with what kubectl said."""
         self._run("annotate", kind, name, "--overwrite", f"{note}={value}")
 
+    def execute(self, pod: str, container: str, *program: str) -> str:
+        """Run a program in a container; what it wrote. Raises Unusable with what it, or kubectl, said."""
+        command = self.command("exec", pod, "-c", container, "--", *program)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=2 * TIMEOUT, check=False)
+        if done.returncode:
+            said = [line for line in done.stderr.strip().splitlines() if not line.startswith("command terminated")]
+            raise Unusable(said[-1] if said else f"{program[0]} in pod {pod} ended with {done.returncode}")
+        return done.stdout
+
     def delete(self, kinds: str, *arguments: str) -> None:
         """Delete objects, without waiting until they are gone. Raises Unusable with what kubectl said."""
         self._run("delete", kinds, *arguments, "--ignore-not-found", "--wait=false")

@@ -135,8 +135,8 @@ def of_the_operator(api: Api, namespace: str, found: Installed) -> Finding:
         check,
         "FAIL",
         f"{found.account} may not in {namespace}: {_listed(missing)}",
-        "helm upgrade the chart with rbac.create=true, or give the account what the chart's ClusterRole has; for "
-        "namespaces only, add this one",
+        "helm upgrade the chart with rbac.create=true, or give the account what the chart's ClusterRole has; an "
+        "operator for some namespaces only needs it in this one too",
     )
 
 

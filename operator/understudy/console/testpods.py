@@ -67,10 +67,10 @@ class Pods:
 
     def fence(self) -> Answer:
         """Put the sender under the policies of an instance whose gate is closed; the answer to the last write."""
-        _standby, *others = gates.standby_policies(self.run, [], None)
+        standby, *others = gates.standby_policies(self.run, [], None)
         assert not others, "there is no reference"
-        self._write("POST", None, _ours(gates.closed_gate(self.run, epoch=0), self.run))
-        return self._write("POST", None, _ours(_standby, self.run))
+        self._write("POST", None, as_the_doctors(gates.closed_gate(self.run, epoch=0), self.run))
+        return self._write("POST", None, as_the_doctors(standby, self.run))
 
     def open_gate(self) -> Answer:
         """Let the sender through the gate."""
@@ -158,7 +158,7 @@ def _started(api: Api, namespace: str, run: str) -> tuple[Object, Object]:
         time.sleep(LOOK)
 
 
-def _ours(policy: Object, run: str) -> Object:
+def as_the_doctors(policy: Object, run: str) -> Object:
     """A policy as the operator makes it for a workload, for what has the doctor's labels instead of an instance's."""
     text = json.dumps(policy).replace(f'"{names.WORKLOAD}"', f'"{_WORKLOAD}"')
     made: Object = json.loads(text.replace(f'"{names.INSTANCE}"', f'"{_INSTANCE}"'))
