@@ -14,6 +14,8 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
+from understudy.console import completing
+
 TIMEOUT = 15.0
 """Seconds that the API server has to answer, and a forwarding to begin."""
 
@@ -27,13 +29,39 @@ class Unusable(Exception):
 
 
 def add_options(parser: argparse.ArgumentParser, *, all_namespaces: bool = False) -> None:
-    """Let a command be told which cluster and which namespace is meant."""
+    """Let a command be told which cluster and which namespace is meant. The last thing that its parser is given."""
     where = parser.add_mutually_exclusive_group()
     where.add_argument("-n", "--namespace", help="the namespace, where that isn't the context's")
     if all_namespaces:
         where.add_argument("-A", "--all-namespaces", action="store_true", help="every namespace")
     parser.add_argument("--context", help="the kubeconfig's context")
     parser.add_argument("--kubeconfig", help="the kubeconfig")
+    completing.offer(parser, {"NAME": _robots, "NAMESPACE": _namespaces, "CONTEXT": _contexts})
+
+
+def _robots(parsed_args: argparse.Namespace, **_: object) -> list[str]:
+    """The names of RobotWorkloads, for a shell."""
+    return _named(parsed_args, WORKLOADS)
+
+
+def _namespaces(parsed_args: argparse.Namespace, **_: object) -> list[str]:
+    """The names of namespaces, for a shell."""
+    return _named(parsed_args, "namespaces")
+
+
+def _named(given: argparse.Namespace, kind: str) -> list[str]:
+    try:
+        return [item["metadata"]["name"] for item in Kubectl(given).get(kind)["items"]]
+    except Unusable:
+        return []
+
+
+def _contexts(parsed_args: argparse.Namespace, **_: object) -> list[str]:
+    """The contexts of the kubeconfig, for a shell."""
+    try:
+        return Kubectl(parsed_args).contexts()
+    except Unusable:
+        return []
 
 
 class Kubectl:
@@ -54,6 +82,10 @@ class Kubectl:
             contexts = json.loads(self._run("config", "view", "--minify", "-o", "json")).get("contexts") or [{}]
             self._given = (contexts[0].get("context") or {}).get("namespace") or "default"
         return self._given
+
+    def contexts(self) -> list[str]:
+        """The names of the kubeconfig's contexts. Raises Unusable with what kubectl said."""
+        return [one["name"] for one in json.loads(self._run("config", "view", "-o", "json")).get("contexts") or []]
 
     def command(self, *arguments: str) -> list[str]:
         """The command line of a kubectl that goes on while others are asked."""

@@ -76,7 +76,7 @@ def _parser() -> argparse.ArgumentParser:
         prog="understudy robot-profile",
         description="Gives out the environment and the DDS profiles by which the processes of a robot outside the cluster join its ROS "
         "graph and read its outputs at gated ports, and says where to put them and what else they need. It changes nothing.",
-        epilog="Exit status: 0, or 2 where there is nothing to give out yet.",
+        epilog="Exit status: 0 where it is given out, 2 where there is nothing to give out yet.",
     )
     parser.add_argument("name", metavar="NAME", help="the RobotWorkload")
     how = parser.add_mutually_exclusive_group()
