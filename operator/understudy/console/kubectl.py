@@ -111,7 +111,10 @@ class Kubectl:
     def execute(self, pod: str, container: str, *program: str) -> str:
         """Run a program in a container; what it wrote. Raises Unusable with what it, or kubectl, said."""
         command = self.command("exec", pod, "-c", container, "--", *program)
-        done = subprocess.run(command, capture_output=True, text=True, timeout=2 * TIMEOUT, check=False)
+        try:
+            done = subprocess.run(command, capture_output=True, text=True, timeout=2 * TIMEOUT, check=False)
+        except subprocess.TimeoutExpired as error:
+            raise Unusable(f"{program[0]} in pod {pod} had not ended after {error.timeout:g} s") from error
         if done.returncode:
             said = [line for line in done.stderr.strip().splitlines() if not line.startswith("command terminated")]
             raise Unusable(said[-1] if said else f"{program[0]} in pod {pod} ended with {done.returncode}")

@@ -56,9 +56,12 @@ OURS = (
     *_each("", "events", "list", "explain"),
     *_each("", "pods/portforward", "create", "tree"),
     *_each(names.GROUP, "robotworkloads", "patch", "pause, resume, failover, failback"),
-    *_each("", "pods", "get create delete", "doctor"),
-    *_each("", "pods/exec", "create", "doctor"),
-    *_each(_POLICIES, "networkpolicies", "create patch delete", "doctor"),
+    *_each(_POLICIES, "networkpolicies", "get patch", "fence, doctor"),
+    *_each("", "configmaps", "get", "robot-profile"),
+    *_each("", "pods", "get delete", "inject, doctor"),
+    *_each("", "pods/exec", "create", "inject, doctor"),
+    *_each("", "pods", "create", "doctor"),
+    *_each(_POLICIES, "networkpolicies", "create delete", "doctor"),
 )
 """What the verbs of this command need."""
 

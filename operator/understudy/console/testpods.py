@@ -106,8 +106,8 @@ def pair(kubectl: Kubectl, api: Api, images: Images, progress: Callable[[str], N
                 api.request("POST", path, pod(run, role, images))
             yield Pods(api, kubectl, run, *_started(api, kubectl.namespace, run))
     finally:
-        progress("clearing up")
         with _uninterrupted():
+            progress("clearing up")
             _clear(kubectl, run)
 
 

@@ -192,7 +192,7 @@ def test_rights_that_are_missing_are_named_with_what_they_are_for() -> None:
     server = Server({"*": review})
     found = rights.of_this_user(server, "fleet")  # type: ignore[arg-type]
     assert found.level == "WARN"
-    assert found.found == "you may not in fleet: create pods/exec (for doctor)"
+    assert found.found == "you may not in fleet: create pods/exec (for inject, doctor)"
     assert all(body["spec"]["resourceAttributes"]["namespace"] == "fleet" for _, body in server.asked)
 
 
