@@ -5,14 +5,17 @@ for people.
 timeline`` their recoveries, ``understudy explain`` why one is as it is, ``understudy tree`` a workload's live health tree,
 ``understudy pause`` has one left alone and ``understudy resume`` no longer,
 ``understudy failover`` and ``understudy failback`` have a robot driven by another instance as planned,
-``understudy tracker`` watches robots by a camera, ``understudy size`` says how many fallbacks a fleet needs, ``understudy
-recommend`` which strategies, ``understudy report`` writes what a period's recoveries came to. What tries a policy without a
-cluster is in ``understudy.trying``.
+``understudy fence`` shuts everybody out of one, ``understudy inject`` makes one fail, ``understudy robot-profile`` gives out
+what a robot outside the cluster needs, ``understudy doctor`` finds out whether a cluster does what is needed, ``understudy
+report`` writes what a period's recoveries came to, ``understudy completion`` has a shell complete all that, ``understudy
+tracker`` watches robots by a camera, ``understudy size`` says how many fallbacks a fleet needs, ``understudy recommend`` which
+strategies. What tries a policy without a cluster is in ``understudy.trying``.
 """
 
 from __future__ import annotations
 
 import importlib
+import os
 import sys
 
 _PARTS = {
@@ -34,6 +37,11 @@ _PARTS = {
     "resume": "understudy.console.resume",
     "failover": "understudy.console.failover",
     "failback": "understudy.console.failback",
+    "fence": "understudy.console.fence",
+    "inject": "understudy.console.inject",
+    "robot-profile": "understudy.console.robotprofile",
+    "doctor": "understudy.console.doctor",
+    "completion": "understudy.console.completion",
     "tracker": "understudy.tracker.running",
     "size": "understudy.planning.size",
     "recommend": "understudy.planning.recommend",
@@ -41,14 +49,29 @@ _PARTS = {
 }
 
 
+_IN_PODS = ("operator", "monitor", "agent", "tasks", "prepare")
+"""What nobody types."""
+
+
 def main() -> int:
     """Run the part named by the first argument; imports only that one, since each must stay small."""
     arguments = sys.argv[1:]
+    if "_ARGCOMPLETE" in os.environ:
+        return _complete()
     if not arguments or arguments[0] not in _PARTS:
         print(f"usage: understudy {{{'|'.join(_PARTS)}}}", file=sys.stderr)
         return 2
     result: int = importlib.import_module(_PARTS[arguments[0]]).main(arguments[1:])
     return result
+
+
+def _complete() -> int:
+    """Answer a shell that asks how the line may go on. Verbs that work on files leave it to the shell."""
+    completing = importlib.import_module("understudy.console.completing")
+    found = _PARTS.get(completing.verb([part for part in _PARTS if part not in _IN_PODS]) or "", "")
+    if found.startswith("understudy.console."):
+        importlib.import_module(found).main([])
+    return 1
 
 
 if __name__ == "__main__":

@@ -77,26 +77,35 @@ async def commit(
     One atomic write fences the old pod and routes the new one; a standby that was admitted beside it is let through no
     longer. Raises ApiError: 409 when another commit was first.
     """
-    return await client.patch(
-        NETWORK_POLICIES,
-        namespace,
-        names.gate(workload),
-        {
-            "metadata": {
-                "resourceVersion": over.version,
-                "labels": {names.WAITS_FOR: waits_for or None},
-                "annotations": {
-                    names.EPOCH: str(over.epoch + 1),
-                    names.ACTIVE: active,
-                    names.ACTIVE_UID: active_uid,
-                    names.RECOVERY: recovery,
-                    names.ADMITTED: "",
-                    names.ADMITTED_UID: "",
-                },
+    body = commitment(workload, over=over, active=active, active_uid=active_uid, recovery=recovery, waits_for=waits_for)
+    return await client.patch(NETWORK_POLICIES, namespace, names.gate(workload), body)
+
+
+def commitment(
+    workload: str,
+    *,
+    over: GateRecord,
+    active: str = "",
+    active_uid: str = "",
+    recovery: str = "",
+    waits_for: str = "",
+) -> Object:
+    """The merge patch of :func:`commit`; of a gate that is to be closed where nothing more is given."""
+    return {
+        "metadata": {
+            "resourceVersion": over.version,
+            "labels": {names.WAITS_FOR: waits_for or None},
+            "annotations": {
+                names.EPOCH: str(over.epoch + 1),
+                names.ACTIVE: active,
+                names.ACTIVE_UID: active_uid,
+                names.RECOVERY: recovery,
+                names.ADMITTED: "",
+                names.ADMITTED_UID: "",
             },
-            "spec": {"podSelector": _selector(workload, active)},
         },
-    )
+        "spec": {"podSelector": _selector(workload, active)},
+    }
 
 
 async def admit(

@@ -14,6 +14,8 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
+from understudy.console import completing
+
 TIMEOUT = 15.0
 """Seconds that the API server has to answer, and a forwarding to begin."""
 
@@ -27,13 +29,39 @@ class Unusable(Exception):
 
 
 def add_options(parser: argparse.ArgumentParser, *, all_namespaces: bool = False) -> None:
-    """Let a command be told which cluster and which namespace is meant."""
+    """Let a command be told which cluster and which namespace is meant. The last thing that its parser is given."""
     where = parser.add_mutually_exclusive_group()
     where.add_argument("-n", "--namespace", help="the namespace, where that isn't the context's")
     if all_namespaces:
         where.add_argument("-A", "--all-namespaces", action="store_true", help="every namespace")
     parser.add_argument("--context", help="the kubeconfig's context")
     parser.add_argument("--kubeconfig", help="the kubeconfig")
+    completing.offer(parser, {"NAME": _robots, "NAMESPACE": _namespaces, "CONTEXT": _contexts})
+
+
+def _robots(parsed_args: argparse.Namespace, **_: object) -> list[str]:
+    """The names of RobotWorkloads, for a shell."""
+    return _named(parsed_args, WORKLOADS)
+
+
+def _namespaces(parsed_args: argparse.Namespace, **_: object) -> list[str]:
+    """The names of namespaces, for a shell."""
+    return _named(parsed_args, "namespaces")
+
+
+def _named(given: argparse.Namespace, kind: str) -> list[str]:
+    try:
+        return [item["metadata"]["name"] for item in Kubectl(given).get(kind)["items"]]
+    except Unusable:
+        return []
+
+
+def _contexts(parsed_args: argparse.Namespace, **_: object) -> list[str]:
+    """The contexts of the kubeconfig, for a shell."""
+    try:
+        return Kubectl(parsed_args).contexts()
+    except Unusable:
+        return []
 
 
 class Kubectl:
@@ -45,6 +73,23 @@ class Kubectl:
             raise Unusable("kubectl isn't on the PATH; install it, since the cluster is asked through it")
         where = {"namespace": given.namespace, "context": given.context, "kubeconfig": given.kubeconfig}
         self._options = [f"--{key}={value}" for key, value in where.items() if value]
+        self._given: str | None = given.namespace
+
+    @property
+    def namespace(self) -> str:
+        """The namespace that is meant: the one given, or the context's. Raises Unusable with what kubectl said."""
+        if not self._given:
+            contexts = json.loads(self._run("config", "view", "--minify", "-o", "json")).get("contexts") or [{}]
+            self._given = (contexts[0].get("context") or {}).get("namespace") or "default"
+        return self._given
+
+    def contexts(self) -> list[str]:
+        """The names of the kubeconfig's contexts. Raises Unusable with what kubectl said."""
+        return [one["name"] for one in json.loads(self._run("config", "view", "-o", "json")).get("contexts") or []]
+
+    def command(self, *arguments: str) -> list[str]:
+        """The command line of a kubectl that goes on while others are asked."""
+        return ["kubectl", *self._options, *arguments]
 
     def get(self, kind: str, *arguments: str) -> Any:
         """An object, or a list of them. Raises Unusable with what kubectl said."""
@@ -63,11 +108,27 @@ class Kubectl:
         """Write an annotation of an object, over what it was. Raises Unusable with what kubectl said."""
         self._run("annotate", kind, name, "--overwrite", f"{note}={value}")
 
+    def execute(self, pod: str, container: str, *program: str) -> str:
+        """Run a program in a container; what it wrote. Raises Unusable with what it, or kubectl, said."""
+        command = self.command("exec", pod, "-c", container, "--", *program)
+        try:
+            done = subprocess.run(command, capture_output=True, text=True, timeout=2 * TIMEOUT, check=False)
+        except subprocess.TimeoutExpired as error:
+            raise Unusable(f"{program[0]} in pod {pod} had not ended after {error.timeout:g} s") from error
+        if done.returncode:
+            said = [line for line in done.stderr.strip().splitlines() if not line.startswith("command terminated")]
+            raise Unusable(said[-1] if said else f"{program[0]} in pod {pod} ended with {done.returncode}")
+        return done.stdout
+
+    def delete(self, kinds: str, *arguments: str) -> None:
+        """Delete objects, without waiting until they are gone. Raises Unusable with what kubectl said."""
+        self._run("delete", kinds, *arguments, "--ignore-not-found", "--wait=false")
+
     def _got(self, kind: str, *arguments: str) -> str:
         return self._run("get", kind, *arguments, "-o", "json")
 
     def _run(self, *arguments: str) -> str:
-        command = ["kubectl", *self._options, *arguments, f"--request-timeout={TIMEOUT:g}s"]
+        command = [*self.command(*arguments), f"--request-timeout={TIMEOUT:g}s"]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode:
             said = done.stderr.strip().splitlines()
@@ -81,7 +142,7 @@ class Kubectl:
         It tells that they did and not how: whoever is told asks for all of them again. Where the watch ends, as
         API servers end every one after a while, it is begun anew.
         """
-        command = ["kubectl", *self._options, "get", kind, *arguments, "--watch-only", "-o", "name"]
+        command = self.command("get", kind, *arguments, "--watch-only", "-o", "name")
         running: list[subprocess.Popen[bytes]] = []
 
         def begin() -> None:
@@ -107,7 +168,7 @@ class Kubectl:
     @contextlib.contextmanager
     def forwarded(self, pod: str, port: int) -> Iterator[int]:
         """A port on this machine that leads to one of a pod, while the context lasts. Raises Unusable."""
-        command = ["kubectl", *self._options, "port-forward", f"pod/{pod}", f":{port}", "--address=127.0.0.1"]
+        command = self.command("port-forward", f"pod/{pod}", f":{port}", "--address=127.0.0.1")
         with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
             try:
                 yield _port(running)

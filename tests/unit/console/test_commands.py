@@ -15,7 +15,7 @@ import yaml
 
 from tests.unit.console import fleet
 from tests.unit.console.kubectl import Stand
-from understudy.console import explain, pause, resume, status, timeline
+from understudy.console import completion, doctor, explain, fence, inject, pause, resume, robotprofile, status, timeline
 
 REPOSITORY = Path(__file__).parents[3]
 COMMANDS: dict[str, Callable[[list[str]], int]] = {
@@ -24,6 +24,11 @@ COMMANDS: dict[str, Callable[[list[str]], int]] = {
     "explain": explain.main,
     "pause": pause.main,
     "resume": resume.main,
+    "doctor": doctor.main,
+    "fence": fence.main,
+    "inject": inject.main,
+    "robot-profile": robotprofile.main,
+    "completion": completion.main,
 }
 
 

@@ -1,0 +1,101 @@
+"""Whether the discovery server of each workload answers, by joining the robot's ROS graph from a pod of the namespace."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+
+from understudy.api import names
+from understudy.cluster.client import CONFIG_MAPS, PODS, Object
+from understudy.console.findings import Finding
+from understudy.console.proxying import Api, Refused
+from understudy.console.testpods import Pods
+from understudy.console.texts import counted
+from understudy.controller import objects
+from understudy.controller.troubles import trouble
+
+WITHIN = 8.0
+"""Seconds until a graph counts as empty; discovery takes less than one."""
+
+_SERVER = "ROS_DISCOVERY_SERVER"
+
+
+def check(workload: Object) -> str:
+    """What the check of a workload is called."""
+    return f"discovery of {objects.name(workload)}"
+
+
+def servers(api: Api, namespace: str, workloads: Sequence[Object]) -> Iterator[Finding]:
+    """What is known without a packet: managed servers that don't run, and why."""
+    for workload in workloads:
+        if not _is_managed(workload):
+            continue
+        name = objects.name(workload)
+        selector = f"{names.COMPONENT}=discovery,{names.MONITORED}={name}"
+        pods = api.get(f"{PODS.path(namespace)}?labelSelector={selector}")["items"]
+        if any(objects.ready(pod) for pod in pods):
+            continue
+        why = next((found.message for found in map(trouble, pods) if found is not None), "")
+        yield Finding(
+            check(workload),
+            "FAIL",
+            f"its server doesn't run{f': {why}' if why else ''}",
+            f"kubectl describe deployment -n {namespace} {names.discovery(name)}; what knows each other goes on, nobody new joins",
+        )
+
+
+def joined(pods: Pods, workloads: Sequence[Object], progress: Callable[[str], None]) -> Iterator[Finding]:
+    """Join each workload's graph and see who is there. Raises Unusable."""
+    if not workloads:
+        return
+    with pods.talking(pods.receiver, "graph") as talk:
+        for workload in workloads:
+            progress(f"joining the ROS graph of {objects.name(workload)}")
+            environment = _environment(pods.api, pods.kubectl.namespace, objects.name(workload))
+            if environment is None:
+                yield Finding(
+                    check(workload),
+                    "WARN",
+                    f"ConfigMap {names.robot_env(objects.name(workload))} isn't there yet",
+                    f"understudy explain {objects.name(workload)} says what it waits for",
+                )
+                continue
+            yield judge(workload, environment, talk.ask("graph", takes=WITHIN, environment=environment, seconds=WITHIN))
+
+
+def judge(workload: Object, environment: Mapping[str, str], nodes: Sequence[str]) -> Finding:
+    """What the nodes that were met in a graph say."""
+    server = environment.get(_SERVER, "")
+    by = f"by {server}" if server else "without a server"
+    if nodes:
+        others = f", such as {nodes[0]}" if len(nodes) > 1 else f": {nodes[0]}"
+        return Finding(check(workload), "OK", f"{counted(len(nodes), 'node')} found {by}{others}")
+    name = objects.name(workload)
+    found = f"nobody is found {by} within {WITHIN:g} s, not even the monitor"
+    if _is_managed(workload):
+        cure = (
+            f"look whether the Service {names.discovery(name)} has endpoints (kubectl get endpointslices), whether a NetworkPolicy of this "
+            f"namespace keeps pods from UDP {names.DISCOVERY_PORT}, and whether the monitor runs: understudy explain {name}"
+        )
+    elif server:
+        cure = (
+            f"look whether a Fast DDS discovery server runs at {server} and pods reach it (spec.ros.discovery.server)"
+        )
+    else:
+        cure = "most pod networks carry no multicast: use spec.ros.discovery.mode Managed"
+    return Finding(check(workload), "FAIL", found, cure)
+
+
+def _is_managed(workload: Object) -> bool:
+    ros = (workload["spec"].get("ros") or {}).get("discovery") or {}
+    return bool(ros.get("mode", "Managed") == "Managed")
+
+
+def _environment(api: Api, namespace: str, workload: str) -> dict[str, str] | None:
+    """That of a robot's ROS graph, without where profiles are: they would have this pod take the robot's place."""
+    try:
+        data = api.get(CONFIG_MAPS.path(namespace, names.robot_env(workload))).get("data") or {}
+    except Refused as refused:
+        if refused.status != 404:
+            raise
+        return None
+    return {key: value for key, value in data.items() if key != names.PROFILES_VARIABLE}

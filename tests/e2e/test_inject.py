@@ -1,0 +1,64 @@
+"""Failures that a user makes to rehearse them: refused where nobody has allowed them, undone, and recovered from."""
+
+from __future__ import annotations
+
+import time
+
+from tests.e2e.console import understudy
+from tests.e2e.scenario import Robot
+
+LENGTH = 3.0
+WINDOW = 2.0
+"""Seconds over which a rate is taken."""
+
+SHARE = 90
+"""Percent of the time for which a slow application is stopped."""
+
+
+def rate(robot: Robot, pod: str, begin: float) -> float:
+    """Commands of a pod that reached the robot in a second, from a moment on."""
+    return sum(begin < c.received <= begin + WINDOW for c in robot.log().of(pod)) / WINDOW
+
+
+def lowest_rate(robot: Robot, pod: str, begin: float, end: float) -> float:
+    """The lowest between two moments."""
+    received = [c.received for c in robot.log().of(pod)]
+    begins = [begin + step / 10 for step in range(int(10 * (end - WINDOW - begin)))]
+    return min(sum(one < at <= one + WINDOW for at in received) for one in begins) / WINDOW
+
+
+def test_failures_are_made_where_they_are_allowed(executing: Robot) -> None:
+    kubectl, name = executing.kubectl, executing.workload
+    active = executing.wait_protected()
+    executing.wait_standby()
+
+    refused = understudy(kubectl, "inject", name, "kill", "--yes")
+    assert refused.returncode == 2
+    assert f"kubectl label namespace {kubectl.namespace} understudy.dev/allow-inject=true" in refused.stderr
+    assert executing.has_pod(active)
+    kubectl("label", "namespace", kubectl.namespace, "understudy.dev/allow-inject=true")
+
+    # While it is left alone, what undoes a fault is seen.
+    assert understudy(kubectl, "pause", name, "--reason", "a rehearsal").returncode == 0
+    time.sleep(2)
+    for fault in (["freeze"], ["slow", "--percent", str(SHARE)]):
+        begun = time.time()
+        healthy = rate(executing, active, begun - WINDOW)
+        done = understudy(kubectl, "inject", name, *fault, "--for", f"{LENGTH:g}s", "--yes")
+        assert done.returncode == 0, done.stderr
+        ended = time.time()
+        lowest = lowest_rate(executing, active, begun, ended)
+        assert lowest < healthy / 1.5, f"{fault[0]}: {lowest} Hz instead of {healthy} Hz"
+        assert (lowest == 0) == (fault[0] == "freeze")
+        time.sleep(WINDOW + 0.5)
+        assert rate(executing, active, ended) > healthy / 1.5, "it goes on"
+    assert understudy(kubectl, "resume", name).returncode == 0
+    executing.wait_protected()
+
+    assert understudy(kubectl, "inject", name, "freeze", "--for", "5s", "--yes").returncode == 0
+    first = executing.wait_recovered(1)
+    assert (first.old, first.strategy) == (active, "Fallback/Executing")
+    executing.wait_protected()
+    executing.wait_standby()
+    assert understudy(kubectl, "inject", name, "kill", "--yes").returncode == 0
+    assert executing.wait_recovered(2).old == first.new

@@ -1,0 +1,33 @@
+"""``understudy doctor`` finds what the chart installs, and asks for no right that the chart doesn't give."""
+
+from __future__ import annotations
+
+from tests.unit.chart.conftest import Render, one
+from understudy import __version__
+from understudy.console import installed, rights
+from understudy.console.installed import Installed
+
+
+def test_the_chart_s_deployment_is_found_and_says_of_what_pods_are_made(render: Render) -> None:
+    found = Installed(one(render("images.monitorPullSecrets[0].name=key"), "Deployment"))
+    labels = found.item["metadata"]["labels"]
+    assert all(
+        labels[key] == value for key, _, value in (term.partition("=") for term in installed.SELECTOR.split(","))
+    )
+    assert found.version == __version__
+    assert found.account == "system:serviceaccount:system:understudy-operator"
+    assert found.images is not None
+    assert found.images.monitor.endswith(f":{__version__}")
+    assert found.images.pull_secrets == ("key",)
+
+
+def test_the_operator_is_asked_for_no_right_that_the_chart_doesn_t_give(render: Render) -> None:
+    rules = one(render(), "ClusterRole", "understudy-operator")["rules"]
+    given = {
+        (group, resource, verb)
+        for rule in rules
+        for group in rule["apiGroups"]
+        for resource in rule["resources"]
+        for verb in rule["verbs"]
+    }
+    assert {(right.group, right.resource, right.verb) for right in rights.operators()} <= given
