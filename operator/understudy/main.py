@@ -4,6 +4,7 @@
 timeline`` their recoveries, ``understudy explain`` why one is as it is, ``understudy tree`` a workload's live health tree,
 ``understudy pause`` has one left alone and ``understudy resume`` no longer,
 ``understudy failover`` and ``understudy failback`` have a robot driven by another instance as planned,
+``understudy blackbox`` fetches what was recorded of a failure,
 ``understudy tracker`` watches robots by a camera, ``understudy size`` says how many fallbacks a fleet needs, ``understudy
 recommend`` which strategies. What tries a policy without a cluster is in ``understudy.trying``.
 """
@@ -31,6 +32,7 @@ _PARTS = {
     "resume": "understudy.console.resume",
     "failover": "understudy.console.failover",
     "failback": "understudy.console.failback",
+    "blackbox": "understudy.console.blackbox",
     "tracker": "understudy.tracker.running",
     "size": "understudy.planning.size",
     "recommend": "understudy.planning.recommend",
