@@ -46,5 +46,11 @@ def told(report: Report, found: Found, *, cpu: float, memory: float, baseline: s
         report.baseline(name, found[name, "callbacks"], unit=UNITS[name], of=baseline)
 
 
+def more(report: Report, found: Found, watcher: str, called: str, *, cpu: float, memory: float) -> None:
+    """Put the CPU and memory of one more watcher into a report."""
+    for name, most in (("CPU", cpu), ("memory", memory)):
+        report.figure(f"{name}, {called}", found[name, watcher], unit=UNITS[name], must={"max": most})
+
+
 def _received(watcher: Role) -> int:
     return int(watcher.ask("received")["received"])

@@ -1,5 +1,6 @@
 """Watches a robot as the monitor does: its own view (understudy.monitor.sight) in a process with all that it imports,
-woken when it is (understudy.monitor.looking), and kept state (understudy.monitor.keeping) without an API server.
+woken when it is (understudy.monitor.looking), kept state (understudy.monitor.keeping) and the black box
+(understudy.monitor.blackbox) without an API server.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import time
 from collections.abc import Mapping, Sequence
 from itertools import takewhile
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 from bench.counting import least_count, most_count, worst_gap
@@ -27,6 +29,7 @@ def judge(
     *,
     outputs: Sequence[Mapping[str, str]] = (),
     kept: Sequence[str] = (),
+    black_box: Mapping[str, Any] | None = None,
     ip: str = "192.0.2.10",
     leaves: Mapping[str, str] | None = None,
 ) -> None:
@@ -37,10 +40,11 @@ def judge(
         topics: those that it receives, of which it is asked.
         outputs: the workload's gated outputs.
         kept: topics whose state is kept.
+        black_box: as of a FailurePolicy.
         ip: of the instance in control; empty where all processes are to count as its own.
         leaves: the topic of each leaf by its path, whose receipts are told with a failure.
     """
-    _Judge(monitoring, topics, outputs, kept, ip, leaves or {}).run()
+    _Judge(monitoring, topics, outputs, kept, black_box, ip, leaves or {}).run()
 
 
 class _Judge:
@@ -50,6 +54,7 @@ class _Judge:
         topics: Sequence[str],
         outputs: Sequence[Mapping[str, str]],
         kept: Sequence[str],
+        black_box: Mapping[str, Any] | None,
         ip: str,
         leaves: Mapping[str, str],
     ) -> None:
@@ -59,6 +64,8 @@ class _Judge:
         from understudy.cluster import scheduling
         from understudy.mitigation.interfaces import Instance
         from understudy.mitigation.shelf import Shelf
+        from understudy.monitor.archive import Archive
+        from understudy.monitor.blackbox import BlackBox
         from understudy.monitor.keeping import StateKeeping
         from understudy.monitor.sight import Sight
         from understudy.trees.forms import load_monitoring
@@ -70,6 +77,7 @@ class _Judge:
                 "monitoring": monitoring,
                 "strategies": [{"type": "Restart"}],
                 "state": {"keep": [{"topic": topic} for topic in kept]},
+                "blackBox": black_box,
             }
         )
         self.spec = RobotWorkloadSpec.model_validate(
@@ -79,6 +87,8 @@ class _Judge:
         self.sight = Sight()
         self._folder = tempfile.TemporaryDirectory()
         self.keeping = StateKeeping(self.sight.graph, Shelf(Path(self._folder.name)), _Nobody(), _Nobody())
+        view: Any = SimpleNamespace(policy=self.policy, workload="bench", namespace="bench")
+        self.box = BlackBox(view, self.sight, _Nobody(), Archive(Path(self._folder.name) / "recordings"))
         self.topics, self.leaves = topics, leaves
         self.verdicts = self.failed = self.doubted = 0
         self.late = self.waited = 0.0
@@ -97,6 +107,7 @@ class _Judge:
 
         answers = {"received": self._received, "seen": self._seen}
         asyncio.get_running_loop().add_reader(sys.stdin, lambda: answer(sys.stdin.readline(), answers))
+        self._recording = asyncio.create_task(self.box.run())
         looks, debounce = Looks(self.sight.coming), Debounce()
         since, slow, state = time.time(), 0.0, "Starting"
         gc.collect()
@@ -182,6 +193,8 @@ class _Judge:
 
 class _Nobody:
     """Whom there is nothing to tell or to ask."""
+
+    health, active, gate = "Healthy", "active", SimpleNamespace(epoch=1)
 
     def condition(self, *said: str) -> bool:
         return False

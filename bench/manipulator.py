@@ -5,11 +5,12 @@
 One process publishes 10 topics of a mobile manipulator's types at 50 Hz (its IMU at 100 Hz, since the policy asks for more
 than 80), with the jitter of nodes, while a goal of each of its two actions is active, so that every leaf counts. Six of
 them are the policy's, judged by it as it stands in its file; the other four are judged by a leaf each that is put beside
-those of its sensors. Three watch them at the same time:
+those of its sensors. Four watch them at the same time:
 
 - ours: the monitor's own view of the robot in the monitor's process with all that it imports, as in `scripts/bench monitor`;
   the velocities are gated, so they have a port of their own.
 - keeping: the same, which also keeps the state of two of the topics, persists it and tells of it.
+- recording: as ours, with the black box: all that it received in the last 30 seconds is in its memory.
 - callbacks: an rclpy node that does for each topic what `ros2 topic hz` does: a callback that notes the time, without
   decoding the message, and every second the rate and the least, greatest and spread of the intervals of the last second.
 
@@ -53,11 +54,13 @@ BESIDE = STREAMS[6:]
 """What the policy doesn't name."""
 
 KEPT = ("/odom", "/joint_states")
+BLACK_BOX = {"window": "30s", "memory": "16Mi"}
+JUDGES = ("ours", "keeping", "recording")
 OUTPUTS = ({"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist"},)
 WINDOW = 1.0
 BASELINE = "`ros2 topic hz`-style rclpy callbacks, same run"
 
-PROCESSES: dict[str, dict[str, str]] = {"publishers": {}, "ours": {}, "keeping": {}, "callbacks": {}}
+PROCESSES: dict[str, dict[str, str]] = {"publishers": {}, "ours": {}, "keeping": {}, "recording": {}, "callbacks": {}}
 """The processes of a run, with what each has in its environment beside what all share."""
 
 DISTURBED: list[str] = []
@@ -89,6 +92,7 @@ def main() -> None:
         PROCESSES["ours"] = gate_ports(Path(folder) / "profiles.xml", OUTPUTS)
         found = cost.measured(_watchers, options.rounds, options.seconds)
     cost.told(report, found, cpu=30.0, memory=110.0, baseline=BASELINE)
+    cost.more(report, found, "recording", "recorded", cpu=30.0, memory=130.0)
     rates = ", ".join(
         f"{one.topic} {one.hertz:g} Hz, {size} bytes" for one, size in zip(STREAMS, _sizes(), strict=True)
     )
@@ -100,6 +104,7 @@ def main() -> None:
         f"{POLICY.relative_to(HERE.parent)}, both its tasks active, and a gap of 1 s on {', '.join(one.topic for one in BESIDE)}",
     )
     report.note("state", f"of {' and '.join(KEPT)}, at most every 200 ms, persisted every second")
+    report.note("black box", f"window {BLACK_BOX['window']}, memory {BLACK_BOX['memory']}")
     report.note("priority", priority())
     for number, text in enumerate(DISTURBED):
         report.note(f"not at rest {number + 1}", text)
@@ -114,11 +119,11 @@ def _watchers() -> Iterator[Sequence[Role]]:
     with running("bench.manipulator", PROCESSES) as roles:
         watchers = [role for name, role in roles.items() if name != "publishers"]
         await_messages(watchers, sum(stream.hertz for stream in STREAMS))
-        for name in ("ours", "keeping"):
+        for name in JUDGES:
             while roles[name].told(60)["told"] != "healthy":
                 pass
         yield watchers
-        for name in ("ours", "keeping"):
+        for name in JUDGES:
             DISTURBED.extend(f"{name}: {told}" for told in roles[name].told_so_far())
 
 
@@ -144,14 +149,19 @@ def _publish() -> None:
     del kept
 
 
-def _ours(kept: Sequence[str] = ()) -> None:
+def _ours(kept: Sequence[str] = (), black_box: Mapping[str, Any] | None = None) -> None:
     from bench.judge import judge
 
-    judge(monitoring(), [stream.topic for stream in STREAMS], outputs=OUTPUTS, kept=kept)
+    topics = [stream.topic for stream in STREAMS]
+    judge(monitoring(), topics, outputs=OUTPUTS, kept=kept, black_box=black_box)
 
 
 def _keeping() -> None:
     _ours(KEPT)
+
+
+def _recording() -> None:
+    _ours(black_box=BLACK_BOX)
 
 
 def _callbacks() -> None:
@@ -171,7 +181,7 @@ def _callbacks() -> None:
     callbacks({stream.topic: stream.type for stream in STREAMS}, look, every=1.0, raw=True)
 
 
-ROLES = {"publishers": _publish, "ours": _ours, "keeping": _keeping, "callbacks": _callbacks}
+ROLES = {"publishers": _publish, "ours": _ours, "keeping": _keeping, "recording": _recording, "callbacks": _callbacks}
 
 
 if __name__ == "__main__":

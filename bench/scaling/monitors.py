@@ -21,7 +21,7 @@ import aiohttp
 
 from bench.roles import answer, end_with_parent, tell
 from bench.scaling.fleets import POOL, Robot
-from bench.scaling.senses import Application, Keeping, Probes, Sidecars, Sight
+from bench.scaling.senses import Application, BlackBox, Keeping, Probes, Sidecars, Sight
 from bench.scaling.watches import Borrowed, Drain
 from understudy.api import names
 from understudy.cluster.client import NETWORK_POLICIES, PODS, POLICIES, Access, ApiError
@@ -122,6 +122,7 @@ class Monitor:
                 journal=Journal(self._state / "recovery.json"),
                 crash_points=crash_points,
                 keeping=cast(Any, Keeping()),
+                black_box=cast(Any, BlackBox()),
             )
             self.supervisor = Supervisor(parts)
             group.create_task(self.reporter.run())

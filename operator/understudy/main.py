@@ -9,7 +9,8 @@ timeline`` their recoveries, ``understudy explain`` why one is as it is, ``under
 what a robot outside the cluster needs, ``understudy doctor`` finds out whether a cluster does what is needed, ``understudy
 report`` writes what a period's recoveries came to, ``understudy completion`` has a shell complete all that, ``understudy
 tracker`` watches robots by a camera, ``understudy size`` says how many fallbacks a fleet needs, ``understudy recommend`` which
-strategies. What tries a policy without a cluster is in ``understudy.trying``.
+strategies, ``understudy blackbox`` fetches what was recorded of a failure. What tries a policy without a cluster is in
+``understudy.trying``.
 """
 
 from __future__ import annotations
@@ -42,6 +43,7 @@ _PARTS = {
     "robot-profile": "understudy.console.robotprofile",
     "doctor": "understudy.console.doctor",
     "completion": "understudy.console.completion",
+    "blackbox": "understudy.console.blackbox",
     "tracker": "understudy.tracker.running",
     "size": "understudy.planning.size",
     "recommend": "understudy.planning.recommend",

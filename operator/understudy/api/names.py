@@ -99,6 +99,9 @@ METRICS_PORT = 9108
 TASKS_PORT = 9109
 """TCP port of the task proxy's health page."""
 
+RECORDINGS_PORT = 9110
+"""TCP port of the monitor's recordings, open to its own pod alone: who may forward ports to it may have them."""
+
 DISCOVERY_PORT = 11811
 """UDP port of the managed ROS discovery server."""
 

@@ -21,6 +21,7 @@ from understudy.api.base import (
 from understudy.api.conditions import Condition
 from understudy.api.degraded import Degraded
 from understudy.api.procedures import Procedure
+from understudy.api.recordings import BlackBox
 from understudy.api.requirements import Requirements
 from understudy.api.rosnames import RosName
 from understudy.api.states import State
@@ -363,6 +364,11 @@ class FailurePolicySpec(Model):
     )
     safety: Safety | None = Field(
         default=None, description="What the robot is told while no instance is verified to be in control."
+    )
+    black_box: BlackBox | None = Field(
+        default=None,
+        description="Keep what the monitor received around each failure, as an MCAP file that understudy blackbox fetches. Absent: nothing "
+        "is kept. See docs/blackbox.md.",
     )
 
     @property

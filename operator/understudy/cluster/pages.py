@@ -5,19 +5,22 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Callable, Mapping
+from pathlib import Path
 
 _logger = logging.getLogger(__name__)
 
 PLAIN = "text/plain; charset=utf-8"
 JSON, HTML = "application/json", "text/html; charset=utf-8"
 
-Answer = tuple[int, str] | tuple[int, str, str]
-"""A status, a text, and what that is where it isn't plain."""
+Answer = tuple[int, str] | tuple[int, str | Path, str]
+"""A status, a text or a file, and what that is where it isn't plain text."""
 
 Page = Callable[[], Answer]
 
 _REASONS = {200: "OK", 404: "Not Found", 405: "Method Not Allowed", 503: "Service Unavailable"}
 _TIMEOUT = 5.0  # seconds for a request to arrive
+_PIECE = 1 << 18  # bytes of a file that are sent at a time
+_PATIENCE = 30.0  # seconds for one of them to be taken
 
 
 async def serve(pages: Mapping[str, Page], port: int, *, host: str = "0.0.0.0") -> asyncio.Server:
@@ -35,13 +38,19 @@ async def serve(pages: Mapping[str, Page], port: int, *, host: str = "0.0.0.0") 
             else:
                 page = pages.get(request[1].split("?")[0])
                 answer = page() if page else (404, "\n".join(sorted(pages)) + "\n")
-            status, text, *kind = answer
-            body = text.encode()
+            status, body, *kind = answer
+            size = body.stat().st_size if isinstance(body, Path) else len(body.encode())
             head = (
                 f"HTTP/1.1 {status} {_REASONS.get(status, '')}\r\nContent-Type: {kind[0] if kind else PLAIN}\r\n"
-                f"Content-Length: {len(body)}\r\nCache-Control: no-store\r\nConnection: close\r\n\r\n"
+                f"Content-Length: {size}\r\nCache-Control: no-store\r\nConnection: close\r\n\r\n"
             )
-            writer.write(head.encode() + (b"" if request[:1] == ["HEAD"] else body))
+            writer.write(head.encode())
+            if request[:1] == ["HEAD"]:
+                pass
+            elif isinstance(body, Path):
+                await _send(writer, body)
+            else:
+                writer.write(body.encode())
             await writer.drain()
         except (TimeoutError, ConnectionError, ValueError):
             pass
@@ -51,3 +60,12 @@ async def serve(pages: Mapping[str, Page], port: int, *, host: str = "0.0.0.0") 
             writer.close()
 
     return await asyncio.start_server(handle, host, port, limit=16384)
+
+
+async def _send(writer: asyncio.StreamWriter, path: Path) -> None:
+    """A file, piece by piece: it may be larger than what this process should take of memory."""
+    with await asyncio.to_thread(path.open, "rb") as file:
+        while piece := await asyncio.to_thread(file.read, _PIECE):
+            writer.write(piece)
+            async with asyncio.timeout(_PATIENCE):
+                await writer.drain()

@@ -66,15 +66,15 @@ def _is_ready(pod: Mapping[str, Any]) -> bool:
     )
 
 
-def asked(port: int) -> dict[str, Any]:
-    """What the monitor says now. Raises Unusable."""
+def asked(port: int, path: str = "/tree", *, what: str = "a live tree") -> dict[str, Any]:
+    """What the monitor says now. Raises Unusable, also where it is too old to have ``what``."""
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=5)
     try:
-        connection.request("GET", "/tree")
+        connection.request("GET", path)
         answer = connection.getresponse()
         text = answer.read()
         if answer.status == 404:
-            raise Unusable("the monitor is of a version without a live tree; upgrade the operator, which replaces it")
+            raise Unusable(f"the monitor is of a version without {what}; upgrade the operator, which replaces it")
         found: dict[str, Any] = json.loads(text)
         return found
     except (OSError, http.client.HTTPException, ValueError) as error:

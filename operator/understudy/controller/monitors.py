@@ -202,7 +202,7 @@ def access(
         _rule("", ["configmaps"], watch, [names.settings(workload)]),
         _rule("", ["secrets"], ["get"], tokens),
         _rule("apps", [f"{source_kind.lower()}s"], watch, [source_name]),
-        _rule("", ["events"], ["create", "patch"]),
+        _rule("", ["events"], ["list", "create", "patch"]),
     ]
     if source_kind == "ReplicaSet":
         rules.append(_rule("apps", ["replicasets/scale"], ["get", "patch"], [source_name]))

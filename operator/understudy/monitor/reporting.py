@@ -133,6 +133,10 @@ class Reporter:
         """The last recovery."""
         return self._recoveries[0] if self._recoveries else None
 
+    def recovery(self, id_: str) -> Recovery | None:
+        """A recovery by its id; None where the status has it no longer, or never had."""
+        return next((recovery for recovery in self._recoveries if recovery.id == id_), None)
+
     @property
     def recorded(self) -> set[str]:
         """Ids of the recoveries in the status."""

@@ -22,6 +22,8 @@ from understudy.cluster.pages import Page, serve
 from understudy.cluster.probes import ProbeReceiver
 from understudy.mitigation.journal import Journal
 from understudy.mitigation.shelf import Shelf
+from understudy.monitor.archive import Archive
+from understudy.monitor.blackbox import BlackBox
 from understudy.monitor.faults import CrashPoints
 from understudy.monitor.fleet import Fleet
 from understudy.monitor.gating import PolicyGate
@@ -98,6 +100,8 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
         sight = Sight()
         sight.meter = Meter(client, namespace, workload)
         REGISTRY.register(TopicMetrics(lambda: sight.heard))
+        black_box = BlackBox(view, sight, reporter, Archive(state / "kept" / "recordings"))
+        await serve(black_box.pages, names.RECORDINGS_PORT, host="127.0.0.1")
         parts = Parts(
             view=view,
             fleet=fleet,
@@ -109,6 +113,7 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
             journal=Journal(state / "recovery.json"),
             crash_points=crash_points,
             keeping=StateKeeping(sight.graph, Shelf(state / "kept"), sidecars, reporter),
+            black_box=black_box,
         )
         telling = Telling(view, sight, reporter, lambda: parts.keeping.taken)
         showing = Showing(view, sight, reporter, lambda: telling.problems)
@@ -127,6 +132,7 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
         group.create_task(reporter.run())
         group.create_task(sight.meter.run())
         group.create_task(telling.run())
+        group.create_task(black_box.run())
         socket = Path(os.environ.get("UNDERSTUDY_TASKS_SOCKET", f"{names.TASKS_DIR}/{names.TASKS_SOCKET}"))
         group.create_task(TaskLink(socket, view, fleet, gate, sidecars, reporter).run())
         alive["ready"] = time.time()

@@ -17,13 +17,14 @@ from understudy.monitor.metering import Meter
 from understudy.monitor.wellness import Busy, Wellness
 from understudy.ros.arrivals import Arrivals
 from understudy.ros.graph import Graph
+from understudy.ros.rings import Ring
 from understudy.ros.types import TypeNotInstalled, interface_class, message_fields
 from understudy.ros.watching import Watching
 from understudy.trees.forms import load_monitoring
 from understudy.trees.health import HealthTree, Verdict, WatchedTopic
 from understudy.trees.observations import Observations, PodState, TopicRecord
 from understudy.trees.problems import TreeError
-from understudy.trees.snapshots import Snapshot, snapshot
+from understudy.trees.snapshots import Shown, Snapshot, snapshot, states
 
 _logger = logging.getLogger(__name__)
 
@@ -142,6 +143,15 @@ class Sight:
     def snapshot(self) -> Snapshot | None:
         """The health tree as it was at its last evaluation."""
         return snapshot(self._tree, self._watching, time.time()) if self._tree is not None else None
+
+    @property
+    def states(self) -> Sequence[Shown]:
+        """How each node of the health tree was then."""
+        return states(self._tree) if self._tree is not None else ()
+
+    def record(self, ring: Ring | None) -> None:
+        """Keep the messages themselves in a ring from now on, or no longer."""
+        self._watching.record(ring)
 
     @property
     def gated(self) -> list[str]:

@@ -31,6 +31,7 @@ from understudy.mitigation.progress import PodIdentity, Progress
 from understudy.mitigation.strategies import Means, Strategy
 from understudy.mitigation.switchover import Prepared
 from understudy.monitor import enforcement, metrics
+from understudy.monitor.blackbox import BlackBox
 from understudy.monitor.bringing import Bringing, expected, managed
 from understudy.monitor.budgeting import Spending
 from understudy.monitor.choosing import choices
@@ -107,6 +108,7 @@ class Parts:
     journal: Journal
     crash_points: CrashPoints
     keeping: StateKeeping
+    black_box: BlackBox
 
 
 class Supervisor:
@@ -116,7 +118,7 @@ class Supervisor:
         self._parts = parts
         self._view, self._fleet, self._gate = parts.view, parts.fleet, parts.gate
         self._sidecars, self._sight, self._reporter = parts.sidecars, parts.sight, parts.reporter
-        self._keeping = parts.keeping
+        self._keeping, self._black_box = parts.keeping, parts.black_box
         self._looks = Looks(parts.sight.coming)
         self.wake = self._looks.wake
         """Set to have it look at once, such as when a pod of the workload changed."""
@@ -686,6 +688,7 @@ class Supervisor:
         progress.moments.setdefault("held", time.time())
         self._save(progress)
         self.recovering, self._held = progress, True
+        self._black_box.begin(progress)
         try:
             if not self._gate.state.closed:
                 await self._gate.commit(None, progress)
@@ -717,6 +720,7 @@ class Supervisor:
     def _superseded(self, progress: Progress, reason: Superseded) -> None:
         """Somebody else acts at a newer epoch: watch again."""
         _logger.warning("recovery %s given up: %s", progress.id, reason)
+        self._black_box.end(progress)
         self._reporter.condition("Recovering", "False", "Superseded", str(reason))
         self._reporter.event("Warning", "RecoverySuperseded", f"{progress.reason}: {reason}")
         self._unattended.driven()
@@ -725,6 +729,7 @@ class Supervisor:
     def _stopped(self, progress: Progress, error: Exception) -> None:
         """The API server refused something: all is tried again in a moment."""
         _logger.error("recovery %s stopped", progress.id, exc_info=error)
+        self._black_box.end(progress)
         self._reporter.condition("Recovering", "False", "Error", f"{progress.reason}: {error}")
         self._reporter.event("Warning", "RecoveryError", f"{progress.reason}: {error}")
         self._after(BACKOFF_FIRST)
@@ -848,6 +853,7 @@ class Supervisor:
     async def _recovered(self, progress: Progress, choices: list[Choice]) -> Progress:
         means = self._means()
         self.recovering = progress
+        self._black_box.begin(progress)
         try:
             if progress.taken_over is not None:
                 await reflex.commit(progress, means)
@@ -857,6 +863,7 @@ class Supervisor:
             return await recover(progress, choices, means)
         finally:
             self.recovering = None
+            self._black_box.end(progress)
 
     def _after(self, wait: float) -> None:
         now = time.time()

@@ -23,6 +23,7 @@ from understudy.ros.inhabitants import Inhabitants
 from understudy.ros.lifecycles import Lifecycles
 from understudy.ros.parameters import Parameters
 from understudy.ros.presence import Presence
+from understudy.ros.rings import Ring, Track
 from understudy.ros.sources import HOST, Sources
 from understudy.ros.taking import Taker
 from understudy.ros.types import TypeNotInstalled, message_class
@@ -96,6 +97,10 @@ class _Topic:
     subscription: Any = None
     message: Any = None
     """The class of what the subscription receives."""
+    type: str = ""
+    """Its type."""
+    track: Track | None = None
+    """Where its messages are kept as they came."""
     stamped: bool = False
     """Whether its messages begin with a header."""
     mixed: bool = False
@@ -131,6 +136,7 @@ class Watching:
         """What the cluster says of the pod of the instance in control, where somebody says it here."""
         self._taker = Taker()
         self._arrivals = arrivals
+        self._ring: Ring | None = None
         self._topics: dict[str, _Topic] = {}
         self._sources = Sources({})
         self._active = ""
@@ -157,6 +163,16 @@ class Watching:
                 self._subscribe(known)
             elif known.want != want:
                 self._change(known, want)
+
+    def record(self, ring: Ring | None) -> None:
+        """Keep the messages themselves in a ring from now on, or no longer."""
+        self._ring = ring
+        for topic in self._topics.values():
+            self._record(topic)
+
+    def _record(self, topic: _Topic) -> None:
+        ring = self._ring if topic.subscription is not None else None
+        topic.track = ring.track(topic.want.name, topic.type) if ring is not None else None
 
     @property
     def problems(self) -> list[str]:
@@ -207,7 +223,7 @@ class Watching:
                 )
             return
         try:
-            topic.message = message_class(type_name)
+            topic.message, topic.type = message_class(type_name), type_name
             topic.stamped = begins_with_header(topic.message)
             topic.mixed = type_name == diagnostics.TYPE
             topic.subscription = self._graph.subscribe(
@@ -216,6 +232,7 @@ class Watching:
         except TypeNotInstalled as error:
             topic.problem = f"{want.name}: {error}"
             return
+        self._record(topic)
         if want.prompt:
             self._be_told(topic)
 
@@ -336,7 +353,7 @@ class Watching:
         # A writer that is faster than we are must not keep us here.
         most = 4 * depth(topic.want)
         task, wanted = topic.want.task, topic.want.contents
-        mixed = topic.mixed
+        mixed, track = topic.mixed, topic.track
         needed = None if topic.want.whole else HEAD
         with handle:
             pointer = handle.pointer
@@ -346,6 +363,8 @@ class Watching:
                     continue
                 stamped, sent, gid, sequence, data = sample
                 received = min(max(stamped, low), high) if bounded else stamped
+                if track is not None and track.wanted:
+                    track.add(received, sent, sequence, data or self._taker.data())
                 source = sources.get(gid[HOST]) or self._new_source(topic, gid[HOST])
                 source.add(received)
                 source.number(gid, sequence)
@@ -391,6 +410,8 @@ class Watching:
                 source.shift(step)
             topic.active = {gid: since + step for gid, since in topic.active.items()}
             self._count_again(topic)
+        if self._ring is not None:
+            self._ring.shift(step)
         return self._drained, time.time()
 
     # -- what was received ------------------------------------------------------------------------------------------

