@@ -386,7 +386,7 @@ def _missing(known: Known) -> Iterator[_Entry]:
     if refused is not None and not any(problem.type == "Accepted" for problem in found):
         found.append(Problem(type="Accepted", reason=refused.reason, message=refused.message))
     for problem in found:
-        state = "Degraded" if problem.type in ("Degraded", "StateRestored") else "Failed"
+        state = "Degraded" if problem.type in ("Degraded", "StateRestored", situations.CONDITION) else "Failed"
         since = f", {age(problem.since, observed.now)}" if problem.since else ""
         yield _Entry(f"{problem.about} ({problem.reason}{since}): {problem.message}", state)
     told = [problem.message for problem in found]
