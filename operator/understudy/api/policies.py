@@ -443,13 +443,17 @@ class FailurePolicySpec(Model):
         return self.auto or bool(self.situations)
 
     @property
+    def everywhere(self) -> list[tuple[str, Strategy]]:
+        """All its strategies, those of its situations too, each with its path in the spec."""
+        found = [(f"strategies[{i}]", one) for i, one in enumerate(self.strategies)]
+        for i, situation in enumerate(self.situations):
+            found += [(f"situations[{i}].strategies[{j}]", one) for j, one in enumerate(situation.strategies or ())]
+        return found
+
+    @property
     def recoveries(self) -> list[tuple[str, Procedure | None]]:
         """The procedures of all its strategies, each with its path in the spec."""
-        found = [(f"strategies[{i}].recovery", one.recovery) for i, one in enumerate(self.strategies)]
-        for i, situation in enumerate(self.situations):
-            listed = enumerate(situation.strategies or ())
-            found += [(f"situations[{i}].strategies[{j}].recovery", one.recovery) for j, one in listed]
-        return found
+        return [(f"{path}.recovery", one.recovery) for path, one in self.everywhere]
 
 
 class TreeInForce(Model):

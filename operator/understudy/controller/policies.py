@@ -194,11 +194,11 @@ def shared(pool: str) -> str:
 
 
 def _wait_problem(policy: Object, pools: Mapping[str, Object]) -> Problem | None:
-    for index, strategy in enumerate(spec(policy).strategies):
+    for path, strategy in spec(policy).everywhere:
         name = strategy.pool_ref.name if strategy.pool_ref is not None else ""
         if strategy.wait_for is not None and name in pools and readiness(pools[name]) != "Uninitialized":
             text = unshared(name, readiness(pools[name]))
-            return Problem("PoolNotShared", f"spec.strategies[{index}].waitFor: {text}")
+            return Problem("PoolNotShared", f"spec.{path}.waitFor: {text}")
     return None
 
 

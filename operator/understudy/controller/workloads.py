@@ -222,13 +222,13 @@ def _chosen(observed: Observed) -> list[Strategy] | None:
         return None
     settings = _present_settings(observed)
     present = settings.strategies if settings is not None else None
-    if policy is None or (present and _is_recovered(observed)):
+    if policy is None or (present and _in_recovery(observed)):
         return present
     found = _of_situation(observed, policy, in_force(observed))
     return present if found is None else found
 
 
-def _is_recovered(observed: Observed) -> bool:
+def _in_recovery(observed: Observed) -> bool:
     """Whether the monitor says that it is recovering: that goes by places in the order."""
     return (observed.workload.get("status") or {}).get("health") == "Recovering"
 
@@ -286,7 +286,7 @@ def _of_situation(observed: Observed, policy: Object, name: str) -> list[Strateg
 
 def _lacking(observed: Observed, policy: Object, name: str) -> str | None:
     """Why the first strategy of a situation couldn't be carried out now, of those that ever could; None where it could."""
-    if _is_recovered(observed):
+    if _in_recovery(observed):
         return "a recovery is under way"
     strategies = _of_situation(observed, policy, name)
     if strategies is None:
@@ -724,7 +724,7 @@ def _scale(made: Plan, observed: Observed) -> None:
         return
     driving = [p for p in observed.pods if objects.is_active(p, observed.gate) and objects.alive(p)]
     foreign = any(objects.labels(pod).get(names.SOURCE) != "workload" for pod in driving)
-    standing_by = own_stands_by(observed) and sum(wanted(observed, pool) for pool in standby_pools(observed))
+    standing_by = sum(wanted(observed, pool) for pool in standby_pools(observed)) if own_stands_by(observed) else 0
     replicas = 0 if foreign and not standing_by else 1
     if (live.get("spec") or {}).get("replicas", 1) != replicas:
         made.writes.append(Patch(REPLICA_SETS, live, {"spec": {"replicas": replicas}}, subresource="scale"))
