@@ -1233,3 +1233,65 @@ def test_a_pool_that_comes_later_is_chosen_from(fleet: Fleet, operator: Operator
     fleet.create(hot())
     fleet.wait_condition("RobotWorkload", "w", "StrategiesChosen", "Chosen", "True")
     until(lambda: chosen(fleet) == ["hot", "Restart"], "the monitor to be told")
+
+
+# -- situations ---------------------------------------------------------------------------------------------------------
+
+
+def say_situation(fleet: Fleet, name: str) -> None:
+    """What the monitor says; empty for none."""
+    situation = {"situation": {"name": name, "since": "2026-01-01T00:00:00Z", "reason": "it is"}} if name else {}
+    status = {"health": "Healthy", **situation}
+    item = {"apiVersion": API_VERSION, "kind": "RobotWorkload", "metadata": {"name": "w"}, "status": status}
+    fleet.cluster.apply(item, fleet.namespace, subresource="status", manager="understudy-monitor")
+
+
+def test_a_situation_raises_the_standby_and_lets_the_former_one_go_when_that_is_ready(
+    fleet: Fleet, operator: Operator
+) -> None:
+    asked = policy("calm", "Restart")
+    raised = policy("hot", "Restart")["spec"]["strategies"]
+    asked["spec"]["situations"] = [{"name": "carrying", "when": {"task": {"action": "/go"}}, "strategies": raised}]
+    fleet.create(asked, custom("FallbackPool", "calm", hot()["spec"]), hot(), workload())
+
+    def standbys(pool: str) -> list[Object]:
+        return fleet.pods(f"{names.WORKLOAD}=w,{names.POOL}={pool}")
+
+    fleet.wait_built()
+    fleet.make_parts_ready()
+    (own,) = until(lambda: fleet.pods(f"{names.WORKLOAD}=w,{names.SOURCE}=workload"), "the workload's own pod")
+    fleet.make_ready(own)
+    fleet.commit(own)
+    (calm,) = until(lambda: standbys("calm"), "a standby")
+    fleet.make_ready(calm)
+    fleet.wait_condition("RobotWorkload", "w", "Protected", "FirstStrategyReady", "True")
+    fleet.wait_condition("RobotWorkload", "w", "SituationCovered", "NoSituation", "True")
+    assert chosen(fleet) == ["calm", "Restart"]
+    assert standbys("hot") == []
+
+    say_situation(fleet, "carrying")
+    (standby,) = until(lambda: standbys("hot"), "another standby")
+    said = fleet.wait_condition("RobotWorkload", "w", "SituationCovered", "StandbyNotReady", "False")
+    assert said["message"].endswith(
+        "the order stays Executing (calm), Restart: no pod of FallbackPool hot is ready for it."
+    )
+    assert fleet.settled() == fleet.settled(), "nothing is written while it is waited for"
+    assert chosen(fleet) == ["calm", "Restart"]
+    assert [pod["metadata"]["name"] for pod in standbys("calm")] == [calm["metadata"]["name"]]
+    assert fleet.condition("RobotWorkload", "w", "Protected")["status"] == "True"
+
+    fleet.make_ready(standby)
+    until(lambda: chosen(fleet) == ["hot", "Restart"], "the monitor to be told")
+    until(lambda: not standbys("calm"), "the former one to go")
+    fleet.wait_condition("RobotWorkload", "w", "SituationCovered", "InForce", "True")
+    assert fleet.condition("RobotWorkload", "w", "Protected")["status"] == "True"
+    until(lambda: fleet.get("FallbackPool", "calm")["status"]["desired"] == 0, "its pool to want none")
+    assert fleet.settled() == fleet.settled(), "and that is done once"
+
+    say_situation(fleet, "")
+    (calm,) = until(lambda: standbys("calm"), "one as before")
+    assert chosen(fleet) == ["hot", "Restart"]
+    fleet.make_ready(calm)
+    until(lambda: not standbys("hot"), "that of the situation to go")
+    assert chosen(fleet) == ["calm", "Restart"]
+    fleet.wait_condition("RobotWorkload", "w", "SituationCovered", "NoSituation", "True")

@@ -85,6 +85,7 @@ KINDS = (
             Column("Recoveries", ".status.recoveryCount", "Recoveries since it was created.", "integer"),
             Column("Last", ".status.lastRecoveryTime", "Time since the last recovery.", "date"),
             Column("Order", ".status.strategies", "The strategies in order, with their pools.", wide=True),
+            Column("Situation", ".status.situation.name", "The situation that it is in, by its policy.", wide=True),
             Column("Kept", ".status.kept", "What is kept of a healthy instance.", wide=True),
             Column("Taken", ".status.state[0].takenAt", "How old the first of it is.", "date", wide=True),
             AGE,

@@ -24,6 +24,7 @@ from understudy.api.procedures import Procedure
 from understudy.api.recordings import BlackBox
 from understudy.api.requirements import Requirements
 from understudy.api.rosnames import RosName
+from understudy.api.situations import When
 from understudy.api.states import State
 from understudy.api.written import Form, Written, short_form, text
 
@@ -177,6 +178,51 @@ class Strategy(Model):
     )
 
 
+_SITUATION_PATTERN = r"^[a-z0-9]([-a-z0-9]*[a-z0-9])?$"
+_SITUATION_MESSAGE = (
+    "names of situations have lower-case letters, digits and dashes only, and begin and end with a letter or digit"
+)
+
+
+class Situation(Model):
+    """A situation of the robot in which other strategies are in force."""
+
+    model_config = Model.model_config | {
+        "json_schema_extra": rules(
+            (
+                "has(self.strategies) != has(self.requirements)",
+                "say what is in force then: give strategies, or requirements where spec.strategies are Auto",
+            ),
+            (
+                "!has(self.strategies) || self.strategies.all(s, s.type != 'Auto')",
+                "a situation has no Auto of its own: leave spec.strategies to Auto, and give the situation requirements",
+                ".strategies",
+            ),
+        )
+    }
+
+    name: str = Field(
+        pattern=_SITUATION_PATTERN,
+        max_length=63,
+        description="What it is called in statuses and Events, such as carrying.",
+        json_schema_extra=matching(_SITUATION_PATTERN, _SITUATION_MESSAGE),
+    )
+    when: When = Field(description="When the robot is in it. Where several are so, the first of the list is in force.")
+    after: Duration = Field(default="0s", description="It must be so for this long, without a break, to be in force.")
+    clear_after: Duration = Field(
+        default="10s", description="It must not be so for this long, without a break, to be in force no longer."
+    )
+    strategies: list[Strategy] | None = Field(
+        default=None,
+        min_length=1,
+        max_length=8,
+        description="Tried in order instead of spec.strategies. Standbys are kept of the pools that are named by what is in force.",
+    )
+    requirements: Requirements | None = Field(
+        default=None, description="What the strategies are chosen by instead of spec.requirements."
+    )
+
+
 MOST_COUNTED = 20
 """Recoveries that a budget may have: when each began is kept in the workload's status."""
 
@@ -326,6 +372,21 @@ class FailurePolicySpec(Model):
                 ".requirements",
             ),
             (
+                "!has(self.situations) || self.situations.all(a, self.situations.exists_one(b, b.name == a.name))",
+                "situations has the same name twice",
+                ".situations",
+            ),
+            (
+                "!has(self.situations) || self.strategies.exists(s, s.type == 'Auto') || self.situations.all(a, has(a.strategies))",
+                "the policy's strategies are written out, so write out those of each situation too, in its strategies",
+                ".situations",
+            ),
+            (
+                "!has(self.situations) || self.strategies.all(s, s.type != 'Auto') || self.situations.all(a, has(a.requirements))",
+                "the policy's strategies are left to be chosen (Auto), so say in each situation by which requirements",
+                ".situations",
+            ),
+            (
                 "self.priority != 'Safety' || !has(self.limits.budget)",
                 "priority Safety says that limits don't delay a recovery, and a budget that is spent would: leave one of the two out",
                 ".limits.budget",
@@ -348,6 +409,12 @@ class FailurePolicySpec(Model):
         default=None,
         description="What the order of strategies is chosen by where they are Auto. Where they are written out, only understudy recommend "
         "goes by it.",
+    )
+    situations: list[Situation] = Field(
+        default_factory=list,
+        max_length=4,
+        description="Situations of the robot in which other strategies are in force, and so other standbys are kept. None: always the "
+        "same. See docs/situations.md.",
     )
     degraded: Degraded | None = Field(
         default=None,
@@ -375,6 +442,24 @@ class FailurePolicySpec(Model):
     def auto(self) -> bool:
         """Whether its strategies are left to be chosen."""
         return any(strategy.type == "Auto" for strategy in self.strategies)
+
+    @property
+    def varies(self) -> bool:
+        """Whether which strategies are in force depends on the workload, or on its situation: then the operator says."""
+        return self.auto or bool(self.situations)
+
+    @property
+    def everywhere(self) -> list[tuple[str, Strategy]]:
+        """All its strategies, those of its situations too, each with its path in the spec."""
+        found = [(f"strategies[{i}]", one) for i, one in enumerate(self.strategies)]
+        for i, situation in enumerate(self.situations):
+            found += [(f"situations[{i}].strategies[{j}]", one) for j, one in enumerate(situation.strategies or ())]
+        return found
+
+    @property
+    def recoveries(self) -> list[tuple[str, Procedure | None]]:
+        """The procedures of all its strategies, each with its path in the spec."""
+        return [(f"{path}.recovery", one.recovery) for path, one in self.everywhere]
 
 
 class TreeInForce(Model):
@@ -424,10 +509,12 @@ def in_force(spec: FailurePolicySpec, status: Mapping[str, Any] | None) -> Failu
 
 
 def following(spec: FailurePolicySpec, chosen: Sequence[Strategy] | None) -> FailurePolicySpec | None:
-    """The policy with strategies that can be carried out: those ``chosen`` for a workload where it leaves that.
+    """The policy with the strategies in force: those ``chosen`` for a workload where it leaves that, or has situations.
 
-    None where they aren't chosen yet.
+    None where there are none that can be carried out before they are chosen.
     """
-    if not spec.auto:
+    if not spec.varies:
         return spec
-    return spec.model_copy(update={"strategies": list(chosen)}) if chosen else None
+    if chosen:
+        return spec.model_copy(update={"strategies": list(chosen)})
+    return None if spec.auto else spec

@@ -66,7 +66,11 @@ class WorkloadSettings(Model):
         default=None, description="Where the instance in control runs on a node that is to be emptied."
     )
     strategies: list[Strategy] | None = Field(
-        default=None, description="The strategies chosen for this workload, in order, where its policy has Auto."
+        default=None,
+        description="The strategies in force, in order, where its policy has Auto or situations.",
+    )
+    situation: str | None = Field(
+        default=None, description="The situation of the policy whose strategies these are; absent for none."
     )
     upstream: list[Upstream] = Field(
         default_factory=list,

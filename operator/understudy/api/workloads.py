@@ -20,6 +20,7 @@ from understudy.api.pauses import Pause
 from understudy.api.policies import MOST_COUNTED
 from understudy.api.procedures import Procedure
 from understudy.api.rosnames import ROS_TYPE_MESSAGE, ROS_TYPE_PATTERN, RosName
+from understudy.api.situations import SituationStatus
 from understudy.api.states import KeptStatus, RestoredState
 from understudy.api.switchovers import Draining, Kind, SwitchoverStatus
 from understudy.api.tasks import Task, TaskStatus
@@ -460,6 +461,11 @@ class RobotWorkloadStatus(Model):
         description="The strategies in short, in order, with their pools. Why in this order, where they were chosen, the condition "
         "StrategiesChosen says.",
     )
+    situation: SituationStatus | None = Field(
+        default=None,
+        description="Which of the policy's situations the robot is in; absent for none. Whether its strategies are in force, the condition "
+        "SituationCovered says.",
+    )
     recovery_count: int | None = Field(default=None, description="Recoveries since it was created.")
     last_recovery_time: Time | None = Field(default=None, description="When the last recovery ended.")
     spent: list[Time] | None = Field(
@@ -502,7 +508,9 @@ class RobotWorkloadStatus(Model):
         default=None,
         description="Accepted: spec and policy can be followed. Reconciled: everything was built. Protected: the first strategy could "
         "take over now. StrategiesChosen, where the policy has Auto: which order was chosen, and why; False where it doesn't give what "
-        "spec.requirements of the policy ask for. Monitored: every topic of the health tree is watched. Healthy: the tree holds. "
+        "spec.requirements of the policy ask for. SituationCovered, where the policy has "
+        "situations: the strategies of the present one are in force; False until its first standby is ready. "
+        "Monitored: every topic of the health tree is watched. Healthy: the tree holds. "
         "DependenciesResolved, where spec.dependsOn names some: they are there, and none of them depends on this one in turn. "
         "DependencyFailed: it fails, and isn't acted on since that may follow from the failure of one that it depends on. "
         "Degraded: it holds, and that of spec.degraded doesn't. Resized: the pod in control has what the policy gives it then. "

@@ -126,10 +126,21 @@ def _trees(manifest: Manifest, kind: Kind, spec: Mapping[str, Any]) -> Iterator[
             monitoring = spec.get("monitoring")
             yield from _health(manifest, monitoring, "spec.monitoring", _grace(monitoring))
             yield from _degraded(manifest, spec.get("degraded"), _grace(monitoring))
-            strategies = spec.get("strategies")
-            for index, strategy in enumerate(strategies if isinstance(strategies, list) else ()):
-                if isinstance(strategy, Mapping):
-                    yield from _procedure(manifest, strategy, "recovery", f"spec.strategies[{index}]")
+            yield from _recoveries(manifest, spec, "spec")
+            situations = spec.get("situations")
+            for index, situation in enumerate(situations if isinstance(situations, list) else ()):
+                if isinstance(situation, Mapping):
+                    path = f"spec.situations[{index}]"
+                    yield from _health(manifest, situation.get("when"), f"{path}.when", 0.0)
+                    yield from _recoveries(manifest, situation, path)
+
+
+def _recoveries(manifest: Manifest, owner: Mapping[str, Any], path: str) -> Iterator[Finding]:
+    """What is wrong with the procedures of some strategies."""
+    strategies = owner.get("strategies")
+    for index, strategy in enumerate(strategies if isinstance(strategies, list) else ()):
+        if isinstance(strategy, Mapping):
+            yield from _procedure(manifest, strategy, "recovery", f"{path}.strategies[{index}]")
 
 
 def _procedure(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from understudy.checking import situations
 from understudy.checking.documents import Manifest
 from understudy.checking.findings import Finding
 from understudy.choosing import explaining
@@ -29,6 +30,10 @@ def check(manifests: Sequence[Manifest]) -> Iterator[Finding]:
     for policy in policies:
         for index, _ in enumerate(_list(_at(policy.data, "spec", "strategies"))):
             yield from _names(policy, f"spec.strategies[{index}].poolRef.name", "FallbackPool", pools)
+        for path, _ in situations.paths(policy):
+            yield from _names(policy, path, "FallbackPool", pools)
+        yield from situations.unreachable(policy)
+        yield from situations.empty(policy, pools)
         yield from _not_prewarmed(policy, pools)
         yield from _waits_for_nothing(policy, pools)
     for pool in pools:

@@ -18,7 +18,7 @@ from understudy.cluster.client import (
     Resource,
 )
 from understudy.console.kubectl import Kubectl
-from understudy.controller import affected, healthtrees
+from understudy.controller import affected, healthtrees, situations
 from understudy.controller.expectations import Expectations
 from understudy.controller.observing import Observer, Reader
 from understudy.controller.stores import Store
@@ -51,7 +51,12 @@ def around(kubectl: Kubectl, name: str) -> Around:
     kinds = (POLICIES, POOLS, WORKLOADS, PODS, NETWORK_POLICIES)
     items = kubectl.get(",".join(map(_word, kinds)))["items"]
     policy = affected.used_policy(item)
-    if any(healthtrees.reference(i) for i in items if i["kind"] == "FailurePolicy" and i["metadata"]["name"] == policy):
+    used = [i for i in items if i["kind"] == "FailurePolicy" and i["metadata"]["name"] == policy]
+    if any(situations.has_some(i) for i in used):
+        # Which of them is in force depends on which was: the monitor was told.
+        told = kubectl.find(_word(CONFIG_MAPS), names.settings(name))
+        items += [told] if told is not None else []
+    if any(healthtrees.reference(i) for i in used):
         items += kubectl.get(_word(CONFIG_MAPS), "-l", f"{names.HEALTH_TREE}=true")["items"]
     selector = f"involvedObject.kind=RobotWorkload,involvedObject.name={name}"
     events = kubectl.get("events", "--field-selector", selector)["items"]

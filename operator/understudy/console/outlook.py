@@ -22,7 +22,7 @@ from understudy.console.drawing import coloured, plain
 from understudy.console.observing import Around
 from understudy.console.robots import DRIVEN, UNWATCHED, Problem, Robot, is_told, pool, robot, status_of
 from understudy.console.texts import age, listed, wrapped
-from understudy.controller import dependencies, objects, policies, pools, poolsizes, statuses, workloads
+from understudy.controller import dependencies, objects, policies, pools, poolsizes, situations, statuses, workloads
 from understudy.controller.desired import Images
 from understudy.controller.statuses import Means
 from understudy.controller.troubles import trouble
@@ -71,7 +71,8 @@ class Known:
     def left_out(self) -> list[str]:
         """The pools of the policy that nobody counts on while it is well."""
         counted = {s.pool_ref.name for s, _ in self.considered if s.pool_ref is not None}
-        named = [s.pool_ref.name for s in self.policy.strategies if s.pool_ref is not None] if self.policy else []
+        strategies = workloads.strategies(self.observed) if self.policy else []
+        named = [s.pool_ref.name for s in strategies if s.pool_ref is not None]
         return [name for name in named if name not in counted]
 
     @property
@@ -225,8 +226,21 @@ def _state(known: Known) -> Iterator[_Entry]:
     yield _Entry(f"{listed(told)}.")
     if pod is not None and (found := trouble(pod)) is not None:
         yield _Entry(found.message, "Failed")
+    yield from _situation(known)
     if admitted := objects.notes(observed.gate).get(names.ADMITTED, "") if observed.gate is not None else "":
         yield _Entry(f"Let through beside it, for the reflex: {admitted}.")
+
+
+def _situation(known: Known) -> Iterator[_Entry]:
+    """In which of its policy's situations it is, and what is in force by that."""
+    conditions = known.status.conditions or []
+    said = next((one for one in conditions if one.type == situations.CONDITION), None)
+    if known.policy is None or not known.policy.situations or said is None:
+        return
+    present = known.status.situation
+    told = f"Situation: {present.name} for {age(present.since, known.observed.now)}" if present else "Situation: none"
+    why_ = f" ({present.reason})" if present is not None and present.reason else ""
+    yield _Entry(f"{told}{why_}. {said.message}")
 
 
 def _where(pod: Object) -> str:
@@ -413,7 +427,7 @@ def _missing(known: Known) -> Iterator[_Entry]:
     if refused is not None and not any(problem.type == "Accepted" for problem in found):
         found.append(Problem(type="Accepted", reason=refused.reason, message=refused.message))
     for problem in found:
-        state = "Degraded" if problem.type in ("Degraded", "StateRestored") else "Failed"
+        state = "Degraded" if problem.type in ("Degraded", "StateRestored", situations.CONDITION) else "Failed"
         since = f", {age(problem.since, observed.now)}" if problem.since else ""
         yield _Entry(f"{problem.about} ({problem.reason}{since}): {problem.message}", state)
     told = [problem.message for problem in found]

@@ -234,6 +234,7 @@ _WIDE: _Layout = [
     *_FULL,
     ("RECOVERIES", lambda robot, look: Cell(str(robot.recovery_count))),
     ("NEXT", lambda robot, look: Cell(robot.strategy or "Unknown")),
+    ("SITUATION", lambda robot, look: Cell(robot.situation or "none")),
     ("POLICY", lambda robot, look: Cell(robot.policy)),
     ("AGE", lambda robot, look: Cell(age(robot.created, look.now) if robot.created else "")),
 ]

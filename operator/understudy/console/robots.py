@@ -44,6 +44,7 @@ _ABOUT = {
     "Resized": "not resized",
     "Draining": "evictions don't wait",
     "StrategiesChosen": "requirements not met",
+    "SituationCovered": "not as its situation asks",
     "Available": "no pod is free",
     "Sized": "too small for its risk",
     "Updated": "not updated",
@@ -118,6 +119,8 @@ class Robot(Model):
     standby: str
     strategy: str
     """What its monitor would use if it failed now."""
+    situation: str
+    """Of its policy, that it is in; empty for none."""
     recovery_count: int
     last_recovery: LastRecovery | None
     problems: list[Problem]
@@ -170,6 +173,7 @@ def robot(item: Object) -> Robot:
         epoch=status.gate.epoch if status.gate is not None else 0,
         standby=status.standby or "Unknown",
         strategy=status.strategy or "",
+        situation=status.situation.name if status.situation is not None else "",
         recovery_count=status.recovery_count or 0,
         last_recovery=LastRecovery.of(status.recoveries[0]) if status.recoveries else None,
         problems=problems(item, status.conditions or [], status.observed_generation),

@@ -19,12 +19,17 @@ from understudy.api.workloads import Recovery
 from understudy.choosing.figures import Figure, Figures, Way, seen
 from understudy.choosing.ordering import Candidate, Order, ordered
 from understudy.cluster.client import Object
-from understudy.controller import poolsizes
+from understudy.controller import poolsizes, situations
 
 
 def is_auto(policy: Object) -> bool:
     """Whether a policy leaves its strategies to be chosen."""
     return _auto(policy) is not None
+
+
+def varies(policy: Object) -> bool:
+    """Whether which strategies are in force is decided for each workload: by what is required, or by its situation."""
+    return is_auto(policy) or situations.has_some(policy)
 
 
 def order(

@@ -212,12 +212,12 @@ class Observer:
         return objects.name(pool) in policies.named_pools(policy)
 
     def _spared(self, pool: Object, workload: Object) -> bool:
-        """Whether a workload that a pool serves has no standby of it, since other strategies were chosen for it.
+        """Whether a workload that a pool serves has no standby of it, since other strategies were chosen for it, or are in force now.
 
         By its status, in which that stands once it was chosen: a fleet's orders aren't thought over for every pod of a pool.
         """
         policy = self._store.get(POLICIES, pool["metadata"]["namespace"], affected.used_policy(workload))
-        if policy is None or not choosing.is_auto(policy) or not pools.serves(pool, workload):
+        if policy is None or not choosing.varies(policy) or not pools.serves(pool, workload):
             return False
         chosen = affected.chosen(workload)
         return bool(chosen) and not statuses.takes_from(chosen, objects.name(pool))

@@ -10,12 +10,12 @@ from pydantic import ValidationError
 
 from understudy.api.base import seconds
 from understudy.api.conditions import Condition, condition
-from understudy.api.degraded import InlineTree
 from understudy.api.policies import FailurePolicySpec, StormGuard
 from understudy.api.pools import FallbackPoolSpec
 from understudy.api.procedures import Check, Procedure
+from understudy.api.written import Written
 from understudy.cluster.client import Object
-from understudy.controller import healthtrees, objects
+from understudy.controller import healthtrees, objects, situations
 from understudy.controller.desired import Problem
 from understudy.trees.forms import load_health
 from understudy.trees.problems import TreeError
@@ -55,8 +55,7 @@ def problem(policy: Object, config_maps: Mapping[str, Object]) -> Problem | None
     for path, inline in _inline_trees(parsed):
         if found := _inline_problem(inline, path, grace):
             return Problem("TreeInvalid", found)
-    recoveries = ((f"spec.strategies[{i}].recovery", s.recovery) for i, s in enumerate(parsed.strategies))
-    if found := procedures_problem(*recoveries):
+    if found := procedures_problem(*((f"spec.{path}", recovery) for path, recovery in parsed.recoveries)):
         return Problem("TreeInvalid", found)
     return None
 
@@ -103,8 +102,11 @@ def _tree_problem(form: str, tree: str, grace: float, path: str | None = None) -
     return None
 
 
-def _inline_trees(parsed: FailurePolicySpec) -> Iterator[tuple[str, InlineTree]]:
-    """The trees of ``spec.degraded`` with their paths."""
+def _inline_trees(parsed: FailurePolicySpec) -> Iterator[tuple[str, Written]]:
+    """The trees of ``spec.situations`` and ``spec.degraded`` with their paths."""
+    for index, situation in enumerate(parsed.situations):
+        if situation.when.given:
+            yield f"spec.situations[{index}].when", situation.when
     if parsed.degraded is None:
         return
     yield "spec.degraded.monitoring", parsed.degraded.monitoring
@@ -113,14 +115,15 @@ def _inline_trees(parsed: FailurePolicySpec) -> Iterator[tuple[str, InlineTree]]
             yield f"spec.degraded.actions[{index}].reschedule.idle", action.reschedule.idle
 
 
-def _inline_problem(tree: InlineTree, path: str, grace: float) -> str | None:
+def _inline_problem(tree: Written, path: str, grace: float) -> str | None:
     return _tree_problem(tree.form, json.dumps(tree.tree), grace, f"{path}.{tree.form}")
 
 
 def named_pools(policy: Object) -> list[str]:
-    """The pools that the policy's strategies name, in order."""
+    """The pools that the policy's strategies name, in order, and then those of its situations."""
     strategies = (policy.get("spec") or {}).get("strategies") or []
-    return [s["poolRef"]["name"] for s in strategies if (s.get("poolRef") or {}).get("name")]
+    always = [s["poolRef"]["name"] for s in strategies if (s.get("poolRef") or {}).get("name")]
+    return [*always, *situations.named_pools(policy)]
 
 
 def readiness(pool: Object) -> str:
@@ -151,20 +154,26 @@ def conditions(policy: Object, pools: Mapping[str, Object], config_maps: Mapping
     generation = objects.generation(policy)
     found = problem(policy, config_maps)
     if found is None:
-        for index, name in enumerate(named_pools(policy)):
-            if name not in pools:
-                found = Problem(
-                    "PoolNotFound",
-                    f'spec.strategies: FallbackPool "{name}" is not in namespace {policy["metadata"]["namespace"]} '
-                    f"({objects.hint(name, pools)}). Create it, or correct the name that the {index + 1}. poolRef "
-                    f"has; until then that strategy is passed over",
-                )
-                break
+        found = _unfound(policy, pools)
     if found is None:
         found = _prewarm_problem(policy, pools) or _wait_problem(policy, pools)
     if found is not None:
         return [condition("Accepted", False, found.reason, found.message, generation=generation)]
     return [condition("Accepted", True, "Accepted", "It can be followed.", generation=generation)]
+
+
+def _unfound(policy: Object, pools: Mapping[str, Object]) -> Problem | None:
+    """A pool that is named and isn't there."""
+    listed = enumerate((policy.get("spec") or {}).get("strategies") or [])
+    always = [(f"spec.strategies[{i}].poolRef.name", (one.get("poolRef") or {}).get("name")) for i, one in listed]
+    for path, name in (*always, *situations.pool_paths(policy)):
+        if name and name not in pools:
+            return Problem(
+                "PoolNotFound",
+                f'{path}: FallbackPool "{name}" is not in namespace {policy["metadata"]["namespace"]} '
+                f"({objects.hint(name, pools)}). Create it, or correct the name; until then that strategy is passed over",
+            )
+    return None
 
 
 def _prewarm_problem(policy: Object, pools: Mapping[str, Object]) -> Problem | None:
@@ -185,11 +194,11 @@ def shared(pool: str) -> str:
 
 
 def _wait_problem(policy: Object, pools: Mapping[str, Object]) -> Problem | None:
-    for index, strategy in enumerate(spec(policy).strategies):
+    for path, strategy in spec(policy).everywhere:
         name = strategy.pool_ref.name if strategy.pool_ref is not None else ""
         if strategy.wait_for is not None and name in pools and readiness(pools[name]) != "Uninitialized":
             text = unshared(name, readiness(pools[name]))
-            return Problem("PoolNotShared", f"spec.strategies[{index}].waitFor: {text}")
+            return Problem("PoolNotShared", f"spec.{path}.waitFor: {text}")
     return None
 
 

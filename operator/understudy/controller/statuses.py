@@ -10,7 +10,17 @@ from understudy.api.conditions import Condition, condition, merged
 from understudy.api.policies import Strategy
 from understudy.choosing import explaining
 from understudy.cluster.client import Object
-from understudy.controller import dependencies, draining, levels, objects, policies, pools, poolsizes, workloads
+from understudy.controller import (
+    dependencies,
+    draining,
+    levels,
+    objects,
+    policies,
+    pools,
+    poolsizes,
+    situations,
+    workloads,
+)
 from understudy.controller.desired import Problem
 from understudy.controller.troubles import Trouble, trouble
 from understudy.controller.workloads import Observed, Understanding
@@ -59,6 +69,7 @@ def status(
         _reconciled(observed, understanding, problems),
         protected(observed, understanding),
         *_chosen(observed, understanding),
+        *_situation(observed, understanding),
         *dependencies.resolved(observed.dependencies, workload),
         *([resized] if resized is not None else []),
         *_draining(observed, understanding),
@@ -169,6 +180,21 @@ def _chosen(observed: Observed, understanding: Understanding) -> list[Condition]
     met = not explaining.unmet(order)
     why = "Chosen" if met else "RequirementsNotMet"
     return [condition(CHOSEN, met, why, told, generation=objects.generation(observed.workload))]
+
+
+def _situation(observed: Observed, understanding: Understanding) -> list[Condition]:
+    """Whether what is in force is what the robot's situation asks for; what was said last while the policy can't be followed."""
+    if understanding.spec is None or understanding.policy_problem is not None:
+        live = (observed.workload.get("status") or {}).get("conditions") or []
+        return [Condition.model_validate(one) for one in live if one["type"] == situations.CONDITION]
+    policy = observed.policies[understanding.spec.failure_policy_ref.name]
+    if not situations.has_some(policy):
+        return []
+    asked, in_force = situations.asked(observed.workload, policy), workloads.in_force(observed)
+    order, lacking = _order(observed, understanding)["strategies"], workloads.situation_lacks(observed)
+    reason, told = situations.told(asked, in_force, order, lacking)
+    generation = objects.generation(observed.workload)
+    return [condition(situations.CONDITION, asked == in_force, reason, told, generation=generation)]
 
 
 @dataclass(frozen=True)
@@ -342,7 +368,7 @@ def waiting(observed: Observed, pool: Object) -> list[Object]:
     What a referred controller makes has none.
     """
     active = objects.active(observed.gate)[1]
-    if active and observed.reference is None:
+    if active and workloads.own_stands_by(observed):
         # Where there are standbys of several readinesses, each counts for its own pool.
         others = {name for name in workloads.standby_pools(observed) if name != objects.name(pool)}
         found = [pod for pod in _instances(observed) if objects.uid(pod) != active]

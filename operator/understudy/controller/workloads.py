@@ -49,9 +49,11 @@ from understudy.controller import (
     ownership,
     policies,
     pools,
+    poolsizes,
     references,
     reflexes,
     robots,
+    situations,
     tasking,
 )
 from understudy.controller.desired import Apply, Create, Delete, Images, Patch, Plan, Problem
@@ -171,7 +173,7 @@ def wanted(observed: Observed, pool: str) -> int:
 def _kept(observed: Observed, pool: str) -> int:
     """How many standbys of a pool the workload is to have always: none where others were chosen for it."""
     chosen = _chosen(observed)
-    if chosen is not None and pool not in _named(chosen):
+    if chosen is not None and pool not in _counted_on(observed, chosen):
         return 0
     kept: int = observed.pools[pool]["spec"].get("perWorkload") or 0
     return kept
@@ -182,17 +184,23 @@ def _policy(observed: Observed) -> Object | None:
     return observed.policies.get(name)
 
 
-def order(observed: Observed) -> Order | None:
-    """The order of strategies that the workload's policy comes to, where it leaves that and can be followed."""
+def order(observed: Observed, situation: str | None = None) -> Order | None:
+    """The order of strategies that the workload's policy comes to, where it leaves that and can be followed.
+
+    In a situation (empty for none) it may be another than the one in force, which it is where none is given.
+    """
     policy = _policy(observed)
     if policy is None or not choosing.is_auto(policy) or policies.problem(policy, observed.config_maps) is not None:
         return None
+    name = in_force(observed) if situation is None else situation
+    found = situations.find(policies.spec(policy), name) if name else None
     # A pool that isn't accepted any more has still what it had: what counts on it goes on.
     before = {choice.name for choice in _present_choices(observed)}
     usable = {
         name: pool for name, pool in serving(observed).items() if refused(observed, name) is None or name in before
     }
-    return choosing.order(policy, observed.workload, usable)
+    requirements = found.requirements if found is not None else None
+    return choosing.order(policy, observed.workload, usable, requirements=requirements)
 
 
 def strategies(observed: Observed) -> list[Strategy]:
@@ -204,21 +212,124 @@ def strategies(observed: Observed) -> list[Strategy]:
 
 
 def _chosen(observed: Observed) -> list[Strategy] | None:
-    """The strategies that were chosen for the workload; None where its policy says them.
+    """The strategies that were chosen for the workload, or are for its situation; None where its policy says them.
 
     Those that it has stay while its policy can't be followed, and in the midst of a recovery, which goes by places in the order. Between
     two recoveries that failed they don't: what was changed may be what helps.
     """
     policy = _policy(observed)
-    if policy is not None and not choosing.is_auto(policy):
+    if policy is not None and not choosing.varies(policy):
         return None
     settings = _present_settings(observed)
     present = settings.strategies if settings is not None else None
-    found = order(observed)
-    health = (observed.workload.get("status") or {}).get("health")
-    if policy is None or found is None or (present and health == "Recovering"):
+    if policy is None or (present and _in_recovery(observed)):
         return present
-    return choosing.strategies(policy, found)
+    found = _of_situation(observed, policy, in_force(observed))
+    return present if found is None else found
+
+
+def _in_recovery(observed: Observed) -> bool:
+    """Whether the monitor says that it is recovering: that goes by places in the order."""
+    return (observed.workload.get("status") or {}).get("health") == "Recovering"
+
+
+# -- situations ---------------------------------------------------------------------------------------------------------
+
+
+def in_force(observed: Observed) -> str:
+    """The situation whose strategies are in force; empty for none.
+
+    It is another one than the monitor says until the first strategy of that one could be carried out, and in the midst of a recovery.
+    """
+    policy = _policy(observed)
+    if policy is None or not situations.has_some(policy):
+        return ""
+    told, asked = _told(observed, policy), situations.asked(observed.workload, policy)
+    if told == asked or _lacking(observed, policy, asked) is None:
+        return asked
+    return told
+
+
+def situation_lacks(observed: Observed) -> str:
+    """Why the strategies of the situation that the monitor says aren't in force yet; empty where they are, or none has any."""
+    policy = _policy(observed)
+    if policy is None or not situations.has_some(policy):
+        return ""
+    return _lacking(observed, policy, situations.asked(observed.workload, policy)) or ""
+
+
+def _situation(observed: Observed) -> str | None:
+    """What the monitor is told: the situation of the strategies that it is told of; None for none."""
+    if _policy(observed) is None:
+        settings = _present_settings(observed)
+        return settings.situation if settings is not None else None
+    return in_force(observed) or None
+
+
+def _told(observed: Observed, policy: Object) -> str:
+    """The situation of whose strategies the monitor was told last."""
+    settings = _present_settings(observed)
+    return situations.known(policy, settings.situation if settings is not None else None)
+
+
+def _of_situation(observed: Observed, policy: Object, name: str) -> list[Strategy] | None:
+    """The strategies of a situation (empty for none); None where the policy can't be followed."""
+    if choosing.is_auto(policy):
+        found = order(observed, name)
+        return choosing.strategies(policy, found) if found is not None else None
+    if policies.problem(policy, observed.config_maps) is not None:
+        return None
+    spec = policies.spec(policy)
+    situation = situations.find(spec, name)
+    return situation.strategies if situation is not None and situation.strategies else spec.strategies
+
+
+def _lacking(observed: Observed, policy: Object, name: str) -> str | None:
+    """Why the first strategy of a situation couldn't be carried out now, of those that ever could; None where it could."""
+    if _in_recovery(observed):
+        return "a recovery is under way"
+    strategies = _of_situation(observed, policy, name)
+    if strategies is None:
+        return "its policy can't be followed"
+    served = serving(observed)
+    sizes = {pool: poolsizes.size(item) or item["spec"].get("perWorkload") for pool, item in served.items()}
+    first = situations.first_kept(strategies, sizes)
+    if first is None or first.pool_ref is None:
+        return None
+    pool, least = first.pool_ref.name, 0
+    if policies.readiness(served[pool]) in WAITING:
+        ready = [
+            pod
+            for pod in observed.pods
+            if objects.labels(pod).get(names.POOL) == pool
+            and objects.ready(pod)
+            and objects.alive(pod)
+            and not objects.is_active(pod, observed.gate)
+        ]
+    else:
+        ready = pools.claimable_now(observed.unclaimed.get(pool, ()), observed.held_policies.get(pool))
+        if refused(observed, pool) is None:
+            least = policies.pool_spec(served[pool]).kept_from(observed.workload["spec"].get("poolPriority") or 0)
+    return None if len(ready) > least else f"no pod of FallbackPool {pool} is ready for it"
+
+
+def _counted_on(observed: Observed, chosen: Sequence[Strategy]) -> set[str]:
+    """The pools of the strategies in force; with situations also of those that the monitor was told of last, and of those asked for."""
+    found = set(_named(chosen))
+    policy = _policy(observed)
+    if policy is not None and situations.has_some(policy):
+        for name in {_told(observed, policy), situations.asked(observed.workload, policy)}:
+            found |= set(_named(_of_situation(observed, policy, name) or []))
+    return found
+
+
+def own_stands_by(observed: Observed) -> bool:
+    """Whether a pod that the workload's own controller makes waits as a standby while another one drives.
+
+    Not where what is in force changes with the situation: as whose standby it waits would change with it.
+    """
+    policy = _policy(observed)
+    return observed.reference is None and (policy is None or not situations.has_some(policy))
 
 
 def _named(strategies: Sequence[Strategy]) -> list[str]:
@@ -482,6 +593,7 @@ def _settings(observed: Observed, understanding: Understanding, environment: Map
         pools=_choices(observed, understanding),
         drain=drain(observed),
         strategies=_chosen(observed),
+        situation=_situation(observed),
         upstream=dependencies.upstream(observed.dependencies, objects.name(workload)),
     )
     # sorted and indented, since people read it when they look for why
@@ -495,14 +607,18 @@ def _settings(observed: Observed, understanding: Understanding, environment: Map
 
 
 def _choices(observed: Observed, understanding: Understanding) -> list[PoolChoice]:
-    """The pools that the strategies name and that serve the workload. While the policy can't be followed, as they were."""
+    """The pools that the strategies name and that serve the workload, those in force first. While the policy can't be followed, as
+    they were.
+    """
     assert understanding.spec is not None
     if understanding.policy_problem is not None:
         return _present_choices(observed)
     served = serving(observed)
     present = {choice.name: choice for choice in _present_choices(observed)}
     found = []
-    for name in _named(strategies(observed)):
+    chosen = strategies(observed)
+    first = _named(chosen)
+    for name in (*first, *sorted(_counted_on(observed, chosen).difference(first))):
         if name not in served:
             continue
         if refused(observed, name) is not None:
@@ -608,7 +724,7 @@ def _scale(made: Plan, observed: Observed) -> None:
         return
     driving = [p for p in observed.pods if objects.is_active(p, observed.gate) and objects.alive(p)]
     foreign = any(objects.labels(pod).get(names.SOURCE) != "workload" for pod in driving)
-    standing_by = sum(wanted(observed, pool) for pool in standby_pools(observed))
+    standing_by = sum(wanted(observed, pool) for pool in standby_pools(observed)) if own_stands_by(observed) else 0
     replicas = 0 if foreign and not standing_by else 1
     if (live.get("spec") or {}).get("replicas", 1) != replicas:
         made.writes.append(Patch(REPLICA_SETS, live, {"spec": {"replicas": replicas}}, subresource="scale"))
@@ -634,7 +750,7 @@ def _standbys(made: Plan, observed: Observed, pool: str, built: Object, fresh: F
         and ownership.controls(objects.uid(workload), pod)
     ]
     want = wanted(observed, pool)
-    if observed.reference is not None:
+    if not own_stands_by(observed):
         # what a referred controller makes instead of the failed pod has no agent, so it can't be the standby
         want += sum(objects.is_active(pod, gate) for pod in mine) if want else 0
     change = fleets.change(

@@ -11,15 +11,43 @@ Told = Literal["Starting", "Healthy", "Failed"]
 """What the tree of ``spec.degraded`` says; Starting where it can't tell."""
 
 
+class Lasting:
+    """Whether something is so, once it has lasted. Times are seconds by one clock that is never set."""
+
+    def __init__(self, since: float | None = None) -> None:
+        """``since`` is given where it is known to have been so since then."""
+        self.since = since
+        """Since when it has been so; None while it isn't."""
+        self._so: float | None = None
+        self._not_so: float | None = None
+
+    def note(self, so: bool | None, now: float, *, after: float, clear_after: float) -> bool:
+        """Note how it is now, None where that can't be told; whether it counts as being so.
+
+        It does once it has been so for ``after`` seconds without a break, and no longer once it hasn't for ``clear_after`` seconds
+        without a break. What can't be told breaks both.
+        """
+        self._so = (now if self._so is None else self._so) if so else None
+        self._not_so = (now if self._not_so is None else self._not_so) if so is False else None
+        if self.since is None:
+            if self._so is not None and now - self._so >= after:
+                self.since = self._so
+        elif self._not_so is not None and now - self._not_so >= clear_after:
+            self.since = None
+        return self.since is not None
+
+
 class Level:
     """Whether a workload whose health tree holds is degraded. Times are seconds by one clock that is never set."""
 
     def __init__(self, since: float | None = None) -> None:
         """``since`` is given where it is known to have been degraded since then."""
-        self.since = since
+        self._degraded = Lasting(since)
+
+    @property
+    def since(self) -> float | None:
         """Since when it has been degraded; None while it isn't."""
-        self._failing: float | None = None
-        self._well: float | None = None
+        return self._degraded.since
 
     def note(self, told: Told, now: float, *, debounce: float, clear_after: float) -> bool:
         """Note what the tree says now; whether the workload is degraded.
@@ -27,11 +55,5 @@ class Level:
         It becomes so once the tree has failed for ``debounce`` seconds without a break, and is no longer once the tree has held for
         ``clear_after`` seconds without a break. What can't be told breaks both.
         """
-        self._failing = (now if self._failing is None else self._failing) if told == "Failed" else None
-        self._well = (now if self._well is None else self._well) if told == "Healthy" else None
-        if self.since is None:
-            if self._failing is not None and now - self._failing >= debounce:
-                self.since = self._failing
-        elif self._well is not None and now - self._well >= clear_after:
-            self.since = None
-        return self.since is not None
+        failed = None if told == "Starting" else told == "Failed"
+        return self._degraded.note(failed, now, after=debounce, clear_after=clear_after)

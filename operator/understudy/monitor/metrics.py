@@ -62,6 +62,7 @@ _SWITCHOVER_GAP = Histogram(
     buckets=(0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5),
 )
 _DEGRADATIONS = Counter("understudy_degradations", "How often this workload became degraded.")
+_SITUATION = Gauge("understudy_situation", "1 for the situation that the robot is in, by its policy.", ["situation"])
 _BUDGET = Gauge("understudy_budget_left", "Recoveries that limits.budget has left, by its window.", ["within"])
 _PAUSED = Gauge("understudy_paused", "1 while spec.pause is in force.")
 _HELD = Counter("understudy_recoveries_held", "Failures that were not recovered at once, by what held them.", ["why"])
@@ -78,6 +79,13 @@ def health(value: Health) -> None:
 def degraded() -> None:
     """Count that the workload became degraded."""
     _DEGRADATIONS.inc()
+
+
+def situation(name: str | None) -> None:
+    """Set the present situation; None for none."""
+    _SITUATION.clear()
+    if name is not None:
+        _SITUATION.labels(situation=name).set(1.0)
 
 
 def budget(within: str, left: int | None) -> None:

@@ -14,6 +14,7 @@ import aiohttp
 
 from understudy.api.base import API_VERSION
 from understudy.api.conditions import Condition, condition, merged
+from understudy.api.situations import SituationStatus
 from understudy.api.states import KeptStatus
 from understudy.api.switchovers import SwitchoverStatus
 from understudy.api.tasks import TaskStatus
@@ -69,6 +70,8 @@ class Reporter:
         self._spent: list[str] = []
         self.switchover: SwitchoverStatus | None = None
         """What was said last of planned switchovers."""
+        self.situation: SituationStatus | None = None
+        """The situation of the policy that the robot is in, as it was said last."""
         self.adopted = ""
         """The pod that was in control when this monitor began, by what an earlier one had said."""
         self.active = ""
@@ -88,6 +91,7 @@ class Reporter:
         self._last_time = status.last_recovery_time
         self._spent = list(status.spent or [])
         self.switchover = status.switchover
+        self.situation = status.situation
         self.adopted = status.active or ""
         self.followed = list(status.dependencies or [])
         if status.failing_since is not None:
@@ -220,6 +224,12 @@ class Reporter:
             self.switchover = status
             self._changed.set()
 
+    def situate(self, status: SituationStatus | None) -> None:
+        """Say in which situation the robot is; None for none."""
+        if self.situation != status:
+            self.situation = status
+            self._changed.set()
+
     def follow(self, followed: Sequence[DependencyRecovery]) -> None:
         """Say after which recoveries of others was done what is done then."""
         if self.followed != list(followed):
@@ -299,6 +309,7 @@ class Reporter:
             last_recovery_time=self._last_time,
             spent=self._spent or None,
             switchover=self.switchover,
+            situation=self.situation,
             recoveries=self._recoveries,
             dependencies=self.followed or None,
             kept=in_short([entry.name for entry in self._kept if entry.taken_at is not None]) or None,

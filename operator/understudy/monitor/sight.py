@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 from understudy.api.policies import FailurePolicySpec, Monitoring
@@ -14,6 +14,7 @@ from understudy.mitigation.interfaces import Instance
 from understudy.monitor.fleet import Fleet
 from understudy.monitor.gating import PolicyGate
 from understudy.monitor.metering import Meter
+from understudy.monitor.situating import Seen, Situating
 from understudy.monitor.wellness import Busy, Wellness
 from understudy.ros.arrivals import Arrivals
 from understudy.ros.graph import Graph
@@ -51,8 +52,9 @@ class Sight:
         self._outputs: list[Output] = []
         self._problems: list[str] = []
         self._wellness = Wellness()
+        self._situating = Situating()
         self._aside: set[str] = set()
-        """Topics that are received for that alone."""
+        """Topics that are received for these two alone."""
         self._addresses: dict[str, tuple[str, float]] = {}
         self._pod: Instance | None = None
         self._asked: WatchedTopic | None = None
@@ -65,7 +67,7 @@ class Sight:
     def follow(self, policy: FailurePolicySpec, spec: RobotWorkloadSpec | None) -> None:
         """Watch what this policy's tree and this workload need; one that doesn't load leaves the last in force."""
         outputs = spec.outputs if spec else self._outputs
-        again = self._wellness.follow(policy, spec)
+        again = self._wellness.follow(policy, spec) | self._situating.follow(policy)
         if self._loaded == (policy.monitoring, outputs):
             if again:
                 self._watch(spec)
@@ -93,7 +95,7 @@ class Sight:
         types = {output.topic: output.type for output in self._outputs if output.topic}
         wanted = {topic.name: topic for topic in (self._tree.topics if self._tree is not None else [])}
         self._aside = set()
-        for need in self._wellness.topics:
+        for need in [*self._wellness.topics, *self._situating.topics]:
             known = wanted.get(need.name)
             if need.heard and (known is None or not known.heard):
                 self._aside.add(need.name)
@@ -127,7 +129,7 @@ class Sight:
         """What isn't watched and why, with what to do."""
         unmetered = self.meter.problems if self.meter is not None else []
         watched = [*self._watching.problems, *self._watching.sources.problems()]
-        return [*self._problems, *self._wellness.problems, *watched, *unmetered]
+        return [*self._problems, *self._wellness.problems, *self._situating.problems, *watched, *unmetered]
 
     @property
     def waiting(self) -> list[str]:
@@ -185,6 +187,7 @@ class Sight:
         if self._tree is not None:
             self._tree.leave_out(unwatchable - self._aside)
         self._wellness.leave_out(unwatchable)
+        self._situating.leave_out(unwatchable)
 
     def _look_at_pod(self, instances: Sequence[Instance], active: str) -> None:
         """Have said of the pod in control what its object says, where a tree asks for it."""
@@ -213,6 +216,10 @@ class Sight:
     def busy(self, *, now: float, since: float) -> Busy | None:
         """Why the robot doesn't count as idle, to the policy's reschedule; None while it does. Times are unix seconds."""
         return self._wellness.busy(self._watching, now=now, since=since)
+
+    def situations(self, goals: Collection[str], *, now: float, since: float) -> dict[str, Seen]:
+        """What is seen of each situation of the policy; ``goals`` are the actions that have some. Times are unix seconds."""
+        return self._situating.seen(self._watching, goals, now=now, since=since)
 
     def deadline(self, *, now: float, since: float) -> float | None:
         """When the verdict could get worse with no further message."""

@@ -49,6 +49,7 @@ from understudy.monitor.reporting import Reporter, describe, in_vain, switched
 from understudy.monitor.safety import SafeCommands, Unattended
 from understudy.monitor.sidecars import Sidecars
 from understudy.monitor.sight import Sight
+from understudy.monitor.situations import Situations
 from understudy.monitor.storms import Storms
 from understudy.monitor.switching import Switching
 from understudy.monitor.view import View
@@ -143,6 +144,7 @@ class Supervisor:
         self._unattended = Unattended()
         self._safety = SafeCommands(parts.sight.graph, self._waited_since)
         self._levels = Levels(parts.sight, parts.reporter)
+        self._situations = Situations(parts.sight, parts.reporter)
         self._pauses = Pauses(parts.view, parts.reporter)
         self._spending = Spending(parts.view, parts.reporter)
         self._storms = Storms(parts.view)
@@ -301,6 +303,7 @@ class Supervisor:
         assert active is not None
         verdict = self._verdict(active, policy, now)
         degraded = self._levels.look(policy, verdict, active, now=now, since=self._since)
+        self._situations.look(policy, verdict, now=now, since=self._since)
         self._say(verdict, degraded=degraded)
         self._keeping.judge(verdict.state, now)
         if verdict.state != "Starting" and (followed := self._followed(active, now)) is not None:

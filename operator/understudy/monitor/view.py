@@ -124,11 +124,12 @@ class View:
     def policy(self) -> FailurePolicySpec | None:
         """The policy in force: the one referred to, or, while that is missing or can't be followed, the last good one.
 
-        Where it leaves its strategies to be chosen, it has those that the operator chose for this workload. Where there was none before,
-        one with a recovery that doesn't load is better than none: it is that strategy that fails then, and not the watching.
+        Where it leaves its strategies to be chosen, or has situations, it has those that the operator put in force for this workload.
+        Where there was none before, one with a recovery that doesn't load is better than none: it is that strategy that fails then,
+        and not the watching.
         """
         given, settings = self._given_policy(), self.settings
-        if given is None or not given.auto:
+        if given is None or not given.varies:
             self._followed = (given, settings, given)
         elif self._followed[0] is not given or self._followed[1] is not settings:
             before = self._followed[2]
@@ -157,8 +158,7 @@ class View:
                         item["metadata"]["name"],
                     )
                     return self._policy
-                recoveries = ((f"strategies[{i}].recovery", s.recovery) for i, s in enumerate(given.strategies))
-                if self._policy is None or (problem := unloadable(*recoveries)) is None:
+                if self._policy is None or (problem := unloadable(*given.recoveries)) is None:
                     self._policy = given
                 else:
                     _logger.error(

@@ -15,8 +15,8 @@ from understudy.trees.places import ALONE, Beginning
 from understudy.trees.problems import Problem, TreeError, did_you_mean
 
 if TYPE_CHECKING:  # an agent has no use for it, and is to be there soon
-    from understudy.api.degraded import InlineTree
     from understudy.api.policies import Monitoring
+    from understudy.api.written import Written
 
 _LOADERS: dict[str, Callable[..., HealthTree]] = {"yaml": load, "xml": load_xml, "osc": load_osc}
 
@@ -54,7 +54,7 @@ def load_monitoring(monitoring: Monitoring, *, fields: Fields | None = None) -> 
     return load_health(monitoring.form, monitoring.tree, grace=seconds(monitoring.startup_grace), fields=fields)
 
 
-def load_inline(tree: InlineTree, *, path: str, grace: float, fields: Fields | None = None) -> HealthTree:
+def load_inline(tree: Written, *, path: str, grace: float, fields: Fields | None = None) -> HealthTree:
     """A tree that stands at ``path``, such as ``spec.degraded.monitoring``; ``grace`` and ``fields`` as of :func:`load_health`.
 
     Raises TreeError with all problems.

@@ -145,6 +145,7 @@ def test_the_order_and_what_is_kept_and_how_old_it_is_are_in_the_wide_columns() 
     }
     assert wide == {
         "Order": (".status.strategies", "string"),
+        "Situation": (".status.situation.name", "string"),
         "Kept": (".status.kept", "string"),
         "Taken": (".status.state[0].takenAt", "date"),
     }

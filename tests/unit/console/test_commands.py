@@ -105,6 +105,14 @@ def test_a_tree_in_a_config_map_is_asked_for(stand: Stand, capsys: pytest.Captur
     assert any("get configmaps -l understudy.dev/health-tree=true" in line for line in stand.asked)
 
 
+def test_what_the_monitor_was_told_is_asked_for_where_the_policy_has_situations(stand: Stand) -> None:
+    raised = {"name": "carrying", "when": {"task": {"action": "/carry"}}, "strategies": [{"type": "Restart"}]}
+    item = fleet.well()
+    stand.tell([*(i for i in fleet.around(item) if i["kind"] != "FailurePolicy"), fleet.policy(situations=[raised])])
+    assert explain.main(["robot-17-navigation"]) == 0
+    assert any("get configmaps robot-17-navigation-settings --ignore-not-found" in line for line in stand.asked)
+
+
 @pytest.mark.parametrize("command", ["timeline", "explain", "pause", "resume"])
 def test_one_that_is_not_there(stand: Stand, capsys: pytest.CaptureFixture[str], command: str) -> None:
     more = ["--reason", "a new gripper"] if command == "pause" else []

@@ -298,6 +298,28 @@ def test_a_pool_that_has_standbys_only_while_degraded_is_left_out_and_told() -> 
     assert "Left out: navigation-hot, which has standbys only while the robot is degraded." in text["If it failed now"]
 
 
+def test_the_situation_that_it_is_in_and_what_is_in_force_by_that() -> None:
+    strategies = [{"type": "Fallback", "poolRef": {"name": "navigation-hot"}}, {"type": "Restart"}]
+    carrying = {"name": "carrying", "when": {"task": {"action": "/carry"}}, "strategies": strategies}
+    asked = fleet.policy({"type": "Restart"}, situations=[carrying])
+    item = fleet.well()
+    item["status"]["situation"] = {"name": "carrying", "since": fleet.ago(90), "reason": "a goal of /carry is active"}
+    words = "In the situation carrying, in force: Executing (navigation-hot), Restart."
+    item["status"]["conditions"].append(fleet.said("SituationCovered", "True", "InForce", words).to_wire())
+    text = told(known(item, [*(i for i in fleet.around(item) if i["kind"] != "FailurePolicy"), asked]))
+    assert f"Situation: carrying for 1m30s (a goal of /carry is active). {words}" in text[""]
+    assert text["If it failed now"][0].startswith("✓ 1. Fallback from pool navigation-hot would be carried out")
+
+
+def test_a_situation_whose_standby_is_not_ready_is_told_among_what_is_missing() -> None:
+    item = fleet.well()
+    words = (
+        "The robot is in the situation carrying. Until its first strategy can be carried out, the order stays Restart."
+    )
+    item["status"]["conditions"].append(fleet.said("SituationCovered", "False", "StandbyNotReady", words).to_wire())
+    assert f"! not as its situation asks (StandbyNotReady, 4m12s): {words}" in told(known(item))["Missing"]
+
+
 def test_the_newest_warnings_and_no_other_events() -> None:
     events = [
         fleet.event(900, "StandbyReplaced", "w-1 was ready"),

@@ -98,7 +98,7 @@ def test_colours_add_to_words_and_shift_nothing() -> None:
 
 def test_wide_has_more_and_is_not_narrowed() -> None:
     head = told(40, wide=True)[0]
-    assert head.split()[-4:] == ["RECOVERIES", "NEXT", "POLICY", "AGE"]
+    assert head.split()[-5:] == ["RECOVERIES", "NEXT", "SITUATION", "POLICY", "AGE"]
 
 
 def test_namespaces_are_named_where_all_are_shown() -> None:

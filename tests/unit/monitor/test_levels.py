@@ -62,6 +62,7 @@ class Reporter:
 
     goals: tuple[str, ...] = ()
     planned: float | None = None
+    situation = None
 
     def condition(self, type_: str, status: str, reason: str, message: str = "") -> bool:
         old = self.said.get(type_)

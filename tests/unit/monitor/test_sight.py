@@ -263,6 +263,30 @@ def test_a_tree_of_what_well_means_that_does_not_load_is_told_and_the_last_one_s
     assert sight.problems == []
 
 
+def test_the_situation_is_seen_by_what_is_watched_for_it_alone_and_the_health_tree_is_left_as_it_is(sight) -> None:
+    gap = {"topic": {"name": "/beat", "type": "std_msgs/msg/String", "gap": "1s"}}
+    strategies = [{"type": "Restart"}]
+    carrying = {"name": "carrying", "when": {"task": {"action": "/go"}}, "strategies": strategies}
+    loads = {"value": {"topic": "/load", "type": "nobodys_msgs/msg/Load", "holds": "data > 5"}}
+    loaded = {"name": "loaded", "when": {"yaml": loads}, "strategies": strategies}
+    spec = {"monitoring": {"yaml": gap}, "strategies": strategies, "situations": [carrying, loaded]}
+    sight.follow(_policy(gap), None)
+    assert set(sight._watching._topics) == {"/beat"}
+    tree = sight._tree
+    sight.follow(FailurePolicySpec.model_validate(spec), None)
+    assert sight._tree is tree
+    sight.drain([], "")
+    now = time.time()
+    seen = sight.situations([], now=now, since=now)
+    assert (seen["carrying"].so, seen["loaded"].so) == (False, None)
+    assert any("nobodys_msgs/msg/Load is not installed" in problem for problem in sight.problems)
+    sight._watching._topics[STATUS].active[bytes(16)] = now
+    assert sight.situations([], now=now, since=now)["carrying"].so
+    assert sight.summary == "Watching /beat."
+    sight.follow(_policy(gap), None)
+    assert set(sight._watching._topics) == {"/beat"}
+
+
 def _instance(name: str, ready: str, restarts: int = 0) -> Instance:
     return Instance(name, f"uid-{name}", restarts=restarts, conditions=(PodCondition("Ready", ready),))
 

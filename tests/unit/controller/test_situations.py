@@ -1,0 +1,313 @@
+"""Strategies that change with the robot's situation: what is kept and in force before, while and after, without a moment without."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from tests.unit.controller.test_choosing import auto, order, pools_of, told, warm
+from tests.unit.controller.world import (
+    World,
+    created,
+    deleted,
+    gate,
+    held_pod,
+    hot,
+    patched,
+    policy,
+    source_pod,
+    spare,
+    standby_pod,
+    workload,
+)
+from understudy.cluster.client import POLICIES, POOLS, WORKLOADS, Object
+from understudy.controller import affected, policies
+from understudy.controller.expectations import Expectations
+from understudy.controller.observing import Observer
+from understudy.controller.stores import Store
+
+WHEN: Object = {"task": {"action": "/carry"}}
+
+
+def fallbacks(*strategies: str) -> list[Object]:
+    found: list[Object] = policy(*strategies)["spec"]["strategies"]
+    return found
+
+
+def situational(*situations: tuple[str, tuple[str, ...]], always: tuple[str, ...] = ("warm", "spare")) -> Object:
+    """A policy with situations, each with its strategies."""
+    made = policy(*always, "Restart")
+    made["spec"]["situations"] = [
+        {"name": name, "when": WHEN, "strategies": fallbacks(*strategies, "Restart")} for name, strategies in situations
+    ]
+    return made
+
+
+CARRYING = situational(("carrying", ("hot", "spare")))
+
+
+def saying(situation: str, **more: Any) -> Object:
+    said = {"situation": {"name": situation, "since": "2026-01-01T00:00:00Z"}} if situation else {}
+    return {"health": "Healthy", **said, **more}
+
+
+def world(asked: Object = CARRYING) -> World:
+    """A workload with its pod in control and a standby of the pool that is always in force, all of it built."""
+    made = World(workload(status=saying("")), asked, hot(), warm(), spare())
+    active = source_pod("w-a")
+    made.pods = [active]
+    made.own(gate(made.workload, active=active, epoch=3))
+    made.unclaimed = {"spare": [held_pod("s-1", of=spare())]}
+    made.build()
+    made.pods.append(standby(made, "w-warm", "warm"))
+    return made
+
+
+def standby(made: World, name: str, pool: str, *, ready: bool = True) -> Object:
+    builts = made.understood().builts
+    return standby_pod(
+        name,
+        of=made.workload,
+        pool=pool,
+        ready=ready,
+        template_hash=builts[pool]["metadata"]["labels"]["understudy.dev/template-hash"],
+    )
+
+
+def enter(made: World, situation: str) -> None:
+    """What the monitor says."""
+    made.workload["status"] = saying(situation)
+
+
+def covered(made: World) -> tuple[str, str]:
+    found = made.condition("SituationCovered")
+    return found["status"], found["reason"]
+
+
+def test_in_no_situation_the_policy_s_own_strategies_are_in_force_and_only_their_standbys_kept() -> None:
+    made = world()
+    plan = made.plan()
+    assert order(plan) == ["warm", "spare", "Restart"]
+    assert told(plan).situation is None
+    assert pools_of(plan) == set()
+    assert covered(made) == ("True", "NoSituation")
+
+
+def test_a_situation_has_its_standby_made_and_changes_nothing_else_until_that_is_ready() -> None:
+    made = world()
+    enter(made, "carrying")
+    plan = made.plan()
+    assert pools_of(plan) == {"hot"}
+    assert deleted(plan) == []
+    assert order(plan) == ["warm", "spare", "Restart"], "what is there would be used, as ever"
+    assert [choice.name for choice in told(plan).pools] == ["warm", "spare", "hot"], "the monitor brings it up"
+    assert covered(made) == ("False", "StandbyNotReady")
+    assert made.condition("SituationCovered")["message"] == (
+        "The robot is in the situation carrying. Until its first strategy can be carried out, the order stays "
+        "Initialized (warm), Uninitialized (spare), Restart: no pod of FallbackPool hot is ready for it."
+    )
+    assert made.condition("Protected")["status"] == "True"
+    assert made.status()["standby"] == "Initialized (1/1)"
+
+
+def test_once_it_is_ready_the_monitor_is_told_first_and_the_former_standby_goes_after_that() -> None:
+    made = world()
+    enter(made, "carrying")
+    made.build()
+    made.pods.append(standby(made, "w-hot", "hot"))
+    plan = made.plan()
+    assert order(plan) == ["hot", "spare", "Restart"]
+    assert told(plan).situation == "carrying"
+    assert deleted(plan) == [], "the monitor isn't told yet"
+    made.build()
+    assert deleted(made.plan()) == ["w-warm"]
+    assert covered(made) == ("True", "InForce")
+    assert made.condition("Protected")["status"] == "True"
+    assert made.status()["standby"] == "Executing (1/1)"
+
+
+def test_after_it_the_same_in_the_other_direction() -> None:
+    made = world()
+    enter(made, "carrying")
+    made.pods = [made.pods[0], standby(made, "w-hot", "hot")]
+    made.build()
+    assert told(made.plan()).situation == "carrying"
+    enter(made, "")
+    plan = made.build()
+    assert pools_of(plan) == {"warm"}
+    assert deleted(plan) == []
+    assert order(plan) == ["hot", "spare", "Restart"]
+    assert made.condition("SituationCovered")["message"].startswith("The situation carrying is over. Until")
+    made.pods.append(standby(made, "w-warm", "warm"))
+    made.build()
+    assert deleted(made.plan()) == ["w-hot"]
+    assert order(made.plan()) == ["warm", "spare", "Restart"]
+
+
+def test_one_that_is_over_before_its_standby_was_ready_leaves_nothing_behind() -> None:
+    made = world()
+    enter(made, "carrying")
+    made.build()
+    made.pods.append(standby(made, "w-hot", "hot", ready=False))
+    enter(made, "")
+    assert deleted(made.plan()) == ["w-hot"]
+    assert covered(made) == ("True", "NoSituation")
+
+
+def test_a_standby_that_never_gets_ready_takes_no_protection_away() -> None:
+    made = world()
+    enter(made, "carrying")
+    made.build()
+    made.pods.append(standby(made, "w-hot", "hot", ready=False))
+    for _ in range(3):
+        plan = made.build()
+        assert deleted(plan) == []
+        assert order(plan) == ["warm", "spare", "Restart"]
+        assert made.condition("Protected")["status"] == "True"
+
+
+def test_from_one_situation_to_another() -> None:
+    made = world(situational(("carrying", ("hot",)), ("parked", ("spare",))))
+    enter(made, "carrying")
+    made.pods.append(standby(made, "w-hot", "hot"))
+    made.build()
+    enter(made, "parked")
+    plan = made.build()
+    assert order(plan) == ["spare", "Restart"], "one of a shared pool is there"
+    assert deleted(made.plan()) == ["w-hot", "w-warm"]
+
+
+def test_a_shared_pool_that_is_dry_is_not_counted_on() -> None:
+    made = world(situational(("parked", ("spare",))))
+    made.unclaimed = {}
+    enter(made, "parked")
+    assert order(made.plan()) == ["warm", "spare", "Restart"]
+
+
+@pytest.mark.parametrize("strategies", [("gone", "hot"), ("empty", "hot")])
+def test_a_pool_that_has_nothing_ever_is_not_waited_for(strategies: tuple[str, ...]) -> None:
+    made = world(situational(("carrying", strategies)))
+    made.others.append(hot("empty", per_workload=0))
+    enter(made, "carrying")
+    made.build()
+    made.pods.append(standby(made, "w-hot", "hot"))
+    assert order(made.plan()) == [*strategies, "Restart"]
+
+
+def test_a_restart_needs_nothing() -> None:
+    made = world(situational(("parked", ())))
+    enter(made, "parked")
+    made.build()
+    assert order(made.plan()) == ["Restart"]
+    assert "w-warm" in deleted(made.plan())
+
+
+def test_in_the_midst_of_a_recovery_all_stays() -> None:
+    made = world()
+    made.pods.append(standby(made, "w-hot", "hot"))
+    made.workload["status"] = saying("carrying", health="Recovering")
+    plan = made.plan()
+    assert order(plan) == ["warm", "spare", "Restart"]
+    assert told(plan).situation is None
+    assert deleted(plan) == []
+
+
+def test_while_the_policy_cannot_be_followed_all_stays() -> None:
+    made = world()
+    enter(made, "carrying")
+    made.pods = [made.pods[0], standby(made, "w-hot", "hot")]
+    made.build()
+    broken = situational(("carrying", ("hot", "spare")))
+    broken["spec"]["monitoring"]["yaml"] = {"topik": {}}
+    made.others[0] = broken
+    for said in ("carrying", ""):
+        enter(made, said)
+        plan = made.plan()
+        assert order(plan) == ["hot", "spare", "Restart"]
+        assert told(plan).situation == "carrying"
+        assert deleted(plan) == []
+
+
+def test_a_situation_that_the_policy_has_no_longer_is_none() -> None:
+    made = world()
+    enter(made, "carrying")
+    made.pods.append(standby(made, "w-hot", "hot"))
+    made.build()
+    made.others[0] = situational(("parked", ("spare",)))
+    assert order(made.plan()) == ["warm", "spare", "Restart"]
+    assert covered(made) == ("True", "NoSituation")
+
+
+def test_after_a_takeover_each_standby_is_one_of_its_pool_and_the_workload_s_own_pod_none() -> None:
+    """As whose standby it waited would change with the situation, and for a moment it would be nobody's."""
+    made = world()
+    enter(made, "carrying")
+    made.pods = [standby(made, "w-hot", "hot")]
+    made.own(gate(made.workload, active=made.pods[0], epoch=4))
+    made.owned[("replicasets", "w")]["spec"]["replicas"] = 1
+    plan = made.plan()
+    assert pools_of(plan) == {"hot", "warm"}, (
+        "until one of hot is ready beside the one that drives, one of warm is wanted"
+    )
+    assert patched(plan, "replicasets")["w"] == {"spec": {"replicas": 0}}
+    assert told(plan).situation is None, "the one that drives isn't its own standby"
+
+
+def test_requirements_of_a_situation_choose_anew() -> None:
+    asked = auto(availability="Medium")
+    asked["spec"]["situations"] = [{"name": "carrying", "when": WHEN, "requirements": {"taskCriticality": "High"}}]
+    made = world(asked)
+    assert order(made.plan()) == ["warm", "spare", "Restart"]
+    enter(made, "carrying")
+    plan = made.build()
+    assert pools_of(plan) == {"hot"}
+    assert order(plan) == ["warm", "spare", "Restart"]
+    assert made.condition("StrategiesChosen")["message"].startswith("Initialized (warm), Uninitialized (spare)")
+    made.pods.append(standby(made, "w-hot", "hot"))
+    plan = made.build()
+    assert order(plan) == ["hot", "warm", "spare", "Restart"]
+    assert deleted(made.plan()) == []
+    assert "taskCriticality High" in made.condition("StrategiesChosen")["message"]
+
+
+def test_a_policy_without_situations_says_nothing_of_them() -> None:
+    made = world(policy("warm", "spare", "Restart"))
+    made.workload["status"] = saying("carrying")
+    assert told(made.plan()).strategies is None
+    assert "SituationCovered" not in [one["type"] for one in made.status()["conditions"]]
+    assert pools_of(made.plan()) == {"hot"}, "as ever, of each pool that serves it"
+
+
+def test_a_pool_that_no_situation_finds_is_told_with_its_place() -> None:
+    (found,) = policies.conditions(CARRYING, {"warm": warm(), "spare": spare()}, {})
+    assert (found.status, found.reason) == ("False", "PoolNotFound")
+    assert found.message.startswith('spec.situations[0].strategies[0].poolRef.name: FallbackPool "hot" is not in')
+
+
+def test_a_tree_that_does_not_load_is_told_with_its_place() -> None:
+    asked = situational(("carrying", ("hot",)))
+    asked["spec"]["situations"][0]["when"] = {"yaml": {"topik": {}}}
+    found = policies.problem(asked, {})
+    assert found is not None
+    assert found.message.startswith("spec.situations[0].when.yaml.topik: unknown key 'topik'")
+
+
+async def test_a_pool_wants_no_standby_of_a_workload_in_whose_situation_it_does_not_count() -> None:
+    class Nobody:
+        async def find(self, *_: Any) -> None: ...
+        async def list(self, *_: Any, **__: Any) -> Object:
+            return {"items": []}
+
+    store = Store()
+    item = workload(status=saying("", strategies="Initialized (warm), Uninitialized (spare), Restart"))
+    for resource, found in ((WORKLOADS, item), (POLICIES, CARRYING), (POOLS, hot()), (POOLS, warm())):
+        store.put(resource, found)
+    observer = Observer(Nobody(), store, Expectations())
+    assert (await observer.pool(hot())).spared == 1
+    assert (await observer.pool(warm())).spared == 0
+
+
+def test_pods_of_a_shared_pool_that_a_situation_names_concern_its_workloads() -> None:
+    assert affected.policies.named_pools(CARRYING) == ["warm", "spare", "hot", "spare"]
+    assert created(world().plan(), "pods") == []

@@ -1,0 +1,215 @@
+"""In which situation a monitor sees its robot, what must be watched for that, and how seldom it is said."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from typing import Any
+
+import pytest
+from prometheus_client import REGISTRY
+
+pytest.importorskip("rclpy")
+
+from understudy.api.policies import FailurePolicySpec
+from understudy.api.situations import SituationStatus
+from understudy.monitor import situations
+from understudy.monitor.situating import Seen, Situating
+from understudy.monitor.situations import HEARING, LOOK, Situations
+from understudy.trees.health import Verdict
+from understudy.trees.observations import Recorded, TopicRecord
+
+STATUS = "/carry/_action/status"
+TASK = {"task": {"action": "/carry"}}
+LOADED = {"yaml": {"topic": {"name": "/loaded", "gap": "1s"}}}
+HEALTHY = Verdict("Healthy", "", "", None)
+FAILED = Verdict("Failed", "no /scan for 1 s", "scan", None)
+
+
+def policy(**situations: Any) -> FailurePolicySpec:
+    return FailurePolicySpec.model_validate(
+        {
+            "monitoring": {"yaml": {"topic": {"name": "/scan", "gap": "1s"}}},
+            "strategies": [{"type": "Restart"}],
+            "situations": [
+                {"name": name, "when": when, "clearAfter": "5s", "strategies": [{"type": "Restart"}]}
+                for name, when in situations.items()
+            ],
+        }
+    )
+
+
+NONE, CARRYING = policy(), policy(carrying=TASK)
+
+
+class TestWhatIsSeen:
+    @staticmethod
+    def seen(found: Situating, observed: Recorded, *goals: str) -> dict[str, Seen]:
+        now = time.time()
+        return found.seen(observed, goals, now=now, since=now - 100)
+
+    @pytest.fixture
+    def found(self) -> Situating:
+        made = Situating()
+        assert made.follow(policy(carrying=TASK, loaded=LOADED))
+        return made
+
+    def test_nothing_is_watched_where_the_policy_has_none(self) -> None:
+        made = Situating()
+        assert not made.follow(NONE)
+        assert made.topics == []
+
+    def test_the_task_s_status_is_watched_and_what_the_tree_needs(self, found: Situating) -> None:
+        assert {topic.name for topic in found.topics} == {STATUS, "/loaded"}
+        assert next(topic for topic in found.topics if topic.name == STATUS).task
+
+    def test_the_same_policy_loads_nothing_anew(self, found: Situating) -> None:
+        assert not found.follow(policy(carrying=TASK, loaded=LOADED))
+        assert found.follow(CARRYING)
+        assert [topic.name for topic in found.topics] == [STATUS]
+
+    def test_a_goal_that_is_worked_on_is_one(self, found: Situating) -> None:
+        assert self.seen(found, Recorded({}))["carrying"] == Seen(False, "")
+        active = self.seen(found, Recorded({}, {STATUS: 1.0}))["carrying"]
+        assert active == Seen(True, "a goal of /carry is active")
+
+    def test_so_is_one_that_waits_for_the_next_instance(self, found: Situating) -> None:
+        assert self.seen(found, Recorded({}), "/carry")["carrying"].so
+        assert not self.seen(found, Recorded({}), "/other")["carrying"].so
+
+    def test_a_tree_that_holds(self, found: Situating) -> None:
+        assert self.seen(found, Recorded({}))["loaded"].so is False, "without a grace"
+        heard = TopicRecord()
+        heard.add(time.time())
+        beat = Recorded({"/loaded": heard})
+        assert self.seen(found, beat)["loaded"] == Seen(True, "its tree holds")
+
+    def test_what_is_not_watched_can_not_be_told(self, found: Situating) -> None:
+        found.leave_out({"/loaded"})
+        assert self.seen(found, Recorded({}))["loaded"].so is None
+
+    def test_a_tree_that_does_not_load_leaves_the_last_one_in_force(self, found: Situating) -> None:
+        assert found.follow(policy(loaded={"yaml": {"topik": {}}}))
+        assert [topic.name for topic in found.topics] == ["/loaded"]
+        assert found.problems[0].startswith("The tree of the situation loaded doesn't load")
+
+
+class Reporter:
+    """What is said."""
+
+    def __init__(self, situation: SituationStatus | None = None) -> None:
+        self.situation = situation
+        self.goals: list[str] = []
+        self.writes = 0
+        self.events: list[str] = []
+
+    def situate(self, status: SituationStatus | None) -> None:
+        self.situation, self.writes = status, self.writes + 1
+
+    def event(self, kind: str, reason: str, message: str) -> None:
+        self.events.append(f"{kind} {reason}: {message}")
+
+
+@dataclass
+class World:
+    """A clock that the test moves, and what is seen."""
+
+    reporter: Reporter = field(default_factory=Reporter)
+    now: float = 1000.0
+    so: dict[str, bool | None] = field(default_factory=dict)
+    asked: int = 0
+
+    def situations_of(self) -> dict[str, Seen]:
+        return {name: Seen(so, f"{name} it is" if so else "") for name, so in self.so.items()}
+
+    def pass_(self, length: float, asked: FailurePolicySpec = CARRYING, verdict: Verdict = HEALTHY) -> str:
+        end = self.now + length
+        while self.now < end:
+            self.now += LOOK / 2
+            self.situations.look(asked, verdict, now=self.now + 1e9, since=1e9)
+        return self.reporter.situation.name if self.reporter.situation is not None else ""
+
+
+@pytest.fixture
+def world(monkeypatch: pytest.MonkeyPatch) -> World:
+    return made(monkeypatch)
+
+
+def made(monkeypatch: pytest.MonkeyPatch, reporter: Reporter | None = None) -> World:
+    found = World(reporter or Reporter())
+
+    class Sight:
+        def situations(self, goals: Any, *, now: float, since: float) -> dict[str, Seen]:
+            found.asked += 1
+            return found.situations_of()
+
+    found.situations = Situations(Sight(), found.reporter)  # type: ignore[arg-type]
+    monkeypatch.setattr(situations.time, "monotonic", lambda: found.now)
+    return found
+
+
+def metric(name: str) -> float | None:
+    return REGISTRY.get_sample_value("understudy_situation", {"situation": name})
+
+
+def test_it_is_said_when_it_begins_and_when_it_is_over_and_not_in_between(world: World) -> None:
+    world.so = {"carrying": False}
+    assert world.pass_(HEARING + 1) == ""
+    assert world.reporter.writes == 0
+    world.so = {"carrying": True}
+    assert world.pass_(60) == "carrying"
+    assert world.reporter.situation is not None
+    assert world.reporter.situation.reason == "carrying it is"
+    assert world.reporter.writes == 1
+    assert metric("carrying") == 1.0
+    world.so = {"carrying": False}
+    assert world.pass_(4) == "carrying"
+    assert world.pass_(2) == ""
+    assert world.pass_(60) == ""
+    assert world.reporter.writes == 2
+    assert metric("carrying") is None
+    assert world.reporter.events == [
+        "Normal SituationChanged: The robot is in the situation carrying: carrying it is",
+        "Normal SituationChanged: The situation carrying is over",
+    ]
+
+
+def test_without_situations_nothing_is_looked_at(world: World) -> None:
+    assert world.pass_(10, NONE) == ""
+    assert (world.asked, world.reporter.writes) == (0, 0)
+
+
+def test_a_policy_that_has_none_any_more_ends_it_at_once(world: World) -> None:
+    world.so = {"carrying": True}
+    assert world.pass_(1) == "carrying"
+    assert world.pass_(0.1, NONE) == ""
+
+
+def test_while_the_instance_fails_it_stays_however_long_that_takes(world: World) -> None:
+    world.so = {"carrying": True}
+    assert world.pass_(HEARING + 1) == "carrying"
+    world.so = {"carrying": False}
+    assert world.pass_(100, verdict=FAILED) == "carrying"
+    assert world.pass_(4) == "carrying", "its goals come back to the next one"
+    assert world.pass_(2) == ""
+
+
+def test_a_new_monitor_goes_on_with_it_and_hears_first_of_the_goals(monkeypatch: pytest.MonkeyPatch) -> None:
+    said = SituationStatus(name="carrying", since="2026-01-01T00:00:00Z", reason="it was")
+    world = made(monkeypatch, Reporter(said))
+    world.so = {"carrying": False}
+    assert world.pass_(HEARING - 1) == "carrying"
+    world.so = {"carrying": True}
+    assert world.pass_(30) == "carrying"
+    assert world.reporter.writes == 0, "it is the same one still"
+    world.so = {"carrying": False}
+    assert world.pass_(6) == ""
+
+
+def test_the_next_one_is_in_force_when_the_first_is_over(world: World) -> None:
+    both = policy(carrying=TASK, loaded=LOADED)
+    world.so = {"carrying": True, "loaded": True}
+    assert world.pass_(HEARING + 1, both) == "carrying"
+    world.so = {"carrying": False, "loaded": True}
+    assert world.pass_(6, both) == "loaded"
+    assert world.reporter.writes == 2
