@@ -92,6 +92,12 @@ class Found:
     """Claims of another robot that were first, per claim."""
     double: int = 0
     lost: int = 0
+    claiming: dict[str, float] = field(default_factory=dict)
+    """Seconds of a processor that each took from the first claim until all were answered, per claim, by who."""
+    claim_reads: float = 0.0
+    """Of the monitors, per claim."""
+    claim_events: float = 0.0
+    """Events that watches sent meanwhile, per claim."""
     refilled: float = 0.0
     """Seconds until the pools were full again after the claims."""
     start: float = 0.0
@@ -101,6 +107,8 @@ class Found:
     start_memory: float = 0.0
     missed: float = 0.0
     """Changes that only a list brought the operator."""
+    restarts: int = 0
+    """How often the operator ended by itself, and was started again."""
 
 
 class Bench:
@@ -116,8 +124,8 @@ class Bench:
         self._log = made.folder / "operator.log"
         self._operator_config = made.operator_kubeconfig()
 
-    def run(self) -> list[Found]:
-        """Measure at every size."""
+    def run(self) -> Iterator[list[Found]]:
+        """Measure at every size; what was found so far, after each."""
         all_of_them = fleets(self._options.robots, self._options.fleet)
         self._cluster.count_apart(all_of_them)
         found = []
@@ -131,11 +139,12 @@ class Bench:
                 self._rest(one, operator)
                 self._burst(one)
                 self._fail(one, operator)
-                self._claim(one)
+                self._claim(one, operator)
                 one.missed = self._own(operator).total(MISSED)
+                one.restarts = operator.restarts
             self._restart(one)
             found.append(one)
-        return found
+            yield found
 
     # -- parts of a run ---------------------------------------------------------------------------------------------
 
@@ -146,9 +155,7 @@ class Bench:
         self._cluster.add(more, self._options.pool)
         self._robots += robots
         self._pods += self._options.pool * len(more)
-        self._until(
-            lambda: self._cluster.built() == (len(self._robots), self._pods), "everything to be built", operator
-        )
+        self._until(lambda: self._cluster.built() == (len(self._robots), self._pods), "everything to be built")
         self.say(f"{one.robots} robots: built after {time.monotonic() - begun:.0f} s, starting their monitors")
         tokens = self._cluster.tokens(robots)
         for number, role in enumerate(self._monitors):
@@ -158,7 +165,7 @@ class Bench:
                 role.ask("begin", robots=mine[first : first + CHUNK])
         self._until_driven()
         one.built = time.monotonic() - begun
-        self._calm(operator)
+        self._calm()
         for role in self._monitors:
             role.ask("settle")
 
@@ -183,7 +190,7 @@ class Bench:
         before, at = self._cluster.counted(), time.time() + 1.0
         told = self._have_failed([(at, robot) for robot in self._random.sample(self._robots, count)])
         one.recoveries, one.burst = self._judged(one, told), count
-        self._calm(None)
+        self._calm()
         counted = self._cluster.counted().since(before)
         one.burst_writes = _writes_of_each(counted, count)
         self.say(
@@ -201,7 +208,7 @@ class Bench:
         told = self._have_failed([(start + at, robot) for at, robot in zip(times, who, strict=True)])
         one.loaded = measure.end()
         one.failed = self._judged(one, told)
-        self._calm(None)
+        self._calm()
         counted = self._cluster.counted().since(before)
         one.writes = _writes_of_each(counted, len(times))
         one.reads = counting.requests(counted, "monitor", "reads") / len(times)
@@ -213,14 +220,20 @@ class Bench:
             + "; ".join(f"{who}: {_told(kinds)}" for who, kinds in one.writes.items())
         )
 
-    def _claim(self, one: Found) -> None:
+    def _claim(self, one: Found, operator: Operator) -> None:
         times = poisson(self._options.rate, self._options.seconds, self._random)[: int(CLAIMED * self._pods)]
         self.say(f"{one.robots} robots: {len(times)} claims, {self._options.rate:g} a second for {times[-1]:.1f} s")
         who = self._fairly(len(times))
         before = {pod["metadata"]["uid"] for pod in self._cluster.claimed()}
+        used, counted = self._used(operator), self._cluster.counted()
         start = time.time() + 1.0
         self._ask("claim", "claims", [(start + at, robot) for at, robot in zip(times, who, strict=True)])
         told = self._await("claimed", len(times), 120.0)
+        one.claiming = {name: (now - used[name]) / len(times) for name, now in self._used(operator).items()}
+        counted = self._cluster.counted().since(counted)
+        one.claiming["API server"] = counted.total(counting.CPU) / len(times)
+        one.claim_reads = counting.requests(counted, "monitor", "reads") / len(times)
+        one.claim_events = counted.total(counting.EVENTS) / len(times)
         pods = [pod for pod in self._cluster.claimed() if pod["metadata"]["uid"] not in before]
         acknowledged = [t for t in told if t["uid"]]
         one.claims = [1000 * (t["done"] - t["intended"]) for t in acknowledged]
@@ -233,18 +246,20 @@ class Bench:
         self._cluster.delete(pods)
         self._until(lambda: self._cluster.built()[1] == self._pods, "the pools to be full again")
         one.refilled = time.monotonic() - begun
-        self._calm(None)
+        self._calm()
         if one.claims:
             self.say(
                 f"p50 {quantile(one.claims, 0.5):.0f} ms, p99 {quantile(one.claims, 0.99):.0f} ms, {one.retried:.2f} "
                 f"lost races per claim, {one.double} double, {one.lost} lost; pools full after {one.refilled:.0f} s"
             )
+            shares = ", ".join(f"{name} {1000 * used:.0f}" for name, used in one.claiming.items())
+            self.say(f"ms of a processor per claim: {shares}; {one.claim_events:.0f} events of watches")
 
     def _restart(self, one: Found) -> None:
         self.say(f"{one.robots} robots: starting the operator anew")
         before, begun = self._cluster.counted(), time.monotonic()
         with self._operator() as operator:
-            self._until(lambda: operator.idle, "the operator to have looked at everything", operator, every=0.2)
+            self._until(lambda: operator.idle, "the operator to have looked at everything", every=0.2)
             one.start = time.monotonic() - begun
             time.sleep(CALM)
             counted = self._cluster.counted().since(before)
@@ -310,19 +325,20 @@ class Bench:
         with Operator(self._operator_config, self._log) as operator:
             yield operator
 
+    def _used(self, operator: Operator) -> dict[str, float]:
+        """Seconds of a processor so far, of those that the API server doesn't count."""
+        return {"monitors": sum(role.cpu() for role in self._monitors), "operator": operator.cpu()}
+
     def _own(self, operator: Operator) -> Own:
         return operator.metrics() or Own({})
 
-    def _until(
-        self, condition: Callable[[], object], what: str, operator: Operator | None = None, *, every: float = 2.0
-    ) -> None:
+    def _until(self, condition: Callable[[], object], what: str, *, every: float = 2.0) -> None:
         begun = said = time.monotonic()
         while not condition():
-            if operator is not None:
-                operator.cpu()  # or it has ended
             now = time.monotonic()
             if now - begun > SETTLED:
-                raise SystemExit(f"waited {SETTLED:g} s for {what}")
+                log = self._log.read_text(errors="replace")[-3000:]
+                raise SystemExit(f"waited {SETTLED:g} s for {what}; the operator's log ends with\n{log}")
             if now - said > 30:
                 said = now
                 self.say(f"waiting for {what}: (built, pods of pools) {self._cluster.built()}")
@@ -338,10 +354,10 @@ class Bench:
                     self.say(f"a monitor ended: {told['error']}")
         self._until(lambda: driven() == len(self._robots), "every robot to be driven")
 
-    def _calm(self, operator: Operator | None) -> None:
+    def _calm(self) -> None:
         """Wait until all is well and nobody but the lease's holder writes anything."""
         self._until_driven()
-        self._until(lambda: self._cluster.built() == (len(self._robots), self._pods), "the pools to be full", operator)
+        self._until(lambda: self._cluster.built() == (len(self._robots), self._pods), "the pools to be full")
         begun, before = time.monotonic(), self._cluster.counted()
         while time.monotonic() - begun < SETTLED:
             time.sleep(CALM)
@@ -454,12 +470,17 @@ def _tell_one(report: Report, one: Found, options: argparse.Namespace, *, last: 
     figure("claims made twice", [one.double], "", {"max": 0})
     figure("claims lost", [one.lost], "", {"max": 0})
     figure("races lost per claim", [one.retried], "")
+    for name, used in one.claiming.items():
+        figure(f"CPU per claim, {name}", [1000 * used], "ms")
+    figure("reads per claim, monitor", [one.claim_reads], "")
+    figure("watch events per claim", [one.claim_events], "")
     figure("pools full again after the claims", [one.refilled], "s")
     figure("operator's start until all was looked at", [one.start], "s", {"max": START_MOST})
     figure("operator's memory at its start", [one.start_memory], "MB", {"max": MEMORY_MOST})
     figure("writes at its start", [sum(one.start_writes.values())], "", {"max": 0})
     figure("dry runs at its start", [one.dry_runs], "")
     figure("changes that only a list brought", [one.missed], "")
+    figure("operator ended by itself", [one.restarts], "")
     figure("built and driven, those that came last", [one.built], "s")
 
 
@@ -543,10 +564,11 @@ def main() -> None:
             stack.callback(role.end)
             role.told(120)
             roles.append(role)
-        found = Bench(options, made, roles).run()
-    report = told(found, options)
+        for found in Bench(options, made, roles).run():
+            report = told(found, options)
+            written = report.write()  # a run that is given up leaves what it had
     print(report.table())
-    print(report.write())
+    print(written)
     if options.pictures:
         draw(found, options)
     sys.exit(0 if report.held else 1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import socket
 import subprocess
@@ -21,7 +22,10 @@ QUEUE, RESYNCED, LEADER = "understudy_queue_length", "understudy_last_resync_tim
 RECONCILED, MISSED = "understudy_reconciliations_total", "understudy_watch_missed_total"
 NAMES = frozenset({QUEUE, RESYNCED, LEADER, RECONCILED, MISSED})
 SAMPLE = 0.5
-"""Seconds between two looks at its memory."""
+"""Seconds between two looks at its memory, and whether it is there."""
+
+BACKOFF_FIRST, BACKOFF_MOST = 10.0, 300.0
+"""Seconds after which one that has ended again is started, as a kubelet does it; the first time at once."""
 
 PROGRAM = """
 import sys
@@ -49,17 +53,24 @@ class Usage:
 
 
 class Operator:
-    """One operator between ``with`` and its end."""
+    """The operator between ``with`` and its end: one that ends by itself is started again, as its Deployment's kubelet would."""
 
     def __init__(self, kubeconfig: Path, log: Path) -> None:
         self._kubeconfig, self._log = kubeconfig, log
         self._port = _free_port()
         self._process: subprocess.Popen[bytes] | None = None
+        self._used = 0.0
+        self.restarts = 0
         self._memory: list[float] = []
         self._ended = threading.Event()
-        self._sampling = threading.Thread(target=self._sample, daemon=True)
+        self._keeping = threading.Thread(target=self._keep, daemon=True)
 
     def __enter__(self) -> Operator:
+        self._process = self._start()
+        self._keeping.start()
+        return self
+
+    def _start(self) -> subprocess.Popen[bytes]:
         command = [
             sys.executable, "-c", PROGRAM, "operator", "--kubeconfig", str(self._kubeconfig),
             "--monitor-image", IMAGE, "--lease-namespace", SYSTEM, "--identity", f"bench-{time.time():.0f}",
@@ -67,24 +78,21 @@ class Operator:
         ]  # fmt: skip
         environment = {**os.environ, "PYTHONPATH": str(REPOSITORY / "operator"), "NO_PROXY": "*"}
         with self._log.open("ab") as out:
-            self._process = subprocess.Popen(command, env=environment, stdout=out, stderr=out)
-        self._sampling.start()
-        return self
+            return subprocess.Popen(command, env=environment, stdout=out, stderr=out)
 
     def __exit__(self, *_: object) -> None:
-        assert self._process is not None
         self._ended.set()
+        self._keeping.join()
+        assert self._process is not None
         self._process.terminate()  # it gives its lease back
         try:
             self._process.wait(30)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
-        self._sampling.join()
 
     def metrics(self) -> Reading | None:
         """Its own metrics; None while it doesn't answer."""
-        self._check()
         try:
             with urllib.request.urlopen(f"http://127.0.0.1:{self._port}/metrics", timeout=10) as answer:
                 return read(answer.read().decode(), NAMES)
@@ -104,9 +112,11 @@ class Operator:
         return Measure(self)
 
     def cpu(self) -> float:
-        """Processor time so far, in seconds."""
+        """Processor time so far, in seconds, of those too that have ended."""
+        return self._used + self._own_cpu()
+
+    def _own_cpu(self) -> float:
         assert self._process is not None
-        self._check()
         fields = Path(f"/proc/{self._process.pid}/stat").read_text().rsplit(")", 1)[1].split()
         return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
@@ -121,18 +131,23 @@ class Operator:
         """All looks at its memory so far."""
         return self._memory
 
-    def _sample(self) -> None:
-        while not self._ended.wait(SAMPLE):
-            try:
-                self._memory.append(self.memory())
-            except (OSError, IndexError):
-                return
-
-    def _check(self) -> None:
+    def _keep(self) -> None:
+        """Sample its memory, and start it again a moment after it has ended: the first time soon, then more and more slowly."""
         assert self._process is not None
-        if self._process.poll() is not None:
-            text = self._log.read_text(errors="replace")[-3000:]
-            raise SystemExit(f"the operator has ended with {self._process.returncode}:\n{text}")
+        again = 0.0
+        while not self._ended.wait(SAMPLE):
+            # Not yet waited for, so that its processor time can still be read.
+            if os.waitid(os.P_PID, self._process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
+                with contextlib.suppress(OSError, IndexError):
+                    self._memory.append(self.memory())
+                continue
+            used = self._own_cpu()
+            self._ended.wait(again)
+            again = min(2 * again or BACKOFF_FIRST, BACKOFF_MOST)
+            if not self._ended.is_set():
+                self._process.wait()
+                self._process, self._used = self._start(), self._used + used
+                self.restarts += 1
 
 
 class Measure:
