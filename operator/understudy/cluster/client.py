@@ -211,15 +211,16 @@ def _data(section: Mapping[str, Any], key: str) -> bytes | None:
 class Client:
     """Requests to one API server; use as an asynchronous context manager."""
 
-    def __init__(self, access: Access, *, timeout: float = 10.0) -> None:
-        self._access = access
+    def __init__(self, access: Access, *, timeout: float = 10.0, connections: int = 32) -> None:
+        """``connections`` is how many there are at most at a time; 0 for as many as are needed."""
+        self._access, self._connections = access, connections
         self._timeout = aiohttp.ClientTimeout(total=timeout)
         self._session: aiohttp.ClientSession | None = None
         self._token = access.token
         self._token_read = -_TOKEN_LIFETIME
 
     async def __aenter__(self) -> Self:
-        connector = aiohttp.TCPConnector(ssl=self._access.context, keepalive_timeout=3600, limit=32)
+        connector = aiohttp.TCPConnector(ssl=self._access.context, keepalive_timeout=3600, limit=self._connections)
         self._session = aiohttp.ClientSession(connector=connector)
         return self
 
@@ -372,10 +373,12 @@ class Client:
         labels: str | None = None,
         fields: str | None = None,
         lifetime: int = 300,
+        silence: float | None = None,
     ) -> AsyncIterator[tuple[str, Object]]:
         """Events ``(type, object)`` after a resourceVersion, bookmarks included, until the server ends the watch.
 
-        Raises Expired where the version is too old. ``lifetime`` is in seconds; a silent connection is given up soon after.
+        Raises Expired where the version is too old. ``lifetime`` is in seconds; a connection that is silent for ``silence``
+        seconds (or soon after the lifetime) is given up.
         """
         assert self._session is not None, "use the client as an asynchronous context manager"
         params = _selectors(labels, fields) | {
@@ -384,7 +387,7 @@ class Client:
             "allowWatchBookmarks": "true",
             "timeoutSeconds": str(lifetime),
         }
-        timeout = aiohttp.ClientTimeout(total=None, sock_connect=10, sock_read=lifetime + 15)
+        timeout = aiohttp.ClientTimeout(total=None, sock_connect=10, sock_read=silence or lifetime + 15)
         async with self._session.get(
             self._access.server + resource.path(namespace), params=params, headers=self._headers(), timeout=timeout
         ) as response:
