@@ -137,9 +137,10 @@ class Bench:
                 one = Found(sum(len(fleet.robots) for fleet in wanted))
                 self._grow(one, more, operator)
                 self._rest(one, operator)
-                self._burst(one)
-                self._fail(one, operator)
-                self._claim(one, operator)
+                if not self._options.only_rest:
+                    self._burst(one)
+                    self._fail(one, operator)
+                    self._claim(one, operator)
                 one.missed = self._own(operator).total(MISSED)
                 one.restarts = operator.restarts
             self._restart(one)
@@ -408,7 +409,7 @@ def _told(kinds: dict[str, float]) -> str:
 
 def told(found: Sequence[Found], options: argparse.Namespace) -> Report:
     """The figures of all sizes; the bounds are of the greatest."""
-    report = Report("scale")
+    report = Report("scale-rest" if options.only_rest else "scale")
     for one in found:
         _tell_one(report, one, options, last=one is found[-1])
     for one in found:
@@ -436,7 +437,6 @@ def _tell_one(report: Report, one: Found, options: argparse.Namespace, *, last: 
         report.figure(f"{name}, {one.robots} robots", values, unit=unit, must=must if last else None)
 
     assert one.rest is not None
-    assert one.loaded is not None
     assert one.rest_counted is not None
     minutes = one.rest.seconds / 60
     figure("operator at rest, CPU", [one.rest.milli], "milli-CPU", {"max": CPU_MOST})
@@ -448,6 +448,14 @@ def _tell_one(report: Report, one: Found, options: argparse.Namespace, *, last: 
     figure("watch traffic at rest", [one.rest_counted.total(counting.BYTES) / 1e6 / minutes], "MB a minute")
     figure("API server's memory at rest", [one.server_memory], "MB")
     figure("API server's CPU at rest", [1000 * one.rest_counted.total(counting.CPU) / one.rest.seconds], "milli-CPU")
+    figure("operator's start until all was looked at", [one.start], "s", {"max": START_MOST})
+    figure("operator's memory at its start", [one.start_memory], "MB", {"max": MEMORY_MOST})
+    figure("writes at its start", [sum(one.start_writes.values())], "", {"max": 0})
+    figure("dry runs at its start", [one.dry_runs], "")
+    figure("changes that only a list brought", [one.missed], "")
+    figure("built and driven, those that came last", [one.built], "s")
+    if one.loaded is None:
+        return
     if one.recoveries:
         figure(f"{one.burst} failures at once, each recovered", one.recoveries, "s")
         figure(f"{one.burst} failures at once, all recovered", [max(one.recoveries)], "s")
@@ -475,13 +483,7 @@ def _tell_one(report: Report, one: Found, options: argparse.Namespace, *, last: 
     figure("reads per claim, monitor", [one.claim_reads], "")
     figure("watch events per claim", [one.claim_events], "")
     figure("pools full again after the claims", [one.refilled], "s")
-    figure("operator's start until all was looked at", [one.start], "s", {"max": START_MOST})
-    figure("operator's memory at its start", [one.start_memory], "MB", {"max": MEMORY_MOST})
-    figure("writes at its start", [sum(one.start_writes.values())], "", {"max": 0})
-    figure("dry runs at its start", [one.dry_runs], "")
-    figure("changes that only a list brought", [one.missed], "")
     figure("operator ended by itself", [one.restarts], "")
-    figure("built and driven, those that came last", [one.built], "s")
 
 
 def grown(found: Sequence[Found]) -> dict[str, dict[int, float]]:
@@ -537,6 +539,7 @@ def main() -> None:
     parser.add_argument(
         "--rest", type=float, default=120.0, metavar="SECONDS", help="at rest: some of the operator's lists"
     )
+    parser.add_argument("--only-rest", action="store_true", help="measure the rest and the start, and no failures")
     parser.add_argument(
         "--sizes",
         type=lambda text: [int(size) for size in text.split(",")],

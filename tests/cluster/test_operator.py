@@ -29,7 +29,7 @@ from understudy.api import names
 from understudy.api.base import API_VERSION
 from understudy.cluster import claims, gates
 from understudy.cluster.client import Access, Client
-from understudy.controller import handlers, running
+from understudy.controller import following, handlers, running
 from understudy.controller.desired import Images
 from understudy.controller.reconciling import TOGETHER_SECONDS
 
@@ -661,6 +661,7 @@ def test_silent_watches_are_made_up_for_by_lists(fleet: Fleet, monkeypatch: pyte
         await asyncio.Event().wait()
 
     monkeypatch.setattr(handlers, "watch", silent)
+    monkeypatch.setattr(following, "watch", silent)
     with Operator(fleet.cluster.kubeconfig, fleet.namespace, resync_every=0.5):
         fleet.create(policy("hot"), hot(), workload())
         fleet.wait_built()

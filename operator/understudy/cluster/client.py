@@ -11,9 +11,10 @@ import asyncio
 import base64
 import json
 import os
+import re
 import ssl
 import tempfile
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -109,6 +110,47 @@ STRATEGIC = "application/strategic-merge-patch+json"
 APPLY = "application/apply-patch+yaml"
 
 
+@dataclass(frozen=True)
+class Part:
+    """A part of a list, whose objects are made of its text one after the other: all of them at once are ten times as long."""
+
+    head: Object
+    """The list without its objects."""
+    body: bytes
+    """The objects, as the API server wrote them."""
+
+    @classmethod
+    def of(cls, text: bytes) -> Part:
+        """From what the API server answered."""
+        begin, end = text.find(_ITEMS) + len(_ITEMS), text.rfind(b"]")
+        if begin < len(_ITEMS):  # it was written by something else
+            head = json.loads(text)
+            return cls(head, json.dumps(head.pop("items", None) or [])[1:-1].encode())
+        return cls(json.loads(text[:begin] + text[end:]), text[begin:end])
+
+    def items(self) -> Iterator[Object]:
+        """The objects. A list leaves out what kind they are."""
+        kind = {"apiVersion": self.head["apiVersion"], "kind": self.head["kind"].removesuffix("List")}
+        text, at = self.body.decode(), 0
+        while (at := _between(text, at)) < len(text):
+            item, at = _DECODER.raw_decode(text, at)
+            yield {**kind, **item}
+
+
+_ITEMS = b'"items":['
+"""What precedes the objects. Neither the list's metadata before them nor those behind them have a list in them."""
+
+_DECODER = json.JSONDecoder()
+_BETWEEN = re.compile(r"[\s,]*")
+
+
+def _between(text: str, at: int) -> int:
+    """The end of what is between two objects."""
+    found = _BETWEEN.match(text, at)
+    assert found is not None, "nothing is between them, at least"
+    return found.end()
+
+
 @dataclass
 class Access:
     """Where the API server is and how to prove who asks."""
@@ -169,15 +211,16 @@ def _data(section: Mapping[str, Any], key: str) -> bytes | None:
 class Client:
     """Requests to one API server; use as an asynchronous context manager."""
 
-    def __init__(self, access: Access, *, timeout: float = 10.0) -> None:
-        self._access = access
+    def __init__(self, access: Access, *, timeout: float = 10.0, connections: int = 32) -> None:
+        """``connections`` is how many there are at most at a time; 0 for as many as are needed."""
+        self._access, self._connections = access, connections
         self._timeout = aiohttp.ClientTimeout(total=timeout)
         self._session: aiohttp.ClientSession | None = None
         self._token = access.token
         self._token_read = -_TOKEN_LIFETIME
 
     async def __aenter__(self) -> Self:
-        connector = aiohttp.TCPConnector(ssl=self._access.context, keepalive_timeout=3600, limit=32)
+        connector = aiohttp.TCPConnector(ssl=self._access.context, keepalive_timeout=3600, limit=self._connections)
         self._session = aiohttp.ClientSession(connector=connector)
         return self
 
@@ -204,20 +247,41 @@ class Client:
         content_type: str = "application/json",
     ) -> Object:
         """One request; the answer's object. Raises ApiError, aiohttp.ClientError or TimeoutError."""
-        assert self._session is not None, "use the client as an asynchronous context manager"
-        headers = self._headers()
-        data: bytes | None = None
+        headers, data = {}, None
         if body is not None:
             headers["Content-Type"] = content_type
             data = json.dumps(body).encode()
+        result: Object = json.loads(await self._ask(method, path, params, headers, data))
+        return result
+
+    async def read(self, path: str, *, params: Mapping[str, str] | None = None) -> bytes:
+        """The text of an answer to GET, uncompressed: within a cluster, compressing a long one costs more than sending it.
+
+        Raises what :meth:`request` raises.
+        """
+        return await self._ask("GET", path, params, {"Accept-Encoding": "identity"})
+
+    async def _ask(
+        self,
+        method: str,
+        path: str,
+        params: Mapping[str, str] | None,
+        headers: Mapping[str, str],
+        data: bytes | None = None,
+    ) -> bytes:
+        assert self._session is not None, "use the client as an asynchronous context manager"
         async with self._session.request(
-            method, self._access.server + path, params=params, data=data, headers=headers, timeout=self._timeout
+            method,
+            self._access.server + path,
+            params=params,
+            data=data,
+            headers={**self._headers(), **headers},
+            timeout=self._timeout,
         ) as response:
-            text = await response.text()
+            text = await response.read()
             if response.status >= 400:
-                raise _error(response.status, text)
-            result: Object = json.loads(text)
-            return result
+                raise _error(response.status, text.decode(errors="replace"))
+            return text
 
     async def get(self, resource: Resource, namespace: str | None, name: str) -> Object:
         """An object. Raises ApiError (404 where it isn't there)."""
@@ -247,18 +311,18 @@ class Client:
         params = _selectors(labels, fields) | ({"resourceVersion": "0"} if cached else {})
         return await self.request("GET", resource.path(namespace), params=params)
 
-    async def pages(
+    async def parts(
         self, resource: Resource, namespace: str | None = None, *, labels: str | None = None, limit: int = PAGE
-    ) -> AsyncIterator[Object]:
+    ) -> AsyncIterator[Part]:
         """A collection as it is at one moment, in parts of so many objects: a fleet's, whole, takes ten times its size in memory.
 
         Raises ApiError, 410 where the server remembers that moment no longer.
         """
         params = _selectors(labels, None) | {"limit": str(limit)}
         while True:
-            answer = await self.request("GET", resource.path(namespace), params=params)
-            yield answer
-            if not (more := answer["metadata"].get("continue")):
+            part = Part.of(await self.read(resource.path(namespace), params=params))
+            yield part
+            if not (more := part.head["metadata"].get("continue")):
                 return
             params["continue"] = more
 
@@ -318,10 +382,12 @@ class Client:
         labels: str | None = None,
         fields: str | None = None,
         lifetime: int = 300,
+        silence: float | None = None,
     ) -> AsyncIterator[tuple[str, Object]]:
         """Events ``(type, object)`` after a resourceVersion, bookmarks included, until the server ends the watch.
 
-        Raises Expired where the version is too old. ``lifetime`` is in seconds; a silent connection is given up soon after.
+        Raises Expired where the version is too old. ``lifetime`` is in seconds; a connection that is silent for ``silence``
+        seconds (or soon after the lifetime) is given up.
         """
         assert self._session is not None, "use the client as an asynchronous context manager"
         params = _selectors(labels, fields) | {
@@ -330,7 +396,7 @@ class Client:
             "allowWatchBookmarks": "true",
             "timeoutSeconds": str(lifetime),
         }
-        timeout = aiohttp.ClientTimeout(total=None, sock_connect=10, sock_read=lifetime + 15)
+        timeout = aiohttp.ClientTimeout(total=None, sock_connect=10, sock_read=silence or lifetime + 15)
         async with self._session.get(
             self._access.server + resource.path(namespace), params=params, headers=self._headers(), timeout=timeout
         ) as response:

@@ -13,36 +13,10 @@ from typing import Any
 import aiohttp
 import kopf
 
-from understudy.cluster.client import (
-    DEPLOYMENTS,
-    DISRUPTION_BUDGETS,
-    NETWORK_POLICIES,
-    NODES,
-    PODS,
-    POLICIES,
-    POOLS,
-    REPLICA_SETS,
-    SERVICES,
-    STATEFUL_SETS,
-    WORKLOADS,
-    Access,
-    Object,
-    Resource,
-)
+from understudy.cluster.client import PAGE, POLICIES, POOLS, WORKLOADS, Access, Object, Resource
 
-WATCHED = (
-    WORKLOADS,
-    POLICIES,
-    POOLS,
-    PODS,
-    REPLICA_SETS,
-    DEPLOYMENTS,
-    STATEFUL_SETS,
-    NETWORK_POLICIES,
-    SERVICES,
-    DISRUPTION_BUDGETS,
-    NODES,
-)
+WATCHED = (WORKLOADS, POLICIES, POOLS)
+"""Our own kinds; what else is watched is in following.py."""
 
 See = Callable[[Resource, Object, bool], None]
 
@@ -84,6 +58,7 @@ def settings() -> kopf.OperatorSettings:
     made.watching.connect_timeout = 10
     made.watching.server_timeout = 300
     made.watching.inactivity_timeout = 70
+    made.watching.chunk_size = PAGE
     made.queueing.idle_timeout = 1
     made.networking.request_timeout = 60
     made.process.ultimate_exiting_timeout = 30

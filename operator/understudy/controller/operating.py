@@ -37,9 +37,9 @@ class Operator:
     def __init__(
         self, client: Client, store: Store, reconciler: Reconciler, *, namespaces: Sequence[str], resync_every: float
     ) -> None:
-        self._client, self._store, self._reconciler = client, store, reconciler
+        self._store, self._reconciler = store, reconciler
         store.noticed = self._enqueue
-        self._namespaces, self._resync_every = namespaces, resync_every
+        self._lists, self._resync_every = resyncing.Lists(client, store, namespaces), resync_every
         self.queue: Queue[Key] = Queue()
         self._leading = False
         self._resynced: float | None = None
@@ -89,7 +89,7 @@ class Operator:
 
     async def _list(self, *, report: bool) -> None:
         begun = time.time()
-        for sight in await resyncing.resync(self._client, self._store, self._namespaces):
+        for sight in await self._lists.resync():
             if report and sight.resource.plural in resyncing.WATCHED and _aged(sight, begun):
                 metrics.MISSED.labels(sight.resource.plural).inc()
         for key in affected.unlisted(self._store):

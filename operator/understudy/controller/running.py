@@ -22,7 +22,7 @@ from understudy.cluster import logs
 from understudy.cluster.client import SERVICE_ACCOUNT, Access, Client
 from understudy.cluster.events import Recorder
 from understudy.cluster.leases import LeadershipLost, Lease, Timing
-from understudy.controller import handlers, lending, metrics, serving
+from understudy.controller import following, handlers, metrics, serving
 from understudy.controller.desired import Images
 from understudy.controller.executing import MANAGER, Executor
 from understudy.controller.expectations import Expectations
@@ -55,7 +55,8 @@ class Options:
 async def run(access: Access, options: Options, *, stop: asyncio.Event | None = None) -> int:
     """Run an operator until ``stop`` is set, a signal comes or the lease is lost; the exit status."""
     handlers.quiet()
-    async with Client(access, timeout=20) as client:  # a fleet's lists are long
+    # a fleet's lists are long, and each watch of each namespace has a connection
+    async with Client(access, timeout=20, connections=0) as client:
         lease = Lease(client, options.lease_namespace, options.lease, options.identity, timing=options.timing)
         store, expectations = Store(), Expectations()
         reconciler = Reconciler(
@@ -75,8 +76,10 @@ async def run(access: Access, options: Options, *, stop: asyncio.Event | None = 
             ready=lambda: None if operator.synced else "not everything was listed yet",
         )
         tasks = {
-            asyncio.create_task(handlers.watch(operator.see, access, options.namespaces), name="watches"),
-            asyncio.create_task(lending.watch(client, operator.see, options.namespaces), name="health trees"),
+            asyncio.create_task(
+                handlers.watch(operator.see, access, options.namespaces), name="watches of our own kinds"
+            ),
+            asyncio.create_task(following.watch(client, operator.see, options.namespaces), name="watches"),
             asyncio.create_task(operator.keep_listing(), name="lists"),
             asyncio.create_task(_lead(lease, operator), name="leading"),
         }

@@ -11,8 +11,11 @@ from typing import Any
 
 from understudy.cluster.client import Object
 
-PARTS = frozenset({"spec", "rules", "subjects", "roleRef", "data"})
-"""Where objects of different robots are alike. Their metadata and status aren't."""
+PARTS = frozenset({"spec", "rules", "subjects", "roleRef", "data", "status"})
+"""Where objects of different robots are alike."""
+
+ALIKE = frozenset({"namespace", "labels", "ownerReferences", "creationTimestamp"})
+"""What of its metadata an object has in common with the others of its robot."""
 
 REMEMBERED_SECONDS = 60.0
 """For at least so long, and at most twice, what was seen is looked for in other objects: a fleet's come together, in lists."""
@@ -31,9 +34,20 @@ class Sharing:
 
     def of(self, item: Object, old: Object | None) -> Object:
         """The object with the parts that it has in common with its older self, or with another one."""
+        self.forget()
+        older = old or {}
+        shared = self._each(item, older, PARTS)
+        if "metadata" in item:
+            shared["metadata"] = self._each(item["metadata"], older.get("metadata") or {}, ALIKE)
+        return shared
+
+    def forget(self) -> None:
+        """Forget what wasn't seen for long; to be called now and then where nothing new comes."""
         if self._clock() - self._turned >= REMEMBERED_SECONDS:
             self._turned, self._before, self._known = self._clock(), self._known, {}
-        return {key: self._part(value, (old or {}).get(key)) if key in PARTS else value for key, value in item.items()}
+
+    def _each(self, item: Object, old: Object, parts: frozenset[str]) -> Object:
+        return {key: self._part(value, old.get(key)) if key in parts else value for key, value in item.items()}
 
     def _part(self, value: Any, older: Any) -> Any:
         return older if older is not None and older == value else self._same(value)

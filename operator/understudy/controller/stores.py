@@ -6,6 +6,7 @@ A watch may be late, repeat itself or fall silent. So versions decide which of t
 
 from __future__ import annotations
 
+import sys
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterable
@@ -85,8 +86,9 @@ class Store:
         new = self._sharing.of(slim(resource, item), old)
         self._unindex(resource, place, old)
         self._items[resource.plural][place] = new
+        entry = (resource.plural, *place)
         for key in _keys(resource, new):
-            self._index[key][(resource.plural, *place)] = new
+            self._index[key][entry] = new
         return self._notice(Sight(resource, old, new))
 
     def remove(self, resource: Resource, item: Object) -> Sight | None:
@@ -118,6 +120,7 @@ class Store:
 
         ``covered`` tells of an object that is kept whether such a list would have it.
         """
+        self._sharing.forget()
         found = list(items)
         present = {(i["metadata"].get("namespace", ""), i["metadata"]["name"]) for i in found}
         sights = [self.put(resource, item) for item in found]
@@ -175,17 +178,47 @@ def same(a: Object, b: Object) -> bool:
 
 def slim(resource: Resource, item: Object) -> Object:
     """The object without what is never looked at: a fleet's copies live in memory. Secrets lose what they keep."""
-    metadata = {key: value for key, value in item["metadata"].items() if key != "managedFields"}
-    kept = {**item, "metadata": metadata}
+    metadata = {sys.intern(key): value for key, value in item["metadata"].items() if key != "managedFields"}
+    kept = {**{sys.intern(key): value for key, value in item.items()}, "metadata": metadata}
     if resource.plural == "secrets":
         kept.pop("data", None)
         kept.pop("stringData", None)
     if resource.plural == "pods":
         kept["spec"] = {"nodeName": (item.get("spec") or {}).get("nodeName")}
+        kept["status"] = _slim_status(item.get("status") or {})
     if resource.plural == "nodes":
         kept["metadata"] = {key: metadata[key] for key in ("name", "uid", "resourceVersion") if key in metadata}
         kept["spec"] = {
             key: found for key in ("unschedulable", "taints") if (found := (item.get("spec") or {}).get(key))
         }
+    if resource.plural in _WITHOUT_STATUS:
         kept.pop("status", None)
     return kept
+
+
+_WITHOUT_STATUS = frozenset(
+    {"nodes", "deployments", "replicasets", "services", "networkpolicies", "poddisruptionbudgets"}
+)
+"""Of these only what they say is looked at: what became of it is seen by their pods."""
+
+
+def _slim_status(status: Object) -> Object:
+    """A pod's status as far as it tells whether it runs, and why not: most pods then say the same (sharing.py)."""
+    kept: Object = {"phase": status.get("phase")}
+    kept["conditions"] = [_only(one, ("type", "status", "reason", "message")) for one in status.get("conditions") or []]
+    for key in ("initContainerStatuses", "containerStatuses"):
+        if containers := status.get(key):
+            kept[key] = [_slim_container(one) for one in containers]
+    return kept
+
+
+def _slim_container(container: Object) -> Object:
+    kept = _only(container, ("name", "image", "restartCount"))
+    for key, state in (("state", "waiting"), ("lastState", "terminated")):
+        if found := (container.get(key) or {}).get(state):
+            kept[key] = {state: _only(found, ("reason", "message", "exitCode"))}
+    return kept
+
+
+def _only(whole: Object, keys: Iterable[str]) -> Object:
+    return {key: whole[key] for key in keys if key in whole}

@@ -9,7 +9,7 @@ import pytest
 
 from tests.unit.chart.conftest import Render, one
 from understudy.cluster.client import EVENTS, LEASES, NODES, PODS, POLICIES, POOLS, WORKLOADS, Resource
-from understudy.controller import handlers, monitors, resyncing
+from understudy.controller import following, handlers, monitors, resyncing
 from understudy.controller.executing import RESIZE
 
 Right = tuple[str, str, str]
@@ -53,6 +53,7 @@ def _granted() -> set[Right]:
 def _used() -> set[Right]:
     """What the operator's own code asks for."""
     found = set.union(*(_each(resource, "list", "watch") for resource in handlers.WATCHED))
+    found |= set.union(*(_each(resource, "watch") for resource, _ in following.WATCHED))
     for resource, _ in resyncing.LISTED:
         found |= _each(resource, "get", "list")
         if resource not in (*OURS, NODES):  # what it makes, changes and clears away

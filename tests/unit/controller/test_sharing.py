@@ -91,3 +91,30 @@ def test_a_store_keeps_what_its_objects_have_in_common_once() -> None:
     assert two is not None
     assert one["spec"]["template"] is two["spec"]["template"]
     assert one["spec"] == workload("v")["spec"]
+
+
+def test_what_the_objects_of_a_robot_have_in_common_is_kept_once() -> None:
+    sharing = Sharing(clock=Clock())
+    owner = [{"kind": "RobotWorkload", "name": "w", "uid": "u"}]
+    pods = [
+        {
+            "metadata": {"name": name, "labels": {"app": "w"}, "ownerReferences": copy.deepcopy(owner)},
+            "status": {"phase": "Running"},
+        }
+        for name in ("w-1", "w-2")
+    ]
+    one, two = (sharing.of(pod, None) for pod in pods)
+    assert one["status"] is two["status"]
+    assert one["metadata"]["ownerReferences"] is two["metadata"]["ownerReferences"]
+    assert [one["metadata"]["name"], two["metadata"]["name"]] == ["w-1", "w-2"]
+
+
+def test_a_store_at_rest_forgets_what_it_looked_for_in_other_objects() -> None:
+    clock = Clock()
+    store = Store(clock=clock)
+    store.put(WORKLOADS, workload("v"))
+    for _ in range(2):
+        clock.now += REMEMBERED_SECONDS
+        store.replace(WORKLOADS, [workload("v")], 0, None)
+    assert not store._sharing._known
+    assert not store._sharing._before

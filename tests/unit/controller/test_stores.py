@@ -15,7 +15,7 @@ from understudy.cluster.client import (
     WORKLOADS,
     Object,
 )
-from understudy.controller import affected
+from understudy.controller import affected, objects, troubles
 from understudy.controller.affected import Key
 from understudy.controller.expectations import LASTS, Expectations
 from understudy.controller.resyncing import kept
@@ -99,6 +99,25 @@ def test_what_secrets_keep_is_not_kept() -> None:
         at({"kind": "Secret", "metadata": {"name": "s", "namespace": "fleet", "uid": "u"}, "data": {"token": "x"}}, 1),
     )
     assert "data" not in (store.get(SECRETS, "fleet", "s") or {})
+
+
+def test_of_a_pods_status_only_what_tells_how_it_is_is_kept() -> None:
+    """Then most pods of a fleet say the same, and it is kept once."""
+    item = pod("a", ready=True)
+    waiting = {"reason": "ImagePullBackOff", "message": "no such image"}
+    item["status"] |= {
+        "podIP": "10.0.0.1",
+        "containerStatuses": [
+            {"name": "app", "image": "i", "containerID": "c", "state": {"waiting": waiting}, "restartCount": 1}
+        ],
+    }
+    store = Store()
+    store.put(PODS, at(item, 1))
+    kept = store.get(PODS, "fleet", "a")
+    assert kept is not None
+    assert objects.ready(kept)
+    assert troubles.trouble(kept) == troubles.trouble(item) is not None
+    assert "10.0.0.1" not in str(kept)
 
 
 def test_only_what_is_ours_is_kept() -> None:

@@ -21,7 +21,7 @@ from understudy.cluster import gates
 from understudy.cluster.client import NETWORK_POLICIES, NODES, PODS, ApiError, Expired, Object, Resource
 from understudy.cluster.events import Recorder
 from understudy.cluster.leases import LeadershipLost, Lease, Timing
-from understudy.controller import affected, handlers, running
+from understudy.controller import affected, following, handlers, running
 from understudy.controller.desired import Images
 from understudy.controller.executing import Executor
 from understudy.controller.expectations import Expectations
@@ -230,7 +230,8 @@ class OperatorProcess:
 
     async def run(self) -> None:
         """As ``understudy.controller.running`` puts it together."""
-        work = [*map(self._watch, handlers.WATCHED), self._operator.keep_listing()]
+        watched = [*handlers.WATCHED, *(resource for resource, labels in following.WATCHED if labels is None)]
+        work = [*map(self._watch, watched), self._operator.keep_listing()]
         tasks = [
             asyncio.create_task(one) for one in (*work, running._lead(self._lease, self._operator), self._until_told())
         ]
@@ -254,7 +255,7 @@ class OperatorProcess:
             self._told_to_end.set_result(None)
 
     async def _watch(self, resource: Resource) -> None:
-        """What kopf does for it."""
+        """What kopf and ``following`` do for it."""
         namespace = NAMESPACE if resource != NODES else None
         while True:
             try:

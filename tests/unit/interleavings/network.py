@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import random
 from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import dataclass
@@ -187,6 +188,9 @@ class SimulatedClient(Client):
         if fate not in ("answered", "refused", "busy"):
             network.later(self._seconds, self._gave_up, answer, process=process)
         return await answer
+
+    async def read(self, path: str, *, params: Mapping[str, str] | None = None) -> bytes:
+        return json.dumps(await self.request("GET", path, params=params), separators=(",", ":")).encode()
 
     @staticmethod
     def _gave_up(answer: asyncio.Future[Object]) -> None:

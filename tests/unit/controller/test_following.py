@@ -1,0 +1,105 @@
+"""Watches go on where they ended, and begin anew where nobody knows any more what came since."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Sequence
+from typing import Any
+
+import aiohttp
+import pytest
+
+from tests.unit.controller.world import pod
+from understudy.cluster.client import CONFIG_MAPS, NODES, PODS, Client, Expired, Object, Resource
+from understudy.controller import following
+from understudy.controller.resyncing import TREES
+
+Event = tuple[str, Object]
+BOOKMARK = "BOOKMARK"
+
+
+def told(kind: str, name: str, version: int) -> Event:
+    item = pod(name)
+    return kind, {**item, "metadata": {**item["metadata"], "resourceVersion": str(version)}}
+
+
+class Scripted(Client):
+    """Watches of pods that bring some events and then end as they are told; all others are silent."""
+
+    def __init__(self, *scripts: tuple[Sequence[Event], Exception | None]) -> None:
+        self._scripts = iter(scripts)
+        self.begun: list[str] = []
+        self.asked: list[tuple[Resource, str | None, str | None]] = []
+        self.over = asyncio.Event()
+
+    async def watch(
+        self, resource: Resource, namespace: str | None = None, *, version: str, labels: str | None = None, **_: Any
+    ) -> AsyncIterator[Event]:
+        self.asked.append((resource, namespace, labels))
+        if resource == PODS:
+            self.begun.append(version)
+            script = next(self._scripts, None)
+            if script is not None:
+                events, error = script
+                for event in events:
+                    yield event
+                if error is not None:
+                    raise error
+                return
+            self.over.set()
+        await asyncio.Event().wait()
+
+
+async def watched(client: Scripted, *namespaces: str) -> list[tuple[str, bool]]:
+    """The pods that were seen, and whether they are gone, until the scripts are over."""
+    seen: list[tuple[str, bool]] = []
+
+    def see(resource: Resource, item: Object, gone: bool) -> None:
+        seen.append((item["metadata"]["name"], gone))
+
+    task = asyncio.create_task(following.watch(client, see, namespaces))
+    async with asyncio.timeout(5):
+        await client.over.wait()
+    task.cancel()
+    await asyncio.gather(task, return_exceptions=True)
+    return seen
+
+
+async def test_a_watch_goes_on_where_the_last_one_ended() -> None:
+    first = [told("ADDED", "a", 3), told(BOOKMARK, "", 7), told("DELETED", "a", 9)]
+    client = Scripted((first, None), ([], None))
+    assert await watched(client) == [("a", False), ("a", True)]
+    assert client.begun == [following.BEGINNING, "9", "9"]
+
+
+async def test_until_a_bookmark_it_may_have_brought_what_is_there_in_part_only() -> None:
+    """Objects come in the order of their names, not of their versions."""
+    client = Scripted(
+        ([told("ADDED", "a", 9), told("ADDED", "b", 3)], aiohttp.ClientPayloadError("broken")), ([], None)
+    )
+    await watched(client)
+    assert client.begun == [following.BEGINNING] * 3
+
+
+async def test_a_version_that_is_too_old_begins_anew() -> None:
+    client = Scripted(([told(BOOKMARK, "", 7)], None), ([], Expired()))
+    await watched(client)
+    assert client.begun == [following.BEGINNING, "7", following.BEGINNING]
+
+
+@pytest.mark.parametrize("error", [aiohttp.ServerDisconnectedError(), TimeoutError(), OSError("down")])
+async def test_an_error_ends_nothing(error: Exception) -> None:
+    client = Scripted(([told(BOOKMARK, "", 7)], error), ([told("ADDED", "b", 8)], None))
+    assert await watched(client) == [("b", False)]
+    assert client.begun == [following.BEGINNING, "7", "8"]
+
+
+async def test_nodes_are_in_no_namespace_and_of_config_maps_only_trees_come() -> None:
+    client = Scripted()
+    await watched(client, "one", "two")
+    await asyncio.sleep(0)
+    assert [namespace for resource, namespace, _ in client.asked if resource == NODES] == [None]
+    assert [(namespace, labels) for resource, namespace, labels in client.asked if resource == CONFIG_MAPS] == [
+        ("one", TREES),
+        ("two", TREES),
+    ]
