@@ -50,10 +50,10 @@ class Follower:
 
     def step(self, reference: Command, now: float, seconds: float) -> Command:
         """The next command, so many seconds after the one before; ``reference`` is what the arm follows."""
-        sent = self._sent.get(reference.positions.tobytes())
+        # An arm that is held aside of the way follows as well, but not along the way.
+        sent = None if self.strayed else self._sent.get(reference.positions.tobytes())
         if sent is not None and now - sent <= LATELY:
             self._unfollowed = 0.0
-            self.strayed = False
             command = self._motion.advance(seconds)
         elif sent is not None and self._unfollowed < PATIENCE:
             self._unfollowed += seconds

@@ -108,9 +108,7 @@ class Mover(managed.Managed):
     def _joints(self, goal: Goal) -> Joints | None:
         wanted = goal.request.pose
         if wanted.header.frame_id != FRAME:
-            raise _Failed(
-                _Result.INVALID_POSE, f"goal: its frame is '{wanted.header.frame_id}', it must be {FRAME}"
-            )
+            raise _Failed(_Result.INVALID_POSE, f"goal: its frame is '{wanted.header.frame_id}', it must be {FRAME}")
         place, turned = wanted.pose.position, wanted.pose.orientation
         pose = Pose(place.x, place.y, place.z, turned.w, turned.x, turned.y, turned.z)
         if not all(map(math.isfinite, pose)) or abs(math.hypot(*pose[3:]) - 1.0) > 0.01:
