@@ -27,7 +27,7 @@ def gate() -> None:
             last[0] = time.monotonic()
 
     def held(message: JointTrajectory) -> None:
-        opened[0] = opened[0] or bool(last[0]) and time.monotonic() - last[0] > SILENCE
+        opened[0] = opened[0] or 0 < last[0] < time.monotonic() - SILENCE
         if opened[0]:
             out.publish(message)
 

@@ -7,12 +7,14 @@ import math
 import numpy as np
 import pytest
 
+pytest.importorskip("rclpy")
 pytest.importorskip("mujoco")
 
 from manipulation_arm import HOME, Arm, Pose, places
 from manipulation_arm.arm import ANGLE, PLACE
 from manipulation_robot.controller import HELD, Controller
 from manipulation_robot.simulation import Simulation
+from manipulation_robot.trajectories import Trajectory
 
 ALL = list(places(6))
 
@@ -79,3 +81,27 @@ def test_the_reference_stays_and_rests_when_commands_end() -> None:
     assert controller.held(1.01 + HELD)
     assert controller.velocities(1.01 + HELD) == pytest.approx(np.zeros(6))
     assert controller.positions == pytest.approx(HOME + 0.01)
+
+
+def test_a_trajectory_leads_from_where_the_arm_is_through_its_points() -> None:
+    trajectory = Trajectory(HOME, [1.0, 3.0], [HOME + 0.2, HOME - 0.2])
+    assert trajectory.at(0.5) == pytest.approx(HOME + 0.1)
+    assert trajectory.at(2.0) == pytest.approx(HOME)
+    assert not trajectory.ended.is_set()
+    assert trajectory.at(3.5) == pytest.approx(HOME - 0.2)
+    assert trajectory.done
+
+
+def test_a_trajectory_that_would_make_the_arm_jump_or_go_back_in_time_is_refused() -> None:
+    with pytest.raises(ValueError, match="from where the arm is"):
+        Trajectory(HOME, [0.0, 1.0], [HOME + 0.2, HOME])
+    for times in ([], [1.0, 1.0], [2.0, 1.0], [-1.0, 1.0]):
+        with pytest.raises(ValueError, match="times"):
+            Trajectory(HOME, times, [HOME] * len(times))
+
+
+def test_a_trajectory_that_has_lost_its_place_isn_t_done() -> None:
+    trajectory = Trajectory(HOME, [1.0], [HOME])
+    trajectory.end()
+    trajectory.at(2.0)
+    assert not trajectory.done

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ def motion(*corners: float) -> Motion:
     way = np.tile(HOME, (1 + len(corners), 1))
     way[1:, 0] += corners
     points = [HOME[None]]
-    for begin, end in zip(way[:-1], way[1:], strict=True):
+    for begin, end in pairwise(way):
         points.append(np.linspace(begin, end, 101)[1:])
     return Motion(np.concatenate(points))
 

@@ -4,6 +4,8 @@ The commands are trajectories of one point each, which is taken when it comes: t
 where the last one left it. What it follows it says on /arm_controller/reference, so that whoever commands it can begin
 there.
 
+It goes through whole trajectories too: see ``trajectories``.
+
 It writes down every command with its sender and its step from the one before, and where its gripper is ten times a
 second, so that what a failover meant for the robot can be read from the robot itself. Which UDP port the reader of the
 commands listens on comes from the DDS profile that the environment names.
@@ -26,6 +28,7 @@ from trajectory_msgs.msg import JointTrajectory
 from manipulation_robot import STARTED
 from manipulation_robot.controller import Controller
 from manipulation_robot.simulation import Simulation
+from manipulation_robot.trajectories import Trajectories, Trajectory
 
 TICK = 0.01
 """Seconds between two looks at the clock: five steps of the physics. Twice as often as commands come."""
@@ -41,7 +44,7 @@ LATE = 0.25
 
 
 class Robot:
-    """A simulated arm in real time. Nothing of it waits for callbacks, so it needs no executor."""
+    """A simulated arm in real time. Nothing that moves it waits for callbacks, so it needs no executor."""
 
     def __init__(self, journal: Journal) -> None:
         self._journal = journal
@@ -52,6 +55,9 @@ class Robot:
         self._commands = Ear(self._node, JointTrajectory, "/arm_controller/joint_trajectory")
         self._states = self._node.create_publisher(JointState, "/joint_states", 10)
         self._reference = self._node.create_publisher(JointState, "/arm_controller/reference", 10)
+        self._trajectory: Trajectory | None = None
+        self._trajectory_begun = 0.0
+        self._trajectories = Trajectories(self._follow, lambda: self._controller.positions)
         self._received = 0
         self._ticks = 0
         self._held = False
@@ -73,11 +79,13 @@ class Robot:
 
     def close(self) -> None:
         """Leave the graph."""
+        self._trajectories.close()
         self._node.destroy_node()
 
     def _tick(self, now: float) -> None:
         for command in self._commands.take():
             self._take(command, now)
+        self._go_on(now)
         self._simulation.drive(self._controller.positions)
         self._simulation.step(round(TICK / self._simulation.timestep))
         self._ticks += 1
@@ -95,6 +103,7 @@ class Robot:
             self._journal.write("refused", received=command.received, source=command.source)
             return
         (point,) = trajectory.points
+        self._end_trajectory()
         self._received += 1
         step = self._controller.command(np.array(point.positions), np.array(point.velocities), now=now)
         self._journal.write(
@@ -106,6 +115,24 @@ class Robot:
             sent=command.sent,
             step=step,
         )
+
+    def _follow(self, trajectory: Trajectory) -> None:
+        self._end_trajectory()
+        self._trajectory_begun = time.monotonic()
+        self._trajectory = trajectory
+        self._journal.write("trajectory", time=time.time())
+
+    def _go_on(self, now: float) -> None:
+        trajectory = self._trajectory
+        if trajectory is None:
+            return
+        if not trajectory.ended.is_set():
+            positions = trajectory.at(now - self._trajectory_begun)
+            self._controller.command(positions, (positions - self._controller.positions) / TICK, now=now)
+
+    def _end_trajectory(self) -> None:
+        if self._trajectory is not None:
+            self._trajectory.end()
 
     def _watch(self, now: float) -> None:
         held = self._controller.held(now)

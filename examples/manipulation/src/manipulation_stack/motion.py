@@ -12,7 +12,7 @@ import numpy as np
 from manipulation_arm import Joints
 from numpy.typing import NDArray
 
-SPEED, ACCELERATION = 0.6, 1.5
+SPEED, ACCELERATION = 0.4, 1.0
 """rad/s and rad/s² of the joint that moves most."""
 
 _ARRIVED = 1e-4

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 from manipulation_arm import Arm, Joints
 from numpy.typing import NDArray
@@ -23,7 +25,7 @@ class NoWay(Exception):
 def dense(corners: NDArray[np.float64]) -> NDArray[np.float64]:
     """The positions of a way from corner to corner, RESOLUTION apart."""
     found = [corners[:1]]
-    for begin, end in zip(corners[:-1], corners[1:], strict=True):
+    for begin, end in itertools.pairwise(corners):
         steps = max(1, int(np.ceil(np.abs(end - begin).max() / RESOLUTION)))
         found.append(begin + (end - begin) * (np.arange(1, steps + 1) / steps)[:, None])
     return np.concatenate(found)
