@@ -23,7 +23,7 @@ from tests.e2e.scenario import Robot, eventually
 from understudy.api import names
 from understudy.ros.sources import VENDOR, host_id
 
-MANIFESTS = Path(__file__).parents[2] / "examples" / "navigation" / "manifests"
+EXAMPLES = Path(__file__).parents[2] / "examples"
 CONTAINER = "navigation"
 
 CONFIGURATIONS = {
@@ -74,7 +74,8 @@ class Goal:
     number: int
     x: float
     y: float
-    heading: float
+    z: float = 0.0
+    heading: float = 0.0
     identity: str = ""
     asked: int = 0
     """How often the client sent it."""
@@ -110,7 +111,8 @@ class Tour:
                 case "client":
                     tour.wanted = record["goals"]
                 case "goal":
-                    tour.goals.append(Goal(record["number"], record["x"], record["y"], record["heading"]))
+                    place = [record[name] for name in ("x", "y", "z") if name in record]
+                    tour.goals.append(Goal(record["number"], *place, heading=record.get("heading", 0.0)))
                 case "answer":
                     tour.goals[-1].asked += 1
                     tour.goals[-1].identity = record["goal"] if record["accepted"] else ""
@@ -126,9 +128,13 @@ class Tour:
 class Navigator(Robot):
     """A mobile robot with its navigation stack and a client."""
 
+    EXAMPLE = "navigation"
+    """Its folder, and what its manifests and modules are named after."""
+
     def __init__(self, kubectl: Kubectl, name: str = "robot-1") -> None:
         super().__init__(kubectl, name)
-        self.workload = f"{name}-navigation"
+        self.workload = f"{name}-{self.EXAMPLE}"
+        self._manifests = EXAMPLES / self.EXAMPLE / "manifests"
         self._hosts: dict[str, str] = {}
 
     # -- setting up -------------------------------------------------------------------------------------------------
@@ -138,12 +144,12 @@ class Navigator(Robot):
         found = [
             item
             for name in (f"strategies/{configuration}.yaml", "workload.yaml", "robot.yaml")
-            for item in yaml.safe_load_all((MANIFESTS / name).read_text())
+            for item in yaml.safe_load_all((self._manifests / name).read_text())
             if item
         ]
         for item in found:
             if item["kind"] == "RobotWorkload":
-                item["spec"]["failurePolicyRef"] = {"name": f"navigation-{configuration}"}
+                item["spec"]["failurePolicyRef"] = {"name": f"{self.EXAMPLE}-{configuration}"}
         if edit:
             edit(found)
         self.kubectl.apply(found)
@@ -164,9 +170,9 @@ class Navigator(Robot):
 
     def send_client(self, goals: int, tour: int | None = None) -> None:
         """Have a client send so many goals, one after the other."""
-        (job,) = yaml.safe_load_all((MANIFESTS / "client.yaml").read_text())
+        (job,) = yaml.safe_load_all((self._manifests / "client.yaml").read_text())
         container = job["spec"]["template"]["spec"]["containers"][0]
-        container["command"] = ["python3", "-m", "navigation_client", "--goals", str(goals)]
+        container["command"] = ["python3", "-m", f"{self.EXAMPLE}_client", "--goals", str(goals)]
         container["command"] += ["--tour", str(tour)] if tour is not None else []
         self.kubectl.apply([job])
 

@@ -10,6 +10,7 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import rclpy
 from action_msgs.msg import GoalStatus
@@ -52,7 +53,7 @@ class _Feedback:
     longest: float = 0.0
     remaining: float = math.nan
 
-    def take(self, message: NavigateToPose.Impl.FeedbackMessage) -> None:
+    def take(self, message: Any) -> None:
         now = time.monotonic()
         self.longest = max(self.longest, now - self.last)
         self.last = now
@@ -63,13 +64,15 @@ class _Feedback:
 class Client:
     """Works through a list of goals."""
 
-    def __init__(self, journal: Journal, patience: Patience | None = None, action: str = "/navigate_to_pose") -> None:
+    NAME, ACTION, TYPE = "navigation_client", "/navigate_to_pose", NavigateToPose
+
+    def __init__(self, journal: Journal, patience: Patience | None = None) -> None:
         self._journal = journal
         self._patience = patience or Patience()
-        self._node = Node("navigation_client", start_parameter_services=False)
-        self._action = ActionClient(self._node, NavigateToPose, action)
+        self._node = Node(self.NAME, start_parameter_services=False)
+        self._action = ActionClient(self._node, self.TYPE, self.ACTION)
 
-    def run(self, goals: Sequence[Pose], pause: float = 0.5) -> bool:
+    def run(self, goals: Sequence[Any], pause: float = 0.5) -> bool:
         """Send all goals, with a pause in seconds between them; whether all succeeded."""
         begun, wanted = time.time(), len(goals)
         self._journal.write("client", time=begun, goals=wanted)
@@ -92,8 +95,23 @@ class Client:
         self._action.destroy()
         self._node.destroy_node()
 
-    def _go(self, number: int, goal: Pose) -> str:
-        self._journal.write("goal", number=number, time=time.time(), x=goal.x, y=goal.y, heading=goal.heading)
+    def described(self, goal: Pose) -> dict[str, float]:
+        """What is written down of a goal."""
+        return {"x": goal.x, "y": goal.y, "heading": goal.heading}
+
+    def message(self, goal: Pose) -> Any:
+        """A goal as it is sent."""
+        message = NavigateToPose.Goal()
+        message.pose.header.frame_id = "map"
+        message.pose.header.stamp = self._node.get_clock().now().to_msg()
+        message.pose.pose.position.x = goal.x
+        message.pose.pose.position.y = goal.y
+        message.pose.pose.orientation.z = math.sin(goal.heading / 2)
+        message.pose.pose.orientation.w = math.cos(goal.heading / 2)
+        return message
+
+    def _go(self, number: int, goal: Any) -> str:
+        self._journal.write("goal", number=number, time=time.time(), **self.described(goal))
         feedback = _Feedback()
         handle = self._accepted(number, goal, feedback)
         if handle is None:
@@ -124,10 +142,10 @@ class Client:
         )
         return status
 
-    def _accepted(self, number: int, goal: Pose, feedback: _Feedback) -> ClientGoalHandle | None:
+    def _accepted(self, number: int, goal: Any, feedback: _Feedback) -> ClientGoalHandle | None:
         end = time.monotonic() + self._patience.acceptance
         while rclpy.ok() and time.monotonic() < end:
-            sent = self._action.send_goal_async(self._message(goal), feedback_callback=feedback.take)
+            sent = self._action.send_goal_async(self.message(goal), feedback_callback=feedback.take)
             if not self._wait(sent, end - time.monotonic()):
                 return None
             handle: ClientGoalHandle = sent.result()
@@ -140,16 +158,6 @@ class Client:
                 return handle
             self._spin(ASK_AGAIN)
         return None
-
-    def _message(self, goal: Pose) -> NavigateToPose.Goal:
-        message = NavigateToPose.Goal()
-        message.pose.header.frame_id = "map"
-        message.pose.header.stamp = self._node.get_clock().now().to_msg()
-        message.pose.pose.position.x = goal.x
-        message.pose.pose.position.y = goal.y
-        message.pose.pose.orientation.z = math.sin(goal.heading / 2)
-        message.pose.pose.orientation.w = math.cos(goal.heading / 2)
-        return message
 
     def _wait(self, future: Future, seconds: float) -> bool:
         rclpy.spin_until_future_complete(self._node, future, timeout_sec=max(0.0, seconds))

@@ -9,7 +9,7 @@ whoever gets through to it.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from geometry_msgs.msg import Twist
 from rclpy.node import Node
@@ -35,24 +35,40 @@ class Command(NamedTuple):
     angular: float
 
 
-class Commands:
-    """The robot's ear on /cmd_vel. No executor may spin its node: it would take the commands."""
+class Received(NamedTuple):
+    """A message, and who sent it, as a command has it."""
 
-    def __init__(self, node: Node, topic: str = "/cmd_vel") -> None:
-        self._subscription = node.create_subscription(Twist, topic, lambda _: None, DEPTH)
+    received: float
+    sent: float
+    source: str
+    writer: str
+    message: Any
+
+
+class Ear:
+    """A robot's ear on one topic. No executor may spin its node: it would take the messages."""
+
+    def __init__(self, node: Node, kind: type, topic: str) -> None:
+        self._kind = kind
+        self._subscription = node.create_subscription(kind, topic, lambda _: None, DEPTH)
         self._taker = Taker()
 
-    def take(self) -> Iterator[Command]:
+    def take(self) -> Iterator[Received]:
         """What has arrived since the last time."""
         handle = self._subscription.handle
         with handle:
             while (sample := self._taker.take(handle.pointer)) is not None:
-                twist = deserialize_message(sample.data, Twist)
-                yield Command(
-                    sample.received,
-                    sample.sent,
-                    sample.gid[HOST].hex(),
-                    sample.gid.hex(),
-                    twist.linear.x,
-                    twist.angular.z,
-                )
+                message = deserialize_message(sample.data, self._kind)
+                yield Received(sample.received, sample.sent, sample.gid[HOST].hex(), sample.gid.hex(), message)
+
+
+class Commands:
+    """The robot's ear on /cmd_vel."""
+
+    def __init__(self, node: Node, topic: str = "/cmd_vel") -> None:
+        self._ear = Ear(node, Twist, topic)
+
+    def take(self) -> Iterator[Command]:
+        """What has arrived since the last time."""
+        for *sender, twist in self._ear.take():
+            yield Command(*sender, twist.linear.x, twist.angular.z)

@@ -197,7 +197,8 @@ def run(make: Callable[[], Managed], *, threads: int = 2) -> None:
 
     serving = threading.Thread(target=serve, daemon=True)
     serving.start()
-    node.say("waits to be configured")
+    if not node.active:
+        node.say("waits to be configured")
     signal.sigwait(ending)
     node.rest()
     executor.shutdown(timeout_sec=1)

@@ -1,0 +1,78 @@
+"""Commands that begin where the arm is, whoever has moved it there.
+
+An instance isn't told when its commands reach the arm, and one that stands by sends them all the time. What it does know
+is what the arm follows: the controller says its reference. While that is one of the instance's own last commands, its
+motion goes on as planned. While it isn't, another instance moves the arm, or nobody does, and each command is one step
+from where the arm is. So the first command that gets through is one step from the last one, and the arm never jumps.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+
+from manipulation_arm import Joints
+
+from manipulation_stack.motion import Command, Motion
+
+LATELY = 0.1
+"""s: a reference that was commanded longer ago is that of an arm which doesn't follow any more."""
+
+PATIENCE = 1.0
+"""s for which a motion rests before it is taken back to where the arm is: the arm's computer may only be busy."""
+
+ASIDE = 0.004
+"""rad that the arm may be off the way and still be on it: less than a step at full speed."""
+
+
+class Follower:
+    """One motion of an instance that may or may not be in control."""
+
+    def __init__(self, motion: Motion) -> None:
+        self._motion = motion
+        self._sent: OrderedDict[bytes, float] = OrderedDict()
+        self._unfollowed = 0.0
+        self.strayed = False
+        """Whether the arm isn't on the way: another way is needed, from where it is."""
+
+    @property
+    def remaining(self) -> float:
+        """What is left of the way."""
+        return self._motion.remaining
+
+    @property
+    def arrived(self) -> bool:
+        """Whether the last command is the end of the way."""
+        return self._motion.arrived
+
+    def replace(self, motion: Motion) -> None:
+        """Take another way."""
+        self._motion = motion
+
+    def step(self, reference: Command, now: float, seconds: float) -> Command:
+        """The next command, so many seconds after the one before; ``reference`` is what the arm follows."""
+        # An arm that is held aside of the way follows as well, but not along the way.
+        sent = None if self.strayed else self._sent.get(reference.positions.tobytes())
+        if sent is not None and now - sent <= LATELY:
+            self._unfollowed = 0.0
+            command = self._motion.advance(seconds)
+        elif sent is not None and self._unfollowed < PATIENCE:
+            self._unfollowed += seconds
+            self._motion.rest()
+            command = self._motion.command()
+        else:
+            command = self._begun(reference, seconds)
+        self._note(command.positions, now)
+        return command
+
+    def _begun(self, reference: Command, seconds: float) -> Command:
+        place, aside = self._motion.off(reference.positions)
+        self.strayed = aside > ASIDE
+        if self.strayed:
+            return Command(reference.positions, reference.velocities * 0.0)
+        self._motion.begin(place, reference.velocities)
+        return self._motion.advance(seconds)
+
+    def _note(self, positions: Joints, now: float) -> None:
+        self._sent[positions.tobytes()] = now
+        while len(self._sent) > 1 and now - next(iter(self._sent.values())) > LATELY + PATIENCE:
+            self._sent.popitem(last=False)

@@ -1,0 +1,150 @@
+"""Instances that may or may not be in control of one arm: whoever gets through, the arm doesn't jump."""
+
+from __future__ import annotations
+
+from collections import deque
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+
+from manipulation_arm import HOME
+from manipulation_robot.controller import Controller
+from manipulation_stack.following import Follower
+from manipulation_stack.motion import SPEED, Command, Motion
+
+PERIOD = 0.02
+UNDISTURBED = SPEED * PERIOD
+
+
+def motion(*corners: float) -> Motion:
+    """Through these positions of the first joint, and back with the second one."""
+    way = np.tile(HOME, (1 + len(corners), 1))
+    way[1:, 0] += corners
+    points = [HOME[None]]
+    for begin, end in pairwise(way):
+        points.append(np.linspace(begin, end, 101)[1:])
+    return Motion(np.concatenate(points))
+
+
+class Scene:
+    """An arm and those that command it, each of which hears the arm's reference some ticks late."""
+
+    def __init__(self, *followers: Follower, late: int = 3) -> None:
+        self.followers = followers
+        self.controller = Controller(HOME)
+        self.steps: list[float] = []
+        self._told = deque([self._reference(0.0)] * late, maxlen=late)
+        self._now = 0.0
+        # No two processes tick at exactly the same intervals.
+        self._ticks = np.random.default_rng(3)
+
+    def _reference(self, now: float) -> Command:
+        return Command(self.controller.positions.copy(), self.controller.velocities(now).copy())
+
+    def run(self, seconds: float, *, through: int | None, silent: tuple[int, ...] = ()) -> None:
+        """Let time pass, with the commands of one of them getting through to the arm."""
+        for _ in range(round(seconds / PERIOD)):
+            self._now += PERIOD
+            told = self._told[0]
+            for number, follower in enumerate(self.followers):
+                if number in silent:
+                    continue
+                command = follower.step(told, self._now, PERIOD * self._ticks.uniform(0.9, 1.1))
+                if number == through:
+                    self.steps.append(self.controller.command(command.positions, command.velocities, now=self._now))
+            self._told.append(self._reference(self._now))
+
+    @property
+    def moved(self) -> float:
+        """Of the first joint."""
+        return float(self.controller.positions[0] - HOME[0])
+
+
+def assert_no_jump(scene: Scene) -> None:
+    assert max(scene.steps) <= 1.2 * UNDISTURBED
+
+
+def test_one_that_is_in_control_goes_its_way_to_the_end() -> None:
+    scene = Scene(Follower(motion(1.0)))
+    scene.run(4.0, through=0)
+    assert scene.moved == pytest.approx(1.0)
+    assert scene.followers[0].arrived
+    assert_no_jump(scene)
+
+
+def test_one_that_stands_by_stays_one_step_from_the_arm_and_takes_over_without_a_jump() -> None:
+    scene = Scene(Follower(motion(1.0)), Follower(motion(1.0)))
+    scene.run(0.9, through=0)
+    before = scene.moved
+    assert 0.2 < before < 0.8
+    scene.run(0.3, through=None, silent=(0,))
+    assert scene.moved == before, "it holds"
+    scene.run(4.0, through=1, silent=(0,))
+    assert scene.moved == pytest.approx(1.0)
+    assert_no_jump(scene)
+
+
+@pytest.mark.parametrize("gap", [0.0, 0.02, 0.06, 0.1, 0.2, 1.0, 3.0])
+def test_however_long_nobody_gets_through_there_is_no_jump(gap: float) -> None:
+    scene = Scene(Follower(motion(1.0)), Follower(motion(1.0)))
+    scene.run(0.9, through=0)
+    scene.run(gap, through=None, silent=(0,))
+    scene.run(4.0, through=1, silent=(0,))
+    assert scene.moved == pytest.approx(1.0)
+    # One that takes over from a moving arm hears of it three ticks late.
+    assert max(scene.steps) <= (2.0 if gap else 4.5) * UNDISTURBED
+
+
+def test_one_that_is_cut_off_and_heard_again_much_later_doesn_t_jump() -> None:
+    scene = Scene(Follower(motion(1.0)))
+    scene.run(0.9, through=0)
+    scene.run(3.0, through=None)
+    scene.run(4.0, through=0)
+    assert scene.moved == pytest.approx(1.0)
+    assert_no_jump(scene)
+
+
+def test_one_that_begins_anew_goes_on_from_where_the_arm_was_left() -> None:
+    scene = Scene(Follower(motion(1.0)))
+    scene.run(0.9, through=0)
+    scene.run(0.3, through=None)
+    left = scene.moved
+    way = np.linspace(scene.controller.positions, HOME + np.array((1.0, 0, 0, 0, 0, 0)), 60)
+    scene.followers = (Follower(Motion(way)),)
+    scene.run(0.5, through=0)
+    assert left < scene.moved < 1.0
+    scene.run(4.0, through=0)
+    assert scene.moved == pytest.approx(1.0)
+    assert_no_jump(scene)
+
+
+def test_one_whose_way_is_another_one_waits_at_the_arm_and_asks_for_a_new_way() -> None:
+    scene = Scene(Follower(motion(1.0)), Follower(motion(-1.0)))
+    scene.run(0.9, through=0)
+    first, other = scene.followers
+    assert other.strayed
+    assert not first.strayed
+    scene.run(0.2, through=None, silent=(0,))
+    held = scene.moved
+    scene.run(0.5, through=1, silent=(0,))
+    assert scene.moved == held
+    other.replace(Motion(np.linspace(scene.controller.positions, HOME, 60)))
+    scene.run(4.0, through=1, silent=(0,))
+    assert scene.moved == pytest.approx(0.0)
+    assert not other.strayed
+    assert_no_jump(scene)
+
+
+def test_an_arm_that_is_late_makes_a_motion_rest_and_not_go_back() -> None:
+    scene = Scene(Follower(motion(1.0)))
+    scene.run(0.9, through=0)
+    scene.run(0.3, through=None)
+    before = scene.moved
+    moved = []
+    for _ in range(50):
+        scene.run(PERIOD, through=0)
+        moved.append(scene.moved)
+    assert min(moved) >= before

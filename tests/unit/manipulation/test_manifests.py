@@ -1,0 +1,97 @@
+"""The manipulation example's manifests agree with each other, with the API's models and with the trees."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from understudy.api import names
+from understudy.api.policies import FailurePolicySpec
+from understudy.api.pools import FallbackPoolSpec
+from understudy.api.workloads import RobotWorkloadSpec
+from understudy.trees.forms import load_monitoring
+
+EXAMPLE = Path(__file__).parents[3] / "examples" / "manipulation"
+FILES = sorted([*(EXAMPLE / "manifests").rglob("*.yaml"), *(EXAMPLE / "moveit2").rglob("*.yaml")])
+MODELS = {"RobotWorkload": RobotWorkloadSpec, "FailurePolicy": FailurePolicySpec, "FallbackPool": FallbackPoolSpec}
+ALL: list[tuple[Path, dict[str, Any]]] = [(f, m) for f in FILES for m in yaml.safe_load_all(f.read_text())]
+
+
+def of_kind(kind: str, folder: str = "") -> list[dict[str, Any]]:
+    return [m for file, m in ALL if m["kind"] == kind and (not folder or folder in file.parts)]
+
+
+OURS = [m for kind in MODELS for m in of_kind(kind)]
+
+
+def covers(read: Any, written: Any) -> bool:
+    if isinstance(written, dict):
+        return isinstance(read, dict) and all(k in read and covers(read[k], v) for k, v in written.items())
+    if isinstance(written, list):
+        return isinstance(read, list) and len(read) == len(written) and all(map(covers, read, written))
+    return bool(read == written)
+
+
+def test_every_file_is_known_here() -> None:
+    assert [str(f.relative_to(EXAMPLE)) for f in FILES] == [
+        "manifests/client.yaml",
+        "manifests/robot.yaml",
+        *(f"manifests/strategies/{name}.yaml" for name in ("executing", "pod-started", "restart")),
+        "manifests/workload.yaml",
+        *(f"moveit2/{name}.yaml" for name in ("executing", "restart", "workload")),
+    ]
+
+
+@pytest.mark.parametrize("manifest", OURS, ids=lambda m: m["metadata"]["name"])
+def test_specs_are_what_the_models_say(manifest: dict[str, Any]) -> None:
+    spec = MODELS[manifest["kind"]].model_validate(manifest["spec"])
+    # The models ignore unknown fields; whatever was written must come back.
+    assert covers(spec.to_wire(), manifest["spec"])
+    if isinstance(spec, FailurePolicySpec):
+        load_monitoring(spec.monitoring)
+
+
+@pytest.mark.parametrize("folder", ["manifests", "moveit2"])
+def test_references_lead_somewhere(folder: str) -> None:
+    policies = {m["metadata"]["name"]: m["spec"] for m in of_kind("FailurePolicy", folder)}
+    pools = {m["metadata"]["name"]: m["spec"] for m in of_kind("FallbackPool", folder)}
+    (workload,) = of_kind("RobotWorkload", folder)
+    assert workload["spec"]["failurePolicyRef"]["name"] in policies
+    assert {s["poolRef"]["name"] for p in policies.values() for s in p["strategies"] if "poolRef" in s} == set(pools)
+    for pool in pools.values():
+        assert pool["workloadSelector"]["matchLabels"].items() <= workload["metadata"]["labels"].items()
+        if "templateFrom" in pool:
+            assert pool["templateFrom"]["workload"] == workload["metadata"]["name"]
+
+
+@pytest.mark.parametrize("folder", ["manifests", "moveit2"])
+def test_every_policy_means_the_same_by_healthy(folder: str) -> None:
+    first, *others = of_kind("FailurePolicy", folder)
+    for other in others:
+        assert other["spec"]["monitoring"] == first["spec"]["monitoring"]
+
+
+@pytest.mark.parametrize("file", ["robot.yaml", "client.yaml"])
+def test_configuration_comes_from_what_the_operator_writes(file: str) -> None:
+    (workload,) = {m["metadata"]["name"] for m in of_kind("RobotWorkload", "manifests")}
+    text = "\n".join(line.split("#")[0] for line in (EXAMPLE / "manifests" / file).read_text().splitlines())
+    used = {word.strip("{},") for word in text.split() if word.startswith(f"{workload}-")}
+    assert used
+    assert used <= {names.robot_env(workload), names.robot_profiles(workload)}
+
+
+def test_commands_name_modules_that_are_in_the_image() -> None:
+    for kind in ("Deployment", "RobotWorkload", "Job"):
+        for manifest in of_kind(kind, "manifests"):
+            (container,) = manifest["spec"]["template"]["spec"]["containers"]
+            assert container["command"][:2] == ["python3", "-m"]
+            assert (EXAMPLE / "src" / container["command"][2] / "__main__.py").is_file()
+            assert container["imagePullPolicy"] == "IfNotPresent"
+
+
+def test_real_moveit_is_the_same_workload_to_its_robot() -> None:
+    (ours,), (moveit,) = of_kind("RobotWorkload", "manifests"), of_kind("RobotWorkload", "moveit2")
+    assert moveit["metadata"] == ours["metadata"]
