@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
-from tests.e2e.console import understudy
+from tests.e2e.console import completed, understudy
 from tests.e2e.scenario import Robot
 
 
-def test_a_robot_is_told_before_and_after_a_failure(executing: Robot) -> None:
+def test_a_robot_is_told_before_and_after_a_failure(executing: Robot, tmp_path: Path) -> None:
     kubectl, name = executing.kubectl, executing.workload
     active = executing.wait_protected()
     executing.wait_standby()
 
+    assert completed(kubectl, "explain", name[:3], tmp_path) == [name]
     explained = understudy(kubectl, "explain", name)
     assert explained.returncode == 0, explained.stderr
     assert f"In control: {active} on " in explained.stdout

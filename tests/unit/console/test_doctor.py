@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
+import time
 from dataclasses import replace
 from typing import Any
 
@@ -22,6 +23,7 @@ from understudy.console.packets import Seen
 from understudy.console.proxying import Answer, Refused
 from understudy.controller import gates
 from understudy.controller.desired import Images
+from understudy.mitigation.progress import rfc3339
 
 ENFORCED = Seen(
     ("n1", "n2"), before=True, established=0.03, fresh=False, others=True, opened=0.02, closed=0.01, lifted=0.04
@@ -287,6 +289,34 @@ def test_clocks_are_compared_with_each_other_and_not_with_this_machine_s(ahead: 
 def test_a_clock_that_was_told_vaguely_is_not_said_to_be_wrong() -> None:
     assert clocks.judge({"n1": Clock(0.0, 0.2), "n2": Clock(0.3, 0.2)}, None).level == "OK"
     assert clocks.judge({"n1": Clock(0.0, 0.2)}, None).level == "WARN"
+
+
+def test_many_clocks_are_not_all_named() -> None:
+    found = clocks.judge({f"n{number}": Clock(0.0, 0.001) for number in range(9)}, None)
+    assert "(n0, n1, n2, n3 and 5 more; this machine's is" in found.found
+
+
+def test_a_clock_that_is_surely_wrong_counts_more_than_one_that_may_be() -> None:
+    found = clocks.judge({"n1": Clock(0.0, 0.001), "n2": Clock(0.6, 0.001), "n3": Clock(0.7, 0.3)}, None)
+    assert found.found.startswith("that of n2 is 600 ms ahead of that of n1, give or take 2 ms")
+
+
+def test_a_node_s_clock_is_told_by_when_its_lease_comes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(clocks, "LOOK", 0.05)
+    ahead, begun = 30.0, time.time()
+
+    class Leases:
+        def request(self, method: str, path: str) -> Answer:
+            now = time.time()
+            renewed = rfc3339(begun + (0.4 if now > begun + 0.4 else 0.0) + ahead)
+            return Answer(
+                {"items": [{"metadata": {"name": "n1"}, "spec": {"renewTime": renewed}}]}, "", now, time.time()
+            )
+
+    with clocks.OfNodes(Leases()) as nodes:  # type: ignore[arg-type]
+        time.sleep(1.0)
+    clock = nodes.clocks["n1"]
+    assert abs(clock.ahead - ahead) <= clock.give + 0.001
 
 
 # -- discovery --------------------------------------------------------------------------------------------------------
