@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import copy
 import json
+import re
 import time
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -85,6 +87,35 @@ def test_a_warning_is_no_failure() -> None:
     assert json.dumps(findings.to_wire(FOUND[1:2])) == (
         '{"findings": [{"check": "gate", "level": "WARN", "found": "enforced late", "cure": "give it more CPU"}]}'
     )
+
+
+def shown() -> list[Finding]:
+    """What the page shows: a cluster that does all but one thing."""
+    page = [
+        Finding("Kubernetes", "OK", "v1.34.4"),
+        installed.operator(Installed(deployment("0.0.9"))),
+        *(
+            Finding(f"CRD {kind}", "OK", f"v1alpha1 of version {__version__}")
+            for kind in ("robotworkloads", "failurepolicies", "fallbackpools")
+        ),
+        Finding("your rights", "OK", "all that the verbs of this command need in fleet"),
+        Finding("operator's rights", "OK", "system:serviceaccount:system:account may do its work in fleet"),
+        *packets.judge(replace(ENFORCED, closed=0.034)),
+        graphs.judge(
+            fleet.well(),
+            {"ROS_DISCOVERY_SERVER": "10.96.0.7:11811"},
+            ["/base_driver", "/controller_server", "/understudy_monitor"],
+        ),
+        graphs.judge(fleet.degraded(), {"ROS_DISCOVERY_SERVER": "10.96.0.8:11811"}, []),
+        clocks.judge({"n1": Clock(0.0, 0.004), "n2": Clock(0.0001, 0.004)}, Clock(0.001, 0.009)),
+    ]
+    return page
+
+
+def test_the_page_shows_what_is_printed() -> None:
+    page = (Path(__file__).parents[3] / "docs" / "console.md").read_text()
+    (told,) = re.findall(r"```console\n\$ understudy doctor -n fleet\n(.*?)\n```", page, re.DOTALL)
+    assert told.splitlines() == list(findings.lines(shown(), columns=110, colours=False))
 
 
 # -- what is installed ------------------------------------------------------------------------------------------------
