@@ -30,6 +30,20 @@ def started(kubectl: Kubectl, command: str, *arguments: str) -> subprocess.Popen
     )  # fmt: skip
 
 
+def completed(kubectl: Kubectl, command: str, begun: str, folder: Path) -> list[str]:
+    """What a shell is told that may come next in kubectl's cluster and namespace, after ``understudy COMMAND`` and a word begun."""
+    line, answer = " ".join(["understudy", *_command(kubectl, command)[3:], begun]), folder / "answer"
+    asked = {
+        "_ARGCOMPLETE": "1",
+        "_ARGCOMPLETE_IFS": "\n",
+        "_ARGCOMPLETE_STDOUT_FILENAME": str(answer),
+        "COMP_LINE": line,
+        "COMP_POINT": str(len(line)),
+    }
+    subprocess.run([sys.executable, "-m", "understudy"], timeout=60, check=False, env=_environment() | asked)
+    return answer.read_text().split()
+
+
 def _command(kubectl: Kubectl, command: str, *arguments: str) -> list[str]:
     where = [f"--namespace={kubectl.namespace}", f"--kubeconfig={kubectl.kubeconfig}"]
     return [sys.executable, "-m", "understudy", command, *arguments, *where]

@@ -6,7 +6,7 @@ import csv
 import json
 from pathlib import Path
 
-from tests.e2e.console import understudy
+from tests.e2e.console import completed, understudy
 from tests.e2e.scenario import Robot
 
 
@@ -15,6 +15,7 @@ def test_a_robot_is_told_before_and_after_a_failure(executing: Robot, tmp_path: 
     active = executing.wait_protected()
     executing.wait_standby()
 
+    assert completed(kubectl, "explain", name[:3], tmp_path) == [name]
     explained = understudy(kubectl, "explain", name)
     assert explained.returncode == 0, explained.stderr
     assert f"In control: {active} on " in explained.stdout

@@ -49,6 +49,13 @@ def test_a_cluster_that_does_what_it_should_is_told_so(kubectl: Kubectl) -> None
     assert all(0 <= took < 1 for took in gate["seconds"].values()), gate
     assert left(kubectl) == []
 
+    missing = understudy(kubectl, "doctor", "--image", "localhost/nowhere:1")
+    assert missing.returncode == 1
+    assert "container doctor (image localhost/nowhere:1) can't start, ImagePullBackOff" in " ".join(
+        missing.stdout.split()
+    )
+    assert left(kubectl) == []
+
     kubectl.apply([DENIED])
     denied = understudy(kubectl, "doctor")
     assert denied.returncode == 1

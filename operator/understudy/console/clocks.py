@@ -1,17 +1,24 @@
-"""How far clocks differ: those of the nodes on which the doctor's pods are, that of the API server, and this machine's."""
+"""How far clocks differ: those of the nodes, that of the API server, and this machine's.
+
+The nodes of the doctor's pods are asked. Every other one writes its time into a Lease each ten seconds, which is seen when it comes.
+"""
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from email.utils import parsedate_to_datetime
 from typing import Any
 
+from understudy.cluster.client import LEASES
 from understudy.console.drawing import rough
 from understudy.console.findings import Finding
+from understudy.console.kubectl import Unusable
 from understudy.console.proxying import Api
 from understudy.console.sessions import Session
+from understudy.console.texts import unix
 
 CHECK = "clocks"
 
@@ -24,6 +31,13 @@ WRONG = 5.0
 ASKED = 7
 """Times that a clock is asked; the quickest answer tells it best."""
 
+LOOK = 0.5
+"""Seconds between two looks at the Leases of the nodes, by half of which their clocks are told."""
+
+MOST = 4
+"""Clocks that are named, where there are many."""
+
+_NODE_LEASES = LEASES.path("kube-node-lease")
 _TICK_WITHIN = 2.5
 _TICK_LOOK = 0.01
 
@@ -64,6 +78,43 @@ def of_api_server(api: Api) -> Clock | None:
     return None
 
 
+class OfNodes:
+    """Looks at the nodes' Leases while the context lasts."""
+
+    def __init__(self, api: Api) -> None:
+        self._api = api
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="clocks", daemon=True)
+        self.clocks: dict[str, Clock] = {}
+        """Those of the nodes that have written meanwhile; none where that may not be seen."""
+
+    def __enter__(self) -> OfNodes:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        before: dict[str, float] = {}
+        asked_before = 0.0
+        while not self._ended.is_set():
+            try:
+                answer = self._api.request("GET", _NODE_LEASES)
+            except Unusable:
+                return
+            written = {lease["metadata"]["name"]: lease["spec"].get("renewTime", "") for lease in answer.body["items"]}
+            now = {name: unix(moment) for name, moment in written.items() if moment}
+            for name in now.keys() & before.keys():
+                if now[name] != before[name]:
+                    # It was written after the look before had begun, and before this one had ended.
+                    middle, give = (asked_before + answer.answered) / 2, (answer.answered - asked_before) / 2
+                    self.clocks[name] = Clock(now[name] - middle, give)
+            before, asked_before = now, answer.asked
+            self._ended.wait(LOOK)
+
+
 def judge(nodes: Mapping[str, Clock], api_server: Clock | None) -> Finding:
     """What the clocks of these nodes, and of the API server, come to. This machine's has only to do with what is shown on it."""
     known = {**nodes, **({"the API server": api_server} if api_server is not None else {})}
@@ -71,12 +122,17 @@ def judge(nodes: Mapping[str, Clock], api_server: Clock | None) -> Finding:
         return Finding(
             CHECK, "WARN", "there is only one clock to look at", "run it where pods may be made on two nodes"
         )
-    first, last = min(known, key=lambda n: known[n].ahead), max(known, key=lambda n: known[n].ahead)
+    # What is surely apart counts: of two that were told vaguely, less than of two that were asked.
+    first = min(known, key=lambda name: known[name].ahead + known[name].give)
+    last = max(known, key=lambda name: known[name].ahead - known[name].give)
     apart = known[last].ahead - known[first].ahead
     give = known[last].give + known[first].give
-    among = f"{', '.join(known)}; this machine's is {_of_ours(known.values())}"
+    among = f"{_listed(known)}; this machine's is {_of_ours(known.values())}"
     if apart - give <= NOTICED:
-        return Finding(CHECK, "OK", f"at most {rough(apart + give)} apart ({among})")
+        most = max(clock.ahead + clock.give for clock in known.values()) - min(
+            clock.ahead - clock.give for clock in known.values()
+        )
+        return Finding(CHECK, "OK", f"at most {rough(most)} apart ({among})")
     return Finding(
         CHECK,
         "FAIL" if apart - give > WRONG else "WARN",
@@ -90,6 +146,12 @@ def _of_ours(clocks: Iterable[Clock]) -> str:
     ahead = [clock.ahead for clock in clocks]
     mean = sum(ahead) / len(ahead)
     return f"{rough(abs(mean))} {'behind' if mean > 0 else 'ahead'}"
+
+
+def _listed(known: Iterable[str]) -> str:
+    named = list(known)
+    more = f" and {len(named) - MOST} more" if len(named) > MOST else ""
+    return f"{', '.join(named[:MOST])}{more}"
 
 
 def to_wire(nodes: Mapping[str, Clock]) -> dict[str, Any]:

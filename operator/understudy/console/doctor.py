@@ -124,13 +124,17 @@ class _Examination:
 
     def _try(self, images: Images, workloads: Sequence[Object]) -> None:
         """What takes pods. Raises Unusable."""
-        with testpods.pair(self._kubectl, self._api, images, self._progress) as pods:
+        with (
+            clocks.OfNodes(self._api) as nodes,
+            testpods.pair(self._kubectl, self._api, images, self._progress) as pods,
+        ):
             seen = packets.measure(pods, self._progress)
             self.measured["gate"] = packets.to_wire(seen)
             self.found += packets.judge(seen)
-            self.measured["clocks"] = clocks.to_wire(seen.clocks)
-            self.found.append(clocks.judge(seen.clocks, clocks.of_api_server(self._api)))
             self.found += graphs.joined(pods, workloads, self._progress)
+        told = {**nodes.clocks, **seen.clocks}
+        self.measured["clocks"] = clocks.to_wire(told)
+        self.found.append(clocks.judge(told, clocks.of_api_server(self._api)))
 
 
 def _enforced(workloads: Sequence[Object]) -> Iterator[Finding]:

@@ -19,8 +19,10 @@ from understudy.console.texts import wrapped
 FENCED, UNSURE, CANT = 0, 1, 2
 """Exit statuses."""
 
-HEARD_WITHIN = 5.0
-"""Seconds for which the gate is kept closed against a monitor that hasn't heard of the pause yet."""
+HEARD_WITHIN = 30.0
+"""Seconds for which the gate is kept closed against a monitor that hasn't said that it has heard of the pause: one that is
+recovering the workload finishes that first.
+"""
 
 LOOK = 0.3
 """Seconds between two looks."""
@@ -54,26 +56,27 @@ def _fence(kubectl: Kubectl, item: Object, given: argparse.Namespace) -> int:
     pause = Pause(reason=reason, owner=given.owner[:128])
     # The pause goes first: a monitor opens a gate that is closed for no reason that it knows.
     kubectl.patch(WORKLOADS, name, {"spec": {"pause": pause.to_wire() | {"until": None}}})
-    shut_out, _ = _close(kubectl, name)
-    heard = robot(item).health == UNWATCHED or _heard(kubectl, name)
-    again, epoch = _close(kubectl, name)
-    pods = ", ".join(dict.fromkeys([*shut_out, *again])) or "nobody was in control"
+    shut_out, epoch = _close(kubectl, name)
     where = f"{item['metadata']['namespace']}/{name}"
-    told = [
-        f"{where}: gate closed at epoch {epoch} (shut out: {pods}), and {pause.words}. No command is sent to the robot in their place: "
-        "see that it stands.",
-        f"understudy resume {name} lets an instance in again, and the robot is driven on at once.",
-    ]
-    columns = terminal.columns(sys.stdout)
-    print("\n".join(line for text in told for line in wrapped(text, columns, indent=0)))
+    _say(f"{where}: gate closed at epoch {epoch} (shut out: {', '.join(shut_out) or 'nobody was in control'}).")
+    heard = robot(item).health == UNWATCHED or _heard(kubectl, name)
+    _close(kubectl, name)
+    _say(
+        f"It is {pause.words}. No command is sent to the robot instead: see that it stands. understudy resume {name} lets an instance in "
+        "again, and the robot is driven on at once."
+    )
     if heard:
         return FENCED
     print(
-        f"understudy fence: its monitor hasn't said within {HEARD_WITHIN:g} s that it leaves it alone, and might open the gate again: "
-        f"understudy explain {name}",
+        f"understudy fence: its monitor hasn't said within {HEARD_WITHIN:g} s that it leaves it alone, and may open the gate again when a "
+        f"recovery that is under way ends: see understudy explain {name}, and fence it again",
         file=sys.stderr,
     )
     return UNSURE
+
+
+def _say(text: str) -> None:
+    print("\n".join(wrapped(text, terminal.columns(sys.stdout), indent=0)), flush=True)
 
 
 def _close(kubectl: Kubectl, name: str) -> tuple[tuple[str, ...], int]:

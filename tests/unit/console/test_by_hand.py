@@ -51,7 +51,7 @@ def test_the_gate_is_closed_and_kept_so_by_a_pause(stand: Stand, capsys: pytest.
     assert (pause.reason, pause.owner, pause.until) == ("fenced: it is in the wrong aisle", "ann", None)
     told = capsys.readouterr().out
     assert told.startswith(
-        f"fleet/{ROBOT}: gate closed at epoch 42 (shut out: {before.active}), and paused by ann: fenced"
+        f"fleet/{ROBOT}: gate closed at epoch 42 (shut out: {before.active}).\nIt is paused by ann: fenced: it is"
     )
     assert f"understudy resume {ROBOT} lets an instance in again" in told
     written = [line for line in stand.asked if line.startswith("patch ")]
@@ -62,7 +62,7 @@ def test_a_gate_that_is_closed_already_is_left_as_it_is(stand: Stand, capsys: py
     stand.tell(fleet.around(heard(fleet.well())))
     assert fence.main([ROBOT, *REASON, "--yes"]) == 0
     assert fence.main([ROBOT, *REASON, "--yes"]) == 0
-    assert "gate closed at epoch 42 (shut out: nobody was in control)" in capsys.readouterr().out.splitlines()[2]
+    assert "gate closed at epoch 42 (shut out: nobody was in control)." in capsys.readouterr().out.splitlines()[2]
 
 
 def test_where_the_monitor_says_nothing_that_is_told(stand: Stand, capsys: pytest.CaptureFixture[str]) -> None:

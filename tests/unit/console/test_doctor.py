@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import copy
 import json
+import re
+import time
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -22,6 +25,7 @@ from understudy.console.packets import Seen
 from understudy.console.proxying import Answer, Refused
 from understudy.controller import gates
 from understudy.controller.desired import Images
+from understudy.mitigation.progress import rfc3339
 
 ENFORCED = Seen(
     ("n1", "n2"), before=True, established=0.03, fresh=False, others=True, opened=0.02, closed=0.01, lifted=0.04
@@ -83,6 +87,35 @@ def test_a_warning_is_no_failure() -> None:
     assert json.dumps(findings.to_wire(FOUND[1:2])) == (
         '{"findings": [{"check": "gate", "level": "WARN", "found": "enforced late", "cure": "give it more CPU"}]}'
     )
+
+
+def shown() -> list[Finding]:
+    """What the page shows: a cluster that does all but one thing."""
+    page = [
+        Finding("Kubernetes", "OK", "v1.34.4"),
+        installed.operator(Installed(deployment("0.0.9"))),
+        *(
+            Finding(f"CRD {kind}", "OK", f"v1alpha1 of version {__version__}")
+            for kind in ("robotworkloads", "failurepolicies", "fallbackpools")
+        ),
+        Finding("your rights", "OK", "all that the verbs of this command need in fleet"),
+        Finding("operator's rights", "OK", "system:serviceaccount:system:account may do its work in fleet"),
+        *packets.judge(replace(ENFORCED, closed=0.034)),
+        graphs.judge(
+            fleet.well(),
+            {"ROS_DISCOVERY_SERVER": "10.96.0.7:11811"},
+            ["/base_driver", "/controller_server", "/understudy_monitor"],
+        ),
+        graphs.judge(fleet.degraded(), {"ROS_DISCOVERY_SERVER": "10.96.0.8:11811"}, []),
+        clocks.judge({"n1": Clock(0.0, 0.004), "n2": Clock(0.0001, 0.004)}, Clock(0.001, 0.009)),
+    ]
+    return page
+
+
+def test_the_page_shows_what_is_printed() -> None:
+    page = (Path(__file__).parents[3] / "docs" / "console.md").read_text()
+    (told,) = re.findall(r"```console\n\$ understudy doctor -n fleet\n(.*?)\n```", page, re.DOTALL)
+    assert told.splitlines() == list(findings.lines(shown(), columns=110, colours=False))
 
 
 # -- what is installed ------------------------------------------------------------------------------------------------
@@ -287,6 +320,34 @@ def test_clocks_are_compared_with_each_other_and_not_with_this_machine_s(ahead: 
 def test_a_clock_that_was_told_vaguely_is_not_said_to_be_wrong() -> None:
     assert clocks.judge({"n1": Clock(0.0, 0.2), "n2": Clock(0.3, 0.2)}, None).level == "OK"
     assert clocks.judge({"n1": Clock(0.0, 0.2)}, None).level == "WARN"
+
+
+def test_many_clocks_are_not_all_named() -> None:
+    found = clocks.judge({f"n{number}": Clock(0.0, 0.001) for number in range(9)}, None)
+    assert "(n0, n1, n2, n3 and 5 more; this machine's is" in found.found
+
+
+def test_a_clock_that_is_surely_wrong_counts_more_than_one_that_may_be() -> None:
+    found = clocks.judge({"n1": Clock(0.0, 0.001), "n2": Clock(0.6, 0.001), "n3": Clock(0.7, 0.3)}, None)
+    assert found.found.startswith("that of n2 is 600 ms ahead of that of n1, give or take 2 ms")
+
+
+def test_a_node_s_clock_is_told_by_when_its_lease_comes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(clocks, "LOOK", 0.05)
+    ahead, begun = 30.0, time.time()
+
+    class Leases:
+        def request(self, method: str, path: str) -> Answer:
+            now = time.time()
+            renewed = rfc3339(begun + (0.4 if now > begun + 0.4 else 0.0) + ahead)
+            return Answer(
+                {"items": [{"metadata": {"name": "n1"}, "spec": {"renewTime": renewed}}]}, "", now, time.time()
+            )
+
+    with clocks.OfNodes(Leases()) as nodes:  # type: ignore[arg-type]
+        time.sleep(1.0)
+    clock = nodes.clocks["n1"]
+    assert abs(clock.ahead - ahead) <= clock.give + 0.001
 
 
 # -- discovery --------------------------------------------------------------------------------------------------------
