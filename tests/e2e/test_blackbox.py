@@ -46,13 +46,16 @@ def test_a_failure_is_kept_with_what_led_to_it(executing: Robot, tmp_path: Path)
 
     last, detected = recovery.moments["lastHealthy"], recovery.moments["detected"]
     with Bag.open(str(path)) as bag:
-        commands = messages(bag, COMMANDS)
-        before = [(taken.received, command.twist) for taken, command in commands if taken.received <= last + 0.001]
+        commands = [(taken.received, command) for taken, command in messages(bag, COMMANDS)]
+        before = [(at, command) for at, command in commands if at <= last + 0.001]
         assert before[-1][0] == pytest.approx(last, abs=0.002), "the last command before the failure is in it"
         assert before[0][0] < last - KEPT / 2
-        assert any(taken.received > detected for taken, _ in commands), "and those of the one that took over"
+        assert {command.header.frame_id for _, command in before} == {old}, (
+            "the quickstart's commands say who sent them"
+        )
+        assert commands[-1][1].header.frame_id == recovery.new, "those of the one that took over are in it too"
         driven = [value for command in executing.log().of(old) for value in (command.linear, command.angular)]
-        recorded = [value for _, twist in before for value in (twist.linear.x, twist.angular.z)]
+        recorded = [value for _, one in before for value in (one.twist.linear.x, one.twist.angular.z)]
         assert recorded[-40:] == pytest.approx(driven[-40:], abs=1e-3), "as the robot had them"
         logs = [(taken.received, log.level, log.name, log.msg) for taken, log in messages(bag, EVENTS)]
         (failed,) = [log for log in logs if log[3].startswith("detected: ")]

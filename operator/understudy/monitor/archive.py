@@ -68,10 +68,10 @@ class Archive:
             with contextlib.suppress(OSError):
                 fresh.unlink(missing_ok=True)
             raise
-        kept = [told, *(one for one in self.recordings if one.id != told.id)]
+        self._kept = kept = [told, *(one for one in self.recordings if one.id != told.id)]
         while len(kept) > most or sum(one.size for one in kept) > most_bytes:
-            self._remove(self.path(kept.pop()))
-        self._kept = kept
+            self._remove(self.path(kept[-1]))
+            self._kept = kept = kept[:-1]
         return told
 
     def _replace(self, path: Path, data: bytes) -> None:

@@ -70,6 +70,8 @@ class BlackBox:
         self._due: deque[_Due] = deque()
         self._states: Sequence[Shown] = ()
         self._next_trace = 0.0
+        self._last = 0
+        """Number of the recovery that was recorded last."""
         self._told = ""
         self.pages: dict[str, Page] = {}
         """The recordings, and what there is of them, by path."""
@@ -161,7 +163,7 @@ class BlackBox:
         left_out = dict(ring.left_out)
         if not self._present and not self._due:
             ring.let_go()
-        if any(one.number == recovery.number for one in self._archive.recordings):
+        if recovery.number == self._last:
             return  # it failed again like before: how it began is kept
         events, problem = await self._events(progress)
         if problem:
@@ -193,7 +195,7 @@ class BlackBox:
             return
         finally:
             self._offer()
-        self._told = ""
+        self._told, self._last = "", kept.number
         _logger.info("recovery %d is recorded: %d messages, %d bytes", kept.number, kept.messages, kept.size)
 
     async def _events(self, progress: Progress) -> tuple[list[Object], str]:

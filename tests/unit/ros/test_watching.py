@@ -7,7 +7,11 @@ import pytest
 
 pytest.importorskip("rclpy")
 
+from rclpy.serialization import deserialize_message
+
 from understudy.ros import watching as module
+from understudy.ros.rings import Ring
+from understudy.ros.types import message_class
 from understudy.ros.watching import Watching, depth
 from understudy.trees.health import WatchedTopic
 from understudy.trees.loading import load
@@ -51,6 +55,25 @@ def test_samples_that_never_came_are_counted(watching, processes, eventually):
     watching.drain()
     (source,) = watching.records("/chat").values()
     assert source.lost > 30
+
+
+def test_messages_are_kept_as_they_came_where_there_is_a_ring(watching, processes, eventually):
+    ring = Ring(60.0, 1_000_000)
+    watching.follow([WatchedTopic("/chat", None, 0.0, None)])  # its type is only known once somebody publishes it
+    watching.record(ring)
+    processes.node("publish", "/chat", "50", "100")
+    eventually(lambda: watching.drain() and watching.topic("/chat").count > 5)
+    watching.follow([WatchedTopic("/chat", None, 0.0, 400.0)])  # by another subscription
+    eventually(lambda: watching.drain() and watching.topic("/chat").count > 15)
+    (taken,) = ring.taken(0.0)
+    assert (taken.topic, taken.type, len(taken.messages)) == ("/chat", STRING, watching.topic("/chat").count)
+    assert {deserialize_message(data, message_class(STRING)).data for *_, data in taken.messages} == {"x" * 100}
+    assert [received for received, *_ in taken.messages][-1] == watching.topic("/chat").last
+    assert all(sent <= received for received, sent, *_ in taken.messages)
+    watching.record(None)
+    before = watching.topic("/chat").count
+    eventually(lambda: watching.drain() and watching.topic("/chat").count > before + 5)
+    assert len(next(ring.taken(0.0)).messages) == len(taken.messages)
 
 
 def test_type_is_learnt_from_the_graph_where_the_tree_gives_none(watching, processes, eventually):
