@@ -5,6 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from tests.unit.controller.test_choosing import auto, order, pools_of, told, warm
 from tests.unit.controller.world import (
@@ -21,8 +23,9 @@ from tests.unit.controller.world import (
     standby_pod,
     workload,
 )
+from understudy.api.settings import WorkloadSettings
 from understudy.cluster.client import POLICIES, POOLS, WORKLOADS, Object
-from understudy.controller import affected, policies
+from understudy.controller import affected, objects, policies
 from understudy.controller.expectations import Expectations
 from understudy.controller.observing import Observer
 from understudy.controller.stores import Store
@@ -311,3 +314,51 @@ async def test_a_pool_wants_no_standby_of_a_workload_in_whose_situation_it_does_
 def test_pods_of_a_shared_pool_that_a_situation_names_concern_its_workloads() -> None:
     assert affected.policies.named_pools(CARRYING) == ["warm", "spare", "hot", "spare"]
     assert created(world().plan(), "pods") == []
+
+
+STEPS = st.lists(
+    st.one_of(
+        st.tuples(st.just("enter"), st.sampled_from(["", "carrying", "lifting", "parked"])),
+        st.tuples(st.just("ready"), st.sampled_from(["hot", "warm", "cold"])),
+        st.tuples(st.just("look"), st.just("")),
+    ),
+    min_size=1,
+    max_size=25,
+)
+
+
+@settings(deadline=None, max_examples=30)
+@given(STEPS)
+def test_in_whatever_order_situations_and_standbys_come_there_is_no_moment_without_protection(
+    steps: list[tuple[str, str]],
+) -> None:
+    asked = situational(
+        ("carrying", ("hot", "spare")), ("lifting", ("cold", "hot")), ("parked", ("spare",)), always=("warm",)
+    )
+    made = world(asked)
+    made.others.append(warm("cold"))
+    for kind, what in steps:
+        if kind == "enter":
+            enter(made, what)
+        for pod in made.pods if kind == "ready" else ():
+            if pod["metadata"]["labels"].get("understudy.dev/pool") == what:
+                pod["status"]["conditions"] = [{"type": "Ready", "status": "True"}]
+        before = _told_before(made)
+        assert made.condition("Protected")["status"] == "True"
+        plan = made.build()
+        gone = {name for name in deleted(plan) if name != "w-in-control"}
+        taken = {pod["metadata"]["labels"].get("understudy.dev/pool") for pod in made.pods if objects.name(pod) in gone}
+        assert not taken & {*before, *order(plan)}, "the monitor may take one of them still"
+        made.pods = [pod for pod in made.pods if objects.name(pod) not in gone]
+        made.pods += [
+            {**pod, "status": {"phase": "Running"}, "metadata": {"uid": objects.name(pod), **pod["metadata"]}}
+            for pod in created(plan, "pods")
+        ]
+        assert made.condition("Protected")["status"] == "True"
+
+
+def _told_before(made: World) -> list[str]:
+    """The pools of the strategies that the monitor was told last, and Restart."""
+    text = made.owned[("configmaps", "w-settings")]["data"]["settings.json"]
+    strategies = WorkloadSettings.model_validate_json(text).strategies or []
+    return [one.pool_ref.name if one.pool_ref is not None else one.type for one in strategies]
