@@ -31,9 +31,10 @@ from bench.scaling.counting import Reading
 from bench.scaling.exposition import Reading as Own
 from bench.scaling.fleets import Fleet, Robot, fleets
 from bench.scaling.growth import exponent, extrapolated
-from bench.scaling.operating import MISSED, Operator, Usage
+from bench.scaling.operating import MISSED, RESYNC, Operator, Usage
 
 CLAIM_P99, WRITES_MOST, CPU_MOST, MEMORY_MOST, START_MOST = 300.0, 6.0, 100.0, 250.0, 60.0
+RESYNC_MOST = START_MOST
 """The bounds: ms, API writes per failover, milli-CPU and MB at rest, seconds."""
 
 SETTLED = 1200.0
@@ -63,6 +64,8 @@ class Found:
     built: float = 0.0
     """Seconds until those that came last were built and driven."""
     rest: Usage | None = None
+    resync: float = 0.0
+    """Seconds that the operator's last list of everything took."""
     rest_writes: dict[str, float] = field(default_factory=dict)
     """By whom and what, during all of the rest."""
     rest_counted: Reading | None = None
@@ -175,6 +178,7 @@ class Bench:
         before, measure = self._cluster.counted(), operator.measure()
         time.sleep(self._options.rest)
         one.rest = measure.end()
+        one.resync = self._own(operator).total(RESYNC)
         now = self._cluster.counted()
         one.rest_counted = now.since(before)
         one.rest_writes = _all_writes(one.rest_counted)
@@ -444,6 +448,7 @@ def _tell_one(report: Report, one: Found, options: argparse.Namespace, *, last: 
     figure(
         "writes of a healthy workload", [sum(one.rest_writes.values()) / one.robots / minutes], "a minute", {"max": 0}
     )
+    figure("operator's list of everything", [one.resync], "s", {"max": RESYNC_MOST})
     figure("watches", [one.watches], "")
     figure("watch traffic at rest", [one.rest_counted.total(counting.BYTES) / 1e6 / minutes], "MB a minute")
     figure("API server's memory at rest", [one.server_memory], "MB")

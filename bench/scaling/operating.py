@@ -20,7 +20,8 @@ from bench.scaling.fleets import IMAGE
 
 QUEUE, RESYNCED, LEADER = "understudy_queue_length", "understudy_last_resync_timestamp_seconds", "understudy_leader"
 RECONCILED, MISSED = "understudy_reconciliations_total", "understudy_watch_missed_total"
-NAMES = frozenset({QUEUE, RESYNCED, LEADER, RECONCILED, MISSED})
+RESYNC = "understudy_last_resync_seconds"
+NAMES = frozenset({QUEUE, RESYNCED, LEADER, RECONCILED, MISSED, RESYNC})
 SAMPLE = 0.5
 """Seconds between two looks at its memory, and whether it is there."""
 

@@ -54,6 +54,7 @@ MISSED = Counter(
     ["resource"],
     registry=REGISTRY,
 )
+RESYNC_SECONDS = Gauge("understudy_last_resync_seconds", "How long it took to list everything last.", registry=REGISTRY)
 RESYNCED = Gauge("understudy_last_resync_timestamp_seconds", "When everything was listed last.", registry=REGISTRY)
 
 

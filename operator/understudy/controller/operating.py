@@ -97,6 +97,7 @@ class Operator:
         self._strays()
         self._resynced = time.monotonic()
         metrics.RESYNCED.set_to_current_time()
+        metrics.RESYNC_SECONDS.set(time.time() - begun)
 
     def _strays(self) -> None:
         """Pods that carry the label of a workload which isn't there: nobody else would look at them again."""
