@@ -109,14 +109,37 @@ PY_TREES = {
     "srv.CloseSnapshotStream.Request": {"topic_name": "string"},
     "srv.CloseSnapshotStream.Response": {"result": "boolean"},
 }
-PACKAGES = ("nav2_msgs", "tf2_msgs", "py_trees_ros_interfaces")
+# As control_msgs 5 has them (Jazzy).
+_POINT, _POINTS = "trajectory_msgs/JointTrajectoryPoint", "trajectory_msgs/MultiDOFJointTrajectoryPoint"
+CONTROL = {
+    "action.FollowJointTrajectory.Goal": {
+        "trajectory": "trajectory_msgs/JointTrajectory",
+        "multi_dof_trajectory": "trajectory_msgs/MultiDOFJointTrajectory",
+        "path_tolerance": "sequence<control_msgs/JointTolerance>",
+        "component_path_tolerance": "sequence<control_msgs/JointComponentTolerance>",
+        "goal_tolerance": "sequence<control_msgs/JointTolerance>",
+        "component_goal_tolerance": "sequence<control_msgs/JointComponentTolerance>",
+        "goal_time_tolerance": "builtin_interfaces/Duration",
+    },
+    "action.FollowJointTrajectory.Result": {"error_code": "int32", "error_string": "string"},
+    "action.FollowJointTrajectory.Feedback": {
+        "header": "std_msgs/Header",
+        "joint_names": "sequence<string>",
+        **dict.fromkeys(("desired", "actual", "error"), _POINT),
+        "multi_dof_joint_names": "sequence<string>",
+        **dict.fromkeys(("multi_dof_desired", "multi_dof_actual", "multi_dof_error"), _POINTS),
+    },
+    "msg.JointTolerance": {"name": "string", **dict.fromkeys(("position", "velocity", "acceleration"), "double")},
+}
+PACKAGES = ("nav2_msgs", "tf2_msgs", "py_trees_ros_interfaces", "control_msgs", "manipulation_interfaces")
 
 
 @pytest.mark.parametrize(
     ("package", "type_name", "fields"),
     [("nav2_msgs", name, fields) for name, fields in NAV2.items()]
     + [("tf2_msgs", name, fields) for name, fields in TF2.items()]
-    + [("py_trees_ros_interfaces", name, fields) for name, fields in PY_TREES.items()],
+    + [("py_trees_ros_interfaces", name, fields) for name, fields in PY_TREES.items()]
+    + [("control_msgs", name, fields) for name, fields in CONTROL.items()],
 )
 def test_types_have_the_fields_of_the_originals(package: str, type_name: str, fields: dict[str, str]) -> None:
     kind, *names = type_name.split(".")
