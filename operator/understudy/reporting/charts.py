@@ -17,7 +17,7 @@ from understudy.reporting.tables import span
 _ROOM = 97.0
 """Percent of the width up to which is drawn: marks at the end need some."""
 
-_JITTER = (0, 5, -5, 8, -8)
+_JITTER = (0, 4, -4, 7, -7)
 """Pixels by which marks are moved, in turn, so that those of one value are seen as several."""
 
 _LEAST_SHOWN = 0.15
@@ -47,7 +47,7 @@ def recovery_times(groups: Sequence[Group]) -> Markup:
                 rows.append(_bar(words, place(begin), place(seconds), top + 34, part))
             begin += seconds
         rows += _quantiles(group.spread, place, top + 30, 26)
-        rows += _dots(group.entries, group.times, place, top + 62)
+        rows += _dots(group.entries, group.times, place, top + 65)
     return _figure(
         "Recovery time by strategy",
         "; ".join(_said(group.name, group.spread) for group in groups),

@@ -31,6 +31,9 @@ def known(findings: Findings) -> Iterator[Markup]:
     """What the records are, and what they can't say of this period."""
     ever = sum(course.ever for course in findings.courses)
     kept = sum(course.kept for course in findings.courses)
+    if not ever:
+        yield element("p", "These robots have had no recovery since they were made.", class_="card")
+        return
     had = counted(ever, "recovery", "recoveries")
     told = (
         f"A RobotWorkload keeps the records of its last ten recoveries. Of {had} that these robots ever had, {kept} "

@@ -171,6 +171,7 @@ def test_what_is_not_known_is_said_first() -> None:
     assert "robot-2-drive: 2 of 12 are not kept; known since 2026-11-22 04:06:24Z" in told
     assert "Of 12 recoveries that these robots ever had, 10 are kept; 10 of those began in this period." in told
     assert "Not the whole period" not in read(fleet.whole()).text
+    assert "These robots have had no recovery since they were made." in read(fleet.quiet()).text
 
 
 def test_only_robots_to_which_something_happened_have_a_lane() -> None:
