@@ -151,7 +151,7 @@ def _told(content: Content) -> Iterator[Message]:
 
 
 def _moments(recovery: Recovery) -> Iterator[tuple[float, int, str, str]]:
-    for name, moment in recovery.moments.model_dump().items():
+    for name, moment in recovery.moments.to_wire().items():
         if (at := _unix(moment)) is not None:
             text = f"{name}: {recovery.reason}" if name == "detected" else name
             yield at, _WARN if name == "detected" else _INFO, "recovery", text
