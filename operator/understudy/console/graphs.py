@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from understudy.api import names
@@ -15,6 +16,12 @@ from understudy.controller.troubles import trouble
 
 WITHIN = 8.0
 """Seconds until a graph counts as empty; discovery takes less than one."""
+
+ALTOGETHER = 150.0
+"""Seconds after which no other graph is joined: the pods don't live for ever, and who asks doesn't wait for ever."""
+
+SILENT = 3
+"""Graphs in which nobody is found after which no other is joined."""
 
 _SERVER = "ROS_DISCOVERY_SERVER"
 
@@ -47,8 +54,18 @@ def joined(pods: Pods, workloads: Sequence[Object], progress: Callable[[str], No
     """Join each workload's graph and see who is there. Raises Unusable."""
     if not workloads:
         return
+    end, silent = time.monotonic() + ALTOGETHER, 0
     with pods.talking(pods.receiver, "graph") as talk:
-        for workload in workloads:
+        for number, workload in enumerate(workloads):
+            if silent >= SILENT or time.monotonic() > end:
+                yield Finding(
+                    "discovery of others",
+                    "WARN",
+                    f"{counted(len(workloads) - number, 'graph was', 'graphs were')} not joined, after "
+                    f"{f'{silent} without anybody' if silent >= SILENT else f'{ALTOGETHER:g} s'}",
+                    "name the robots to look at: understudy doctor NAME",
+                )
+                return
             progress(f"joining the ROS graph of {objects.name(workload)}")
             environment = _environment(pods.api, pods.kubectl.namespace, objects.name(workload))
             if environment is None:
@@ -59,7 +76,9 @@ def joined(pods: Pods, workloads: Sequence[Object], progress: Callable[[str], No
                     f"understudy explain {objects.name(workload)} says what it waits for",
                 )
                 continue
-            yield judge(workload, environment, talk.ask("graph", takes=WITHIN, environment=environment, seconds=WITHIN))
+            nodes = talk.ask("graph", takes=WITHIN, environment=environment, seconds=WITHIN)
+            silent += not nodes
+            yield judge(workload, environment, nodes)
 
 
 def judge(workload: Object, environment: Mapping[str, str], nodes: Sequence[str]) -> Finding:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import json
 import re
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -377,6 +380,24 @@ def test_an_empty_graph_is_told_with_what_to_look_at(discovery: Any, server: str
     found = graphs.judge(item, {"ROS_DISCOVERY_SERVER": server} if server else {}, [])
     assert found.level == "FAIL"
     assert cure in found.cure
+
+
+def test_a_fleet_that_finds_nobody_is_not_waited_for_to_its_last_robot() -> None:
+    class Pods:
+        receiver, api = None, Server({"*": {"data": {"ROS_DOMAIN_ID": "1", names.PROFILES_VARIABLE: "/etc/p.xml"}}})
+        kubectl = SimpleNamespace(namespace="fleet")
+
+        @contextlib.contextmanager
+        def talking(self, *_: object) -> Iterator[Any]:
+            yield SimpleNamespace(ask=self.ask)
+
+        def ask(self, what: str, *, environment: Any, **_: object) -> list[str]:
+            assert environment == {"ROS_DOMAIN_ID": "1"}, "with the robot's profiles it would take the robot's ports"
+            return []
+
+    found = list(graphs.joined(Pods(), [fleet.well()] * 5, lambda _: None))  # type: ignore[arg-type]
+    assert [one.level for one in found] == ["FAIL", "FAIL", "FAIL", "WARN"]
+    assert found[-1].found == "2 graphs were not joined, after 3 without anybody"
 
 
 def test_a_server_that_does_not_run_is_told_without_a_packet() -> None:
