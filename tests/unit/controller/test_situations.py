@@ -141,7 +141,9 @@ def test_after_it_the_same_in_the_other_direction() -> None:
     assert pools_of(plan) == {"warm"}
     assert deleted(plan) == []
     assert order(plan) == ["hot", "spare", "Restart"]
-    assert made.condition("SituationCovered")["message"].startswith("The situation carrying is over. Until")
+    assert made.condition("SituationCovered")["message"].startswith(
+        "The situation carrying is over. Until the policy's own first strategy can be carried out, the order stays Executing (hot)"
+    )
     made.pods.append(standby(made, "w-warm", "warm"))
     made.build()
     assert deleted(made.plan()) == ["w-hot"]
