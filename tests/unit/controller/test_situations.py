@@ -290,6 +290,13 @@ def test_a_pool_that_no_situation_finds_is_told_with_its_place() -> None:
     assert found.message.startswith('spec.situations[0].strategies[0].poolRef.name: FallbackPool "hot" is not in')
 
 
+def test_a_wait_for_a_standby_of_one_s_own_is_told_with_its_place() -> None:
+    asked = situational(("carrying", ("hot",)))
+    asked["spec"]["situations"][0]["strategies"][0]["waitFor"] = "5s"
+    (found,) = policies.conditions(asked, {"hot": hot(), "warm": warm(), "spare": spare()}, {})
+    assert found.message.startswith("spec.situations[0].strategies[0].waitFor: FallbackPool hot is Executing")
+
+
 def test_a_tree_that_does_not_load_is_told_with_its_place() -> None:
     asked = situational(("carrying", ("hot",)))
     asked["spec"]["situations"][0]["when"] = {"yaml": {"topik": {}}}
