@@ -240,6 +240,7 @@ def test_printed_columns(cluster: Cluster, make) -> None:
                 "strategies": "Executing (hot), Restart",
                 "recoveryCount": 3,
                 "lastRecoveryTime": workload["metadata"]["creationTimestamp"],
+                "situation": {"name": "carrying", "since": workload["metadata"]["creationTimestamp"]},
                 "kept": "/amcl_pose, /map",
                 "state": [
                     {"name": "/amcl_pose", "kind": "Topic", "takenAt": workload["metadata"]["creationTimestamp"]},
@@ -262,6 +263,7 @@ def test_printed_columns(cluster: Cluster, make) -> None:
     assert rows[1][6].endswith("s")
     wide = dict(zip(*_table(cluster.kubectl("get", "rw", "--namespace", namespace, "-o", "wide"))[:2], strict=True))
     assert wide["ORDER"] == "Executing (hot), Restart"
+    assert wide["SITUATION"] == "carrying"
     assert wide["KEPT"] == "/amcl_pose, /map"
     assert wide["TAKEN"].endswith("s")
     rows = _table(cluster.kubectl("get", "fp", "--namespace", namespace))

@@ -59,11 +59,11 @@ def told(asked: str, in_force: str, order: str, lacking: str) -> tuple[str, str]
         if asked:
             return "InForce", f"In the situation {asked}, in force: {order}."
         return "NoSituation", f"The robot is in none of the situations of its policy, in force: {order}."
-    what = f"The robot is in the situation {asked}" if asked else f"The situation {in_force} is over"
-    return (
-        "StandbyNotReady",
-        f"{what}. Until its first strategy can be carried out, the order stays {order}: {lacking}.",
-    )
+    what, whose = f"The robot is in the situation {asked}", "its"
+    if not asked:
+        what, whose = f"The situation {in_force} is over", "the policy's own"
+    told = f"{what}. Until {whose} first strategy can be carried out, the order stays {order}: {lacking}."
+    return "StandbyNotReady", told
 
 
 def first_kept(strategies: Sequence[Strategy], kept: Mapping[str, Any]) -> Strategy | None:

@@ -141,7 +141,9 @@ def test_after_it_the_same_in_the_other_direction() -> None:
     assert pools_of(plan) == {"warm"}
     assert deleted(plan) == []
     assert order(plan) == ["hot", "spare", "Restart"]
-    assert made.condition("SituationCovered")["message"].startswith("The situation carrying is over. Until")
+    assert made.condition("SituationCovered")["message"].startswith(
+        "The situation carrying is over. Until the policy's own first strategy can be carried out, the order stays Executing (hot)"
+    )
     made.pods.append(standby(made, "w-warm", "warm"))
     made.build()
     assert deleted(made.plan()) == ["w-hot"]
@@ -286,6 +288,13 @@ def test_a_pool_that_no_situation_finds_is_told_with_its_place() -> None:
     (found,) = policies.conditions(CARRYING, {"warm": warm(), "spare": spare()}, {})
     assert (found.status, found.reason) == ("False", "PoolNotFound")
     assert found.message.startswith('spec.situations[0].strategies[0].poolRef.name: FallbackPool "hot" is not in')
+
+
+def test_a_wait_for_a_standby_of_one_s_own_is_told_with_its_place() -> None:
+    asked = situational(("carrying", ("hot",)))
+    asked["spec"]["situations"][0]["strategies"][0]["waitFor"] = "5s"
+    (found,) = policies.conditions(asked, {"hot": hot(), "warm": warm(), "spare": spare()}, {})
+    assert found.message.startswith("spec.situations[0].strategies[0].waitFor: FallbackPool hot is Executing")
 
 
 def test_a_tree_that_does_not_load_is_told_with_its_place() -> None:
