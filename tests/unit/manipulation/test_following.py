@@ -148,3 +148,20 @@ def test_an_arm_that_is_late_makes_a_motion_rest_and_not_go_back() -> None:
         scene.run(PERIOD, through=0)
         moved.append(scene.moved)
     assert min(moved) >= before
+
+
+@pytest.mark.parametrize("stalled", [0.2, 1.0, 5.0])
+def test_an_arm_that_says_nothing_for_long_is_not_taken_for_one_that_follows_another(stalled: float) -> None:
+    follower = Follower(motion(1.0))
+    scene = Scene(follower)
+    scene.run(0.9, through=0)
+    silent = Command(scene.controller.positions.copy(), scene.controller.velocities(0.0).copy())
+    waiting = []
+    now = 0.9
+    for _ in range(round(stalled / PERIOD)):
+        now += PERIOD
+        waiting.append(follower.step(silent, now, PERIOD))
+    # It takes up all that it was sent meanwhile.
+    steps = [scene.controller.command(c.positions, c.velocities, now=now) for c in waiting]
+    assert max(steps) <= 1.2 * UNDISTURBED
+    assert len({c.positions.tobytes() for c in waiting[10:]}) <= 1, "it rests"

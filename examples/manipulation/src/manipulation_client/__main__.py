@@ -17,6 +17,7 @@ from manipulation_interfaces.action import MoveToPose
 from navigation_client.client import Client, Patience
 from navigation_robot.journal import Journal
 from rclpy.executors import ExternalShutdownException
+from rclpy.utilities import remove_ros_args
 
 
 class Poser(Client):
@@ -43,7 +44,7 @@ def main() -> int:
     parser.add_argument("--goals", type=int, default=6, help="how many")
     parser.add_argument("--within", type=float, default=300.0, help="seconds that a goal may take")
     parser.add_argument("--wait", type=float, default=120.0, help="seconds to wait for the server and for acceptance")
-    options = parser.parse_args()
+    options = parser.parse_args(remove_ros_args(sys.argv)[1:])
     rclpy.init()
     patience = Patience(server=options.wait, acceptance=options.wait, result=options.within)
     client = Poser(Journal(os.environ.get("MANIPULATION_CLIENT_LOG")), patience)

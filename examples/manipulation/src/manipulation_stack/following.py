@@ -18,7 +18,10 @@ LATELY = 0.1
 """s: a reference that was commanded longer ago is that of an arm which doesn't follow any more."""
 
 PATIENCE = 1.0
-"""s for which a motion rests before it is taken back to where the arm is: the arm's computer may only be busy."""
+"""s for which a motion rests, while the arm keeps saying that it doesn't follow, before it is taken back to where the arm is."""
+
+REMEMBERED = 500
+"""Commands that are still known as one's own: those of the last 10 s."""
 
 ASIDE = 0.004
 """rad that the arm may be off the way and still be on it: less than a step at full speed."""
@@ -31,6 +34,7 @@ class Follower:
         self._motion = motion
         self._sent: OrderedDict[bytes, float] = OrderedDict()
         self._unfollowed = 0.0
+        self._heard: Command | None = None
         self.strayed = False
         """Whether the arm isn't on the way: another way is needed, from where it is."""
 
@@ -49,18 +53,23 @@ class Follower:
         self._motion = motion
 
     def step(self, reference: Command, now: float, seconds: float) -> Command:
-        """The next command, so many seconds after the one before; ``reference`` is what the arm follows."""
+        """The next command, so many seconds after the one before.
+
+        ``reference`` is what the arm follows, the same object until the arm has said so again.
+        """
         # An arm that is held aside of the way follows as well, but not along the way.
         sent = None if self.strayed else self._sent.get(reference.positions.tobytes())
         if sent is not None and now - sent <= LATELY:
             self._unfollowed = 0.0
             command = self._motion.advance(seconds)
         elif sent is not None and self._unfollowed < PATIENCE:
-            self._unfollowed += seconds
+            # An arm that says nothing is busy, and takes up later what it was sent meanwhile.
+            self._unfollowed += seconds if reference is not self._heard else 0.0
             self._motion.rest()
             command = self._motion.command()
         else:
             command = self._begun(reference, seconds)
+        self._heard = reference
         self._note(command.positions, now)
         return command
 
@@ -74,5 +83,6 @@ class Follower:
 
     def _note(self, positions: Joints, now: float) -> None:
         self._sent[positions.tobytes()] = now
-        while len(self._sent) > 1 and now - next(iter(self._sent.values())) > LATELY + PATIENCE:
+        self._sent.move_to_end(positions.tobytes())
+        while len(self._sent) > REMEMBERED:
             self._sent.popitem(last=False)
