@@ -27,6 +27,7 @@ from understudy.cluster.client import (
     ApiError,
     Client,
     Expired,
+    Object,
     Resource,
 )
 from understudy.cluster.watching import RETRY_FIRST, RETRY_MOST
@@ -72,7 +73,7 @@ async def _keep(client: Client, see: See, resource: Resource, labels: str | None
                 async for kind, item in events:
                     retry = RETRY_FIRST
                     if kind != "BOOKMARK":
-                        see(resource, item, kind == "DELETED")
+                        _tell(see, resource, item, kind == "DELETED")
                     # What is there already comes in any order: until a bookmark, no version stands for all before it.
                     if kind == "BOOKMARK" or version != BEGINNING:
                         version = item["metadata"]["resourceVersion"]
@@ -83,3 +84,10 @@ async def _keep(client: Client, see: See, resource: Resource, labels: str | None
             _logger.log(level, "watching %s: %s", resource.plural, error or type(error).__name__)
             await asyncio.sleep(retry)
             retry = min(retry * 2, RETRY_MOST)
+
+
+def _tell(see: See, resource: Resource, item: Object, gone: bool) -> None:
+    try:
+        see(resource, item, gone)
+    except Exception:  # one object's surprise must not end the protection of all others
+        _logger.exception("%s %s", resource.plural, item["metadata"].get("name"))

@@ -16,6 +16,7 @@ from understudy.controller.resyncing import TREES
 
 Event = tuple[str, Object]
 BOOKMARK = "BOOKMARK"
+SURPRISING = "surprising"
 
 
 def told(kind: str, name: str, version: int) -> Event:
@@ -55,6 +56,8 @@ async def watched(client: Scripted, *namespaces: str) -> list[tuple[str, bool]]:
     seen: list[tuple[str, bool]] = []
 
     def see(resource: Resource, item: Object, gone: bool) -> None:
+        if item["metadata"]["name"] == SURPRISING:
+            raise KeyError("spec")
         seen.append((item["metadata"]["name"], gone))
 
     task = asyncio.create_task(following.watch(client, see, namespaces))
@@ -92,6 +95,11 @@ async def test_an_error_ends_nothing(error: Exception) -> None:
     client = Scripted(([told(BOOKMARK, "", 7)], error), ([told("ADDED", "b", 8)], None))
     assert await watched(client) == [("b", False)]
     assert client.begun == [following.BEGINNING, "7", "8"]
+
+
+async def test_an_object_that_surprises_does_not_keep_others_from_being_seen() -> None:
+    client = Scripted(([told("ADDED", SURPRISING, 3), told("ADDED", "b", 4)], None))
+    assert await watched(client) == [("b", False)]
 
 
 async def test_nodes_are_in_no_namespace_and_of_config_maps_only_trees_come() -> None:
