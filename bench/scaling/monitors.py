@@ -5,7 +5,6 @@ connections and watches. Run as a role of the bench (bench/roles.py).
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import gc
 import logging
 import resource
@@ -24,13 +23,14 @@ from bench.scaling.fleets import POOL, Robot
 from bench.scaling.senses import Application, Keeping, Probes, Sidecars, Sight
 from bench.scaling.watches import Borrowed, Drain
 from understudy.api import names
-from understudy.cluster.client import NETWORK_POLICIES, PODS, POLICIES, Access, ApiError
+from understudy.cluster.client import NETWORK_POLICIES, POLICIES, Access, ApiError
 from understudy.cluster.events import Recorder
 from understudy.cluster.watching import Reflector
 from understudy.mitigation.interfaces import Instance
 from understudy.mitigation.journal import Journal
 from understudy.mitigation.progress import Progress
 from understudy.mitigation.strategies import UninitializedFallback
+from understudy.mitigation.waiting import LOOK
 from understudy.monitor import supervising
 from understudy.monitor.faults import CrashPoints
 from understudy.monitor.fleet import Fleet
@@ -78,7 +78,6 @@ class Copies:
     """What all monitors of a namespace watch alike."""
 
     policies: Reflector
-    held: Reflector
     waiting: Reflector
 
 
@@ -99,7 +98,6 @@ class Monitor:
         async with asyncio.TaskGroup() as group:
             view = View(client, namespace, self.robot.name, on_pod=self.wake)
             view.policies = Borrowed(copies.policies, client, POLICIES, namespace)
-            view.held_pods = Borrowed(copies.held, client, PODS, namespace, labels=f"{names.HELD}=true")
             view.waiting_gates = Borrowed(copies.waiting, client, NETWORK_POLICIES, namespace, labels=names.WAITS_FOR)
             await view.run(group)
             crash_points = CrashPoints(self._state)
@@ -162,14 +160,13 @@ class Monitor:
         error = "no pod was free"
         while found is None and time.time() < begun + CLAIM_WITHIN:
             try:
+                await strategy.look(means, progress)
                 found = await strategy._claim(progress, means)
             except _UNREACHABLE as reason:
                 error = repr(reason)
                 break
             if found is None:
-                with contextlib.suppress(TimeoutError):
-                    async with asyncio.timeout(1.0):
-                        await means.queue.changed()
+                await asyncio.sleep(LOOK)
         tell(
             "claimed",
             robot=self.robot.key,
@@ -255,10 +252,9 @@ class Process:
     def _copy(self, namespace: str, client: Drain) -> Copies:
         copies = Copies(
             Reflector(client, POLICIES, namespace),
-            Reflector(client, PODS, namespace, labels=f"{names.HELD}=true"),
             Reflector(client, NETWORK_POLICIES, namespace, labels=names.WAITS_FOR),
         )
-        for one in (copies.policies, copies.held, copies.waiting):
+        for one in (copies.policies, copies.waiting):
             self._do(one.run())
         return copies
 

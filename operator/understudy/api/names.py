@@ -20,6 +20,9 @@ POOL = f"{GROUP}/pool"
 HELD = f"{GROUP}/held"
 """On unclaimed pods of an Uninitialized pool (value ``true``): their processes wait and they may send nothing."""
 
+PART = f"{GROUP}/part"
+"""On pods of an Uninitialized pool: the part of it that they belong to, so that who needs one needn't ask for all of them."""
+
 COMPONENT = f"{GROUP}/component"
 """``monitor``, ``discovery`` or ``instance``."""
 

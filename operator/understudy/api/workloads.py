@@ -455,6 +455,12 @@ class RobotWorkloadStatus(Model):
         default=None, description="Readiness of the standby, and how many of how many are ready."
     )
     strategy: str | None = Field(default=None, description="The strategy that would be used if it failed now.")
+    stocked: list[str] | None = Field(
+        default=None,
+        max_length=8,
+        description="The shared pools of its policy (Uninitialized) that have a pod which it could claim.",
+        json_schema_extra={"x-kubernetes-list-type": "atomic"},
+    )
     strategies: str | None = Field(
         default=None,
         description="The strategies in short, in order, with their pools. Why in this order, where they were chosen, the condition "

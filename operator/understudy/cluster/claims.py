@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import hashlib
 import time
+from collections.abc import Awaitable, Callable
+from typing import TypeVar
 
 import aiohttp
 
@@ -12,6 +15,16 @@ from understudy.api.base import API_VERSION
 from understudy.cluster.client import PODS, ApiError, Client, Object
 
 RETRY_FIRST, RETRY_MOST = 0.05, 1.0  # seconds
+
+PARTS = 16
+"""Of a shared pool's pods. Who needs one asks for one part: where a fleet's pool is large, all of it is a megabyte."""
+
+T = TypeVar("T")
+
+
+def part(key: str) -> str:
+    """The part of a pool that a pod belongs to, by its name, or that a workload asks for first, by its UID."""
+    return str(hashlib.sha256(key.encode()).digest()[0] % PARTS)
 
 
 async def claim(client: Client, pod: Object, *, workload: str, workload_uid: str, claim: str) -> Object:
@@ -47,10 +60,15 @@ def _unanswered(error: Exception) -> bool:
 
 async def _reread(client: Client, pod: Object) -> Object:
     """The pod as it is. Waits while the API server is away."""
+    return await answered(lambda: client.get(PODS, pod["metadata"]["namespace"], pod["metadata"]["name"]))
+
+
+async def answered(ask: Callable[[], Awaitable[T]]) -> T:
+    """What the API server says, asked until it does. Raises ApiError where it refuses."""
     retry = RETRY_FIRST
     while True:
         try:
-            return await client.get(PODS, pod["metadata"]["namespace"], pod["metadata"]["name"])
+            return await ask()
         except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
             if not _unanswered(error):
                 raise

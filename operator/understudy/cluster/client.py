@@ -233,10 +233,19 @@ class Client:
             raise
 
     async def list(
-        self, resource: Resource, namespace: str | None = None, *, labels: str | None = None, fields: str | None = None
+        self,
+        resource: Resource,
+        namespace: str | None = None,
+        *,
+        labels: str | None = None,
+        fields: str | None = None,
+        cached: bool = False,
     ) -> Object:
-        """A collection: ``items``, and ``metadata.resourceVersion`` to watch from."""
-        return await self.request("GET", resource.path(namespace), params=_selectors(labels, fields))
+        """A collection: ``items``, and ``metadata.resourceVersion`` to watch from. One that is ``cached`` is what the API server has in
+        memory: no older than what a watch brings, and without asking the store.
+        """
+        params = _selectors(labels, fields) | ({"resourceVersion": "0"} if cached else {})
+        return await self.request("GET", resource.path(namespace), params=params)
 
     async def pages(
         self, resource: Resource, namespace: str | None = None, *, labels: str | None = None, limit: int = PAGE

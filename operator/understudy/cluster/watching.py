@@ -31,11 +31,12 @@ class Reflector:
         *,
         labels: str | None = None,
         fields: str | None = None,
+        cached: bool = False,
         on_change: Callable[[], None] | None = None,
     ) -> None:
-        """``on_change`` is called whenever an object is new, changed or gone."""
+        """``on_change`` is called whenever an object is new, changed or gone. ``cached`` is how it's listed."""
         self._client, self._resource, self._namespace = client, resource, namespace
-        self._labels, self._fields = labels, fields
+        self._labels, self._fields, self._cached = labels, fields, cached
         self._on_change = on_change
         self._changed = asyncio.Event()
         self._told = 0
@@ -64,7 +65,9 @@ class Reflector:
 
     async def _relist(self) -> str:
         before = dict(self.items)
-        answer = await self._client.list(self._resource, self._namespace, labels=self._labels, fields=self._fields)
+        answer = await self._client.list(
+            self._resource, self._namespace, labels=self._labels, fields=self._fields, cached=self._cached
+        )
         version: str = answer["metadata"]["resourceVersion"]
         self._told = version_of(answer)
         fresh = {item["metadata"]["name"]: item for item in answer.get("items") or []}

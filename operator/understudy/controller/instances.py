@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from understudy.api import fencing, holding, names
+from understudy.cluster import claims
 from understudy.cluster.applying import digest
 from understudy.cluster.client import Object
 from understudy.controller import robots
@@ -188,6 +189,9 @@ def template_hash(built: Object) -> str:
 def pod(built: Object, *, name: str, namespace: str, owner: Object) -> Object:
     """A pod of a built template."""
     metadata = built["metadata"]
+    labels = {**metadata["labels"], names.INSTANCE: name}
+    if names.HELD in labels:
+        labels[names.PART] = claims.part(name)
     return {
         "apiVersion": "v1",
         "kind": "Pod",
@@ -195,7 +199,7 @@ def pod(built: Object, *, name: str, namespace: str, owner: Object) -> Object:
             **metadata,
             "name": name,
             "namespace": namespace,
-            "labels": {**metadata["labels"], names.INSTANCE: name},
+            "labels": labels,
             "ownerReferences": [owner],
         },
         "spec": built["spec"],

@@ -66,6 +66,7 @@ def status(
     return {
         "observedGeneration": objects.generation(workload),
         "standby": standby(observed, understanding),
+        **_stocked(observed, understanding),
         **_order(observed, understanding),
         "conditions": [c.to_wire() for c in conditions],
     }
@@ -140,6 +141,18 @@ def _order(observed: Observed, understanding: Understanding) -> Object:
         known = (observed.workload.get("status") or {}).get("strategies")
         return {"strategies": known} if known else {}
     return {"strategies": ", ".join(_short(observed, one) for one in workloads.strategies(observed))}
+
+
+def _stocked(observed: Observed, understanding: Understanding) -> Object:
+    """The shared pools that it could claim from. Its monitor goes by this until it needs a pod, and asks only then."""
+    shared = [p for p in observed.pools if policies.readiness(observed.pools[p]) == "Uninitialized"]
+    found = [
+        strategy.pool_ref.name
+        for strategy in _strategies(observed, understanding)
+        if strategy.pool_ref is not None and strategy.pool_ref.name in shared
+        if _means(observed, understanding, strategy).available
+    ]
+    return {"stocked": found} if found else {}
 
 
 def _short(observed: Observed, strategy: Strategy) -> str:

@@ -6,6 +6,7 @@ The monitor implements it with DDS and the Kubernetes API, tests without either.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -124,8 +125,20 @@ class Instances(Protocol):
     def of_workload(self) -> Sequence[Instance]:
         """Every instance of this workload, terminating ones included."""
 
+    async def look(self, pool: str, *, part: bool = False) -> None:
+        """Look which pods of a shared pool are unclaimed. Waits while the API server is away.
+
+        Where some are enough, ``part`` looks for those of one part of the pool, which is another for other workloads.
+        """
+
+    def followed(self, pool: str) -> AbstractAsyncContextManager[None]:
+        """Go on looking, meanwhile."""
+
+    def stocked(self, pool: str) -> bool:
+        """Whether a shared pool has a pod that this workload could claim, by what is known without looking."""
+
     def unclaimed(self, pool: str) -> Sequence[Instance]:
-        """Pods of a shared pool that are ready at its present template and belong to nobody."""
+        """Pods of a shared pool that are ready at its present template and belong to nobody, of those that were looked for."""
 
     async def claim(self, instance: Instance, claim: str) -> Instance:
         """Make an unclaimed pod an instance of this workload. Raises ClaimLost."""

@@ -28,7 +28,7 @@ from understudy.mitigation.interfaces import (
     Overtaken,
 )
 from understudy.mitigation.progress import PodIdentity, Progress
-from understudy.mitigation.waiting import YIELD_MOST, Queue, Waiter, before, in_order, left_by, turn
+from understudy.mitigation.waiting import YIELD_MOST, Queue, Waiter, at_once, before, in_order, left_by, turn
 
 _logger = logging.getLogger(__name__)
 
@@ -96,6 +96,14 @@ class Strategy(ABC):
     @abstractmethod
     def available(self, means: Means, progress: Progress | None = None) -> str | None:
         """Why it couldn't be used now, or None if it could."""
+
+    def outlook(self, means: Means) -> str | None:
+        """The same by what is known without asking, while nothing has failed."""
+        return self.available(means)
+
+    async def look(self, means: Means, progress: Progress | None = None) -> None:
+        """Look at what it goes by, where that isn't known without asking."""
+        return
 
 
 class ExecutingFallback(Strategy):
@@ -243,6 +251,17 @@ class UninitializedFallback(Strategy):
             return f"every ready pod of pool {self.pool} was claimed by another workload first"
         return f"pool {self.pool} has no unclaimed pod that is ready"
 
+    def outlook(self, means: Means) -> str | None:
+        return None if means.instances.stocked(self.pool) else f"pool {self.pool} has no pod that it could claim"
+
+    async def look(self, means: Means, progress: Progress | None = None) -> None:
+        # Where some are kept for others, or others wait, it matters how many there are.
+        if not self._reserved and not means.queue.others(self.pool):
+            await means.instances.look(self.pool, part=True)
+            if self._free(progress, means):
+                return
+        await means.instances.look(self.pool)
+
     def _unclaimed(self, progress: Progress | None, means: Means) -> list[Instance]:
         found = (i for i in means.instances.unclaimed(self.pool) if i.uid not in self._lost)
         return [i for i in found if not (progress and progress.has_failed(i.uid))]
@@ -255,18 +274,23 @@ class UninitializedFallback(Strategy):
     async def wait(self, progress: Progress, means: Means) -> None:
         if _committed_target(progress, means) is not None or self._claimed(progress, means) is not None:
             return
+        await self.look(means, progress)
         if progress.planned:  # nothing failed: it takes no pod that others need
             if (reason := self.available(means, progress)) is not None:
                 raise NotAvailable(reason)
             return
         me = self._place(progress, means)
+        free = len(self._free(progress, means))
+        if at_once(me, means.queue.others(self.pool), free, means.clock()):
+            return
 
         def needless() -> bool:
             means.agents.follow(means.instances.of_workload())  # those that come while it waits too
             return self._restarted(progress, means) is not None
 
         try:
-            async with asyncio.timeout(max(0.0, me.until - means.clock()) + 2 * YIELD_MOST):
+            within = max(0.0, me.until - means.clock()) + 2 * YIELD_MOST
+            async with asyncio.timeout(within), means.instances.followed(self.pool):
                 served = await turn(
                     me,
                     means.queue,
@@ -331,6 +355,7 @@ class UninitializedFallback(Strategy):
 
     async def make_ready(self, progress: Progress, means: Means, *, within: float, unfit: Unfit) -> Instance:
         end = _now() + within
+        await means.instances.look(self.pool)
         if (reason := self.available(means, progress)) is not None:
             raise NotAvailable(reason)
         reasons = [(i, unfit(i)) for i in self._free(progress, means)]
@@ -364,22 +389,26 @@ class UninitializedFallback(Strategy):
         return target
 
     async def _claim(self, progress: Progress, means: Means, unfit: Unfit = lambda instance: None) -> Instance | None:
-        """One of the pods that it may take; None where others were first."""
+        """One of the pods that it may take; None where others were first with all of them."""
+        while candidates := [i for i in self._candidates(progress, means) if unfit(i) is None]:
+            try:
+                return await means.instances.claim(candidates[0], _claim_of(progress, means))
+            except ClaimLost:
+                # Others are at it too, so the next one is gone as well by now, or not: to look is no write, to lose is.
+                self._lost.add(candidates[0].uid)
+                await self.look(means, progress)
+        return None
+
+    def _candidates(self, progress: Progress, means: Means) -> Sequence[Instance]:
+        """The pods that it may take, in the order in which it tries to."""
         others = means.queue.others(self.pool)
         ahead = before(self._place(progress, means), others, means.clock())
         candidates = left_by(ahead, self._free(progress, means))
         if progress.waiting is None and not others:
             # Where many fail at once, each begins with another pod: all but one would lose the race for the first one, and
             # for the second. Those that wait have an order instead.
-            candidates = apart(candidates, means.workload_uid)
-        for candidate in candidates:
-            if unfit(candidate) is not None:
-                continue
-            try:
-                return await means.instances.claim(candidate, _claim_of(progress, means))
-            except ClaimLost:
-                self._lost.add(candidate.uid)
-        return None
+            return apart(candidates, means.workload_uid)
+        return candidates
 
 
 def apart(pods: Sequence[Instance], workload_uid: str) -> list[Instance]:

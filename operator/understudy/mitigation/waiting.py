@@ -64,8 +64,8 @@ class Queue(Protocol):
     def gave_up(self, me: Waiter) -> None:
         """Tell people that its time was over."""
 
-    async def changed(self) -> None:
-        """Return when unclaimed pods, or who waits, may be others than before."""
+    async def changed(self, pool: str) -> None:
+        """Return when the unclaimed pods of a pool, while they are followed, or who waits, may be others than before."""
 
 
 def in_order(waiters: Iterable[Waiter], pool: str, now: float) -> list[Waiter]:
@@ -87,6 +87,11 @@ def due(ahead: int, free_since: Collection[float]) -> float | None:
         return None
     lacking = max(0, ahead + 1 - len(free_since))
     return min(free_since) + min(lacking * YIELD, YIELD_MOST)
+
+
+def at_once(me: Waiter, others: Iterable[Waiter], free: int, now: float) -> bool:
+    """Whether one needn't wait where there are so many free pods."""
+    return due(before(me, others, now), [now] * free) == now
 
 
 def left_by(ahead: int, pods: Sequence[Pod]) -> Sequence[Pod]:
@@ -132,6 +137,6 @@ async def turn(
             queue.waits(me, ahead, len(others) + 1)
         try:
             async with asyncio.timeout(max(0.0, min(now + LOOK, me.until if at is None else at) - now)):
-                await queue.changed()
+                await queue.changed(me.pool)
         except TimeoutError:
             continue

@@ -6,6 +6,7 @@ import asyncio
 import logging
 import time
 from collections.abc import Callable, Sequence
+from contextlib import AbstractAsyncContextManager
 
 from understudy.api import names
 from understudy.api.settings import WorkloadSettings
@@ -86,11 +87,13 @@ class Fleet:
         return next((i for i in self.of_workload() if i.uid == uid), None)
 
     def unclaimed(self, pool: str) -> Sequence[Instance]:
-        """Pods of a shared pool that are ready at its present template and belong to nobody, oldest first."""
+        """Pods of a shared pool that are ready at its present template and belong to nobody, oldest first; of those that were
+        looked for.
+        """
         current = {choice.name: choice.template_hash for choice in self._settings.pools}
         if pool not in current:
             return []
-        held = (instance_of(pod) for pod in self._view.held_pods.items.values())
+        held = (instance_of(pod) for pod in self._view.unclaimed(pool).items.values())
         fitting = [
             i
             for i in held
@@ -102,9 +105,21 @@ class Fleet:
         ]
         return sorted(fitting, key=lambda i: (i.created, i.name))
 
+    async def look(self, pool: str, *, part: bool = False) -> None:
+        """Look which pods of a shared pool are unclaimed, or which of some of them."""
+        await self._view.unclaimed(pool).look(claims.part(self._settings.uid) if part else "")
+
+    def followed(self, pool: str) -> AbstractAsyncContextManager[None]:
+        """Go on looking, meanwhile."""
+        return self._view.unclaimed(pool).followed()
+
+    def stocked(self, pool: str) -> bool:
+        """Whether a shared pool has a pod that this workload could claim, as the operator said last."""
+        return pool in self._view.stocked
+
     async def claim(self, instance: Instance, claim: str) -> Instance:
         """Make an unclaimed pod an instance of this workload. Raises ClaimLost."""
-        pod = self._view.held_pods.items.get(instance.name)
+        pod = self._view.unclaimed(instance.pool).items.get(instance.name)
         if pod is None or pod["metadata"]["uid"] != instance.uid:
             raise ClaimLost(instance.name)
         self._crash_points.step("before claim")

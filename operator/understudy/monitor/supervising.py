@@ -72,6 +72,9 @@ SETTLE = 2.0
 REFLEX_WITHIN = 10.0
 """Seconds within which a standby that took over by the reflex must be seen to drive alone, once the gate names it."""
 
+LOOK_WITHIN = 0.5
+"""Seconds that looking for what a planned hand-over needs may take."""
+
 SLOW = 1.0
 """Seconds between looks at what isn't urgent: labels, whether the gate is enforced."""
 
@@ -171,6 +174,9 @@ class Supervisor:
             failure = await self._watch()
             if failure.switch is not None:
                 await self._hand_over(failure.switch)
+                continue
+            policy, settings = self._view.policy, self._view.settings
+            if failure.planned and policy and settings and not await self._is_there(policy, settings):
                 continue
             prepared = self._switching.failed(failure.reason)
             active = self._fleet.find(self._gate.state.active_uid)
@@ -354,10 +360,25 @@ class Supervisor:
             self._levels.wait("budget", "the budget of the policy is spent, see WithinBudget")
             return None
         first = choices(policy, settings, self._view.spec)[0].strategy
-        if (lacking := first.available(self._means()) or self._holds(first)) is not None:
-            self._levels.wait("means", f"the first strategy can't be carried out ({lacking})")
+        if (lacking := first.outlook(self._means()) or self._holds(first)) is not None:
+            self._levels.wait("means", _not_now(lacking))
             return None
         return Failure(reason, self._onset(active.name, now), time.time(), planned=True)
+
+    async def _is_there(self, policy: FailurePolicySpec, settings: WorkloadSettings) -> bool:
+        """Whether what a hand-over that is due needs is there by what is so, and not only by what was said. Meanwhile nobody watches
+        the instance in control, so an answer that is slow is none.
+        """
+        first, means = choices(policy, settings, self._view.spec)[0].strategy, self._means()
+        try:
+            async with asyncio.timeout(LOOK_WITHIN):
+                await first.look(means)
+            lacking = first.available(means)
+        except (ApiError, TimeoutError) as error:
+            lacking = str(error) or "the API server doesn't answer"
+        if lacking is not None:
+            self._levels.wait("means", _not_now(lacking))
+        return lacking is None
 
     def _switch_due(self, policy: FailurePolicySpec, verdict: Verdict, now: float) -> Failure | None:
         """The planned switchover that can be carried out now, if there is one."""
@@ -526,7 +547,7 @@ class Supervisor:
         if policy is None or settings is None:
             return
         means = self._means()
-        reasons = [(c.strategy, c.strategy.available(means)) for c in choices(policy, settings, self._view.spec)]
+        reasons = [(c.strategy, c.strategy.outlook(means)) for c in choices(policy, settings, self._view.spec)]
         usable = next((s.name.split("/")[-1] for s, reason in reasons if reason is None), "None")
         item = self._view.object
         self._reporter.generation = item["metadata"].get("generation") if item else None
@@ -864,3 +885,7 @@ class Supervisor:
         self._debounce.clear()
         self._not_before = now + wait
         self._postponed = ""
+
+
+def _not_now(lacking: str) -> str:
+    return f"the first strategy can't be carried out ({lacking})"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from pydantic import ValidationError
 
@@ -15,6 +15,7 @@ from understudy.api.settings import WorkloadSettings
 from understudy.api.workloads import RobotWorkloadSpec
 from understudy.cluster.client import CONFIG_MAPS, NETWORK_POLICIES, PODS, POLICIES, WORKLOADS, Client, Object
 from understudy.cluster.watching import Reflector
+from understudy.monitor.unclaimed import Unclaimed
 from understudy.trees.problems import TreeError
 from understudy.trees.procedureforms import composed
 
@@ -48,7 +49,7 @@ class View:
         self.settings_maps = Reflector(client, CONFIG_MAPS, namespace, fields=only(names.settings(workload)))
         self.gates = Reflector(client, NETWORK_POLICIES, namespace, fields=only(names.gate(workload)))
         self.pods = Reflector(client, PODS, namespace, labels=f"{names.WORKLOAD}={workload}", on_change=on_pod)
-        self.held_pods = Reflector(client, PODS, namespace, labels=f"{names.HELD}=true")
+        self._unclaimed: dict[str, Unclaimed] = {}
         self.waiting_gates = Reflector(client, NETWORK_POLICIES, namespace, labels=names.WAITS_FOR)
         """The gates whose workloads wait for a pod of a shared pool: mostly none."""
         self.source_pods: Reflector | None = None
@@ -60,7 +61,7 @@ class View:
 
     async def run(self, group: asyncio.TaskGroup) -> None:
         """Start the watches and wait until the first copies are there."""
-        watches = [self.workloads, self.policies, self.settings_maps, self.gates, self.pods, self.held_pods]
+        watches = [self.workloads, self.policies, self.settings_maps, self.gates, self.pods]
         for watch in watches:
             group.create_task(watch.run())
         for watch in watches:
@@ -171,6 +172,16 @@ class View:
                     "FailurePolicy %s can't be read, keeping the last one: %s", item["metadata"]["name"], error
                 )
         return self._policy
+
+    def unclaimed(self, pool: str) -> Unclaimed:
+        """The unclaimed pods of a shared pool."""
+        return self._unclaimed.setdefault(pool, Unclaimed(self.client, self.namespace, pool))
+
+    @property
+    def stocked(self) -> Sequence[str]:
+        """The shared pools that this workload could claim from, by what the operator said last."""
+        found: list[str] = ((self.object or {}).get("status") or {}).get("stocked") or []
+        return found
 
     def all_pods(self) -> list[Object]:
         """The pods of this workload, those that its referred controller just made included."""

@@ -82,9 +82,9 @@ class Line:
             reason, message = self._before
             self._reporter.condition("Recovering", "True", reason, f"{message}; {words % waited}")
 
-    async def changed(self) -> None:
+    async def changed(self, pool: str) -> None:
         """Return when unclaimed pods, or who waits, may be others than before."""
-        sources = (self._view.held_pods, self._view.waiting_gates)
+        sources = (self._view.unclaimed(pool), self._view.waiting_gates)
         waits = [asyncio.ensure_future(source.changed()) for source in sources]
         try:
             await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)

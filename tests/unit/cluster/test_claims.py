@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 
 import aiohttp
@@ -78,3 +79,26 @@ async def test_what_the_api_server_refuses_for_good_is_not_tried_again() -> None
         await claimed(client, await free_pod(client))
     assert refused.value.status == 403
     assert [method for method, _, _ in client.requests] == ["POST"]
+
+
+async def test_a_question_is_asked_until_it_is_answered_or_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(claims, "RETRY_FIRST", 0.001)
+    answers: list[Exception | str] = [TimeoutError(), ApiError(429, "TooManyRequests", "busy"), "pods"]
+
+    async def ask() -> str:
+        answer = answers.pop(0)
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+    assert await claims.answered(ask) == "pods"
+    answers[:] = [ApiError(403, "Forbidden", "no"), "pods"]
+    with pytest.raises(ApiError):
+        await claims.answered(ask)
+    assert answers == ["pods"], "it isn't asked again"
+
+
+def test_the_parts_of_a_pool_have_about_as_many_pods_each() -> None:
+    counted = Counter(claims.part(f"spare-{number}") for number in range(1600))
+    assert len(counted) == claims.PARTS
+    assert 60 < min(counted.values()) <= max(counted.values()) < 140

@@ -27,6 +27,7 @@ from tests.unit.controller.world import (
     workload,
 )
 from understudy.api import names
+from understudy.cluster import claims
 from understudy.cluster.client import NETWORK_POLICIES, POOLS, WORKLOADS, Object
 from understudy.controller import instances, objects, ownership, pools
 from understudy.controller.desired import Plan
@@ -91,6 +92,7 @@ def test_an_empty_pool_is_filled() -> None:
         labels = pod["metadata"]["labels"]
         assert labels[names.HELD] == "true"
         assert names.WORKLOAD not in labels
+        assert labels[names.PART] == claims.part(pod["metadata"]["name"])
         assert ownership.controls(objects.uid(pool), pod)
 
 

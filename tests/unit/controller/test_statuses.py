@@ -140,9 +140,11 @@ def test_a_shared_pool_in_the_column() -> None:
     pool = spare(replicas=2)
     found.unclaimed = {"spare": [held_pod("spare-a", of=pool), held_pod("spare-b", of=pool, ready=False)]}
     assert found.status()["standby"] == "Uninitialized (1/1)"
+    assert found.status()["stocked"] == ["spare"], "which its monitor goes by until it needs a pod"
     assert found.condition("Protected")["status"] == "True"
     found.unclaimed = {"spare": [held_pod("spare-b", of=pool, ready=False)]}
     assert found.status()["standby"] == "Uninitialized (0/1)"
+    assert "stocked" not in found.status()
     assert found.condition("Protected")["status"] == "False"
 
 
@@ -168,6 +170,7 @@ def test_the_last_pods_that_are_kept_for_others_protect_nobody_else(priority: in
     made.unclaimed = {"spare": [held_pod("spare-a", of=pool)]}
     protected = made.condition("Protected")
     assert protected["status"] == status
+    assert made.status().get("stocked") == (["spare"] if priority else None)
     if not priority:
         assert protected["reason"] == "PodsReserved"
         assert protected["message"] == (

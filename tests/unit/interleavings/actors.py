@@ -158,12 +158,11 @@ class Monitor:
                 if condition not in (status.get("conditions") or []):
                     yield f"{self.process} says another condition {condition['type']} than the status"
         pods = server.items["pods"].values()
-        for reflector, label, value in (
-            (view.pods, names.WORKLOAD, self.workload),
-            (view.held_pods, names.HELD, "true"),
-        ):
-            found = {p["metadata"]["name"]: p for p in pods if (p["metadata"].get("labels") or {}).get(label) == value}
-            yield from _differences(str(self.process), reflector.items, found)
+        labels = {pod["metadata"]["name"]: pod["metadata"].get("labels") or {} for pod in pods}
+        found = {
+            p["metadata"]["name"]: p for p in pods if labels[p["metadata"]["name"]].get(names.WORKLOAD) == self.workload
+        }
+        yield from _differences(str(self.process), view.pods.items, found)
         gate = names.gate(self.workload)
         policies = server.items["networkpolicies"]
         found = {gate: policies[(NAMESPACE, gate)]} if (NAMESPACE, gate) in policies else {}

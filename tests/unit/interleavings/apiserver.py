@@ -107,16 +107,29 @@ class ApiServer:
     def _list(self, plural: str, namespace: str | None, params: Mapping[str, str]) -> Object:
         chosen = selecting(params.get("labelSelector"), params.get("fieldSelector"))
         version, kind = KINDS[plural]
+        at = int(params.get("resourceVersion") or self.version)
         return {
             "apiVersion": version,
             "kind": f"{kind}List",
-            "metadata": {"resourceVersion": str(self.version)},
+            "metadata": {"resourceVersion": str(at)},
             "items": [
                 item
-                for place, item in sorted(self.items[plural].items())
+                for place, item in sorted(self._as_of(plural, at).items())
                 if (namespace is None or place[0] == namespace) and chosen(item)
             ],
         }
+
+    def _as_of(self, plural: str, version: int) -> dict[Place, Object]:
+        """The objects as they were at a version."""
+        items = dict(self.items[plural])
+        for event in reversed(self.history[plural][self.since(plural, version) :]):
+            item = event.old or event.new
+            assert item is not None
+            place = (item["metadata"].get("namespace") or "", item["metadata"]["name"])
+            items.pop(place, None)
+            if event.old is not None:
+                items[place] = event.old
+        return items
 
     def _create(self, plural: str, namespace: str | None, body: Object, by: str, *, dry_run: bool) -> Object:
         place = (namespace or "", body["metadata"]["name"])
@@ -226,10 +239,11 @@ def told(event: Event, chosen: Callable[[Object], bool]) -> tuple[str, Object] |
 def selecting(labels: str | None, fields: str | None) -> Callable[[Object], bool]:
     """Whether a list or watch with these selectors has an object."""
     wanted = [_requirement(part) for part in labels.split(",")] if labels else []
-    name = fields.removeprefix("metadata.name=") if fields else None
+    path, _, value_of_field = (fields or "").partition("=")
+    where = path.split(".")
 
     def chosen(item: Object) -> bool:
-        if name is not None and item["metadata"]["name"] != name:
+        if fields and (item.get(where[0]) or {}).get(where[1]) != value_of_field:
             return False
         found = item["metadata"].get("labels") or {}
         return all(

@@ -90,6 +90,15 @@ class Network:
                 return name
         return "answered"
 
+    def remembered(self, path: str, params: Mapping[str, str] | None) -> Mapping[str, str] | None:
+        """A request's parameters; where it may be answered from memory, with a version of what is remembered, which may lag."""
+        if params is None or params.get("resourceVersion") != "0":
+            return params
+        history = self.server.history[path.rpartition("/")[2]]
+        lag = self.choices.randrange(len(history[-8:]) + 1) if self.choices.random() < self.weather.lag else 0
+        version = history[-lag].version - 1 if lag else self.server.version
+        return {**params, "resourceVersion": str(version)}
+
     def later(self, seconds: float, work: Callable[..., None], *args: Any, process: Process | None = None) -> None:
         """Do something after so many seconds, in a process or in the world."""
         self.loop.call_later(seconds, work, *args, context=(process or self._world).context)
@@ -150,7 +159,8 @@ class SimulatedClient(Client):
         def arrive() -> None:
             result: Object | ApiError | Exception
             try:
-                result = network.server.request(method, path, params, body, content_type, process.name)
+                seen = network.remembered(path, params)
+                result = network.server.request(method, path, seen, body, content_type, process.name)
             except ApiError as error:
                 result = error
                 if error.conflict:

@@ -152,7 +152,7 @@ def test_a_claimed_pod_that_is_deleted_as_if_it_were_free_is_found() -> None:
 
 def test_a_status_that_a_dead_monitor_overwrites_for_good_is_found() -> None:
     with mock.patch.object(Reporter, "look"):
-        assert found("than the status", SCARCE, "monitor_dies_at_a_step", "all_fail", weather=3.0)
+        assert found("than the status", SCARCE, "monitor_dies_at_a_step", "all_fail", weather=3.0, within=300)
 
 
 def test_an_operator_that_goes_on_when_another_one_leads_is_found() -> None:

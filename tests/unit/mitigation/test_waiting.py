@@ -334,11 +334,13 @@ async def test_a_planned_hand_over_takes_no_pod_that_others_wait_for() -> None:
     refill(fleet, "p1")
     world = World(degraded)
     strategy = UninitializedFallback(POOL, wait_for=10.0)
+    await strategy.look(world.means())
     assert strategy.available(world.means()) == "pool spare has 1 ready, for which others wait: other"
     planned = failure(world, "degraded-1").model_copy(update={"planned": True})
     done = await recover(planned, choices(strategy), world.means())
     assert (done.result, done.attempts[0].result) == ("Failed", "NotAvailable")
     refill(fleet, "p2")
+    await strategy.look(world.means())
     assert strategy.available(world.means()) is None
 
 
@@ -351,6 +353,7 @@ async def test_the_last_pods_are_kept_for_others_where_the_pool_says_so(pods: in
     world = World(store)
     strategy = UninitializedFallback(POOL, reserved=1)
     told = None if taken else "pool spare keeps its last 1 ready for workloads with a higher poolPriority"
+    await strategy.look(world.means())
     assert strategy.available(world.means()) == told
     done = await recover(failure(world, "a-1"), choices(strategy, Restart()), world.means())
     assert list(store.claims) == taken
@@ -446,3 +449,60 @@ def test_a_workload_tries_the_same_pods_in_the_same_order_whoever_lists_them() -
     assert [i.uid for i in order if i.uid != order[3].uid] == [
         i.uid for i in apart([i for i in pods if i.uid != order[3].uid], "workload")
     ], "one that is gone changes nothing of the others"
+
+
+# -- looking for pods ---------------------------------------------------------------------------------------------------
+
+
+async def test_who_fails_with_a_full_pool_asks_for_its_part_and_watches_nothing() -> None:
+    fleet: list[Store] = []
+    store = robot("a", fleet)
+    for number in range(4):
+        refill(fleet, f"p{number}")
+    store.other_parts = {"p0", "p1", "p3"}
+    done = await recover(
+        failure(World(store), "a-1"), choices(UninitializedFallback(POOL, wait_for=5.0)), World(store).means()
+    )
+    assert done.result == "Recovered"
+    assert (list(store.claims), store.looks) == (["p2"], ["part"])
+
+
+async def test_whose_part_has_none_asks_for_all() -> None:
+    fleet: list[Store] = []
+    store = robot("a", fleet)
+    refill(fleet, "p0")
+    store.other_parts = {"p0"}
+    done = await fails(store, 5.0)
+    assert done.result == "Recovered"
+    assert (list(store.claims), store.looks) == (["p0"], ["part", "all"])
+
+
+async def test_where_the_pool_keeps_some_for_others_all_are_asked_for_since_they_count() -> None:
+    fleet: list[Store] = []
+    store = robot("a", fleet)
+    for number in range(2):
+        refill(fleet, f"p{number}")
+    world = World(store)
+    await recover(failure(world, "a-1"), choices(UninitializedFallback(POOL, reserved=1)), world.means())
+    assert store.looks == ["all"]
+
+
+async def test_who_finds_none_watches_until_it_has_one_and_no_longer() -> None:
+    fleet: list[Store] = []
+    store = robot("a", fleet)
+    running = asyncio.create_task(fails(store, 5.0))
+    await asyncio.sleep(0.05)
+    assert store.looks == ["part", "all", "followed"]
+    refill(fleet, "p0")
+    assert (await running).result == "Recovered"
+    assert store.looks == ["part", "all", "followed"]
+
+
+async def test_while_nothing_has_failed_it_goes_by_what_the_operator_says_of_the_pool() -> None:
+    fleet: list[Store] = []
+    store = robot("a", fleet)
+    strategy = UninitializedFallback(POOL)
+    assert strategy.outlook(World(store).means()) == f"pool {POOL} has no pod that it could claim"
+    store.stocked = {POOL}
+    assert strategy.outlook(World(store).means()) is None
+    assert store.looks == []

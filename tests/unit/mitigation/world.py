@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import AsyncIterator, Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 from understudy.api.kept import KeptState, Restored, RestoreReport
@@ -60,6 +61,12 @@ class Store:
     priority: int = 0
     fleet: list[Store] = field(default_factory=list)
     """Stores of other workloads of the namespace, this one perhaps among them; its unclaimed pods are also theirs."""
+    looks: list[str] = field(default_factory=list)
+    """How unclaimed pods were looked for."""
+    other_parts: set[str] = field(default_factory=set)
+    """Unclaimed pods (by name) that aren't in this workload's part of their pool."""
+    stocked: set[str] = field(default_factory=set)
+    """The shared pools that the operator says have a pod for it."""
     told: list[str] = field(default_factory=list)
     """What people were told of its waiting for a pod."""
 
@@ -82,6 +89,9 @@ class World:
         self.store = store
         self.effects = 0
         self.dies_after = dies_after
+        self.found: list[Instance] = []
+        """The unclaimed pods, as they were when they were looked for."""
+        self.follows = False
         self.start_time = asyncio.get_running_loop().time()
 
     def clock(self) -> float:
@@ -155,8 +165,27 @@ class _Instances(_Part):
     def of_workload(self) -> Sequence[Instance]:
         return [p for p in self.store.pods.values() if not p.held]
 
+    async def look(self, pool: str, *, part: bool = False) -> None:
+        self.store.looks.append("part" if part else "all")
+        await asyncio.sleep(0.001)
+        found = (p for p in self.store.pods.values() if p.held and p.pool == pool)
+        self.world.found = [p for p in found if not part or p.name not in self.store.other_parts]
+
+    @contextlib.asynccontextmanager
+    async def followed(self, pool: str) -> AsyncIterator[None]:
+        self.store.looks.append("followed")
+        self.world.follows = True
+        try:
+            yield
+        finally:
+            self.world.found, self.world.follows = list(self.unclaimed(pool)), False
+
+    def stocked(self, pool: str) -> bool:
+        return pool in self.store.stocked
+
     def unclaimed(self, pool: str) -> Sequence[Instance]:
-        return [p for p in self.store.pods.values() if p.held and p.pool == pool]
+        found = self.store.pods.values() if self.world.follows else self.world.found
+        return [p for p in found if p.held and p.pool == pool]
 
     async def claim(self, instance: Instance, claim: str) -> Instance:
         self.world.effect()
@@ -219,7 +248,7 @@ class _Queue(_Part):
     def gave_up(self, me: Waiter) -> None:
         self.store.told.append("gave up")
 
-    async def changed(self) -> None:
+    async def changed(self, pool: str) -> None:
         await asyncio.sleep(PERIOD)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import time
 from dataclasses import dataclass, field
 from types import SimpleNamespace
@@ -393,7 +394,7 @@ def test_a_hand_over_is_begun_like_a_failure_once_the_first_strategy_is_there_an
 ) -> None:
     from understudy.monitor import supervising
 
-    first = SimpleNamespace(strategy=SimpleNamespace(available=lambda means: available))
+    first = SimpleNamespace(strategy=SimpleNamespace(outlook=lambda means: available))
     monkeypatch.setattr(supervising, "choices", lambda *_: [first])
     waits: list[str] = []
     watching = SimpleNamespace(
@@ -413,3 +414,28 @@ def test_a_hand_over_is_begun_like_a_failure_once_the_first_strategy_is_there_an
         assert (found.reason, found.onset, found.planned) == ("degraded: slow", now - 0.05, True)
     assert len(waits) == (1 if due and not planned else 0)
     assert all(available in words for words in waits if available)
+
+
+@pytest.mark.parametrize(
+    ("takes", "available", "there"),
+    [(0.0, None, True), (0.0, "pool spare has no unclaimed pod", False), (9.0, None, False)],
+)
+async def test_a_hand_over_that_is_due_is_not_begun_where_a_look_finds_otherwise_or_takes_too_long(
+    monkeypatch: pytest.MonkeyPatch, takes: float, available: str | None, there: bool
+) -> None:
+    from understudy.monitor import supervising
+
+    async def look(means: object) -> None:
+        await asyncio.sleep(takes)
+
+    first = SimpleNamespace(strategy=SimpleNamespace(look=look, available=lambda means: available))
+    monkeypatch.setattr(supervising, "choices", lambda *_: [first])
+    monkeypatch.setattr(supervising, "LOOK_WITHIN", 0.02)
+    waits: list[str] = []
+    watching = SimpleNamespace(
+        _view=SimpleNamespace(spec=None),
+        _means=object,
+        _levels=SimpleNamespace(wait=lambda kind, words: waits.append(words)),
+    )
+    found = await Supervisor._is_there(watching, HANDED, object())  # type: ignore[arg-type]
+    assert (found, len(waits)) == (there, 0 if there else 1)

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import asyncio
+import copy
 import itertools
 import random
 import time
-from collections.abc import Sequence
+from collections.abc import AsyncIterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from tests.unit.cluster.memory import MemoryClient
+from tests.unit.interleavings.apiserver import Event, selecting, told
 from understudy.api import names
 from understudy.api.settings import PoolChoice, WorkloadSettings
+from understudy.cluster import claims
 from understudy.cluster.client import NETWORK_POLICIES, PODS, Object, Resource
 from understudy.cluster.watching import Reflector
 from understudy.mitigation import waiting
@@ -49,20 +52,61 @@ class Cluster(MemoryClient):
         self.monitors: list[Monitor] = []
         self.names = itertools.count(1)
         self._random = random.Random(seed)
+        self._pods: list[Event] = []
+        self._written = asyncio.Event()
+        self.asked: list[str] = []
+        """By which labels pods were asked for, and watched."""
 
     async def create(self, resource: Resource, namespace: str | None, body: Object, *, dry_run: bool = False) -> Object:
         made = await super().create(resource, namespace, body)
-        self._tell(resource, made)
+        self._tell(resource, None, made)
         return made
 
     async def patch(self, resource: Resource, namespace: str | None, name: str, body: Any, **more: Any) -> Object:
         await asyncio.sleep(self._random.uniform(0, LAG / 3))
+        old = copy.deepcopy(self.items.get((resource.plural, namespace or "", name)))
         made = await super().patch(resource, namespace, name, body, **more)
-        self._tell(resource, made)
+        self._tell(resource, old, made)
         await asyncio.sleep(self._random.uniform(0, LAG / 3))
         return made
 
-    def _tell(self, resource: Resource, item: Object) -> None:
+    async def list(
+        self,
+        resource: Resource,
+        namespace: str | None = None,
+        *,
+        labels: str | None = None,
+        fields: str | None = None,
+        cached: bool = False,
+    ) -> Object:
+        """Of pods: what else there is monitors are told of without asking."""
+        self.asked.append(labels or "")
+        await asyncio.sleep(self._random.uniform(0, LAG / 3))
+        chosen = selecting(labels, fields)
+        pods = [item for (plural, _, _), item in self.items.items() if plural == resource.plural and chosen(item)]
+        version = self._pods[-1].version if self._pods else 0
+        return {"metadata": {"resourceVersion": str(version)}, "items": copy.deepcopy(pods)}
+
+    async def watch(
+        self, resource: Resource, namespace: str | None = None, *, version: str, **selectors: Any
+    ) -> AsyncIterator[tuple[str, Object]]:
+        """Of pods."""
+        self.asked.append(f"watch {selectors['labels']}")
+        chosen = selecting(selectors["labels"], selectors["fields"])
+        at = sum(event.version <= int(version) for event in self._pods)
+        while True:
+            while at == len(self._pods):
+                await self._written.wait()
+            await asyncio.sleep(self._random.uniform(0, LAG))
+            if (found := told(self._pods[at], chosen)) is not None:
+                yield found
+            at += 1
+
+    def _tell(self, resource: Resource, old: Object | None, item: Object) -> None:
+        if resource is PODS:
+            self._pods.append(Event(int(item["metadata"]["resourceVersion"]), old, item))
+            self._written.set()
+            self._written = asyncio.Event()
         loop = asyncio.get_running_loop()
         for monitor in self.monitors:
             monitor.heard = max(monitor.heard, loop.time() + self._random.uniform(0, LAG))  # in order
@@ -71,7 +115,13 @@ class Cluster(MemoryClient):
     async def add_pod(self) -> str:
         """A pod of the pool that becomes ready."""
         name = f"spare-{next(self.names)}"
-        labels = {names.POOL: POOL, names.HELD: "true", names.INSTANCE: name, names.TEMPLATE_HASH: "h"}
+        labels = {
+            names.POOL: POOL,
+            names.HELD: "true",
+            names.INSTANCE: name,
+            names.TEMPLATE_HASH: "h",
+            names.PART: claims.part(name),
+        }
         status = {"phase": "Running", "podIP": "10.0.0.1", "conditions": [{"type": "Ready", "status": "True"}]}
         body = {
             "metadata": {"name": name, "labels": labels, "annotations": {}, "creationTimestamp": name},
@@ -136,7 +186,6 @@ class Monitor:
         """What its watches tell it of a write."""
         labels, name = item["metadata"].get("labels") or {}, item["metadata"]["name"]
         if resource is PODS:
-            _watched(self.view.held_pods, item, selected=labels.get(names.HELD) == "true")
             _watched(self.view.pods, item, selected=labels.get(names.WORKLOAD) == self.workload)
         if resource is NETWORK_POLICIES:
             _watched(self.view.waiting_gates, item, selected=names.WAITS_FOR in labels)
@@ -206,13 +255,13 @@ class Monitor:
         return 0.0, ""
 
 
-def _watched(copy: Reflector, item: Object, *, selected: bool) -> None:
+def _watched(known: Reflector, item: Object, *, selected: bool) -> None:
     """What a watch by labels does: an object that no longer has them is gone from it."""
     if selected:
-        copy.put(item)
-    elif item["metadata"]["name"] in copy.items:
-        copy._set(item["metadata"]["name"], None)
-        copy._notify()
+        known.put(item)
+    elif item["metadata"]["name"] in known.items:
+        known._set(item["metadata"]["name"], None)
+        known._notify()
 
 
 async def fleet(cluster: Cluster, priorities: Sequence[int], state: Path) -> list[Monitor]:
@@ -295,3 +344,30 @@ async def test_without_anybody_waiting_a_claim_costs_what_it_did(tmp_path: Path)
     assert "queued" not in done.moments
     assert cluster.writes("-gate") == 2
     assert cluster.writes("-1") == 1
+
+
+async def test_where_a_pool_has_plenty_nobody_watches_it_and_most_ask_for_a_part_of_it_only(tmp_path: Path) -> None:
+    cluster = Cluster(2)
+    monitors = await fleet(cluster, [0] * 12, tmp_path)
+    for _ in range(100):
+        await cluster.add_pod()
+    done = await asyncio.gather(*(monitor.fails(wait_for=5.0) for monitor in monitors))
+    assert {progress.result for progress in done} == {"Recovered"}
+    assert len(cluster.owners()) == len(monitors)
+    assert not [asked for asked in cluster.asked if asked.startswith("watch")]
+    assert sum(names.PART in asked for asked in cluster.asked) >= len(monitors)
+    assert all(f"{names.POOL}={POOL}" in asked for asked in cluster.asked)
+
+
+async def test_who_waits_watches_and_no_longer_than_it_waits(tmp_path: Path) -> None:
+    cluster = Cluster(3)
+    (monitor,) = await fleet(cluster, [0], tmp_path)
+    running = asyncio.create_task(monitor.fails(wait_for=60))
+    await all_wait([monitor])
+    await cluster.add_pod()
+    assert (await running).result == "Recovered"
+    known = dict(monitor.view.unclaimed(POOL).items)
+    await cluster.add_pod()
+    await asyncio.sleep(3 * LAG)
+    assert monitor.view.unclaimed(POOL).items == known
+    assert sum(asked.startswith("watch") for asked in cluster.asked) == 1

@@ -1,0 +1,58 @@
+"""The unclaimed pods of a shared pool, as far as this monitor has asked for them.
+
+Nobody watches them all the time: each claim, and each step of the pod that takes its place, would be sent to every monitor of a
+fleet, though hardly any of them ever needs one. Who does asks then, and watches only while it waits.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Mapping
+
+from understudy.api import names
+from understudy.cluster import claims
+from understudy.cluster.client import PODS, Client, Object
+from understudy.cluster.watching import Reflector
+
+RUNNING = "status.phase=Running"
+"""Those that are merely coming up can't be claimed, and needn't be told of."""
+
+
+class Unclaimed:
+    """Pods by name."""
+
+    def __init__(self, client: Client, namespace: str, pool: str) -> None:
+        self._client, self._namespace = client, namespace
+        self._labels = f"{names.HELD}=true,{names.POOL}={pool}"
+        self._watched = Reflector(client, PODS, namespace, labels=self._labels, fields=RUNNING, cached=True)
+        self._found: dict[str, Object] = {}
+
+    @property
+    def items(self) -> Mapping[str, Object]:
+        """As they were when it was asked last, or as the watch tells while there is one."""
+        return self._watched.items if self._watched.synced.is_set() else self._found
+
+    async def look(self, part: str = "") -> None:
+        """Ask which there are, of all or of one part of them (claims.part). Waits while the API server is away. Raises ApiError."""
+        labels = f"{self._labels},{names.PART}={part}" if part else self._labels
+        answer = await claims.answered(
+            lambda: self._client.list(PODS, self._namespace, labels=labels, fields=RUNNING, cached=True)
+        )
+        self._found = {item["metadata"]["name"]: item for item in answer.get("items") or []}
+
+    @contextlib.asynccontextmanager
+    async def followed(self) -> AsyncIterator[None]:
+        """Watch all of them meanwhile."""
+        watching = asyncio.create_task(self._watched.run())
+        try:
+            yield
+        finally:
+            self._found = dict(self.items)
+            self._watched.synced.clear()
+            watching.cancel()
+            await asyncio.gather(watching, return_exceptions=True)
+
+    async def changed(self) -> None:
+        """Wait until the watch tells of a change."""
+        await self._watched.changed()
