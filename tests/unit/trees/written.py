@@ -19,6 +19,9 @@ ALL = (
 )
 ANY = ("Fallback", "ReactiveFallback", 'Control ID="Fallback"', 'Parallel success_count="1" failure_count="-1"')
 IN_ORDER = ("Sequence", "ReactiveSequence", 'Control ID="ReactiveSequence"')
+LEAVES = ("motion", "progress", "node")
+"""Those that are written in one way alone."""
+
 CONTROLS = {"parallel": ALL, "selector": ANY, "sequence": IN_ORDER}
 
 
@@ -52,8 +55,10 @@ class Writer:
             return (
                 f"<{('Topic', 'Condition ID=' + quoteattr('Topic'))[self._choose(2)]}{_ports(name | fields, entries)}/>"
             )
-        if "motion" in node:
-            return f"<Motion{_ports(name | node['motion'], entries)}/>"
+        for leaf in LEAVES:
+            if leaf in node:
+                fields = {leaf if key == "name" else key: value for key, value in _texts(node[leaf]).items()}
+                return f"<{leaf.capitalize()}{_ports(name | fields, entries)}/>"
         if "inverter" in node:
             tag, children = ("Inverter", 'Decorator ID="Inverter"')[self._choose(2)], [node["inverter"]]
         elif "while" in node:
@@ -91,12 +96,16 @@ def _ports(fields: Mapping[str, str], entries: Mapping[str, str]) -> str:
     return "".join(f" {key}={quoteattr(value)}" for key, value in given.items())
 
 
+def _texts(fields: Mapping[str, object]) -> dict[str, str]:
+    return {key: str(value) for key, value in fields.items()}
+
+
 def _values(node: Mapping[str, Any]) -> list[str]:
     """What the leaves and the situations of a tree were given, each once."""
     found: dict[str, None] = {}
     for key, value in node.items():
-        if key in ("topic", "motion", "task_active"):
-            found.update(dict.fromkeys(value.values()))
+        if key in ("topic", "task_active", *LEAVES):
+            found.update(dict.fromkeys(_texts(value).values()))
         elif isinstance(value, Mapping):
             found.update(dict.fromkeys(_values(value)))
         elif isinstance(value, list):
