@@ -270,6 +270,7 @@ async def failing_again_and_again(
             instances = Instances(client, view, steps)
             control = PolicyGate(client, view, instances, cast(Any, None), steps)
             while time.monotonic() < until:
+                await instances.look("spare")
                 for candidate in instances.unclaimed("spare"):
                     with contextlib.suppress(ClaimLost):
                         claim = f"{uid}/{len(won)}"
