@@ -15,7 +15,7 @@ from tests.e2e.kubectl import Kubectl
 
 REPOSITORY = Path(__file__).parents[2]
 PAGE = REPOSITORY / "docs" / "tutorial.md"
-IMAGE = "localhost/understudy-monitor:dev"
+IMAGE = "localhost/understudy-quickstart:dev"
 COMMANDS = re.compile(r"```sh\n(.*?)```", re.DOTALL)
 GAP = re.compile(r"no command for ([\d.]+) s")
 
