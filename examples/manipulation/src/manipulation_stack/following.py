@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 
+import numpy as np
 from manipulation_arm import Joints
 
 from manipulation_stack.motion import Command, Motion
@@ -23,6 +24,11 @@ PATIENCE = 1.0
 REMEMBERED = 500
 """Commands that are still known as one's own: those of the last 10 s."""
 
+OWN = 1e-7
+"""rad that an instance's commands are off those of others at most. Two that go the same way would send the same ones otherwise,
+and take those that another one is followed by for their own.
+"""
+
 ASIDE = 0.004
 """rad that the arm may be off the way and still be on it: less than a step at full speed."""
 
@@ -32,6 +38,7 @@ class Follower:
 
     def __init__(self, motion: Motion) -> None:
         self._motion = motion
+        self._own = np.random.default_rng().uniform(0.0, OWN, motion.command().positions.shape)
         self._sent: OrderedDict[bytes, float] = OrderedDict()
         self._unfollowed = 0.0
         self._heard: Command | None = None
@@ -61,12 +68,12 @@ class Follower:
         sent = None if self.strayed else self._sent.get(reference.positions.tobytes())
         if sent is not None and now - sent <= LATELY:
             self._unfollowed = 0.0
-            command = self._motion.advance(seconds)
+            command = self._of_its_own(self._motion.advance(seconds))
         elif sent is not None and self._unfollowed < PATIENCE:
             # An arm that says nothing is busy, and takes up later what it was sent meanwhile.
             self._unfollowed += seconds if reference is not self._heard else 0.0
             self._motion.rest()
-            command = self._motion.command()
+            command = self._of_its_own(self._motion.command())
         else:
             command = self._begun(reference, seconds)
         self._heard = reference
@@ -79,7 +86,10 @@ class Follower:
         if self.strayed:
             return Command(reference.positions, reference.velocities * 0.0)
         self._motion.begin(place, reference.velocities)
-        return self._motion.advance(seconds)
+        return self._of_its_own(self._motion.advance(seconds))
+
+    def _of_its_own(self, command: Command) -> Command:
+        return Command(command.positions + self._own, command.velocities)
 
     def _note(self, positions: Joints, now: float) -> None:
         self._sent[positions.tobytes()] = now
