@@ -44,8 +44,10 @@ def assert_no_jump(manipulator: Manipulator, number: int) -> None:
     undisturbed = log.largest_step(handover.last_old - AROUND, handover.last_old)
     around = log.largest_step(handover.first_new, handover.first_new + AROUND)
     first = log.steps[handover.first_new]
+    steps = [(round(c.sent - handover.first_new, 3), round(c.received - handover.first_new, 3), log.steps[c.received])
+             for c in log.of(recovery.new) if c.received < handover.first_new + 0.2]  # fmt: skip
     print(f"{number}: gap {handover.gap:.3f} s, first step {first:.4f}, largest around {around:.4f}, "
-          f"undisturbed {undisturbed:.4f} rad")  # fmt: skip
+          f"undisturbed {undisturbed:.4f} rad; by times of sending and reception: {steps}")  # fmt: skip
     assert first <= around <= 2 * undisturbed
 
 
