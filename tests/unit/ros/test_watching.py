@@ -198,7 +198,8 @@ def test_a_goal_is_not_active_any_more_when_its_server_is_gone(watching, process
     eventually(lambda: watching.drain() and watching.task(STATUS))
     worker.stdin.write("end\n")
     worker.stdin.flush()
-    eventually(lambda: watching.drain() is not None and watching.task(STATUS) is None)
+    # A process that crashes as it ends, which rclpy's now and then does, is missed by its participant's lease of 20 s only.
+    eventually(lambda: watching.drain() is not None and watching.task(STATUS) is None, timeout=45)
 
 
 def test_goals_of_an_instance_that_is_not_in_control_do_not_count(watching, processes, eventually):
