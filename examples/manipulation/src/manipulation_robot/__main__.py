@@ -6,6 +6,7 @@ import os
 
 import rclpy
 from navigation_robot.journal import Journal
+from navigation_robot.running import until_stopped
 
 from manipulation_robot.robot import Robot
 
@@ -13,16 +14,7 @@ from manipulation_robot.robot import Robot
 def main() -> None:
     """Run the robot until it is told to stop."""
     rclpy.init()
-    robot = Robot(Journal(os.environ.get("ROBOT_LOG")))
-    try:
-        robot.run()
-    except KeyboardInterrupt:
-        pass
-    except Exception:
-        if rclpy.ok():  # otherwise a signal ended ROS in the middle of a tick
-            raise
-    finally:
-        robot.close()
+    until_stopped(Robot(Journal(os.environ.get("ROBOT_LOG"))))
 
 
 if __name__ == "__main__":

@@ -16,9 +16,9 @@ from __future__ import annotations
 import time
 
 import numpy as np
-import rclpy
 from builtin_interfaces.msg import Time
 from manipulation_arm import HOME, JOINTS, Joints
+from navigation_robot import running
 from navigation_robot.commands import Ear, Received
 from navigation_robot.journal import Journal
 from rclpy.node import Node
@@ -38,9 +38,6 @@ TELL = 2
 
 LOG = 10
 """Ticks in the period of the log: 10 Hz."""
-
-LATE = 0.25
-"""Seconds that are caught up at most; a process that was stopped for longer goes on from where it was."""
 
 
 class Robot:
@@ -66,16 +63,7 @@ class Robot:
 
     def run(self) -> None:
         """Move until ROS is shut down."""
-        begun = time.monotonic()
-        while rclpy.ok():
-            now = time.monotonic()
-            behind = now - begun - self._ticks * TICK
-            if behind > LATE:
-                self._journal.write("late", time=time.time(), seconds=behind)
-                begun += behind
-            elif behind < 0:
-                time.sleep(-behind)
-            self._tick(time.monotonic())
+        running.tick(self._tick, TICK, self._journal)
 
     def close(self) -> None:
         """Leave the graph."""

@@ -9,21 +9,13 @@ from navigation_world import generate
 
 from navigation_robot.journal import Journal
 from navigation_robot.robot import Robot
+from navigation_robot.running import until_stopped
 
 
 def main() -> None:
     """Run the robot until it is told to stop."""
     rclpy.init()
-    robot = Robot(generate(int(os.environ.get("NAVIGATION_SEED", "7"))), Journal(os.environ.get("ROBOT_LOG")))
-    try:
-        robot.run()
-    except KeyboardInterrupt:
-        pass
-    except Exception:
-        if rclpy.ok():  # otherwise a signal ended ROS in the middle of a tick
-            raise
-    finally:
-        robot.close()
+    until_stopped(Robot(generate(int(os.environ.get("NAVIGATION_SEED", "7"))), Journal(os.environ.get("ROBOT_LOG"))))
 
 
 if __name__ == "__main__":

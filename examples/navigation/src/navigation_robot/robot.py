@@ -10,7 +10,6 @@ from __future__ import annotations
 import time
 
 import numpy as np
-import rclpy
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry as OdometryMessage
@@ -20,7 +19,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import LaserScan
 from tf2_msgs.msg import TFMessage
 
-from navigation_robot import STARTED, messages
+from navigation_robot import STARTED, messages, running
 from navigation_robot.base import Base
 from navigation_robot.commands import Commands
 from navigation_robot.journal import Journal
@@ -35,9 +34,6 @@ MEASURE = 2
 
 LOOK = 5
 """Ticks in the period of laser, ground truth and log: 10 Hz."""
-
-LATE = 0.25
-"""Seconds that are caught up at most; a process that was stopped for longer goes on from where it was."""
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
@@ -76,16 +72,7 @@ class Robot:
 
     def run(self) -> None:
         """Drive until ROS is shut down."""
-        begun = time.monotonic()
-        while rclpy.ok():
-            now = time.monotonic()
-            behind = now - begun - self._ticks * TICK
-            if behind > LATE:
-                self._journal.write("late", time=time.time(), seconds=behind)
-                begun += behind
-            elif behind < 0:
-                time.sleep(-behind)
-            self._tick(time.monotonic())
+        running.tick(self._tick, TICK, self._journal)
 
     def close(self) -> None:
         """Leave the graph."""
