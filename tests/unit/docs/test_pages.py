@@ -9,15 +9,13 @@ from typing import Any
 import pytest
 import yaml
 
+from tests.support.manifests import MODELS, covers
 from understudy.api.policies import FailurePolicySpec
-from understudy.api.pools import FallbackPoolSpec
-from understudy.api.workloads import RobotWorkloadSpec
 from understudy.trees.forms import load_monitoring
 from understudy.trees.texts import load_text
 
 REPOSITORY = Path(__file__).parents[3]
 PAGES = [REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").rglob("*.md"))]
-MODELS = {"RobotWorkload": RobotWorkloadSpec, "FailurePolicy": FailurePolicySpec, "FallbackPool": FallbackPoolSpec}
 FENCE = re.compile(r"```yaml\n(.*?)```", re.DOTALL)
 
 
@@ -39,14 +37,6 @@ def manifests() -> list[Any]:
                 if item["kind"] in MODELS
             ]
     return found
-
-
-def covers(read: Any, written: Any) -> bool:
-    if isinstance(written, dict):
-        return isinstance(read, dict) and all(k in read and covers(read[k], v) for k, v in written.items())
-    if isinstance(written, list):
-        return isinstance(read, list) and len(read) == len(written) and all(map(covers, read, written))
-    return bool(read == written)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name)

@@ -8,15 +8,13 @@ from typing import Any
 import pytest
 import yaml
 
+from tests.support.manifests import MODELS, assert_references_lead_somewhere, covers
 from understudy.api import names
 from understudy.api.policies import FailurePolicySpec
-from understudy.api.pools import FallbackPoolSpec
-from understudy.api.workloads import RobotWorkloadSpec
 from understudy.trees.forms import load_monitoring
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "manipulation"
 FILES = sorted([*(EXAMPLE / "manifests").rglob("*.yaml"), *(EXAMPLE / "moveit2").rglob("*.yaml")])
-MODELS = {"RobotWorkload": RobotWorkloadSpec, "FailurePolicy": FailurePolicySpec, "FallbackPool": FallbackPoolSpec}
 ALL: list[tuple[Path, dict[str, Any]]] = [(f, m) for f in FILES for m in yaml.safe_load_all(f.read_text())]
 
 
@@ -25,14 +23,6 @@ def of_kind(kind: str, folder: str = "") -> list[dict[str, Any]]:
 
 
 OURS = [m for kind in MODELS for m in of_kind(kind)]
-
-
-def covers(read: Any, written: Any) -> bool:
-    if isinstance(written, dict):
-        return isinstance(read, dict) and all(k in read and covers(read[k], v) for k, v in written.items())
-    if isinstance(written, list):
-        return isinstance(read, list) and len(read) == len(written) and all(map(covers, read, written))
-    return bool(read == written)
 
 
 def test_every_file_is_known_here() -> None:
@@ -56,15 +46,8 @@ def test_specs_are_what_the_models_say(manifest: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("folder", ["manifests", "moveit2"])
 def test_references_lead_somewhere(folder: str) -> None:
-    policies = {m["metadata"]["name"]: m["spec"] for m in of_kind("FailurePolicy", folder)}
-    pools = {m["metadata"]["name"]: m["spec"] for m in of_kind("FallbackPool", folder)}
     (workload,) = of_kind("RobotWorkload", folder)
-    assert workload["spec"]["failurePolicyRef"]["name"] in policies
-    assert {s["poolRef"]["name"] for p in policies.values() for s in p["strategies"] if "poolRef" in s} == set(pools)
-    for pool in pools.values():
-        assert pool["workloadSelector"]["matchLabels"].items() <= workload["metadata"]["labels"].items()
-        if "templateFrom" in pool:
-            assert pool["templateFrom"]["workload"] == workload["metadata"]["name"]
+    assert_references_lead_somewhere(workload, of_kind("FailurePolicy", folder), of_kind("FallbackPool", folder))
 
 
 @pytest.mark.parametrize("folder", ["manifests", "moveit2"])

@@ -13,16 +13,14 @@ import yaml
 from navigation_stack.names import NODES
 from navigation_world import generate
 
+from tests.support.manifests import MODELS, assert_references_lead_somewhere, covers
 from understudy.api import names
 from understudy.api.policies import FailurePolicySpec
-from understudy.api.pools import FallbackPoolSpec
-from understudy.api.workloads import RobotWorkloadSpec
 from understudy.trees.forms import load_monitoring
 from understudy.trees.procedures import load_check, load_procedure
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "navigation"
 FILES = sorted([*(EXAMPLE / "manifests").rglob("*.yaml"), *(EXAMPLE / "nav2").rglob("*.yaml")])
-MODELS = {"RobotWorkload": RobotWorkloadSpec, "FailurePolicy": FailurePolicySpec, "FallbackPool": FallbackPoolSpec}
 STRATEGIES = ["executing", "localization-running", "pod-started", "restart", "stack-started"]
 
 
@@ -58,14 +56,6 @@ def leaves(tree: Any, kind: str) -> Iterator[Any]:
             yield from leaves(value, kind)
 
 
-def covers(read: Any, written: Any) -> bool:
-    if isinstance(written, dict):
-        return isinstance(read, dict) and all(k in read and covers(read[k], v) for k, v in written.items())
-    if isinstance(written, list):
-        return isinstance(read, list) and len(read) == len(written) and all(map(covers, read, written))
-    return bool(read == written)
-
-
 def test_every_file_is_known_here() -> None:
     assert [str(f.relative_to(EXAMPLE)) for f in FILES] == [
         "manifests/client.yaml",
@@ -98,15 +88,8 @@ def test_trees_can_be_followed(manifest: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("folder", ["manifests", "nav2"])
 def test_references_lead_somewhere(folder: str) -> None:
-    policies = {m["metadata"]["name"]: m["spec"] for m in of_kind("FailurePolicy", folder)}
-    pools = {m["metadata"]["name"]: m["spec"] for m in of_kind("FallbackPool", folder)}
     (workload,) = of_kind("RobotWorkload", folder)
-    assert workload["spec"]["failurePolicyRef"]["name"] in policies
-    assert {s["poolRef"]["name"] for p in policies.values() for s in p["strategies"] if "poolRef" in s} == set(pools)
-    for pool in pools.values():
-        assert pool["workloadSelector"]["matchLabels"].items() <= workload["metadata"]["labels"].items()
-        if "templateFrom" in pool:
-            assert pool["templateFrom"]["workload"] == workload["metadata"]["name"]
+    assert_references_lead_somewhere(workload, of_kind("FailurePolicy", folder), of_kind("FallbackPool", folder))
 
 
 def test_every_policy_means_the_same_by_healthy_and_keeps_the_same() -> None:

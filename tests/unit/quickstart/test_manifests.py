@@ -8,19 +8,12 @@ from typing import Any
 import pytest
 import yaml
 
+from tests.support.manifests import MODELS, covers
 from understudy.api import names
-from understudy.api.policies import FailurePolicySpec
-from understudy.api.pools import FallbackPoolSpec
-from understudy.api.workloads import RobotWorkloadSpec
 
 QUICKSTART = Path(__file__).parents[3] / "examples" / "quickstart"
 MANIFESTS = QUICKSTART / "manifests"
 FILES = sorted(MANIFESTS.rglob("*.yaml"))
-MODELS = {
-    "RobotWorkload": RobotWorkloadSpec,
-    "FailurePolicy": FailurePolicySpec,
-    "FallbackPool": FallbackPoolSpec,
-}
 
 
 def load(file: str | Path) -> list[dict[str, Any]]:
@@ -55,14 +48,6 @@ def test_specs_are_what_the_models_say(manifest: dict[str, Any]) -> None:
     spec = MODELS[manifest["kind"]].model_validate(manifest["spec"]).to_wire()
     # The models ignore unknown fields; whatever was written must come back.
     assert covers(spec, manifest["spec"])
-
-
-def covers(read: Any, written: Any) -> bool:
-    if isinstance(written, dict):
-        return isinstance(read, dict) and all(k in read and covers(read[k], v) for k, v in written.items())
-    if isinstance(written, list):
-        return isinstance(read, list) and len(read) == len(written) and all(map(covers, read, written))
-    return bool(read == written)
 
 
 def test_references_lead_somewhere() -> None:

@@ -1,0 +1,35 @@
+"""What holds for the manifests of every example, and for those in the pages."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from understudy.api.policies import FailurePolicySpec
+from understudy.api.pools import FallbackPoolSpec
+from understudy.api.workloads import RobotWorkloadSpec
+
+MODELS = {"RobotWorkload": RobotWorkloadSpec, "FailurePolicy": FailurePolicySpec, "FallbackPool": FallbackPoolSpec}
+
+
+def covers(read: Any, written: Any) -> bool:
+    """Whether all that was written is in what was read. The models ignore unknown fields; whatever was written must come back."""
+    if isinstance(written, dict):
+        return isinstance(read, dict) and all(k in read and covers(read[k], v) for k, v in written.items())
+    if isinstance(written, list):
+        return isinstance(read, list) and len(read) == len(written) and all(map(covers, read, written))
+    return bool(read == written)
+
+
+def assert_references_lead_somewhere(
+    workload: Mapping[str, Any], policies: Sequence[Mapping[str, Any]], pools: Sequence[Mapping[str, Any]]
+) -> None:
+    """One workload with all the policies that may be named in it, and all of their pools."""
+    named = {one["metadata"]["name"]: one["spec"] for one in policies}
+    found = {one["metadata"]["name"]: one["spec"] for one in pools}
+    assert workload["spec"]["failurePolicyRef"]["name"] in named
+    assert {s["poolRef"]["name"] for p in named.values() for s in p["strategies"] if "poolRef" in s} == set(found)
+    for pool in found.values():
+        assert pool["workloadSelector"]["matchLabels"].items() <= workload["metadata"]["labels"].items()
+        if "templateFrom" in pool:
+            assert pool["templateFrom"]["workload"] == workload["metadata"]["name"]
