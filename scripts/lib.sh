@@ -156,3 +156,11 @@ helm_program() {
     say "building helm, since there is ${found:-none}${found:+, which is too old}"
     go_program helm testcluster/local/hyperkube helm.sh/helm/v3/cmd/helm
 }
+
+# chart_programs: what tests of the chart and of manifests need beside helm: helm-unittest, and kubeconform with its schemas.
+chart_programs() {
+    local source=tests/unit/chart/programs
+    go_program helm-unittest "$source" github.com/helm-unittest/helm-unittest/cmd/helm-unittest &&
+        go_program kubeconform "$source" github.com/yannh/kubeconform/cmd/kubeconform &&
+        (cd "$REPOSITORY" && "$PYTHON" -m tests.support.schemas)
+}

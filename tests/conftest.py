@@ -112,14 +112,19 @@ def unavailable(reason: str) -> None:
     pytest.skip(reason)
 
 
+def program(name: str) -> str:
+    """The path of a program that scripts/test builds."""
+    found = shutil.which(name)
+    if found is None:
+        unavailable(f"there is no {name}: scripts/test builds one")
+    assert found is not None
+    return found
+
+
 @pytest.fixture(scope="session")
 def helm() -> str:
     """The path of helm."""
-    found = shutil.which("helm")
-    if found is None:
-        unavailable("there is no helm: scripts/test builds one")
-    assert found is not None
-    return found
+    return program("helm")
 
 
 @pytest.fixture(scope="session")

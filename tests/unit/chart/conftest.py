@@ -21,8 +21,11 @@ Render = Callable[..., list[Object]]
 def run(helm: str) -> Run:
     """Runs ``helm template``."""
 
-    def template(*settings: str, release: str = "understudy", tests: bool = False) -> subprocess.CompletedProcess[str]:
+    def template(
+        *settings: str, release: str = "understudy", tests: bool = False, values: Path | None = None
+    ) -> subprocess.CompletedProcess[str]:
         words = [word for setting in settings for word in ("--set", setting)]
+        words += ["--values", str(values)] if values else []
         words += [] if tests else ["--skip-tests"]
         command = [helm, "template", release, str(CHART), "--namespace", "system", "--kube-version", "1.34", *words]
         return subprocess.run(command, capture_output=True, text=True, timeout=60)
