@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from datetime import timedelta
 from functools import partial
-from typing import Any, NamedTuple, Protocol, get_type_hints
+from typing import Any, NamedTuple, Protocol
 
 from understudy.trees.contents import ContentLeaf
 from understudy.trees.evidence import Said
@@ -111,16 +111,16 @@ def kind_of(name: str, judge: object) -> LeafKind:
 
 def _settings(judge: type) -> dict[str, Setting]:
     try:
-        types, parameters = get_type_hints(judge.__init__), inspect.signature(judge).parameters.values()
-    except (NameError, TypeError, ValueError) as error:
-        raise ValueError(f"the parameters of {judge.__name__}() can't be told: {error}") from error
+        parameters = inspect.signature(judge, eval_str=True).parameters.values()
+    except Exception as error:  # annotations are evaluated, which may raise anything
+        raise ValueError(f"the parameters of {judge.__name__}() can't be told, {_told(error)}") from error
     found = {}
     for one in parameters:
         if one.kind not in (one.POSITIONAL_OR_KEYWORD, one.KEYWORD_ONLY):
             raise ValueError(f"its parameter {one.name} can't be given by name")
         if one.name in (*KEYS, "name"):
             raise ValueError(f"its parameter {one.name} is called as what every leaf has; give it another name")
-        read = _READS.get(types.get(one.name, object))
+        read = next((read for type_, read in _READS.items() if one.annotation is type_), None)
         if read is None:
             known = ", ".join(type_.__name__ for type_ in _READS)
             raise ValueError(f"its parameter {one.name} must have one of these as its type: {known}")

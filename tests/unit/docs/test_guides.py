@@ -102,6 +102,19 @@ def test_commands_name_what_is_there(page: str, monkeypatch: pytest.MonkeyPatch)
     assert checked
 
 
+def test_the_times_are_those_of_the_example() -> None:
+    example = (REPOSITORY / "examples" / "navigation" / "README.md").read_text()
+    (head,) = re.findall(r"^\|( \| restart \|.*) \|$", example, re.MULTILINE)
+    (row,) = re.findall(r"^\| robot without commands, p50 / p95 (\|.*) \|$", example, re.MULTILINE)
+    measured = {
+        name.strip(): times.split("/")[0].strip()
+        for name, times in zip(head.split("|")[1:], row.split("|")[1:], strict=True)
+    }
+    text = (REPOSITORY / "docs" / "how-to" / "nav2.md").read_text()
+    told = re.findall(r"^\| `\w+` \| `\w+(?:-\w+)*\.yaml` \|.*\| ([\d.]+) s \|$", text, re.MULTILINE)
+    assert told == [measured[name] for name in ("full navigation", "localization running", "restart")]
+
+
 def test_a_part_is_told_from_what_is_no_part() -> None:
     whole = {"spec": {"keep": [{"topic": "/a", "age": 1}, {"topic": "/b"}, {"topic": "/c"}]}}
     assert contains(whole, {"spec": {"keep": [{"topic": "/a"}, {"topic": "/c"}]}})

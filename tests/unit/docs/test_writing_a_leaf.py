@@ -153,6 +153,16 @@ def test_a_package_that_can_t_be_imported_is_told_of_where_a_tree_names_its_leaf
     assert (status, said.count(why)) == (0, 1), "trees that don't name it are as good as ever"
 
 
+def test_the_chart_s_values_are_called_so() -> None:
+    values = yaml.safe_load((REPOSITORY / "charts" / "understudy" / "values.yaml").read_text())
+    given = re.findall(r"--set (\S+)=", PAGE)
+    assert len(given) == 4
+    for key in given:
+        found = values
+        for part in key.split("."):
+            found = found[part]
+
+
 def test_what_is_generated_is_the_same_with_it(site: Path) -> None:
     program = (
         "from scripts.generation.scenarios import library\nfrom pathlib import Path\n"

@@ -227,7 +227,10 @@ def unnamed(self: object, *fields: str) -> None: ...
 def topical(self: object, topic: str) -> None: ...
 
 
-def unknown(self: object, field: "Feild") -> None: ...  # type: ignore[name-defined]  # noqa: F821, UP037
+def unknown(self: object, field: Feild) -> None: ...  # type: ignore[name-defined]  # noqa: F821
+
+
+def odd(self: object, field: [str]) -> None: ...  # type: ignore[valid-type]
 
 
 @pytest.mark.parametrize(
@@ -240,9 +243,10 @@ def unknown(self: object, field: "Feild") -> None: ...  # type: ignore[name-defi
         (judging(listed), "its parameter fields must have one of these"),
         (judging(unnamed), "can't be given by name"),
         (judging(topical), "its parameter topic is called as what every leaf has"),
-        (judging(unknown), "name 'Feild' is not defined"),
+        (judging(unknown), "the parameters of Made.. can't be told, NameError: name 'Feild' is not defined"),
+        (judging(odd), "its parameter field must have one of these as its type"),
     ],
-    ids=["object", "no-judge", "number", "untyped", "list", "args", "topic", "undefined"],
+    ids=["object", "no-judge", "number", "untyped", "list", "args", "topic", "undefined", "odd"],
 )
 def test_what_is_no_judge_is_refused(judge: object, why: str) -> None:
     with pytest.raises(ValueError, match=why):
