@@ -9,6 +9,7 @@ from fractions import Fraction
 from understudy.trees import vocabulary
 from understudy.trees.btcpp import steps as xml
 from understudy.trees.btcpp.markup import Element, parse
+from understudy.trees.kinds import ADDED
 from understudy.trees.osc.library import (
     ACTIONS,
     COMPOSITIONS,
@@ -28,6 +29,9 @@ _HEADER = f"""\
 
 import {STANDARD}
 """
+
+_ACTIONS = {name: action for name, action in ACTIONS.items() if name not in ADDED}
+"""What other packages that are installed here bring is no part of the library."""
 
 _RATES: Mapping[str, str] = {
     "rate_above": "the rate is more than this",
@@ -53,7 +57,7 @@ def library(page: str, procedures: str) -> str:
     parts += [f"enum {name}: [{', '.join(members)}]\n" for name, members in ENUMS.items()]
     parts += [_type(name) for name in OWN]
     for title, word, behaviors in (
-        ("Leaves of health trees, most of which procedures have too.", "action", ACTIONS),
+        ("Leaves of health trees, most of which procedures have too.", "action", _ACTIONS),
         ("Steps of procedures.", "action", STEPS),
         ("What procedures and readiness checks look at once.", "action", LOOKS),
         ("Of health trees; inverter() of procedures too.", "modifier", MODIFIERS),
@@ -91,7 +95,7 @@ END = "<!-- end of behaviours -->"
 def table() -> str:
     """Every behaviour with its arguments, as a table for the page about the language."""
     lines = ["| behaviour | in the short form | arguments, in their order |", "| --- | --- | --- |"]
-    for behaviors, where in ((ACTIONS, ""), (MODIFIERS, ", in a `with:`")):
+    for behaviors, where in ((_ACTIONS, ""), (MODIFIERS, ", in a `with:`")):
         for name, behavior in behaviors.items():
             short = f"`{behavior.key}`"
             if behavior.arguments:

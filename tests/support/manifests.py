@@ -12,6 +12,10 @@ from understudy.api.workloads import RobotWorkloadSpec
 MODELS = {"RobotWorkload": RobotWorkloadSpec, "FailurePolicy": FailurePolicySpec, "FallbackPool": FallbackPoolSpec}
 
 
+WITH_A_LEAF_OF_ITS_OWN = "writing-a-leaf.md"
+"""A page whose policy is for a package that has to be installed, as tests/unit/docs/test_writing_a_leaf.py does."""
+
+
 def covers(read: Any, written: Any) -> bool:
     """Whether all that was written is in what was read. The models ignore unknown fields; whatever was written must come back."""
     if isinstance(written, dict):

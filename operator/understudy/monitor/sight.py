@@ -129,7 +129,8 @@ class Sight:
         """What isn't watched and why, with what to do."""
         unmetered = self.meter.problems if self.meter is not None else []
         watched = [*self._watching.problems, *self._watching.sources.problems()]
-        return [*self._problems, *self._wellness.problems, *self._situating.problems, *watched, *unmetered]
+        blind = [f"{one}." for one in self._tree.blind] if self._tree is not None else []
+        return [*self._problems, *self._wellness.problems, *self._situating.problems, *watched, *unmetered, *blind]
 
     @property
     def waiting(self) -> list[str]:

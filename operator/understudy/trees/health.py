@@ -164,6 +164,11 @@ class HealthTree:
         return list(self._leaves)
 
     @property
+    def blind(self) -> list[str]:
+        """Why leaves that are judged can't judge, in words."""
+        return [leaf.blind for leaf in self._leaves if leaf.blind]
+
+    @property
     def grace(self) -> float:
         """Seconds that an instance has to become healthy for the first time."""
         return self._glance.grace

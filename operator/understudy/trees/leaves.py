@@ -35,6 +35,8 @@ class Leaf(Behaviour, ABC):
     """Whether it judges by the topic's messages."""
     kind = ""
     """What it is called in the short form, where its class isn't."""
+    blind = ""
+    """Why it holds though it can't judge, which is no failure: a mistake in itself, in words. Empty where it can."""
     of_cluster = False
     """Whether only who watches the cluster can tell it, and the ROS graph doesn't."""
 

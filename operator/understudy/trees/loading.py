@@ -15,7 +15,7 @@ from understudy.api.rosnames import ROS_NAME_PATTERN, ROS_TYPE_PATTERN
 from understudy.trees.composites import AnyOf
 from understudy.trees.expressions import Fields
 from understudy.trees.health import Build, HealthTree, WatchedTopic
-from understudy.trees.kinds import LEAVES
+from understudy.trees.kinds import LEAVES, UNUSABLE
 from understudy.trees.leaves import TopicLeaf, duration
 from understudy.trees.observations import Glance
 from understudy.trees.plans import LeafPlan, topic_of, type_of
@@ -148,6 +148,9 @@ class _Loader(Reader):
     def _unknown_node_key(self, key: str, path: str) -> None:
         if key in WHILE_KEYS:
             self.problem(f"{path}.{key}", f"unknown key; {key} belongs beside while")
+            return
+        if key in UNUSABLE:
+            self.problem(f"{path}.{key}", UNUSABLE[key])
             return
         if inside := [kind for kind, keys in _LEAF_KEYS.items() if key in keys]:
             kinds = " or ".join(filter(None, (", ".join(inside[:-1]), inside[-1])))

@@ -21,7 +21,7 @@ from understudy.api.rosnames import ROS_NAME_PATTERN, ROS_TYPE_PATTERN
 from understudy.trees import vocabulary
 from understudy.trees.composites import FirstOf
 from understudy.trees.health import HealthTree, WatchedTopic
-from understudy.trees.kinds import LEAVES
+from understudy.trees.kinds import LEAVES, UNUSABLE
 from understudy.trees.loading import load
 from understudy.trees.matching import mismatch
 from understudy.trees.problems import TreeError, did_you_mean
@@ -182,6 +182,8 @@ class _Loader(Reader):
                 continue
             if key in (*STEPS, *DECORATORS):
                 self.problem(f"{path}.{key}", f"a check only looks; {key} belongs into a procedure")
+            elif key in UNUSABLE:
+                self.problem(f"{path}.{key}", UNUSABLE[key])
             elif key in ("do", "within", "times", "wait"):
                 self.problem(f"{path}.{key}", f"unknown key; {key} belongs inside timeout or retry")
             else:

@@ -31,7 +31,7 @@ def test_every_file_is_known_here() -> None:
         "manifests/robot.yaml",
         *(f"manifests/strategies/{name}.yaml" for name in ("executing", "pod-started", "restart")),
         "manifests/workload.yaml",
-        *(f"moveit2/{name}.yaml" for name in ("executing", "restart", "workload")),
+        *(f"moveit2/{name}.yaml" for name in ("executing", "planner-running", "restart", "workload")),
     ]
 
 

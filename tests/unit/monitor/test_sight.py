@@ -12,6 +12,8 @@ from understudy.api.policies import FailurePolicySpec
 from understudy.api.workloads import RobotWorkloadSpec
 from understudy.mitigation.interfaces import GateState, Instance
 from understudy.monitor.metering import Meter
+from understudy.trees import loading
+from understudy.trees.judges import kind_of
 from understudy.trees.observations import PodCondition
 
 pytestmark = pytest.mark.ros
@@ -366,3 +368,28 @@ def test_what_the_pod_takes_is_asked_for_where_the_tree_needs_it_and_judged(sigh
     assert (meter._pod, meter.usage) == ("w-2", None)
     meter._problem = "CPU and memory of pods can't be told: because."
     assert meter._problem in sight.problems
+
+
+def test_a_leaf_of_one_s_own_that_fails_by_itself_is_told_of_and_no_failure(
+    sight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Broken:
+        def judge(self, message: object) -> str:
+            return str(message.percentage)  # type: ignore[attr-defined]
+
+    monkeypatch.setattr(loading, "LEAVES", {**loading.LEAVES, "acme_leaf": kind_of("acme_leaf", Broken)})
+    monkeypatch.setattr(loading, "KINDS", (*loading.KINDS, "acme_leaf"))
+    sight.follow(_policy({"acme_leaf": {"topic": "/beat", "type": "std_msgs/msg/String"}}), None)
+    from std_msgs.msg import String
+
+    publisher = sight.graph.node.create_publisher(String, "/beat", 10)
+    since, end = time.time(), time.monotonic() + 20
+    while not sight.problems and time.monotonic() < end:
+        publisher.publish(String(data="x"))
+        time.sleep(0.05)
+        sight.drain([], "")
+        verdict = sight.verdict(now=time.time(), since=since)
+    assert sight.problems == [
+        "acme_leaf can't judge /beat, AttributeError: 'String' object has no attribute 'percentage'."
+    ]
+    assert verdict.state == "Healthy"

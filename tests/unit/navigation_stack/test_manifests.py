@@ -63,6 +63,7 @@ def test_every_file_is_known_here() -> None:
         *(f"manifests/strategies/{name}.yaml" for name in STRATEGIES),
         "manifests/workload.yaml",
         "nav2/executing.yaml",
+        "nav2/localization-running.yaml",
         "nav2/restart.yaml",
         "nav2/workload.yaml",
     ]

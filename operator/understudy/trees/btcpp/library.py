@@ -10,6 +10,7 @@ from understudy.trees import subjects, vocabulary
 from understudy.trees.ages import AGE
 from understudy.trees.btcpp import thresholds
 from understudy.trees.diagnostics import DIAGNOSTICS
+from understudy.trees.kinds import ADDED, UNUSABLE
 from understudy.trees.lifecycles import LIFECYCLE
 from understudy.trees.logs import LOG
 from understudy.trees.motions import MOTION
@@ -41,6 +42,11 @@ class Node:
     def a(self) -> str:
         """Its category with an article."""
         return f"an {self.category}" if self.category == "Action" else f"a {self.category}"
+
+
+def tag_of(key: str) -> str:
+    """What a leaf of procedures, or of another package, is called in XML, such as ``SetLifecycle`` for ``set_lifecycle``."""
+    return "".join(part.capitalize() for part in key.split("_"))
 
 
 NODES: Mapping[str, Node] = {
@@ -88,6 +94,10 @@ NODES: Mapping[str, Node] = {
         {"parameter" if key == "name" else key: f"parameter.{key}" for key in PARAMETER.keys},
     ),
     "Pod": Node("Condition", "pod", {key: f"pod.{key}" for key in POD_LEAF.keys}),
+    **{
+        tag_of(kind): Node("Condition", kind, {key: f"{kind}.{key}" for key in leaf.keys})
+        for kind, leaf in ADDED.items()
+    },
 }
 
 EXPLICIT = ("Action", "Condition", "Control", "Decorator")
@@ -115,7 +125,11 @@ _CERTAIN = "a verdict that is certain says nothing about the robot; leave it out
 _RECOVERY = "a health tree only judges; what is done after a failure belongs into spec.strategies of the policy"
 _LOOKS = "procedures and checks look once, a health tree watches; write what must hold, such as <Lifecycle> or <Node>"
 
+OF_OTHERS: Mapping[str, str] = {tag_of(name): why for name, why in UNUSABLE.items()}
+"""Why leaves of other packages can't be used."""
+
 REFUSED: Mapping[str, str] = {
+    **OF_OTHERS,
     "SequenceWithMemory": f"{_ANEW} <Sequence>",
     "SequenceStar": f"{_ANEW} <Sequence>",
     "AsyncSequence": f"{_ANEW} <Sequence>",
@@ -158,11 +172,6 @@ REFUSED: Mapping[str, str] = {
     "RateController": _ONCE,
 }
 """Why other nodes of BehaviorTree.CPP (and the control nodes that Nav2 adds) are not for health trees, and what is."""
-
-
-def tag_of(key: str) -> str:
-    """What a leaf of procedures is called in XML, such as ``SetLifecycle`` for ``set_lifecycle``."""
-    return "".join(part.capitalize() for part in key.split("_"))
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from understudy.trees import spelling, subjects, vocabulary
 from understudy.trees.btcpp import thresholds
-from understudy.trees.btcpp.library import NODES, REFUSED, Category, Library, Node, tag_of
+from understudy.trees.btcpp.library import NODES, OF_OTHERS, REFUSED, Category, Library, Node, tag_of
 from understudy.trees.procedures import HEALTH
 from understudy.trees.reading import found_text
 from understudy.trees.subjects import Subject
@@ -66,6 +66,7 @@ _TRIES = ("RetryUntilSuccesful", "RecoveryNode", "RateController", *_LOOPS)
 _ENTRIES = ("SetBlackboard", "UnsetBlackboard", "SkipUnlessUpdated", "WaitValueUpdate", "WasEntryUpdated")
 
 _REFUSED: Mapping[str, str] = {
+    **OF_OTHERS,
     **{tag: _DRIVING for tag in _LEAVES if tag not in _WATCHED},
     **dict.fromkeys(_SEQUENCES, f"{_IN_ORDER} <Sequence>"),
     **dict.fromkeys(_FALLBACKS, f"{_IN_ORDER} <Fallback>"),

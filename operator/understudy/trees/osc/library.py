@@ -14,7 +14,7 @@ from understudy.trees import vocabulary
 from understudy.trees.ages import CLOCKS
 from understudy.trees.btcpp.library import NODES
 from understudy.trees.diagnostics import LEVELS
-from understudy.trees.kinds import LEAVES
+from understudy.trees.kinds import LEAVES, UNUSABLE
 from understudy.trees.lifecycles import STATES
 from understudy.trees.loading import TASK_KEYS, TOPIC_KEYS
 from understudy.trees.logs import LEVELS as SEVERITIES
@@ -162,6 +162,7 @@ _NO_PROCESSES = "a health tree starts no processes and reads no files; write wha
 _LOOKS = "procedures and checks look once, a health tree watches; write what must hold, such as lifecycle() or node()"
 
 _OTHERS: Mapping[str, str] = {
+    **UNUSABLE,
     **dict.fromkeys(("run_process", "process_log_check"), _NO_PROCESSES),
     **dict.fromkeys(("increment", "decrement", "log"), _STORE),
     "compare": "values of messages are compared by value(); write that",

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 from understudy.trees import spelling, subjects, vocabulary
 from understudy.trees.btcpp.library import tag_of
+from understudy.trees.kinds import UNUSABLE
 from understudy.trees.osc import tokens
 from understudy.trees.osc.dialects import Dialect
 from understudy.trees.osc.library import ACTIONS, MODIFIERS, STATUS_CHANGES, Argument, Behavior
@@ -73,6 +74,7 @@ _DRIVING = "it says something of the instance that drives, which this one doesn'
 _CLUSTER = "what is done in the cluster is said by the strategies of a policy; leave it out"
 
 _OTHERS: Mapping[str, str] = {
+    **UNUSABLE,
     **dict.fromkeys((name for name in ACTIONS if name not in WATCHED), _DRIVING),
     "while_task_active": "a procedure is run whatever the robot works on; leave it out",
     **dict.fromkeys(("run_process", "process_log_check"), _NO_PROCESSES),

@@ -1,0 +1,253 @@
+"""Leaves of one's own: what a class must be like, what it is given, and that a mistake in it costs one leaf and nothing else."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from datetime import timedelta
+from typing import Any
+
+import pytest
+
+from tests.unit.trees.messages import Battery
+from tests.unit.trees.world import START, World
+from understudy.trees import loading
+from understudy.trees.health import Verdict
+from understudy.trees.judges import kind_of
+from understudy.trees.loading import load
+from understudy.trees.problems import TreeError
+from understudy.trees.snapshots import snapshot
+
+
+class Falling:
+    """Has nothing against a battery that falls by less than ``most`` from one message to the next."""
+
+    def __init__(self, most: float = 0.1) -> None:
+        if most <= 0:
+            raise ValueError(f"found most: {most:g}; give more than 0")
+        self.most, self.before = most, 1.0
+
+    def judge(self, message: Any) -> str | None:
+        fell, self.before = self.before - message.percentage, message.percentage
+        return f"it fell by {fell:.2g}" if fell > self.most else None
+
+
+Install = Callable[[object], None]
+
+
+@pytest.fixture
+def install(monkeypatch: pytest.MonkeyPatch) -> Install:
+    """Has a class be the leaf acme_leaf."""
+
+    def installed(judge: object) -> None:
+        leaves = {**loading.LEAVES, "acme_leaf": kind_of("acme_leaf", judge)}
+        monkeypatch.setattr(loading, "LEAVES", leaves)
+        monkeypatch.setattr(loading, "KINDS", (*loading.KINDS, "acme_leaf"))
+
+    return installed
+
+
+def leaf(**more: Any) -> dict[str, Any]:
+    return {"acme_leaf": {"topic": "/battery", "type": "t/msg/Battery", **more}}
+
+
+def refusal(**more: Any) -> list[str]:
+    with pytest.raises(TreeError) as caught:
+        load(leaf(**more))
+    return [str(problem).removeprefix("spec.monitoring.yaml.acme_leaf") for problem in caught.value.problems]
+
+
+# -- what it says -----------------------------------------------------------------------------------------------------
+
+
+def test_what_it_has_against_a_message_is_a_failure_as_it_comes(install: Install) -> None:
+    install(Falling)
+    world = World(leaf()).battery(1.0, 0.95)
+    assert world.at(1.0).state == "Healthy"
+    assert world.battery(2.0, 0.5).at(2.0) == Verdict(
+        "Failed", "acme_leaf of /battery does not hold (it fell by 0.45)", "battery.acme_leaf", START + 1.0
+    )
+    assert world.battery(3.0, 0.45).at(3.0).state == "Healthy"
+    (topic,) = world.tree.topics
+    assert (topic.prompt, topic.whole) == (True, True)
+
+
+def test_with_for_it_is_foretold(install: Install) -> None:
+    install(Falling)
+    world = World(leaf(**{"for": "500ms"})).battery(1.0, 0.95)
+    world.at(1.0)
+    world.battery(2.0, 0.5).at(2.0)
+    assert world.deadline(2.0) == 2.5
+    assert world.states([2.49, 2.5]) == ["Healthy", "Failed"]
+
+
+def test_each_instance_has_a_judge_of_its_own(install: Install) -> None:
+    install(Falling)
+    world = World(leaf()).battery(1.0, 0.95).battery(2.0, 0.9)
+    assert world.states([1.0, 2.0]) == ["Healthy", "Healthy"]
+    world.since = START + 3.0
+    assert world.battery(4.0, 0.85).at(4.0).reason == "acme_leaf of /battery has not held yet (it fell by 0.15)"
+
+
+def test_it_is_shown_by_its_name(install: Install) -> None:
+    install(Falling)
+    world = World(leaf()).battery(1.0, 0.5)
+    world.at(1.0)
+    shown = snapshot(world.tree, world.observed(), START + 1.0)
+    assert shown is not None
+    assert (shown["name"], shown["kind"], shown["state"]) == ("battery.acme_leaf", "acme_leaf", "Starting")
+
+
+# -- mistakes in it ---------------------------------------------------------------------------------------------------
+
+
+class Broken:
+    def judge(self, message: Any) -> Any:
+        if message.percentage > 0.5:
+            raise KeyError("cells")
+        return True if message.percentage > 0.4 else None
+
+
+def test_one_that_raises_holds_and_says_that_it_is_blind(install: Install, caplog: pytest.LogCaptureFixture) -> None:
+    install(Broken)
+    world = World({"parallel": [leaf(), {"topic": {"name": "/scan", "gap": "1s"}}]}).hear("/scan", 1.0)
+    with caplog.at_level(logging.ERROR):
+        assert world.battery(1.0, 0.9).at(1.0).state == "Healthy"
+        assert world.battery(1.5, 0.8).at(1.5).state == "Healthy"
+    assert world.tree.blind == ["acme_leaf can't judge /battery, KeyError: 'cells'"]
+    assert [record.message for record in caplog.records] == world.tree.blind, "once, however many messages there are"
+    assert world.at(2.0).leaf == "scan", "the rest of the tree goes on protecting"
+
+
+def test_one_that_returns_what_is_no_text_is_blind_until_it_can_judge_again(install: Install) -> None:
+    install(Broken)
+    world = World(leaf()).battery(1.0, 0.45)
+    assert world.at(1.0).state == "Healthy"
+    assert world.tree.blind == [
+        "acme_leaf can't judge /battery, TypeError: judge() returned True, which is neither a text nor None"
+    ]
+    assert world.battery(2.0, 0.3).at(2.0).state == "Healthy"
+    assert world.tree.blind == []
+
+
+def test_a_message_that_can_t_be_read_does_not_hold(install: Install) -> None:
+    install(Falling)
+    world = World(leaf()).battery(1.0, 0.95)
+    world.at(1.0)
+    assert world.hear("/battery", 2.0, "it is no Battery").at(2.0).state == "Failed"
+    assert world.tree.blind == []
+
+
+def test_its_reason_is_not_longer_than_a_condition_can_have(install: Install) -> None:
+    class Talkative:
+        def judge(self, message: Battery) -> str:
+            return "x" * 100_000
+
+    install(Talkative)
+    assert len(World(leaf(), grace=0.0).battery(1.0, 0.95).at(1.0).reason) < 300
+
+
+# -- what it is given -------------------------------------------------------------------------------------------------
+
+
+def test_keys_are_read_by_their_types_also_where_a_language_has_only_texts(install: Install) -> None:
+    made = []
+
+    class Asking:
+        def __init__(
+            self, text: str, whole: int, number: float, truth: bool, length: timedelta, more: str = ""
+        ) -> None:
+            made.append((text, whole, number, truth, length, more))
+
+        def judge(self, message: Battery) -> None: ...
+
+    install(Asking)
+    load(leaf(text="7", whole=7, number=7, truth=True, length="500ms"))
+    load(leaf(text="7", whole="7", number="7", truth="true", length="500ms", more="m"))
+    assert made == [("7", 7, 7.0, True, timedelta(milliseconds=500), more) for more in ("", "m")]
+    assert refusal(text=7, whole=7.5, number="nan", truth="yes", length=500) == [
+        ".text: found 7; give a text, in quotes where it looks like a number",
+        ".whole: found 7.5; give a whole number",
+        ".number: found 'nan'; give a number",
+        ".truth: found 'yes'; give true or false",
+        ".length: found 500, which has no unit; write it with ms, s, m or h, such as 500ms",
+    ]
+    assert refusal(text="7", whole=7, number=7, truth=[], lenght="1s") == [
+        ".lenght: unknown key 'lenght', did you mean 'length'?",
+        ".truth: found a list; give true or false",
+        ".length: missing; acme_leaf needs it",
+    ]
+
+
+def test_what_it_refuses_is_refused_in_its_own_words(install: Install) -> None:
+    install(Falling)
+    assert refusal(most=-1) == [": found most: -1; give more than 0"]
+
+
+def test_one_that_can_t_be_made_refuses_the_tree_and_nothing_more(install: Install) -> None:
+    class Careless:
+        def __init__(self) -> None:
+            self.table = {}["calibration"]
+
+        def judge(self, message: Battery) -> None: ...
+
+    install(Careless)
+    assert refusal() == [": acme_leaf can't be made, KeyError: 'calibration'"]
+
+
+def test_a_topic_is_required_and_an_example_says_what_else(install: Install) -> None:
+    class Field:
+        def __init__(self, field: str, most: float = 1.0) -> None: ...
+
+        def judge(self, message: Battery) -> None: ...
+
+    install(Field)
+    with pytest.raises(TreeError, match=r"acme_leaf is a mapping such as \{topic: /scan, field: ...\}"):
+        load({"acme_leaf": []})
+    with pytest.raises(TreeError, match=r"topic: missing; give the topic's fully qualified name, such as /scan"):
+        load({"acme_leaf": {"field": "ranges"}})
+
+
+# -- what it must be --------------------------------------------------------------------------------------------------
+
+
+def judging(init: Callable[..., None]) -> type:
+    return type("Made", (), {"__init__": init, "judge": lambda self, message: None})
+
+
+def untyped(self: object, field) -> None: ...  # type: ignore[no-untyped-def]
+
+
+def listed(self: object, fields: list[str]) -> None: ...
+
+
+def unnamed(self: object, *fields: str) -> None: ...
+
+
+def topical(self: object, topic: str) -> None: ...
+
+
+def unknown(self: object, field: Feild) -> None: ...  # type: ignore[name-defined]  # noqa: F821
+
+
+def odd(self: object, field: [str]) -> None: ...  # type: ignore[valid-type]
+
+
+@pytest.mark.parametrize(
+    ("judge", "why"),
+    [
+        (Falling(), "it must be a class with a method judge"),
+        (object, "it must be a class with a method judge"),
+        (7, "it must be a class with a method judge"),
+        (judging(untyped), "its parameter field must have one of these as its type: str, int, float, bool, timedelta"),
+        (judging(listed), "its parameter fields must have one of these"),
+        (judging(unnamed), "can't be given by name"),
+        (judging(topical), "its parameter topic is called as what every leaf has"),
+        (judging(unknown), "the parameters of Made.. can't be told, NameError: name 'Feild' is not defined"),
+        (judging(odd), "its parameter field must have one of these as its type"),
+    ],
+    ids=["object", "no-judge", "number", "untyped", "list", "args", "topic", "undefined", "odd"],
+)
+def test_what_is_no_judge_is_refused(judge: object, why: str) -> None:
+    with pytest.raises(ValueError, match=why):
+        kind_of("acme_leaf", judge)
