@@ -99,6 +99,8 @@ class Found:
     """Seconds of a processor that each took from the first claim until all were answered, per claim, by who."""
     claim_reads: float = 0.0
     """Of the monitors, per claim."""
+    claim_writes: dict[str, dict[str, float]] = field(default_factory=dict)
+    """By whom and what, per claim."""
     claim_events: float = 0.0
     """Events that watches sent meanwhile, per claim."""
     refilled: float = 0.0
@@ -239,6 +241,7 @@ class Bench:
         one.claiming["API server"] = counted.total(counting.CPU) / len(times)
         one.claim_reads = counting.requests(counted, "monitor", "reads") / len(times)
         one.claim_events = counted.total(counting.EVENTS) / len(times)
+        one.claim_writes = _writes_of_each(counted, len(times))
         pods = [pod for pod in self._cluster.claimed() if pod["metadata"]["uid"] not in before]
         acknowledged = [t for t in told if t["uid"]]
         one.claims = [1000 * (t["done"] - t["intended"]) for t in acknowledged]
@@ -259,6 +262,9 @@ class Bench:
             )
             shares = ", ".join(f"{name} {1000 * used:.0f}" for name, used in one.claiming.items())
             self.say(f"ms of a processor per claim: {shares}; {one.claim_events:.0f} events of watches")
+            self.say(
+                "writes per claim: " + "; ".join(f"{who}: {_told(kinds)}" for who, kinds in one.claim_writes.items())
+            )
 
     def _restart(self, one: Found) -> None:
         self.say(f"{one.robots} robots: starting the operator anew")

@@ -12,7 +12,7 @@ import aiohttp
 
 from understudy.api import names
 from understudy.api.base import API_VERSION
-from understudy.cluster.client import PODS, ApiError, Client, Object
+from understudy.cluster.client import JSON, PODS, ApiError, Client, Object
 
 RETRY_FIRST, RETRY_MOST = 0.05, 1.0  # seconds
 
@@ -30,16 +30,20 @@ def part(key: str) -> str:
 async def claim(client: Client, pod: Object, *, workload: str, workload_uid: str, claim: str) -> Object:
     """Make an unclaimed pod an instance of a workload, which from then on owns it.
 
+    Of a pod that was read whole, the write holds for that version only. One of which a table told just the name is claimed if it is
+    unclaimed and of its pool then.
+
     A pod that has changed since it was read but is still unclaimed (the kubelet writes its status) is tried again. So is a
     claim that got no answer, once it is known that it wasn't carried out: else the pod would belong to a workload that
     doesn't know of it. Raises ApiError: 409 when another workload's claim was first, 404 when the pod is gone.
     """
     retry = RETRY_FIRST
     while True:
+        whole = "resourceVersion" in pod["metadata"]
         try:
-            return await _write(client, pod, workload, workload_uid, claim)
+            return await (_write if whole else _test_and_write)(client, pod, workload, workload_uid, claim)
         except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
-            changed = isinstance(error, ApiError) and error.conflict
+            changed = isinstance(error, ApiError) and error.status == (409 if whole else 422)
             if not changed and not _unanswered(error):
                 raise
             if not changed:
@@ -48,7 +52,7 @@ async def claim(client: Client, pod: Object, *, workload: str, workload_uid: str
             fresh = await _reread(client, pod)
             if (fresh["metadata"].get("annotations") or {}).get(names.CLAIM) == claim:
                 return fresh
-            if not unclaimed(fresh) or fresh["metadata"]["uid"] != pod["metadata"]["uid"]:
+            if not unclaimed(fresh) or not _same(fresh, pod):
                 raise ApiError(409, "Conflict", f"pod {pod['metadata']['name']} isn't free any more") from error
             pod = fresh
 
@@ -82,28 +86,60 @@ def unclaimed(pod: Object) -> bool:
     return (metadata.get("labels") or {}).get(names.HELD) == "true" and not metadata.get("deletionTimestamp")
 
 
+def _same(fresh: Object, pod: Object) -> bool:
+    """Whether a pod that was read anew is the one that was meant."""
+    if "resourceVersion" in pod["metadata"]:
+        return bool(fresh["metadata"]["uid"] == pod["metadata"]["uid"])
+    return bool(pod["metadata"]["labels"].items() <= fresh["metadata"]["labels"].items())
+
+
 async def _write(client: Client, pod: Object, workload: str, workload_uid: str, claim: str) -> Object:
     metadata = pod["metadata"]
-    return await client.patch(
-        PODS,
-        metadata["namespace"],
-        metadata["name"],
-        {
-            "metadata": {
-                "uid": metadata["uid"],
-                "resourceVersion": metadata["resourceVersion"],
-                "labels": {names.HELD: None, names.WORKLOAD: workload},
-                "annotations": {names.CLAIM: claim, names.CLAIMED_AT: str(int(time.time()))},
-                "ownerReferences": [
-                    {
-                        "apiVersion": API_VERSION,
-                        "kind": "RobotWorkload",
-                        "name": workload,
-                        "uid": workload_uid,
-                        "controller": True,
-                        "blockOwnerDeletion": False,
-                    }
-                ],
-            }
-        },
-    )
+    body = {
+        "metadata": {
+            "uid": metadata["uid"],
+            "resourceVersion": metadata["resourceVersion"],
+            "labels": {names.HELD: None, names.WORKLOAD: workload},
+            "annotations": _annotations(claim),
+            "ownerReferences": [_owner(workload, workload_uid)],
+        }
+    }
+    return await client.patch(PODS, metadata["namespace"], metadata["name"], body)
+
+
+async def _test_and_write(client: Client, pod: Object, workload: str, workload_uid: str, claim: str) -> Object:
+    """By a JSON patch (RFC 6902), which the API server carries out whole, on the pod as it is then, or refuses with 422.
+
+    It also refuses where the pod has no annotations at all.
+    """
+    metadata = pod["metadata"]
+    body = [{"op": "test", "path": _path("labels", key), "value": value} for key, value in metadata["labels"].items()]
+    body.append({"op": "remove", "path": _path("labels", names.HELD)})
+    body.append({"op": "add", "path": _path("labels", names.WORKLOAD), "value": workload})
+    for key, value in _annotations(claim).items():
+        body.append({"op": "add", "path": _path("annotations", key), "value": value})
+    body.append({"op": "add", "path": _path("ownerReferences"), "value": [_owner(workload, workload_uid)]})
+    made = await client.patch(PODS, metadata["namespace"], metadata["name"], body, kind=JSON)
+    if made["metadata"].get("deletionTimestamp"):
+        raise ApiError(404, "NotFound", f"pod {metadata['name']} is being deleted")
+    return made
+
+
+def _path(*keys: str) -> str:
+    """A JSON pointer (RFC 6901) into an object's metadata."""
+    return "/".join(["/metadata", *(key.replace("~", "~0").replace("/", "~1") for key in keys)])
+
+
+def _annotations(claim: str) -> dict[str, str]:
+    return {names.CLAIM: claim, names.CLAIMED_AT: str(int(time.time()))}
+
+
+def _owner(workload: str, uid: str) -> Object:
+    return {
+        "apiVersion": API_VERSION,
+        "kind": "RobotWorkload",
+        "name": workload,
+        "uid": uid,
+        "controller": True,
+        "blockOwnerDeletion": False,
+    }

@@ -108,6 +108,7 @@ MERGE = "application/merge-patch+json"
 JSON = "application/json-patch+json"
 STRATEGIC = "application/strategic-merge-patch+json"
 APPLY = "application/apply-patch+yaml"
+TABLE = "application/json;as=Table;v=v1;g=meta.k8s.io,application/json"
 
 
 @dataclass(frozen=True)
@@ -254,12 +255,14 @@ class Client:
         result: Object = json.loads(await self._ask(method, path, params, headers, data))
         return result
 
-    async def read(self, path: str, *, params: Mapping[str, str] | None = None) -> bytes:
+    async def read(
+        self, path: str, *, params: Mapping[str, str] | None = None, accept: str = "application/json"
+    ) -> bytes:
         """The text of an answer to GET, uncompressed: within a cluster, compressing a long one costs more than sending it.
 
         Raises what :meth:`request` raises.
         """
-        return await self._ask("GET", path, params, {"Accept-Encoding": "identity"})
+        return await self._ask("GET", path, params, {"Accept": accept, "Accept-Encoding": "identity"})
 
     async def _ask(
         self,
@@ -310,6 +313,22 @@ class Client:
         """
         params = _selectors(labels, fields) | ({"resourceVersion": "0"} if cached else {})
         return await self.request("GET", resource.path(namespace), params=params)
+
+    async def table(
+        self,
+        resource: Resource,
+        namespace: str | None = None,
+        *,
+        labels: str | None = None,
+        fields: str | None = None,
+        cached: bool = False,
+    ) -> Object:
+        """A collection as a table (meta.k8s.io/v1 Table): of each object what kubectl shows of it, and nothing else. A server that
+        has no tables answers with a list.
+        """
+        params = _selectors(labels, fields) | ({"resourceVersion": "0"} if cached else {}) | {"includeObject": "None"}
+        answer: Object = json.loads(await self.read(resource.path(namespace), params=params, accept=TABLE))
+        return answer
 
     async def parts(
         self, resource: Resource, namespace: str | None = None, *, labels: str | None = None, limit: int = PAGE

@@ -40,6 +40,8 @@ class Executor:
     ) -> None:
         self._client, self._store, self._expectations, self._may_write = client, store, expectations, may_write
         self._settled: dict[tuple[str, str, str], tuple[str, frozenset[str]]] = {}
+        self._compared: dict[tuple[str, str, str], int] = {}
+        """Which version of an object was found to be as wanted, and as what: hashes, since a fleet has many objects."""
 
     async def run(self, key: Key, writes: Sequence[Write]) -> list[Problem]:
         """Make the writes; what the API server refuses for good is returned, and the others are still made.
@@ -115,9 +117,15 @@ class Executor:
         stamp = wanted["metadata"]["annotations"][applying.APPLIED]
         if objects.notes(live).get(applying.APPLIED) != stamp:
             return False
+        compared = hash((objects.uid(live), live["metadata"]["resourceVersion"], stamp))
+        if self._compared.get(place) == compared:
+            return True
         uid, settled = self._settled.get(place, ("", frozenset()))
         found = set(applying.differences(live, wanted))
-        return not (found - settled if uid == objects.uid(live) else found)
+        so = not (found - settled if uid == objects.uid(live) else found)
+        if so:
+            self._compared[place] = compared
+        return so
 
     async def _create(self, key: Key, resource: Resource, body: Object, counted: bool) -> None:
         name = objects.name(body)

@@ -33,6 +33,9 @@ HARDENED: Object = {
 
 LOST_SECONDS = 30
 
+DEFAULT_CONTAINER = "kubectl.kubernetes.io/default-container"
+"""Annotation of a pod: whose logs kubectl shows unless it is told otherwise."""
+
 _TOKEN_VOLUME = "understudy-agent-token"
 _DISTANCE = 100  # the greatest weight: an understudy on the node of the active pod dies with it
 _DISTANCE_OF_MONITOR = 50  # a monitor that dies with the active pod is started elsewhere first, which takes seconds
@@ -190,8 +193,11 @@ def pod(built: Object, *, name: str, namespace: str, owner: Object) -> Object:
     """A pod of a built template."""
     metadata = built["metadata"]
     labels = {**metadata["labels"], names.INSTANCE: name}
+    annotations = dict(metadata.get("annotations") or {})
     if names.HELD in labels:
         labels[names.PART] = claims.part(name)
+        # A claim adds to the annotations, so there must be one.
+        annotations.setdefault(DEFAULT_CONTAINER, built["spec"]["containers"][0]["name"])
     return {
         "apiVersion": "v1",
         "kind": "Pod",
@@ -200,6 +206,7 @@ def pod(built: Object, *, name: str, namespace: str, owner: Object) -> Object:
             "name": name,
             "namespace": namespace,
             "labels": labels,
+            **({"annotations": annotations} if annotations else {}),
             "ownerReferences": [owner],
         },
         "spec": built["spec"],

@@ -54,6 +54,11 @@ ABSENT = frozenset(
 TOGETHER_SECONDS = 3.0
 """For so long after an object was created, what it lacks isn't told yet."""
 
+COUNT_SECONDS = 1.0
+"""Between two writes of a pool's status: in a burst it changes with every claim, and the API server then has better things to
+do. What is new for a new spec is told at once.
+"""
+
 WITHDRAWN = frozenset(
     {
         resizing.CONDITION,
@@ -93,6 +98,8 @@ class Reconciler:
         self._client, self._store, self._observer, self._executor = client, store, observer, executor
         self._recorder, self._images, self._judge = recorder, images, Judge(client)
         self._fresh = fresh()
+        self._counted: dict[Key, float] = {}
+        """When the status of each pool was written last, in seconds of the monotonic clock."""
 
     async def reconcile(self, key: Key) -> float | None:
         """Bring the object to what it says; seconds after which to look again, if it must be.
@@ -105,6 +112,7 @@ class Reconciler:
         if item is None or objects.deleted(item):
             if key.plural == POOLS.plural:
                 self._measure(key, None)
+                self._counted.pop(key, None)
             if key.plural == POLICIES.plural:
                 metrics.storm(key.namespace, key.name, None)
             return None
@@ -170,7 +178,7 @@ class Reconciler:
             owned=self._store.owned(objects.uid(item)),
             pods=self._store.labelled(PODS, key.namespace, names.POOL, key.name),
         )
-        later = await self._tell(POOLS, item, pools.status(seen, understanding, problems))
+        later = await self._count(key, item, pools.status(seen, understanding, problems))
         self._measure(key, understanding.sized)
         if understanding.sized is not None and (told := poolsizes.change(understanding.sized)) is not None:
             await self._recorder.normal(item, "Resized", told)
@@ -206,6 +214,19 @@ class Reconciler:
         said, again = storms.judge(policy, guard, [found[name] for name in users], time.time())
         metrics.storm(namespace, objects.name(policy), said.status == "True")
         return said, again
+
+    async def _count(self, key: Key, pool: Object, status: Object) -> float | None:
+        """As :meth:`_tell`, but not more often than COUNT_SECONDS."""
+        now = time.monotonic()
+        wait = self._counted.get(key, now - COUNT_SECONDS) + COUNT_SECONDS - now
+        stored = pool.get("status") or {}
+        if _says(pool, status):
+            return None
+        if wait > 0 and stored.get("observedGeneration") == status["observedGeneration"]:
+            return wait
+        later = await self._tell(POOLS, pool, status)
+        self._counted[key] = now
+        return later
 
     async def _tell(self, resource: Resource, item: Object, status: Object) -> float | None:
         """Write the status where it differs from the stored one, and tell transitions as Events.

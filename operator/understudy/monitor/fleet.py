@@ -107,7 +107,8 @@ class Fleet:
 
     async def look(self, pool: str, *, part: bool = False) -> None:
         """Look which pods of a shared pool are unclaimed, or which of some of them."""
-        await self._view.unclaimed(pool).look(claims.part(self._settings.uid) if part else "")
+        current = next((choice.template_hash for choice in self._settings.pools if choice.name == pool), "")
+        await self._view.unclaimed(pool).look(claims.part(self._settings.uid) if part else "", current)
 
     def followed(self, pool: str) -> AbstractAsyncContextManager[None]:
         """Go on looking, meanwhile."""

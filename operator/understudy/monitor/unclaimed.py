@@ -11,7 +11,7 @@ import contextlib
 from collections.abc import AsyncIterator, Mapping
 
 from understudy.api import names
-from understudy.cluster import claims
+from understudy.cluster import claims, podtables
 from understudy.cluster.client import PODS, Client, Object
 from understudy.cluster.watching import Reflector
 
@@ -24,8 +24,9 @@ class Unclaimed:
 
     def __init__(self, client: Client, namespace: str, pool: str) -> None:
         self._client, self._namespace = client, namespace
-        self._labels = f"{names.HELD}=true,{names.POOL}={pool}"
-        self._watched = Reflector(client, PODS, namespace, labels=self._labels, fields=RUNNING, cached=True)
+        self._labels = {names.HELD: "true", names.POOL: pool}
+        labels = _selector(self._labels)
+        self._watched = Reflector(client, PODS, namespace, labels=labels, fields=RUNNING, cached=True)
         self._found: dict[str, Object] = {}
 
     @property
@@ -33,13 +34,17 @@ class Unclaimed:
         """As they were when it was asked last, or as the watch tells while there is one."""
         return self._watched.items if self._watched.synced.is_set() else self._found
 
-    async def look(self, part: str = "") -> None:
-        """Ask which there are, of all or of one part of them (claims.part). Waits while the API server is away. Raises ApiError."""
-        labels = f"{self._labels},{names.PART}={part}" if part else self._labels
+    async def look(self, part: str = "", template_hash: str = "") -> None:
+        """Ask which there are, of all or of one part of them (claims.part), of any template or one. Waits while the API server is
+        away. Raises ApiError.
+        """
+        labels = self._labels | ({names.PART: part} if part else {})
+        labels |= {names.TEMPLATE_HASH: template_hash} if template_hash else {}
         answer = await claims.answered(
-            lambda: self._client.list(PODS, self._namespace, labels=labels, fields=RUNNING, cached=True)
+            lambda: self._client.table(PODS, self._namespace, labels=_selector(labels), fields=RUNNING, cached=True)
         )
-        self._found = {item["metadata"]["name"]: item for item in answer.get("items") or []}
+        pods = podtables.pods(answer, namespace=self._namespace, labels=labels)
+        self._found = {pod["metadata"]["name"]: pod for pod in pods}
 
     @contextlib.asynccontextmanager
     async def followed(self) -> AsyncIterator[None]:
@@ -56,3 +61,7 @@ class Unclaimed:
     async def changed(self) -> None:
         """Wait until the watch tells of a change."""
         await self._watched.changed()
+
+
+def _selector(labels: Mapping[str, str]) -> str:
+    return ",".join(f"{key}={value}" for key, value in labels.items())

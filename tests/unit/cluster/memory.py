@@ -7,6 +7,7 @@ import itertools
 from collections.abc import Callable
 from typing import Any
 
+from tests.support.answers import json_patched
 from understudy.cluster.client import ApiError, Client, Object, Resource
 
 
@@ -58,11 +59,18 @@ class MemoryClient(Client):
         found = self.items.get(place)
         if found is None:
             raise ApiError(404, "NotFound", f"{name} not found")
+        if isinstance(body, list):
+            return self._patched(place, body)
         metadata = body.get("metadata") or {}
         for key in ("resourceVersion", "uid"):
             if key in metadata and metadata[key] != found["metadata"][key]:
                 raise ApiError(409, "Conflict", f"{name} has changed")
         merge(found, body)
+        found["metadata"]["resourceVersion"] = str(next(self._versions))
+        return copy.deepcopy(found)
+
+    def _patched(self, place: tuple[str, str, str], operations: list[Object]) -> Object:
+        self.items[place] = found = json_patched(self.items[place], operations)
         found["metadata"]["resourceVersion"] = str(next(self._versions))
         return copy.deepcopy(found)
 

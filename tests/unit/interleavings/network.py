@@ -11,9 +11,10 @@ from typing import Any
 
 import aiohttp
 
+from tests.support.answers import tabled
 from tests.unit.interleavings.apiserver import ApiServer, selecting, told
 from tests.unit.interleavings.scheduling import Process, VirtualLoop
-from understudy.cluster.client import ApiError, Client, Expired, Object, Resource
+from understudy.cluster.client import TABLE, ApiError, Client, Expired, Object, Resource
 
 
 @dataclass
@@ -189,8 +190,11 @@ class SimulatedClient(Client):
             network.later(self._seconds, self._gave_up, answer, process=process)
         return await answer
 
-    async def read(self, path: str, *, params: Mapping[str, str] | None = None) -> bytes:
-        return json.dumps(await self.request("GET", path, params=params), separators=(",", ":")).encode()
+    async def read(
+        self, path: str, *, params: Mapping[str, str] | None = None, accept: str = "application/json"
+    ) -> bytes:
+        answer = await self.request("GET", path, params=params)
+        return json.dumps(tabled(answer) if accept == TABLE else answer, separators=(",", ":")).encode()
 
     @staticmethod
     def _gave_up(answer: asyncio.Future[Object]) -> None:

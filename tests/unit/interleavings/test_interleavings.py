@@ -85,6 +85,9 @@ def without(*keys: str) -> Any:
     real = Client.patch
 
     async def patch(self: Client, resource: Any, namespace: Any, name: str, body: Any, **more: Any) -> Object:
+        if isinstance(body, list):
+            body = [operation for operation in body if operation["op"] != "test"]
+            return await real(self, resource, namespace, name, body, **more)
         metadata = {key: value for key, value in (body.get("metadata") or {}).items() if key not in keys}
         return await real(self, resource, namespace, name, {**body, "metadata": metadata}, **more)
 
@@ -92,13 +95,16 @@ def without(*keys: str) -> Any:
 
 
 def test_a_claim_without_its_precondition_is_found() -> None:
-    write = claims._write
+    writes = {name: getattr(claims, name) for name in ("_write", "_test_and_write")}
 
-    async def careless(client: Client, pod: Object, *rest: Any) -> Object:
-        with mock.patch.object(client, "patch", without("resourceVersion", "uid").__get__(client)):
-            return await write(client, pod, *rest)
+    def careless(name: str) -> Any:
+        async def write(client: Client, pod: Object, *rest: Any) -> Object:
+            with mock.patch.object(client, "patch", without("resourceVersion", "uid").__get__(client)):
+                return await writes[name](client, pod, *rest)
 
-    with mock.patch.object(claims, "_write", careless):
+        return write
+
+    with mock.patch.multiple(claims, **{name: careless(name) for name in writes}):
         assert found("was claimed by", SCARCE, "all_fail")
 
 

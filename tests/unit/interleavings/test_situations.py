@@ -24,7 +24,7 @@ from understudy.cluster.client import Object
 from understudy.controller import objects
 from understudy.monitor.situating import Seen
 
-FIRST, RUNS = 500_000, 16
+FIRST, RUNS = 500_016, 16
 
 SCENE = Scene("situations", workloads=2, strategies=("spare", "Restart"), spares=1, standbys=1)
 CARRYING = "carrying"

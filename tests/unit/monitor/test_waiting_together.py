@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from tests.support.answers import tabled
 from tests.unit.cluster.memory import MemoryClient
 from tests.unit.interleavings.apiserver import Event, selecting, told
 from understudy.api import names
@@ -86,6 +87,9 @@ class Cluster(MemoryClient):
         pods = [item for (plural, _, _), item in self.items.items() if plural == resource.plural and chosen(item)]
         version = self._pods[-1].version if self._pods else 0
         return {"metadata": {"resourceVersion": str(version)}, "items": copy.deepcopy(pods)}
+
+    async def table(self, *args: Any, **selectors: Any) -> Object:
+        return tabled(await self.list(*args, **selectors))
 
     async def watch(
         self, resource: Resource, namespace: str | None = None, *, version: str, **selectors: Any
