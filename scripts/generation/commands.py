@@ -12,10 +12,10 @@ from understudy.console import kubectl
 from understudy.main import PARTS
 
 WITHOUT_OPTIONS = {
-    "monitor": "watches one workload, and recovers it",
-    "agent": "the sidecar of an instance",
-    "tasks": "the task proxy of a workload",
-    "prepare": "the init container that writes an instance's DDS profiles",
+    "monitor": "watches one workload, and recovers it. Exit status: 0 where it was told to end, 2 where it isn't told of which workload",
+    "agent": "the sidecar of an instance. Exit status: 0 where it was told to end, 2 where it isn't told of which pod",
+    "tasks": "the task proxy of a workload. Exit status: 0 where it was told to end, 2 where it isn't told of which workload",
+    "prepare": "the init container that writes an instance's DDS profiles. Exit status: 0 where they are written, 1 where they can't be",
 }
 """What only pods run, where the environment says what to do."""
 
@@ -28,8 +28,7 @@ _INTRODUCTION = """\
 same as this page. With options that a verb doesn't have, each ends with 2."""
 
 _IN_PODS = """\
-Nobody types these: they have no options, and the environment that the operator gives them says what they do. They end with 2 where
-they are given arguments, or where that says too little."""
+Nobody types these: they have no options, and the environment that the operator gives them says what they do."""
 
 
 def page() -> str:

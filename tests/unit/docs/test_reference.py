@@ -130,6 +130,14 @@ def test_the_page_is_the_same_for_whoever_writes_it(monkeypatch: pytest.MonkeyPa
     assert commands.page() == before
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(REPOSITORY)))
+def test_verbs_and_options_that_a_page_names_are_there(page: Path) -> None:
+    for verb, more in re.findall(r"`(?:kubectl )?understudy ([a-z][a-z-]*)([^`\n]*)`", page.read_text()):
+        assert verb in PARTS
+        known = set(VERBS[verb]._option_string_actions) if verb in VERBS else set()
+        assert set(re.findall(r"(?<!\S)--?[a-z][a-z-]*", more)) <= known
+
+
 def typed() -> Iterator[Any]:
     """Every command of ours that a page shows to be typed."""
     for page in PAGES:
