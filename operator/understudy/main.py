@@ -19,7 +19,7 @@ import importlib
 import os
 import sys
 
-_PARTS = {
+PARTS = {
     "operator": "understudy.controller.running",
     "monitor": "understudy.monitor.running",
     "agent": "understudy.agent.running",
@@ -49,7 +49,7 @@ _PARTS = {
     "recommend": "understudy.planning.recommend",
     "report": "understudy.reporting.report",
 }
-
+"""The module of each verb, whose ``main`` is given the arguments behind it."""
 
 _IN_PODS = ("operator", "monitor", "agent", "tasks", "prepare")
 """What nobody types."""
@@ -60,17 +60,17 @@ def main() -> int:
     arguments = sys.argv[1:]
     if "_ARGCOMPLETE" in os.environ:
         return _complete()
-    if not arguments or arguments[0] not in _PARTS:
-        print(f"usage: understudy {{{'|'.join(_PARTS)}}}", file=sys.stderr)
+    if not arguments or arguments[0] not in PARTS:
+        print(f"usage: understudy {{{'|'.join(PARTS)}}}", file=sys.stderr)
         return 2
-    result: int = importlib.import_module(_PARTS[arguments[0]]).main(arguments[1:])
+    result: int = importlib.import_module(PARTS[arguments[0]]).main(arguments[1:])
     return result
 
 
 def _complete() -> int:
     """Answer a shell that asks how the line may go on. Verbs that work on files leave it to the shell."""
     completing = importlib.import_module("understudy.console.completing")
-    found = _PARTS.get(completing.verb([part for part in _PARTS if part not in _IN_PODS]) or "", "")
+    found = PARTS.get(completing.verb([part for part in PARTS if part not in _IN_PODS]) or "", "")
     if found.startswith("understudy.console."):
         importlib.import_module(found).main([])
     return 1

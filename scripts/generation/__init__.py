@@ -8,13 +8,14 @@ from typing import Any
 
 import yaml
 
-from scripts.generation import metrics, reference, scenarios, values
+from scripts.generation import commands, leaves, metrics, reference, scenarios, values
 from understudy.api.crds import definitions
 
 CHART = Path("charts/understudy")
+REFERENCE = Path("docs/reference")
 SCENARIOS = Path("docs/trees-osc.md")
 PROCEDURES = Path("docs/procedures.md")
-METRICS = Path("docs/metrics.md")
+TREES = Path("docs/trees.md")
 LIBRARY = Path("operator/understudy/trees/osc/lib_osc/understudy.osc")
 
 
@@ -38,7 +39,7 @@ def to_yaml(data: Mapping[str, Any]) -> str:
 def outputs(root: Path) -> dict[Path, str]:
     """The text of every generated file by its path in the project.
 
-    ``root`` is where the hand-written parts are read from: the chart's values and its README around the table.
+    ``root`` is where the hand-written parts are read from: the chart's values, its README around the table, and what pages say of leaves.
     """
     header = "# Written by scripts/generate from the models in operator/understudy/api: change those.\n"
     result: dict[Path, str] = {}
@@ -46,8 +47,12 @@ def outputs(root: Path) -> dict[Path, str]:
         text = header + to_yaml(definition)
         result[Path("crds") / name] = text
         result[CHART / "files" / "crds" / name] = text
-    result[Path("docs/reference/api.md")] = reference.page()
-    result[LIBRARY] = scenarios.library((root / "docs/trees.md").read_text(), (root / PROCEDURES).read_text())
+    described = (root / TREES).read_text(), (root / PROCEDURES).read_text()
+    result[REFERENCE / "api.md"] = reference.page()
+    result[REFERENCE / "leaves.md"] = leaves.page(*described)
+    result[REFERENCE / "cli.md"] = commands.page()
+    result[REFERENCE / "metrics.md"] = metrics.page()
+    result[LIBRARY] = scenarios.library(*described)
     readme = CHART / "README.md"
     table = values.table((root / CHART / "values.yaml").read_text())
     result[readme] = values.between_markers((root / readme).read_text(), table)
@@ -57,5 +62,4 @@ def outputs(root: Path) -> dict[Path, str]:
     result[PROCEDURES] = values.between_markers(
         (root / PROCEDURES).read_text(), scenarios.languages(), scenarios.PROCEDURES_BEGIN, scenarios.PROCEDURES_END
     )
-    result[METRICS] = values.between_markers((root / METRICS).read_text(), metrics.table(), metrics.BEGIN, metrics.END)
     return result

@@ -1,4 +1,4 @@
-"""The table of metrics, out of the metrics themselves."""
+"""The reference page of metrics, out of the metrics themselves."""
 
 from __future__ import annotations
 
@@ -14,19 +14,27 @@ from understudy.controller.stores import Store
 from understudy.monitor import metrics as monitor
 from understudy.monitor.topicmetrics import TopicMetrics
 
-BEGIN = "<!-- metrics: written by scripts/generate -->"
-END = "<!-- /metrics -->"
+_INTRODUCTION = """\
+# Metrics reference
+
+<!-- Written by scripts/generate from the metrics in operator/understudy: change those. -->
+
+All that operator and monitors serve at port 9108 (`/metrics`), besides what Prometheus' client library tells of each process, such
+as `process_cpu_seconds_total`. Agents and task proxies serve none. How they are scraped, which alerts there are and what these mean
+for a robot is in [metrics, alerts and dashboards](../metrics.md). Of a histogram there are the series `_bucket`, `_sum` and
+`_count`."""
 
 
-def table() -> str:
+def page() -> str:
     """All metrics of ours in Markdown, by who tells them."""
-    lines = ["| metric | kind | labels | what it says |", "| --- | --- | --- | --- |"]
+    lines = [_INTRODUCTION]
     for who, described in (("operator", _operator()), ("monitor", _monitor())):
-        lines.append(f"| **of the {who}** | | | |")
+        lines += ["", f"## Of the {who}", "", "| metric | type | labels | what it says |", "| --- | --- | --- | --- |"]
         for metric, labels in sorted(described, key=lambda pair: pair[0].name):
             name = f"{metric.name}_total" if metric.type == "counter" else metric.name
-            lines.append(f"| `{name}` | {metric.type} | {', '.join(labels)} | {metric.documentation} |")
-    return "\n".join(lines)
+            told = ", ".join(f"`{label}`" for label in labels)
+            lines.append(f"| `{name}` | {metric.type} | {told} | {metric.documentation} |")
+    return "\n".join(lines) + "\n"
 
 
 def exposed() -> set[str]:

@@ -50,9 +50,7 @@ _ABOUT: Mapping[str, str] = {
 
 def library(page: str, procedures: str) -> str:
     """The text of the library; ``page`` is the one that describes the leaves, ``procedures`` that of the steps."""
-    rows = re.findall(r"^\| `([a-z_]+)` \| (while .*?) \|", page, re.MULTILINE)
-    about = {key: f"holds {told.replace('`', '')}" for key, told in rows} | _done(procedures) | _ABOUT
-    models = {**_models(page), **_models(procedures)}
+    about, ports = purposes(page, procedures), {**models(page), **models(procedures)}
     parts = [_HEADER]
     parts += [f"enum {name}: [{', '.join(members)}]\n" for name, members in ENUMS.items()]
     parts += [_type(name) for name in OWN]
@@ -66,12 +64,18 @@ def library(page: str, procedures: str) -> str:
         parts.append(f"# {title}\n")
         for name, behavior in behaviors.items():
             parts.append(
-                _behavior(f"{word} {name}", behavior, about.get(behavior.key, ""), models.get(behavior.tag, {}))
+                _behavior(f"{word} {name}", behavior, about.get(behavior.key, ""), ports.get(behavior.tag, {}))
             )
     return "\n".join(parts)
 
 
-def _models(page: str) -> dict[str, dict[str, Element]]:
+def purposes(page: str, procedures: str) -> dict[str, str]:
+    """What every leaf, step and look is for, by its key, as the tables of the two pages begin to say it."""
+    rows = re.findall(r"^\| `([a-z_]+)` \| (while .*?) \|", page, re.MULTILINE)
+    return {key: f"holds {told.replace('`', '')}" for key, told in rows} | _done(procedures) | _ABOUT
+
+
+def models(page: str) -> dict[str, dict[str, Element]]:
     """The ports of the nodes that a page shows the models of."""
     (shown,) = re.findall(r"```xml\n(<TreeNodesModel>.*?)```", page, re.DOTALL)
     return {

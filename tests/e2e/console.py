@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -28,6 +29,16 @@ def started(kubectl: Kubectl, command: str, *arguments: str) -> subprocess.Popen
         _command(kubectl, command, *arguments),
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=_environment(),
     )  # fmt: skip
+
+
+def shell_environment(kubeconfig: Path, folder: Path) -> dict[str, str]:
+    """The environment of a user's shell: with ``understudy`` on the PATH, and a kubeconfig of its own, in which a namespace can be set."""
+    own, programs = folder / "kubeconfig", folder / "bin"
+    shutil.copyfile(kubeconfig, own)
+    programs.mkdir()
+    (programs / "understudy").write_text(f'#!/bin/sh\nexec "{sys.executable}" -m understudy "$@"\n')
+    (programs / "understudy").chmod(0o755)
+    return _environment() | {"KUBECONFIG": str(own), "PATH": f"{programs}:{os.environ['PATH']}"}
 
 
 def completed(kubectl: Kubectl, command: str, begun: str, folder: Path) -> list[str]:

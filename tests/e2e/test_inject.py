@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import re
+import subprocess
 import time
+from pathlib import Path
 
-from tests.e2e.console import understudy
+import pytest
+
+from tests.e2e.console import REPOSITORY, shell_environment, understudy
+from tests.e2e.kubectl import Kubectl
 from tests.e2e.scenario import Robot
 
 LENGTH = 3.0
@@ -62,3 +68,23 @@ def test_failures_are_made_where_they_are_allowed(executing: Robot) -> None:
     executing.wait_standby()
     assert understudy(kubectl, "inject", name, "kill", "--yes").returncode == 0
     assert executing.wait_recovered(2).old == first.new
+
+
+@pytest.mark.long
+def test_the_script_for_ci_ends_well_after_a_failure_that_was_recovered(executing: Robot, tmp_path: Path) -> None:
+    kubectl, page = executing.kubectl, (REPOSITORY / "docs/how-to/rehearsing-failures.md").read_text()
+    (script,) = re.findall(r"```sh\n(set -eu\n.*?)```", page, re.DOTALL)
+    executing.wait_standby()
+    kubectl("label", "namespace", kubectl.namespace, "understudy.dev/allow-inject=true")
+
+    environment = shell_environment(kubectl.kubeconfig, tmp_path)
+    Kubectl(Path(environment["KUBECONFIG"]), kubectl.namespace)(
+        "config", "set-context", "--current", f"--namespace={kubectl.namespace}"
+    )
+    done = subprocess.run(
+        ["bash", "-c", script, "rehearse.sh", executing.workload],
+        env=environment, capture_output=True, text=True, timeout=240, check=False,
+    )  # fmt: skip
+    print(done.stdout, done.stderr)
+    assert done.returncode == 0
+    assert re.search(r"^Fallback/Executing in [\d.]+ s$", done.stdout, re.MULTILINE)

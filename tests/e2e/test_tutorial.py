@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import re
-import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
+from tests.e2e.console import shell_environment
 from tests.e2e.kubectl import Kubectl
 
 REPOSITORY = Path(__file__).parents[2]
@@ -24,19 +22,7 @@ GAP = re.compile(r"no command for ([\d.]+) s")
 def test_the_tutorials_robot_goes_on_when_what_drives_it_is_killed_and_when_it_freezes(
     kubeconfig: Path, tmp_path: Path
 ) -> None:
-    own = tmp_path / "kubeconfig"
-    shutil.copyfile(kubeconfig, own)  # since the namespace is set in it
-    programs = tmp_path / "bin"
-    programs.mkdir()
-    (programs / "understudy").write_text(f'#!/bin/sh\nexec "{sys.executable}" -m understudy "$@"\n')
-    (programs / "understudy").chmod(0o755)
-    environment = {
-        **os.environ,
-        "KUBECONFIG": str(own),
-        "IMAGE": IMAGE,
-        "PATH": f"{programs}:{os.environ['PATH']}",
-        "PYTHONPATH": str(REPOSITORY / "operator"),
-    }
+    environment = shell_environment(kubeconfig, tmp_path) | {"IMAGE": IMAGE}
 
     def run(commands: str) -> str:
         done = subprocess.run(
@@ -50,7 +36,7 @@ def test_the_tutorials_robot_goes_on_when_what_drives_it_is_killed_and_when_it_f
     *steps, cleanup = COMMANDS.findall(PAGE.read_text())
     try:
         said = [run(step) for step in steps]
-        found = Kubectl(own, "tugs").get("robotworkload", "tug-drive")["status"]
+        found = Kubectl(kubeconfig, "tugs").get("robotworkload", "tug-drive")["status"]
         assert [recovery["strategy"] for recovery in found["recoveries"]] == ["Fallback/Executing"] * 2
         gaps = [float(gap) for gap in GAP.findall(said[-1])]
         assert 0.3 <= max(gaps) < 2.0, "what it went without is told at the end: that it froze is seen by its silence"

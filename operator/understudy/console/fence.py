@@ -124,7 +124,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("name", metavar="NAME", help="the RobotWorkload")
     parser.add_argument("--reason", metavar="TEXT", required=True, help="why, for whoever finds it so")
-    parser.add_argument("--owner", metavar="WHO", default=getpass.getuser(), help="who does it (%(default)s)")
+    parser.add_argument(
+        "--owner",
+        metavar="WHO",
+        default=getpass.getuser(),
+        help="who does it, where that isn't whom you are logged in as",
+    )
     asking.add_option(parser)
     add_options(parser)
     return parser

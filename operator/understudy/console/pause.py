@@ -65,7 +65,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("name", metavar="NAME", help="the RobotWorkload")
     parser.add_argument("--reason", metavar="TEXT", required=True, help="what is being done, for whoever asks why")
-    parser.add_argument("--owner", metavar="WHO", default=getpass.getuser(), help="who does it (%(default)s)")
+    parser.add_argument(
+        "--owner",
+        metavar="WHO",
+        default=getpass.getuser(),
+        help="who does it, where that isn't whom you are logged in as",
+    )
     end = parser.add_mutually_exclusive_group()
     end.add_argument("--until", metavar="MOMENT", help="when it ends by itself, such as 2026-11-22T18:00:00Z")
     end.add_argument("--for", metavar="DURATION", dest="length", help="how long it lasts, such as 30m")

@@ -74,11 +74,11 @@ class Profile:
 
     def _todo(self) -> Iterator[str]:
         if self.spec.gate.robots:
-            yield f"The robot's address must be in spec.gate.robots ({', '.join(self.spec.gate.robots)}), or no standby hears it."
+            yield f"The robot's address must be in spec.gate.robots ({', '.join(self.spec.gate.robots)}), or no instance hears it."
         else:
             patch = '{"spec":{"gate":{"robots":["ADDRESS/32"]}}}'
             yield (
-                "spec.gate.robots has no address of a robot, so no standby hears it: "
+                "spec.gate.robots has no address of a robot, so no instance hears it: "
                 f"kubectl patch robotworkload -n {self.namespace} {self.name} --type=merge -p '{patch}'"
             )
         server = self.environment.get("ROS_DISCOVERY_SERVER", "")

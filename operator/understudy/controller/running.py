@@ -130,10 +130,25 @@ async def _cancel(tasks: set[asyncio.Task[None]]) -> None:
 def options(argv: Sequence[str]) -> tuple[argparse.Namespace, Options]:
     """The options of a command line, with what the pod's environment says as defaults."""
     environment = os.environ.get
-    parser = argparse.ArgumentParser(prog="understudy operator", description="Reconciles RobotWorkloads.")
+    parser = argparse.ArgumentParser(
+        prog="understudy operator",
+        description="Reconciles RobotWorkloads, FailurePolicies and FallbackPools, while it holds the lease.",
+        epilog="Exit status: 0 where it was told to end, 1 where it lost the lease or a part of it failed, 2 where it isn't told the "
+        "monitor's image.",
+    )
     parser.add_argument("--kubeconfig", help="instead of the pod's own account")
-    parser.add_argument("--monitor-image", default=environment("UNDERSTUDY_MONITOR_IMAGE"))
-    parser.add_argument("--image-pull-policy", default=environment("UNDERSTUDY_IMAGE_PULL_POLICY", "IfNotPresent"))
+    parser.add_argument(
+        "--monitor-image",
+        default=environment("UNDERSTUDY_MONITOR_IMAGE"),
+        metavar="IMAGE",
+        help="of monitors and agents; required, here or as UNDERSTUDY_MONITOR_IMAGE",
+    )
+    parser.add_argument(
+        "--image-pull-policy",
+        default=environment("UNDERSTUDY_IMAGE_PULL_POLICY", "IfNotPresent"),
+        metavar="POLICY",
+        help="of the monitor's image",
+    )
     parser.add_argument(
         "--image-pull-secret",
         action="append",
@@ -150,12 +165,33 @@ def options(argv: Sequence[str]) -> tuple[argparse.Namespace, Options]:
     parser.add_argument(
         "--watch-namespace", action="append", default=[], help="look after this namespace only; may be repeated"
     )
-    parser.add_argument("--lease", default=LEASE)
-    parser.add_argument("--lease-namespace", default=environment("UNDERSTUDY_NAMESPACE") or _own_namespace())
-    parser.add_argument("--identity", default=environment("POD_NAME") or socket.gethostname())
-    parser.add_argument("--resync", type=float, default=30.0, metavar="SECONDS", help="list everything so often")
-    parser.add_argument("--port", type=int, default=names.METRICS_PORT, help="of /healthz, /ready and /metrics")
-    parser.add_argument("--log-level", default=environment("UNDERSTUDY_LOG_LEVEL", "info"))
+    parser.add_argument(
+        "--lease", default=LEASE, metavar="NAME", help="of the Lease that one replica holds (%(default)s)"
+    )
+    parser.add_argument(
+        "--lease-namespace",
+        default=environment("UNDERSTUDY_NAMESPACE") or _own_namespace(),
+        metavar="NAMESPACE",
+        help="where that is; its own, unless told otherwise",
+    )
+    parser.add_argument(
+        "--identity",
+        default=environment("POD_NAME") or socket.gethostname(),
+        metavar="NAME",
+        help="by which it holds that; its pod's name, unless told otherwise",
+    )
+    parser.add_argument(
+        "--resync", type=float, default=30.0, metavar="SECONDS", help="list everything so often (%(default)g)"
+    )
+    parser.add_argument(
+        "--port", type=int, default=names.METRICS_PORT, help="of /healthz, /ready and /metrics (%(default)s)"
+    )
+    parser.add_argument(
+        "--log-level",
+        default=environment("UNDERSTUDY_LOG_LEVEL", "info"),
+        metavar="LEVEL",
+        help="debug, info, warning or error; info, unless UNDERSTUDY_LOG_LEVEL says otherwise",
+    )
     given = parser.parse_args(argv)
     if not given.monitor_image:
         parser.error("--monitor-image (or UNDERSTUDY_MONITOR_IMAGE) is required: the image of monitors and agents")

@@ -170,7 +170,9 @@ async def _problem(look: Look, client: Client, place: Place) -> str | None:
 def main(argv: Sequence[str]) -> int:
     """Say what is in order and what isn't; the exit status."""
     parser = argparse.ArgumentParser(
-        prog="understudy verify", description="Whether this installation works (helm test)."
+        prog="understudy verify",
+        description="Says whether this installation works; helm test runs it in a pod.",
+        epilog="Exit status: 0 where all is in order, 1 where something isn't.",
     )
     parser.add_argument("--operator", required=True, metavar="NAME", help="name of the operator's Deployment")
     parser.add_argument("--no-admission", action="store_true", help="the admission policy was left out")

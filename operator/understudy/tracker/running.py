@@ -26,8 +26,13 @@ def main(argv: list[str]) -> int:
     parser = argparse.ArgumentParser(
         prog="understudy tracker",
         description="Publishes where robots with ArUco markers are and how fast they move, as a camera sees them.",
+        epilog="Exit status: 0 where it was told to end, or where --check finds nothing wrong, 2 where it isn't told what to do, or "
+        "can't do it as it is installed.",
     )
-    parser.add_argument("file", nargs="?", type=Path, default=os.environ.get("UNDERSTUDY_TRACKER"), metavar="FILE")
+    parser.add_argument(
+        "file", nargs="?", type=Path, default=os.environ.get("UNDERSTUDY_TRACKER"), metavar="FILE",
+        help="what says which camera and which markers; without it, what UNDERSTUDY_TRACKER names",
+    )  # fmt: skip
     parser.add_argument("--check", action="store_true", help="only say whether the file can be used")
     arguments = parser.parse_args(argv)
     if arguments.file is None:

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import io
 import json
+import re
+import shlex
 from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 from tests.unit.console import fleet
 from tests.unit.console.kubectl import Stand
@@ -218,3 +221,15 @@ def test_before_the_operator_has_written_anything_there_is_nothing(
     assert f"ConfigMap {ROBOT}-robot-env isn't there yet; what {ROBOT} waits for says understudy explain" in (
         capsys.readouterr().err
     )
+
+
+def test_the_page_shows_what_is_said_of_a_robot_outside_the_cluster(
+    stand: Stand, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = (Path(__file__).parents[3] / "docs/how-to/robot-outside-the-cluster.md").read_text()
+    (manifest,) = re.findall(r"```yaml\n(.*?)```", page, re.DOTALL)
+    ((line, shown),) = re.findall(r"```console\n\$ understudy robot-profile (.*?)\n(.*?)```", page, re.DOTALL)
+    stand.tell(given_out(fleet.well() | {"spec": yaml.safe_load(manifest)["spec"]}))
+    monkeypatch.chdir(tmp_path)
+    assert robotprofile.main(shlex.split(line)) == 0
+    assert capsys.readouterr().out == shown

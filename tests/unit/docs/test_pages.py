@@ -10,6 +10,8 @@ import pytest
 import yaml
 
 from tests.support.manifests import MODELS, WITH_A_LEAF_OF_ITS_OWN, covers
+from understudy.api.crds import root
+from understudy.api.kinds import KINDS
 from understudy.api.policies import FailurePolicySpec
 from understudy.trees.forms import load_monitoring
 from understudy.trees.texts import load_text
@@ -70,3 +72,28 @@ def test_manifests_in_pages_are_what_the_models_say(item: dict[str, Any], lent: 
 
 def test_there_are_manifests_in_the_pages() -> None:
     assert len(manifests()) >= 4
+
+
+def paths() -> list[Any]:
+    """Where commands in pages look in a RobotWorkload."""
+    found = []
+    for page in PAGES:
+        for text in re.findall(r"```(?:sh|console)\n(.*?)```", page.read_text(), re.DOTALL):
+            for line in text.splitlines():
+                if re.search(r"\b(rw|robotworkloads?)\b", line) and "jsonpath" in line:
+                    found += [
+                        pytest.param(path, id=f"{name(page)}-{path}")
+                        for path in re.findall(r"\{\.((?:spec|status)\.[^}]*)\}", line)
+                    ]
+    return found
+
+
+@pytest.mark.parametrize("path", paths())
+def test_what_commands_in_pages_look_at_is_there(path: str) -> None:
+    schema = root(next(kind for kind in KINDS if kind.short == "rw"))
+    for part in re.sub(r"\[[^]]*\]", ".[]", path).split("."):
+        schema = schema["items"] if part == "[]" else schema["properties"][part]
+
+
+def test_there_are_paths_in_the_pages() -> None:
+    assert len(paths()) >= 10

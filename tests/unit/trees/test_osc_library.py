@@ -156,7 +156,7 @@ def test_values_are_what_scenario_execution_takes_them_for(tmp_path: Path) -> No
         {"topic_name": "/scan", "rate_min": 8, "rate_max": 20.0, "window": 2},
         {},
         {"action_name": "/go", "settle": 60},
-        {"worst": ("WARN", 1)},
+        {"topic_name": "/diagnostics", "worst": ("WARN", 1)},
         {"topic_name": "/plan", "count": 2, "for": 3.6},
     ]
     topics = {topic.name: topic for topic in load_osc(EVERYTHING).topics}

@@ -1,0 +1,112 @@
+"""The reference page of the command line, out of the parsers of its verbs."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+from collections.abc import Iterator
+from typing import Any, NoReturn
+from unittest import mock
+
+from understudy.console import kubectl
+from understudy.main import PARTS
+
+WITHOUT_OPTIONS = {
+    "monitor": "watches one workload, and recovers it. Exit status: 0 where it was told to end, 2 where it isn't told of which workload",
+    "agent": "the sidecar of an instance. Exit status: 0 where it was told to end, 2 where it isn't told of which pod",
+    "tasks": "the task proxy of a workload. Exit status: 0 where it was told to end, 2 where it isn't told of which workload",
+    "prepare": "the init container that writes an instance's DDS profiles. Exit status: 0 where they are written, 1 where they can't be",
+}
+"""What only pods run, where the environment says what to do."""
+
+_INTRODUCTION = """\
+# Command line
+
+<!-- Written by scripts/generate from the parsers of the verbs: change those. -->
+
+`understudy VERB`, and where [`kubectl-understudy` is on the PATH](../console.md) `kubectl understudy VERB`. `-h` of each verb says the
+same as this page. With options that a verb doesn't have, each ends with 2."""
+
+_IN_PODS = """\
+Nobody types these: they have no options, and the environment that the operator gives them says what they do."""
+
+
+def page() -> str:
+    """The whole page as Markdown."""
+    where = argparse.ArgumentParser(add_help=False)
+    kubectl.add_options(where)
+    shared = [_row(where, action) for action in where._actions]
+    lines = [_INTRODUCTION, "", "## Which cluster", ""]
+    lines += ["Verbs that ask a cluster do so through kubectl, and have its options:", "", *_table(shared)]
+    for verb, parser in parsers().items():
+        lines += ["", f"## {verb}", "", f"`{' '.join([parser.prog, *_needed(parser)])}`", ""]
+        lines += [_text(parser, parser.description)]
+        rows = [_row(parser, action) for action in parser._actions if action.dest != "help"]
+        if own := [row for row in rows if row not in shared]:
+            lines += ["", *_table(own)]
+        if len(own) < len(rows):
+            lines += ["", "And those that say [which cluster](#which-cluster)."]
+        lines += ["", _text(parser, parser.epilog)]
+    lines += ["", "## In pods", "", _IN_PODS, ""]
+    lines += [f"- `understudy {verb}`: {what}" for verb, what in WITHOUT_OPTIONS.items()]
+    return "\n".join(lines) + "\n"
+
+
+def parsers() -> dict[str, argparse.ArgumentParser]:
+    """The parser of each verb that has one, by the verb."""
+    return {verb: _parser(PARTS[verb]) for verb in sorted(PARTS) if verb not in WITHOUT_OPTIONS}
+
+
+class _Asked(BaseException):
+    """Ends a verb at the moment at which its parser is whole."""
+
+
+def _parser(module: str) -> argparse.ArgumentParser:
+    found: list[argparse.ArgumentParser] = []
+
+    def parse(self: argparse.ArgumentParser, *_: Any, **__: Any) -> NoReturn:
+        found.append(self)
+        raise _Asked
+
+    with mock.patch.object(argparse.ArgumentParser, "parse_args", parse):
+        try:
+            importlib.import_module(module).main([])
+        except _Asked:
+            return found[0]
+    raise ValueError(f"{module} parses no options")
+
+
+def _needed(parser: argparse.ArgumentParser) -> Iterator[str]:
+    """What stands behind a verb: its arguments, and the options that it must have."""
+    for action in parser._actions:
+        name = _value(action)
+        if not action.option_strings:
+            yield {"?": f"[{name}]", "*": f"[{name} ...]", "+": f"{name} ..."}.get(str(action.nargs), name)
+        elif action.required:
+            yield f"{action.option_strings[-1]} {name}"
+
+
+def _value(action: argparse.Action) -> str:
+    """The word that stands for the value of an argument or option."""
+    choices = "|".join(action.choices) if isinstance(action.choices, list) else ""
+    return str(action.metavar or choices or action.dest.upper())
+
+
+def _table(rows: list[str]) -> list[str]:
+    return ["| | |", "| --- | --- |", *rows]
+
+
+def _row(parser: argparse.ArgumentParser, action: argparse.Action) -> str:
+    *names, last = action.option_strings or [""]
+    value = _value(action) if action.nargs != 0 else ""
+    named = ", ".join(f"`{name}`" for name in [*names, f"{last} {value}".strip()])
+    return f"| {_cell(named)} | {_cell(_text(parser, action.help, **vars(action)))} |"
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "\\|")
+
+
+def _text(parser: argparse.ArgumentParser, text: str | None, **values: Any) -> str:
+    """What a parser says, with what is meant where it names a value, and nothing in it that Markdown would take for its own."""
+    return " ".join(((text or "") % {**values, "prog": parser.prog}).replace("*", "\\*").split())

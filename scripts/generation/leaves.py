@@ -1,0 +1,124 @@
+"""The reference page of leaves, from what each declares and what its loader says of one that is given nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from itertools import groupby
+from typing import Any
+
+from scripts.generation import scenarios
+from understudy.trees.btcpp.markup import Element
+from understudy.trees.loading import load
+from understudy.trees.osc.library import ACTIONS, ENUMS, MODIFIERS, Argument, Behavior
+from understudy.trees.osc.steps import DECORATORS, LOOKS, STEPS, WATCHED
+from understudy.trees.problems import Problem, TreeError
+from understudy.trees.procedures import load_procedure
+from understudy.trees.spelling import names_of
+from understudy.trees.structures import structure_of
+
+_INTRODUCTION = """\
+# Leaves, steps and what stands around them
+
+<!-- Written by scripts/generate from operator/understudy/trees, docs/trees.md and docs/procedures.md: change those. -->
+
+Everything that [health trees](../trees.md) and [procedures](../procedures.md) can have with values of its own, in all three languages. What
+only holds other nodes is on those pages.
+
+- A **duration** is a number with `ms`, `s`, `m` or `h`, such as `500ms`. In OpenSCENARIO 2 it has that language's units (`ms`, `s`,
+  `min`, `h`), and in XML the `msec` of a `<Timeout>` is a number of milliseconds, as BehaviorTree.CPP has it.
+- A **rate** is a band in Hz, such as `> 8 Hz` or `9 to 11 Hz`; in OpenSCENARIO 2 each bound is an argument, with `Hz` or `kHz`.
+- A **structure** is whatever YAML can say, such as `{data: true}`; XML and OpenSCENARIO 2 have that in a text. A **list of names** is
+  a text there too, with `;` between them.
+- Numbers with other units are texts with the unit in it, such as `0.5 m/s2`.
+- Where no default stands, the value is left out of what is judged or done, or follows from the others, as the page of the tree says."""
+
+_TYPES: Mapping[str, str] = {
+    "time": "duration",
+    "frequency": "rate",
+    "string": "text",
+    "int": "whole number",
+    "float": "number",
+    **{name: " \\| ".join(f"`{member}`" for member in members) for name, members in ENUMS.items()},
+}
+"""How the types of arguments are told."""
+
+_READ: Mapping[Callable[[str], Any] | None, str] = {structure_of: "structure", names_of: "list of names"}
+"""How those are told whose values other languages have as texts."""
+
+_DRIVEN = {"topic": {"name": "/cmd_vel", "gap": "1s"}}
+"""Some leaf, for what must have one."""
+
+
+def page(trees: str, procedures: str) -> str:
+    """The whole page as Markdown, by the two pages that describe trees."""
+    about = scenarios.purposes(trees, procedures)
+    ports = {**scenarios.models(trees), **scenarios.models(procedures)}
+    lines = [_INTRODUCTION]
+    for title, explained, behaviors in (
+        ("Leaves of health trees", "trees.md", ACTIONS),
+        ("Around nodes of health trees", "trees.md", {k: v for k, v in MODIFIERS.items() if v.arguments}),
+        ("Steps of procedures", "procedures.md", STEPS),
+        ("What procedures and readiness checks look at once", "procedures.md", LOOKS),
+        ("Around nodes of procedures", "procedures.md", DECORATORS),
+    ):
+        lines += ["", f"## {title}"]
+        for name, behavior in behaviors.items():
+            anchor = behavior.key if explained == "trees.md" else "nodes"
+            lines += ["", f"### {behavior.key}", ""]
+            lines.append(
+                f"{about[behavior.key][0].upper()}{about[behavior.key][1:]}. `<{behavior.tag}>` in XML, `{name}()` in OpenSCENARIO 2"
+                f"{', in a `with:`' if name in MODIFIERS or name in DECORATORS else ''}"
+                f"{'; procedures have it too' if name in WATCHED else ''}. [More](../{explained}#{anchor})."
+            )
+            lines += _values(behavior, ports.get(behavior.tag, {}))
+    return "\n".join(lines) + "\n"
+
+
+def _values(behavior: Behavior, ports: Mapping[str, Element]) -> Iterator[str]:
+    """The table of a node's values, and what is refused where none is given."""
+    if not behavior.arguments:
+        return
+    lacks = {problem.path: problem.message for problem in _given_nothing(behavior.key)}
+    yield ""
+    yield "| short form | XML | OpenSCENARIO 2 | type | default | |"
+    yield "| --- | --- | --- | --- | --- | --- |"
+    for where, group in groupby(behavior.arguments.values(), key=lambda argument: argument.where):
+        arguments = list(group)
+        one, port = arguments[0], ports[arguments[0].port]
+        names = ", ".join(f"`{argument.name}`" for argument in arguments)
+        short = where.removeprefix(f"{behavior.key}.")
+        cells = [
+            f"`{short}`",
+            f"`{one.port}`",
+            names,
+            _type(one),
+            _default(port, f"spec.{where}" in lacks),
+            *port.texts,
+        ]
+        yield f"| {' | '.join(cells)} |"
+    if others := lacks.get(f"spec.{behavior.key}"):
+        yield ""
+        yield f"Without values: {others}."
+
+
+def _type(argument: Argument) -> str:
+    return _READ.get(argument.reads) or _TYPES[argument.type]
+
+
+def _default(port: Element, required: bool) -> str:
+    default = port.attributes.get("default")
+    return "required" if required else f"`{default}`" if default else ""
+
+
+def _given_nothing(key: str) -> list[Problem]:
+    """What the loader says of a node without any of its values."""
+    try:
+        if key == "while":
+            load({"while": {"task_active": {}}, "do": _DRIVEN}, path="spec")
+        elif key in ACTIONS:
+            load({key: {}}, path="spec")
+        else:
+            load_procedure({key: {}}, path="spec")
+    except TreeError as error:
+        return error.problems
+    return []

@@ -1,0 +1,164 @@
+"""The generated references are whole, and what pages tell to type is what the verbs understand."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from scripts.generation import commands, leaves, metrics, scenarios
+from understudy.main import PARTS
+from understudy.trees import vocabulary
+from understudy.trees.btcpp.library import NODES
+from understudy.trees.btcpp.trees import load_xml
+from understudy.trees.kinds import LEAVES
+from understudy.trees.loading import TOPIC_KEYS
+
+REPOSITORY = Path(__file__).parents[3]
+PACKAGE = REPOSITORY / "operator" / "understudy"
+TREES, PROCEDURES = ((REPOSITORY / "docs" / name).read_text() for name in ("trees.md", "procedures.md"))
+PAGES = [REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").rglob("*.md"))]
+VERBS = commands.parsers()
+
+
+# -- leaves -------------------------------------------------------------------------------------------------------------
+
+
+def sections(page: str) -> dict[str, str]:
+    return {part.partition("\n")[0]: part for part in re.split(r"^#{2,3} ", page, flags=re.MULTILINE)}
+
+
+def test_every_leaf_and_step_is_there_with_each_of_its_values() -> None:
+    found = sections(leaves.page(TREES, PROCEDURES))
+    kinds = {kind: leaf.keys for kind, leaf in LEAVES.items()}
+    for kind, keys in {"topic": TOPIC_KEYS, **kinds, **vocabulary.STEPS, **vocabulary.LOOKS}.items():
+        for key in keys:
+            assert f"| `{key}` |" in found[kind]
+
+
+def test_what_must_be_given_and_what_need_not_is_as_the_loaders_have_it() -> None:
+    found = sections(leaves.page(TREES, PROCEDURES))
+    assert "| `state` | `state` | `state` | `unconfigured` \\| " in found["set_lifecycle"]
+    assert "| required | unconfigured, inactive, active or finalized |" in found["set_lifecycle"]
+    assert "| `active` | unconfigured, inactive, active or finalized |" in found["lifecycle"]
+    assert "| `task_active.action` | `action` | `action_name` | text | required |" in found["while"]
+    assert "| `parent` | `parent` | `parent` | text |  |" in found["transform"]
+    assert "Without values: none of level, node and says is given" in found["log"]
+
+
+def defaults() -> Iterator[Any]:
+    for tag, ports in scenarios.models(TREES).items():
+        for name, port in ports.items():
+            if tag in NODES and NODES[tag].key in LEAVES and "default" in port.attributes:
+                yield pytest.param(tag, name, port.attributes["default"], id=f"{tag}-{name}")
+
+
+def looks(value: Any) -> Any:
+    """What decides how a leaf judges, without what it remembers of having done so."""
+    if callable(value) or type(value).__module__.startswith("py_trees"):
+        return None
+    if type(value).__module__.startswith("understudy") and hasattr(value, "__dict__"):
+        return {
+            key: looks(one) for key, one in vars(value).items() if key not in ("id", "logger", "iterator", "_glance")
+        }
+    if isinstance(value, list | tuple):
+        return [looks(one) for one in value]
+    return repr(value)  # since what isn't known yet may be NaN
+
+
+@pytest.mark.parametrize(("tag", "port", "default"), list(defaults()))
+def test_a_default_is_what_is_taken_where_nothing_is_given(tag: str, port: str, default: str) -> None:
+    node = NODES[tag]
+    example = yaml.safe_load(LEAVES[node.key].example)
+    given = {p: str(example[key]) for p, where in node.ports.items() if (key := where.partition(".")[2]) in example}
+    assert port not in given
+
+    def load(values: dict[str, str]) -> Any:
+        written = " ".join(f'{name}="{value}"' for name, value in values.items())
+        tree = load_xml(f'<root BTCPP_format="4"><BehaviorTree ID="Healthy"><{tag} {written}/></BehaviorTree></root>')
+        return looks(tree.root), tree.topics
+
+    assert load(given) == load(given | {port: default})
+
+
+# -- metrics ------------------------------------------------------------------------------------------------------------
+
+
+def test_every_metric_that_is_named_in_the_code_is_there() -> None:
+    page = metrics.page()
+    makers = [
+        path
+        for path in PACKAGE.rglob("*.py")
+        if re.search(r"\b(Counter|Gauge|Histogram|MetricFamily)\b", path.read_text())
+    ]
+    named = {name for path in makers for name in re.findall(r'\(\s*"(understudy_[a-z_]+)"', path.read_text())}
+    assert len(named) > 30
+    for name in named:
+        assert f"| `{name}` |" in page or f"| `{name}_total` |" in page
+
+
+# -- command line -------------------------------------------------------------------------------------------------------
+
+
+def test_every_verb_is_there() -> None:
+    assert {*VERBS, *commands.WITHOUT_OPTIONS} == set(PARTS)
+    found = sections(commands.page())
+    assert set(VERBS) <= set(found)
+    for verb in commands.WITHOUT_OPTIONS:
+        assert f"- `understudy {verb}`: " in found["In pods"]
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_every_option_says_what_it_does_and_every_verb_what_its_exit_status_means(verb: str) -> None:
+    parser = VERBS[verb]
+    assert parser.description
+    assert (parser.epilog or "").startswith("Exit status: 0")
+    assert [action.dest for action in parser._actions if not action.help] == []
+
+
+def test_the_page_is_the_same_for_whoever_writes_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = commands.page()
+    for name in ("LOGNAME", "USER", "POD_NAME", "UNDERSTUDY_NAMESPACE", "UNDERSTUDY_LOG_LEVEL", "UNDERSTUDY_TRACKER"):
+        monkeypatch.setenv(name, "another")
+    monkeypatch.setenv("COLUMNS", "40")
+    assert commands.page() == before
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(REPOSITORY)))
+def test_verbs_and_options_that_a_page_names_are_there(page: Path) -> None:
+    for verb, more in re.findall(r"`(?:kubectl )?understudy ([a-z][a-z-]*)([^`\n]*)`", page.read_text()):
+        assert verb in PARTS
+        known = set(VERBS[verb]._option_string_actions) if verb in VERBS else set()
+        assert set(re.findall(r"(?<!\S)--?[a-z][a-z-]*", more)) <= known
+
+
+def typed() -> Iterator[Any]:
+    """Every command of ours that a page shows to be typed."""
+    for page in PAGES:
+        for kind, text in re.findall(r"^ *```(sh|console)\n(.*?)```", page.read_text(), re.DOTALL | re.MULTILINE):
+            for line in text.replace("\\\n", " ").splitlines():
+                line = line.strip()
+                if kind == "console" and not line.startswith("$ "):
+                    continue
+                line = re.sub(r'"?\$\((.*?)\)"?', r"\1", line.removeprefix("$ "))
+                found = re.search(r"(?:^|\| ?|eval |kubectl )understudy ([a-z].*)", line)
+                if found is not None:
+                    yield pytest.param(found[1], id=f"{page.relative_to(REPOSITORY)}-{found[1][:40]}")
+
+
+@pytest.mark.parametrize("line", list(typed()))
+def test_what_a_page_says_to_type_is_understood(line: str, capsys: pytest.CaptureFixture[str]) -> None:
+    words = shlex.split(line, comments=True)
+    ends = [words.index(end) for end in ("|", ">", "&&") if end in words]
+    verb, *arguments = words[: min(ends, default=len(words))]
+    parser: argparse.ArgumentParser = VERBS[verb]
+    try:
+        parser.parse_args(arguments)
+    except SystemExit:
+        pytest.fail(capsys.readouterr().err)
