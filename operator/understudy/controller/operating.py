@@ -89,7 +89,7 @@ class Operator:
 
     async def _list(self, *, report: bool) -> None:
         begun = time.time()
-        for sight in await self._lists.resync():
+        for sight in await self._lists.resync(gently=report):
             if report and sight.resource.plural in resyncing.WATCHED and _aged(sight, begun):
                 metrics.MISSED.labels(sight.resource.plural).inc()
         for key in affected.unlisted(self._store):

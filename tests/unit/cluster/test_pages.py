@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 from collections.abc import Iterator, Mapping
 
@@ -104,6 +105,26 @@ async def test_everything_is_listed_whole_whatever_its_parts(only_pods: None) ->
     assert len(sights) == len(store.all(PODS)) == 1001
     assert len(server.asked) > 4, "in more than one part"
     assert not await lists.resync(), "nothing has changed"
+
+
+async def test_a_list_that_is_not_urgent_rests_after_each_part(
+    only_pods: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rests: list[float] = []
+
+    async def sleep(seconds: float) -> None:
+        rests.append(seconds)
+
+    monkeypatch.setattr(asyncio, "sleep", sleep)
+    server, store = Server(600), Store()
+    lists = Lists(server, store, ())
+    await lists.resync()
+    assert not rests, "who waits for it isn't kept waiting"
+    server.asked.clear()
+    await lists.resync(gently=True)
+    assert len(rests) == len(server.asked) == 4
+    assert all(0 < rest <= resyncing.REST_MOST for rest in rests)
+    assert len(store.all(PODS)) == 600
 
 
 async def test_only_what_has_changed_is_decoded_again(only_pods: None, monkeypatch: pytest.MonkeyPatch) -> None:
