@@ -24,9 +24,10 @@ from understudy.console.robots import DRIVEN, UNWATCHED, Problem, Robot, is_told
 from understudy.console.texts import age, listed, wrapped
 from understudy.controller import dependencies, objects, policies, pools, poolsizes, situations, statuses, workloads
 from understudy.controller.desired import Images
+from understudy.controller.observed import Observed
 from understudy.controller.statuses import Means
 from understudy.controller.troubles import trouble
-from understudy.controller.workloads import Observed, Understanding
+from understudy.controller.workloads import Understanding
 from understudy.trees.forms import load_monitoring
 from understudy.trees.problems import TreeError
 

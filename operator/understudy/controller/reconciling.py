@@ -31,6 +31,7 @@ from understudy.controller.affected import Key
 from understudy.controller.desired import Images
 from understudy.controller.executing import MANAGER, Executor
 from understudy.controller.judging import FORGET_REFUSAL, Judge
+from understudy.controller.observed import Observed
 from understudy.controller.observing import Observer
 from understudy.controller.stores import Store
 
@@ -144,7 +145,7 @@ class Reconciler:
         return _earliest(plan.again_after, again, await self._tell(WORKLOADS, observed.workload, status))
 
     async def _resize(
-        self, key: Key, observed: workloads.Observed, understanding: workloads.Understanding
+        self, key: Key, observed: Observed, understanding: workloads.Understanding
     ) -> list[resizing.Outcome]:
         """Resize the pod in control as far as it is asked for; what the API server refuses concerns nothing else."""
         found = []
@@ -154,7 +155,7 @@ class Reconciler:
             found.append(resizing.refused(outcome, problems[0]) if problems else outcome)
         return found
 
-    def _seen(self, observed: workloads.Observed) -> workloads.Observed:
+    def _seen(self, observed: Observed) -> Observed:
         """With what was just written, so that the status isn't one step behind."""
         return dataclasses.replace(observed, owned=self._store.owned(objects.uid(observed.workload)))
 

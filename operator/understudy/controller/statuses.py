@@ -22,8 +22,9 @@ from understudy.controller import (
     workloads,
 )
 from understudy.controller.desired import Problem
+from understudy.controller.observed import WAITING, Observed
 from understudy.controller.troubles import Trouble, trouble
-from understudy.controller.workloads import Observed, Understanding
+from understudy.controller.workloads import Understanding
 
 PROGRESSING = frozenset(
     {
@@ -291,7 +292,7 @@ def _strategies(observed: Observed, understanding: Understanding) -> list[Strate
 def _asleep(observed: Observed, name: str, on_demand: Sequence[str]) -> bool:
     """Whether a pool is one that has standbys only while a workload is degraded, and has none now: nobody counts on it."""
     pool = observed.pools.get(name)
-    if name not in on_demand or pool is None or policies.readiness(pool) not in workloads.WAITING:
+    if name not in on_demand or pool is None or policies.readiness(pool) not in WAITING:
         return False
     if not pools.serves(pool, observed.workload):
         return False  # which is told
@@ -383,7 +384,7 @@ def waiting(observed: Observed, pool: Object) -> list[Object]:
     active = objects.active(observed.gate)[1]
     if active and workloads.own_stands_by(observed):
         # Where there are standbys of several readinesses, each counts for its own pool.
-        others = {name for name in workloads.standby_pools(observed) if name != objects.name(pool)}
+        others = {name for name in observed.standby_pools if name != objects.name(pool)}
         found = [pod for pod in _instances(observed) if objects.uid(pod) != active]
         return [pod for pod in found if objects.labels(pod).get(names.POOL) not in others]
     made = [pod for pod in _instances(observed) if objects.labels(pod).get(names.POOL) == objects.name(pool)]
@@ -398,7 +399,7 @@ def _standing(observed: Observed, label: str, pool: Object) -> Means:
     ready = [pod for pod in found if objects.ready(pod)]
     if ready:
         return Means(label, True, message=f"pod {objects.name(ready[0])} ({policies.readiness(pool)})")
-    if (refused := workloads.refused(observed, name)) is not None:
+    if (refused := observed.refused(name)) is not None:
         words = f"FallbackPool {name} is not accepted, so no standby is made: {refused.message}"
         return Means(label, False, "PoolNotAccepted", words)
     if bad := _first_trouble(found):
@@ -410,7 +411,7 @@ def _uninitialized(observed: Observed, label: str, pool: Object, priority: int) 
     name = objects.name(pool)
     held = observed.unclaimed.get(name, ())
     ready = pools.claimable_now(held, observed.held_policies.get(name))
-    kept = policies.pool_spec(pool).kept_from(priority) if workloads.refused(observed, name) is None else 0
+    kept = policies.pool_spec(pool).kept_from(priority) if observed.refused(name) is None else 0
     if len(ready) > kept:
         # How many it has is in its own status: here each claim would be a write for every workload that it serves.
         return Means(label, True, message="it has pods ready (Uninitialized)")
@@ -429,13 +430,13 @@ def _uninitialized(observed: Observed, label: str, pool: Object, priority: int) 
 
 def standby(observed: Observed, understanding: Understanding) -> str:
     """The printed column: readiness of its policy's first pool that serves it, and how many of how many are ready."""
-    served = workloads.serving(observed)
+    served = observed.serving
     for strategy in _strategies(observed, understanding):
         name = strategy.pool_ref.name if strategy.pool_ref else ""
         if name not in served:
             continue
         pool = served[name]
-        if policies.readiness(pool) in workloads.WAITING:
+        if policies.readiness(pool) in WAITING:
             want = workloads.wanted(observed, name)
             have = sum(objects.ready(pod) for pod in waiting(observed, pool))
             return f"{policies.readiness(pool)} ({min(have, want)}/{want})"

@@ -57,6 +57,7 @@ from understudy.controller import (
     tasking,
 )
 from understudy.controller.desired import Apply, Create, Delete, Images, Patch, Plan, Problem
+from understudy.controller.observed import WAITING, Observed
 from understudy.controller.pools import Fresh
 from understudy.trees.procedureforms import composed
 
@@ -64,65 +65,6 @@ _BY_KIND: dict[str, Resource] = {"ServiceAccount": SERVICE_ACCOUNTS, "Role": ROL
 
 SWEPT = (DEPLOYMENTS, SERVICES)
 """Of these, what a workload controls and no longer needs is deleted (the discovery server)."""
-
-
-@dataclass(frozen=True)
-class Observed:
-    """What is so around a workload."""
-
-    workload: Object
-    now: float
-    policies: Mapping[str, Object] = field(default_factory=dict)
-    """All FailurePolicies of the namespace."""
-    config_maps: Mapping[str, Object] = field(default_factory=dict)
-    """The ConfigMaps of the namespace that policies may read, and ours."""
-    pools: Mapping[str, Object] = field(default_factory=dict)
-    """All FallbackPools of the namespace."""
-    held_policies: Mapping[str, Object] = field(default_factory=dict)
-    """The network policies of the pools' held pods, by pool."""
-    owned: Mapping[tuple[str, str], Object] = field(default_factory=dict)
-    """What the workload controls besides pods, by plural and name."""
-    pods: Sequence[Object] = ()
-    """Pods with the workload's label."""
-    monitors: Sequence[Object] = ()
-    """The monitor's pods."""
-    discovery: Sequence[Object] = ()
-    """The managed discovery server's pods."""
-    unclaimed: Mapping[str, Sequence[Object]] = field(default_factory=dict)
-    """Held pods, by pool."""
-    reference: references.Referred | None = None
-    """What ``workloadRef`` names; None where there is a template."""
-    rivals: Sequence[str] = ()
-    """Older RobotWorkloads that refer to the same controller."""
-    expected: Mapping[str, int] = field(default_factory=dict)
-    """By pool, standbys that were created and haven't been observed yet."""
-    dependencies: Mapping[str, Sequence[str]] = field(default_factory=dict)
-    """What each workload of the namespace depends on; empty where this one depends on none."""
-    resized: Object | None = None
-    """The pod in control, whole, while the workload is degraded and its policy gives it more then."""
-    cordoned: frozenset[str] = frozenset()
-    """The nodes of the cluster that are to be emptied."""
-    budgets: Sequence[Object] = ()
-    """PodDisruptionBudgets of the namespace that aren't ours."""
-    leaving: frozenset[str] = frozenset()
-    """The nodes whose pods are about to go."""
-
-    @property
-    def gate(self) -> Object | None:
-        """The gate's policy."""
-        return self.owned.get(("networkpolicies", names.gate(objects.name(self.workload))))
-
-    @property
-    def active(self) -> Object | None:
-        """The pod in control."""
-        return next((p for p in self.pods if objects.is_active(p, self.gate) and objects.alive(p)), None)
-
-    @property
-    def recovering(self) -> bool:
-        """Whether a recovery is under way, as far as can be seen from here."""
-        health = (self.workload.get("status") or {}).get("health")
-        epoch = objects.notes(self.gate).get(names.EPOCH, "0") if self.gate else "0"
-        return health == "Recovering" or (epoch != "0" and not objects.active(self.gate)[0])
 
 
 @dataclass(frozen=True)
@@ -142,32 +84,9 @@ class Understanding:
     """Built pod templates: of its own ReplicaSet ("") and of the standbys of each pool."""
 
 
-def serving(observed: Observed) -> dict[str, Object]:
-    """The pools whose selector matches the workload, and that can be kept."""
-    return {
-        name: pool
-        for name, pool in observed.pools.items()
-        if not objects.deleted(pool) and pools.serves(pool, observed.workload)
-    }
-
-
-def refused(observed: Observed, pool: str) -> Problem | None:
-    """Why a pool isn't accepted. Nothing is made for it then, and what there is of it stays as it was."""
-    return policies.pool_problem(observed.pools[pool])
-
-
-WAITING = ("Initialized", "Executing")
-"""The readinesses at which a standby of a workload's own waits."""
-
-
-def standby_pools(observed: Observed) -> dict[str, Object]:
-    """The pools that keep standbys of the workload's own template."""
-    return {name: pool for name, pool in serving(observed).items() if policies.readiness(pool) in WAITING}
-
-
 def wanted(observed: Observed, pool: str) -> int:
     """How many standbys of a pool the workload is to have now."""
-    return _kept(observed, pool) + levels.prewarmed(observed.workload, _policy(observed), pool)
+    return _kept(observed, pool) + levels.prewarmed(observed.workload, observed.policy, pool)
 
 
 def _kept(observed: Observed, pool: str) -> int:
@@ -179,33 +98,26 @@ def _kept(observed: Observed, pool: str) -> int:
     return kept
 
 
-def _policy(observed: Observed) -> Object | None:
-    name = ((observed.workload.get("spec") or {}).get("failurePolicyRef") or {}).get("name", "")
-    return observed.policies.get(name)
-
-
 def order(observed: Observed, situation: str | None = None) -> Order | None:
     """The order of strategies that the workload's policy comes to, where it leaves that and can be followed.
 
     In a situation (empty for none) it may be another than the one in force, which it is where none is given.
     """
-    policy = _policy(observed)
+    policy = observed.policy
     if policy is None or not choosing.is_auto(policy) or policies.problem(policy, observed.config_maps) is not None:
         return None
     name = in_force(observed) if situation is None else situation
     found = situations.find(policies.spec(policy), name) if name else None
     # A pool that isn't accepted any more has still what it had: what counts on it goes on.
-    before = {choice.name for choice in _present_choices(observed)}
-    usable = {
-        name: pool for name, pool in serving(observed).items() if refused(observed, name) is None or name in before
-    }
+    before = {choice.name for choice in observed.told_pools}
+    usable = {name: pool for name, pool in observed.serving.items() if observed.refused(name) is None or name in before}
     requirements = found.requirements if found is not None else None
     return choosing.order(policy, observed.workload, usable, requirements=requirements)
 
 
 def strategies(observed: Observed) -> list[Strategy]:
     """The strategies in force, in order. For a policy that can be followed."""
-    policy = _policy(observed)
+    policy = observed.policy
     assert policy is not None
     chosen = _chosen(observed)
     return policies.spec(policy).strategies if chosen is None else chosen
@@ -217,10 +129,10 @@ def _chosen(observed: Observed) -> list[Strategy] | None:
     Those that it has stay while its policy can't be followed, and in the midst of a recovery, which goes by places in the order. Between
     two recoveries that failed they don't: what was changed may be what helps.
     """
-    policy = _policy(observed)
+    policy = observed.policy
     if policy is not None and not choosing.varies(policy):
         return None
-    settings = _present_settings(observed)
+    settings = observed.told
     present = settings.strategies if settings is not None else None
     if policy is None or (present and _in_recovery(observed)):
         return present
@@ -241,7 +153,7 @@ def in_force(observed: Observed) -> str:
 
     It is another one than the monitor says until the first strategy of that one could be carried out, and in the midst of a recovery.
     """
-    policy = _policy(observed)
+    policy = observed.policy
     if policy is None or not situations.has_some(policy):
         return ""
     told, asked = _told(observed, policy), situations.asked(observed.workload, policy)
@@ -252,7 +164,7 @@ def in_force(observed: Observed) -> str:
 
 def situation_lacks(observed: Observed) -> str:
     """Why the strategies of the situation that the monitor says aren't in force yet; empty where they are, or none has any."""
-    policy = _policy(observed)
+    policy = observed.policy
     if policy is None or not situations.has_some(policy):
         return ""
     return _lacking(observed, policy, situations.asked(observed.workload, policy)) or ""
@@ -260,15 +172,15 @@ def situation_lacks(observed: Observed) -> str:
 
 def _situation(observed: Observed) -> str | None:
     """What the monitor is told: the situation of the strategies that it is told of; None for none."""
-    if _policy(observed) is None:
-        settings = _present_settings(observed)
+    if observed.policy is None:
+        settings = observed.told
         return settings.situation if settings is not None else None
     return in_force(observed) or None
 
 
 def _told(observed: Observed, policy: Object) -> str:
     """The situation of whose strategies the monitor was told last."""
-    settings = _present_settings(observed)
+    settings = observed.told
     return situations.known(policy, settings.situation if settings is not None else None)
 
 
@@ -291,7 +203,7 @@ def _lacking(observed: Observed, policy: Object, name: str) -> str | None:
     strategies = _of_situation(observed, policy, name)
     if strategies is None:
         return "its policy can't be followed"
-    served = serving(observed)
+    served = observed.serving
     sizes = {pool: poolsizes.size(item) or item["spec"].get("perWorkload") for pool, item in served.items()}
     first = situations.first_kept(strategies, sizes)
     if first is None or first.pool_ref is None:
@@ -308,7 +220,7 @@ def _lacking(observed: Observed, policy: Object, name: str) -> str | None:
         ]
     else:
         ready = pools.claimable_now(observed.unclaimed.get(pool, ()), observed.held_policies.get(pool))
-        if refused(observed, pool) is None:
+        if observed.refused(pool) is None:
             least = policies.pool_spec(served[pool]).kept_from(observed.workload["spec"].get("poolPriority") or 0)
     return None if len(ready) > least else f"no pod of FallbackPool {pool} is ready for it"
 
@@ -316,7 +228,7 @@ def _lacking(observed: Observed, policy: Object, name: str) -> str | None:
 def _counted_on(observed: Observed, chosen: Sequence[Strategy]) -> set[str]:
     """The pools of the strategies in force; with situations also of those that the monitor was told of last, and of those asked for."""
     found = set(_named(chosen))
-    policy = _policy(observed)
+    policy = observed.policy
     if policy is not None and situations.has_some(policy):
         for name in {_told(observed, policy), situations.asked(observed.workload, policy)}:
             found |= set(_named(_of_situation(observed, policy, name) or []))
@@ -328,7 +240,7 @@ def own_stands_by(observed: Observed) -> bool:
 
     Not where what is in force changes with the situation: as whose standby it waits would change with it.
     """
-    policy = _policy(observed)
+    policy = observed.policy
     return observed.reference is None and (policy is None or not situations.has_some(policy))
 
 
@@ -408,7 +320,7 @@ def understand(observed: Observed, images: Images) -> Understanding:
         )
         return instances.build(template, recipe)
 
-    builts = {pool: build(pool) for pool in standby_pools(observed)}
+    builts = {pool: build(pool) for pool in observed.standby_pools}
     if spec.template is not None:
         builts[""] = build("")
     return Understanding(spec, None, policy, template, environment, profiles, builts)
@@ -416,7 +328,7 @@ def understand(observed: Observed, images: Images) -> Understanding:
 
 def _procedure(observed: Observed, spec: RobotWorkloadSpec, pool: str) -> str:
     """The tree that brings a pool's standbys up, in the short form as text; empty where there is none, or the pool isn't accepted."""
-    if refused(observed, pool) is not None:
+    if observed.refused(pool) is not None:
         return ""
     parsed = policies.pool_spec(observed.pools[pool])
     found = parsed.initialization or (spec.bring_up if parsed.readiness == "Executing" else None)
@@ -521,7 +433,7 @@ def drain(observed: Observed) -> Drain | None:
     """Where the instance in control runs on a node that is to be emptied."""
     if not observed.cordoned:
         return None  # nothing to parse, as mostly
-    present = _present_settings(observed)
+    present = observed.told
     told = present.drain if present is not None else None
     return draining.seen(observed.active, observed.cordoned, told, observed.now)
 
@@ -542,8 +454,8 @@ def hold(observed: Observed, understanding: Understanding) -> draining.Hold:
 def _falls_back(observed: Observed, understanding: Understanding) -> bool:
     """Whether its policy has a pool that serves it. While that can't be followed, whether it had."""
     if understanding.policy_problem is not None:
-        return bool(_present_choices(observed))
-    served = serving(observed)
+        return bool(observed.told_pools)
+    served = observed.serving
     return any(name in served for name in _named(strategies(observed)))
 
 
@@ -612,16 +524,16 @@ def _choices(observed: Observed, understanding: Understanding) -> list[PoolChoic
     """
     assert understanding.spec is not None
     if understanding.policy_problem is not None:
-        return _present_choices(observed)
-    served = serving(observed)
-    present = {choice.name: choice for choice in _present_choices(observed)}
+        return observed.told_pools
+    served = observed.serving
+    present = {choice.name: choice for choice in observed.told_pools}
     found = []
     chosen = strategies(observed)
     first = _named(chosen)
     for name in (*first, *sorted(_counted_on(observed, chosen).difference(first))):
         if name not in served:
             continue
-        if refused(observed, name) is not None:
+        if observed.refused(name) is not None:
             # Its standbys were made and brought up by what was accepted before, and are judged by that.
             found += [present[name]] if name in present else []
             continue
@@ -640,21 +552,6 @@ def _choices(observed: Observed, understanding: Understanding) -> list[PoolChoic
         )
         found.append(choice)
     return found
-
-
-def _present_choices(observed: Observed) -> list[PoolChoice]:
-    present = _present_settings(observed)
-    return present.pools if present is not None else []
-
-
-def _present_settings(observed: Observed) -> WorkloadSettings | None:
-    """What the monitor was told last."""
-    present = observed.owned.get(("configmaps", names.settings(objects.name(observed.workload))))
-    text = ((present or {}).get("data") or {}).get("settings.json")
-    try:
-        return WorkloadSettings.model_validate_json(text) if text else None
-    except ValidationError:
-        return None
 
 
 def _source(observed: Observed, understanding: Understanding) -> tuple[str, str]:
@@ -700,7 +597,7 @@ def waits_for_standby(observed: Observed, understanding: Understanding) -> str |
         return None
     pools_first = {
         name: instances.template_hash(understanding.builts[name])
-        for name in standby_pools(observed)
+        for name in observed.standby_pools
         if _kept(observed, name)
     }
     if not pools_first or any(
@@ -709,7 +606,7 @@ def waits_for_standby(observed: Observed, understanding: Understanding) -> str |
     ):
         return None
     told = f"ReplicaSet {objects.name(observed.workload)} gets the new template when a standby of it is ready"
-    unmade = [name for name in sorted(pools_first) if refused(observed, name) is not None]
+    unmade = [name for name in sorted(pools_first) if observed.refused(name) is not None]
     return f"{told}, and FallbackPool {unmade[0]}, which is not accepted, makes none" if unmade else told
 
 
@@ -724,7 +621,7 @@ def _scale(made: Plan, observed: Observed) -> None:
         return
     driving = [p for p in observed.pods if objects.is_active(p, observed.gate) and objects.alive(p)]
     foreign = any(objects.labels(pod).get(names.SOURCE) != "workload" for pod in driving)
-    standing_by = sum(wanted(observed, pool) for pool in standby_pools(observed)) if own_stands_by(observed) else 0
+    standing_by = sum(wanted(observed, pool) for pool in observed.standby_pools) if own_stands_by(observed) else 0
     replicas = 0 if foreign and not standing_by else 1
     if (live.get("spec") or {}).get("replicas", 1) != replicas:
         made.writes.append(Patch(REPLICA_SETS, live, {"spec": {"replicas": replicas}}, subresource="scale"))
@@ -740,7 +637,7 @@ def _switching(workload: Object) -> bool:
 def _standbys(made: Plan, observed: Observed, pool: str, built: Object, fresh: Fresh) -> None:
     workload, gate = observed.workload, observed.gate
     owner = objects.owner("RobotWorkload", workload)
-    if refused(observed, pool) is not None:
+    if observed.refused(pool) is not None:
         return
     mine = [
         pod
@@ -781,7 +678,7 @@ def _sweep(made: Plan, observed: Observed) -> None:
             made.writes.append(Delete(swept[plural], item))
     if observed.recovering:
         return
-    serving_now = standby_pools(observed)
+    serving_now = observed.standby_pools
     for pod in observed.pods:
         pool = objects.labels(pod).get(names.POOL)
         if (

@@ -13,6 +13,7 @@ from understudy.cluster.client import POLICIES, WORKLOADS, Client, Object
 from understudy.controller import affected, dependencies, statuses, workloads
 from understudy.controller.affected import Key
 from understudy.controller.expectations import Expectations
+from understudy.controller.observed import Observed
 from understudy.controller.observing import Observer
 from understudy.controller.stores import Sight, Store
 
@@ -105,7 +106,7 @@ class Nobody:
     """Nothing has to be asked."""
 
 
-async def observed(item: Object, *others: Object) -> workloads.Observed:
+async def observed(item: Object, *others: Object) -> Observed:
     store = Store()
     store.put(POLICIES, policy("Restart"))
     for one in (item, *others):

@@ -13,6 +13,7 @@ from understudy.cluster import applying
 from understudy.cluster.client import Object
 from understudy.controller import objects, pools, statuses, workloads
 from understudy.controller.desired import Apply, Create, Delete, Images, Patch, Plan, Problem
+from understudy.controller.observed import Observed
 from understudy.controller.references import Referred
 
 NAMESPACE = "fleet"
@@ -239,11 +240,11 @@ class World:
         plural = plurals.get(item["kind"], f"{item['kind'].lower()}s")
         self.owned[(plural, objects.name(item))] = item
 
-    def observed(self) -> workloads.Observed:
+    def observed(self) -> Observed:
         kinds: dict[str, dict[str, Object]] = {"FailurePolicy": {}, "FallbackPool": {}}
         for item in self.others:
             kinds[item["kind"]][objects.name(item)] = item
-        return workloads.Observed(
+        return Observed(
             workload=self.workload,
             now=self.now,
             policies=kinds["FailurePolicy"],
