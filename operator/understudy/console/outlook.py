@@ -27,7 +27,7 @@ from understudy.controller.desired import Images
 from understudy.controller.observed import Observed
 from understudy.controller.statuses import Means
 from understudy.controller.troubles import trouble
-from understudy.controller.workloads import Understanding
+from understudy.controller.understanding import Understanding, understand
 from understudy.trees.forms import load_monitoring
 from understudy.trees.problems import TreeError
 
@@ -57,7 +57,7 @@ class Known:
     def of(cls, around: Around) -> Known:
         """From what is so around a workload. Raises Unusable where its status can't be read."""
         observed = around.observed
-        understanding = workloads.understand(observed, Images(monitor=""))
+        understanding = understand(observed, Images(monitor=""))
         protected = statuses.protected(observed, understanding)
         item = observed.workload
         others = {objects.name(one): one for one in around.workloads}

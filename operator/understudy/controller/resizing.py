@@ -17,7 +17,7 @@ from understudy.controller import levels, objects
 from understudy.controller.desired import Patch, Problem
 from understudy.controller.executing import RESIZE
 from understudy.controller.observed import Observed
-from understudy.controller.workloads import Understanding
+from understudy.controller.understanding import Understanding
 
 CONDITION = "Resized"
 

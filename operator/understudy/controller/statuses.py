@@ -24,7 +24,7 @@ from understudy.controller import (
 from understudy.controller.desired import Problem
 from understudy.controller.observed import WAITING, Observed
 from understudy.controller.troubles import Trouble, trouble
-from understudy.controller.workloads import Understanding
+from understudy.controller.understanding import Understanding
 
 PROGRESSING = frozenset(
     {

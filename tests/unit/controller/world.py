@@ -15,6 +15,7 @@ from understudy.controller import objects, pools, statuses, workloads
 from understudy.controller.desired import Apply, Create, Delete, Images, Patch, Plan, Problem
 from understudy.controller.observed import Observed
 from understudy.controller.references import Referred
+from understudy.controller.understanding import Understanding, understand
 
 NAMESPACE = "fleet"
 NOW = 1_700_000_000.0
@@ -264,8 +265,8 @@ class World:
             budgets=self.budgets,
         )
 
-    def understood(self) -> workloads.Understanding:
-        return workloads.understand(self.observed(), IMAGES)
+    def understood(self) -> Understanding:
+        return understand(self.observed(), IMAGES)
 
     def plan(self) -> Plan:
         return workloads.plan(self.observed(), self.understood(), IMAGES, self.names.fresh())
