@@ -22,7 +22,17 @@ from understudy.console.drawing import coloured, plain
 from understudy.console.observing import Around
 from understudy.console.robots import DRIVEN, UNWATCHED, Problem, Robot, is_told, pool, robot, status_of
 from understudy.console.texts import age, listed, wrapped
-from understudy.controller import dependencies, objects, policies, pools, poolsizes, situations, statuses, workloads
+from understudy.controller import (
+    dependencies,
+    inforce,
+    objects,
+    policies,
+    pools,
+    poolsizes,
+    situations,
+    statuses,
+    workloads,
+)
 from understudy.controller.desired import Images
 from understudy.controller.observed import Observed
 from understudy.controller.statuses import Means
@@ -72,7 +82,7 @@ class Known:
     def left_out(self) -> list[str]:
         """The pools of the policy that nobody counts on while it is well."""
         counted = {s.pool_ref.name for s, _ in self.considered if s.pool_ref is not None}
-        strategies = workloads.strategies(self.observed) if self.policy else []
+        strategies = inforce.strategies(self.observed) if self.policy else []
         named = [s.pool_ref.name for s in strategies if s.pool_ref is not None]
         return [name for name in named if name not in counted]
 

@@ -13,6 +13,7 @@ from understudy.cluster.client import Object
 from understudy.controller import (
     dependencies,
     draining,
+    inforce,
     levels,
     objects,
     policies,
@@ -152,7 +153,7 @@ def _order(observed: Observed, understanding: Understanding) -> Object:
     if understanding.spec is None or understanding.policy_problem is not None:
         known = (observed.workload.get("status") or {}).get("strategies")
         return {"strategies": known} if known else {}
-    return {"strategies": ", ".join(_short(observed, one) for one in workloads.strategies(observed))}
+    return {"strategies": ", ".join(_short(observed, one) for one in inforce.strategies(observed))}
 
 
 def _stocked(observed: Observed, understanding: Understanding) -> Object:
@@ -185,7 +186,7 @@ def _chosen(observed: Observed, understanding: Understanding) -> list[Condition]
     if understanding.spec is None or understanding.policy_problem is not None:
         live = (observed.workload.get("status") or {}).get("conditions") or []
         return [Condition.model_validate(one) for one in live if one["type"] == CHOSEN]
-    order = workloads.order(observed)
+    order = inforce.order(observed)
     if order is None:
         return []
     told, present = explaining.reason(order), _order(observed, understanding)["strategies"]
@@ -204,8 +205,8 @@ def _situation(observed: Observed, understanding: Understanding) -> list[Conditi
     policy = observed.policies[understanding.spec.failure_policy_ref.name]
     if not situations.has_some(policy):
         return []
-    asked, in_force = situations.asked(observed.workload, policy), workloads.in_force(observed)
-    order, lacking = _order(observed, understanding)["strategies"], workloads.situation_lacks(observed)
+    asked, in_force = situations.asked(observed.workload, policy), inforce.situation(observed)
+    order, lacking = _order(observed, understanding)["strategies"], inforce.lacking(observed)
     reason, told = situations.told(asked, in_force, order, lacking)
     generation = objects.generation(observed.workload)
     return [condition(situations.CONDITION, asked == in_force, reason, told, generation=generation)]
@@ -283,7 +284,7 @@ def _strategies(observed: Observed, understanding: Understanding) -> list[Strate
     if understanding.spec is None or understanding.policy_problem is not None:
         return []
     policy = observed.policies[understanding.spec.failure_policy_ref.name]
-    found = workloads.strategies(observed)
+    found = inforce.strategies(observed)
     on_demand = levels.prewarms(policy)
     awake = [s for s in found if s.pool_ref is None or not _asleep(observed, s.pool_ref.name, on_demand)]
     return awake or found

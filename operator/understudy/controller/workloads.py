@@ -11,11 +11,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from understudy.api import names
-from understudy.api.policies import Strategy
 from understudy.api.settings import PoolChoice, WorkloadSettings
 from understudy.api.switchovers import ENDED, Drain
 from understudy.api.workloads import RobotWorkloadSpec
-from understudy.choosing.ordering import Order
 from understudy.cluster.client import (
     CONFIG_MAPS,
     DEPLOYMENTS,
@@ -32,12 +30,12 @@ from understudy.cluster.client import (
     Resource,
 )
 from understudy.controller import (
-    choosing,
     dependencies,
     discovery,
     draining,
     fleets,
     gates,
+    inforce,
     instances,
     levels,
     monitors,
@@ -46,14 +44,13 @@ from understudy.controller import (
     ownership,
     policies,
     pools,
-    poolsizes,
     references,
     robots,
     situations,
     tasking,
 )
 from understudy.controller.desired import Apply, Create, Delete, Images, Patch, Plan
-from understudy.controller.observed import WAITING, Observed
+from understudy.controller.observed import Observed
 from understudy.controller.pools import Fresh
 from understudy.controller.understanding import Understanding
 
@@ -70,148 +67,11 @@ def wanted(observed: Observed, pool: str) -> int:
 
 def _kept(observed: Observed, pool: str) -> int:
     """How many standbys of a pool the workload is to have always: none where others were chosen for it."""
-    chosen = _chosen(observed)
-    if chosen is not None and pool not in _counted_on(observed, chosen):
+    chosen = inforce.chosen(observed)
+    if chosen is not None and pool not in inforce.counted_on(observed, chosen):
         return 0
     kept: int = observed.pools[pool]["spec"].get("perWorkload") or 0
     return kept
-
-
-def order(observed: Observed, situation: str | None = None) -> Order | None:
-    """The order of strategies that the workload's policy comes to, where it leaves that and can be followed.
-
-    In a situation (empty for none) it may be another than the one in force, which it is where none is given.
-    """
-    policy = observed.policy
-    if policy is None or not choosing.is_auto(policy) or policies.problem(policy, observed.config_maps) is not None:
-        return None
-    name = in_force(observed) if situation is None else situation
-    found = situations.find(policies.spec(policy), name) if name else None
-    # A pool that isn't accepted any more has still what it had: what counts on it goes on.
-    before = {choice.name for choice in observed.told_pools}
-    usable = {name: pool for name, pool in observed.serving.items() if observed.refused(name) is None or name in before}
-    requirements = found.requirements if found is not None else None
-    return choosing.order(policy, observed.workload, usable, requirements=requirements)
-
-
-def strategies(observed: Observed) -> list[Strategy]:
-    """The strategies in force, in order. For a policy that can be followed."""
-    policy = observed.policy
-    assert policy is not None
-    chosen = _chosen(observed)
-    return policies.spec(policy).strategies if chosen is None else chosen
-
-
-def _chosen(observed: Observed) -> list[Strategy] | None:
-    """The strategies that were chosen for the workload, or are for its situation; None where its policy says them.
-
-    Those that it has stay while its policy can't be followed, and in the midst of a recovery, which goes by places in the order. Between
-    two recoveries that failed they don't: what was changed may be what helps.
-    """
-    policy = observed.policy
-    if policy is not None and not choosing.varies(policy):
-        return None
-    settings = observed.told
-    present = settings.strategies if settings is not None else None
-    if policy is None or (present and _in_recovery(observed)):
-        return present
-    found = _of_situation(observed, policy, in_force(observed))
-    return present if found is None else found
-
-
-def _in_recovery(observed: Observed) -> bool:
-    """Whether the monitor says that it is recovering: that goes by places in the order."""
-    return (observed.workload.get("status") or {}).get("health") == "Recovering"
-
-
-# -- situations ---------------------------------------------------------------------------------------------------------
-
-
-def in_force(observed: Observed) -> str:
-    """The situation whose strategies are in force; empty for none.
-
-    It is another one than the monitor says until the first strategy of that one could be carried out, and in the midst of a recovery.
-    """
-    policy = observed.policy
-    if policy is None or not situations.has_some(policy):
-        return ""
-    told, asked = _told(observed, policy), situations.asked(observed.workload, policy)
-    if told == asked or _lacking(observed, policy, asked) is None:
-        return asked
-    return told
-
-
-def situation_lacks(observed: Observed) -> str:
-    """Why the strategies of the situation that the monitor says aren't in force yet; empty where they are, or none has any."""
-    policy = observed.policy
-    if policy is None or not situations.has_some(policy):
-        return ""
-    return _lacking(observed, policy, situations.asked(observed.workload, policy)) or ""
-
-
-def _situation(observed: Observed) -> str | None:
-    """What the monitor is told: the situation of the strategies that it is told of; None for none."""
-    if observed.policy is None:
-        settings = observed.told
-        return settings.situation if settings is not None else None
-    return in_force(observed) or None
-
-
-def _told(observed: Observed, policy: Object) -> str:
-    """The situation of whose strategies the monitor was told last."""
-    settings = observed.told
-    return situations.known(policy, settings.situation if settings is not None else None)
-
-
-def _of_situation(observed: Observed, policy: Object, name: str) -> list[Strategy] | None:
-    """The strategies of a situation (empty for none); None where the policy can't be followed."""
-    if choosing.is_auto(policy):
-        found = order(observed, name)
-        return choosing.strategies(policy, found) if found is not None else None
-    if policies.problem(policy, observed.config_maps) is not None:
-        return None
-    spec = policies.spec(policy)
-    situation = situations.find(spec, name)
-    return situation.strategies if situation is not None and situation.strategies else spec.strategies
-
-
-def _lacking(observed: Observed, policy: Object, name: str) -> str | None:
-    """Why the first strategy of a situation couldn't be carried out now, of those that ever could; None where it could."""
-    if _in_recovery(observed):
-        return "a recovery is under way"
-    strategies = _of_situation(observed, policy, name)
-    if strategies is None:
-        return "its policy can't be followed"
-    served = observed.serving
-    sizes = {pool: poolsizes.size(item) or item["spec"].get("perWorkload") for pool, item in served.items()}
-    first = situations.first_kept(strategies, sizes)
-    if first is None or first.pool_ref is None:
-        return None
-    pool, least = first.pool_ref.name, 0
-    if policies.readiness(served[pool]) in WAITING:
-        ready = [
-            pod
-            for pod in observed.pods
-            if objects.labels(pod).get(names.POOL) == pool
-            and objects.ready(pod)
-            and objects.alive(pod)
-            and not objects.is_active(pod, observed.gate)
-        ]
-    else:
-        ready = pools.claimable_now(observed.unclaimed.get(pool, ()), observed.held_policies.get(pool))
-        if observed.refused(pool) is None:
-            least = policies.pool_spec(served[pool]).kept_from(observed.workload["spec"].get("poolPriority") or 0)
-    return None if len(ready) > least else f"no pod of FallbackPool {pool} is ready for it"
-
-
-def _counted_on(observed: Observed, chosen: Sequence[Strategy]) -> set[str]:
-    """The pools of the strategies in force; with situations also of those that the monitor was told of last, and of those asked for."""
-    found = set(_named(chosen))
-    policy = observed.policy
-    if policy is not None and situations.has_some(policy):
-        for name in {_told(observed, policy), situations.asked(observed.workload, policy)}:
-            found |= set(_named(_of_situation(observed, policy, name) or []))
-    return found
 
 
 def own_stands_by(observed: Observed) -> bool:
@@ -221,11 +81,6 @@ def own_stands_by(observed: Observed) -> bool:
     """
     policy = observed.policy
     return observed.reference is None and (policy is None or not situations.has_some(policy))
-
-
-def _named(strategies: Sequence[Strategy]) -> list[str]:
-    """The pools that strategies take instances from, in order."""
-    return list(dict.fromkeys(one.pool_ref.name for one in strategies if one.pool_ref is not None))
 
 
 def plan(observed: Observed, understanding: Understanding, images: Images, fresh: Fresh) -> Plan:
@@ -335,7 +190,7 @@ def _falls_back(observed: Observed, understanding: Understanding) -> bool:
     if understanding.policy_problem is not None:
         return bool(observed.told_pools)
     served = observed.serving
-    return any(name in served for name in _named(strategies(observed)))
+    return any(name in served for name in inforce.named_pools(inforce.strategies(observed)))
 
 
 def _hold(made: Plan, observed: Observed, understanding: Understanding) -> None:
@@ -383,7 +238,7 @@ def _settings(observed: Observed, understanding: Understanding, environment: Map
         tasks_problem=tasking.problem(objects.name(workload), understanding.spec, understanding.template),
         pools=_choices(observed, understanding),
         drain=drain(observed),
-        strategies=_chosen(observed),
+        strategies=inforce.chosen(observed),
         situation=_situation(observed),
         upstream=dependencies.upstream(observed.dependencies, objects.name(workload)),
     )
@@ -397,6 +252,14 @@ def _settings(observed: Observed, understanding: Understanding, environment: Map
     }
 
 
+def _situation(observed: Observed) -> str | None:
+    """What the monitor is told: the situation of the strategies that it is told of; None for none."""
+    if observed.policy is None:
+        settings = observed.told
+        return settings.situation if settings is not None else None
+    return inforce.situation(observed) or None
+
+
 def _choices(observed: Observed, understanding: Understanding) -> list[PoolChoice]:
     """The pools that the strategies name and that serve the workload, those in force first. While the policy can't be followed, as
     they were.
@@ -407,9 +270,9 @@ def _choices(observed: Observed, understanding: Understanding) -> list[PoolChoic
     served = observed.serving
     present = {choice.name: choice for choice in observed.told_pools}
     found = []
-    chosen = strategies(observed)
-    first = _named(chosen)
-    for name in (*first, *sorted(_counted_on(observed, chosen).difference(first))):
+    chosen = inforce.strategies(observed)
+    first = inforce.named_pools(chosen)
+    for name in (*first, *sorted(inforce.counted_on(observed, chosen).difference(first))):
         if name not in served:
             continue
         if observed.refused(name) is not None:
