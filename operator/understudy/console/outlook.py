@@ -30,8 +30,8 @@ from understudy.controller import (
     pools,
     poolsizes,
     situations,
+    standbys,
     statuses,
-    workloads,
 )
 from understudy.controller.desired import Images
 from understudy.controller.observed import Observed
@@ -414,7 +414,7 @@ def _shared(name: str, item: Object, observed: Observed) -> Iterator[_Entry]:
 def _own(name: str, item: Object, observed: Observed) -> Iterator[_Entry]:
     found = statuses.waiting(observed, item)
     ready = sum(objects.ready(pod) for pod in found)
-    yield _Entry(f"{name} ({policies.readiness(item)}): {ready} ready, {workloads.wanted(observed, name)} wanted")
+    yield _Entry(f"{name} ({policies.readiness(item)}): {ready} ready, {standbys.wanted(observed, name)} wanted")
     yield from map(_pod, found)
 
 

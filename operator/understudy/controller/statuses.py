@@ -20,6 +20,7 @@ from understudy.controller import (
     pools,
     poolsizes,
     situations,
+    standbys,
     workloads,
 )
 from understudy.controller.desired import Problem
@@ -138,7 +139,7 @@ def _reconciled(observed: Observed, understanding: Understanding, problems: Sequ
         return no(problems[0].reason, "; ".join(problem.message for problem in problems))
     if understanding.environment is None:
         return no("InProgress", "Waiting for the address of the discovery server's Service.")
-    kept = workloads.waits_for_standby(observed, understanding)
+    kept = standbys.awaited(observed, understanding)
     if found := _first_trouble(_instances(observed)):
         return no(found.reason, f"{found.message} {kept}." if kept else found.message)
     if kept:
@@ -299,7 +300,7 @@ def _asleep(observed: Observed, name: str, on_demand: Sequence[str]) -> bool:
         return False  # which is told
     if pool["spec"].get("perWorkload"):
         return False
-    return not workloads.wanted(observed, name) or not any(objects.ready(pod) for pod in _made(observed, name))
+    return not standbys.wanted(observed, name) or not any(objects.ready(pod) for pod in _made(observed, name))
 
 
 def _made(observed: Observed, pool: str) -> list[Object]:
@@ -383,7 +384,7 @@ def waiting(observed: Observed, pool: Object) -> list[Object]:
     What a referred controller makes has none.
     """
     active = objects.active(observed.gate)[1]
-    if active and workloads.own_stands_by(observed):
+    if active and standbys.own_stands_by(observed):
         # Where there are standbys of several readinesses, each counts for its own pool.
         others = {name for name in observed.standby_pools if name != objects.name(pool)}
         found = [pod for pod in _instances(observed) if objects.uid(pod) != active]
@@ -394,7 +395,7 @@ def waiting(observed: Observed, pool: Object) -> list[Object]:
 
 def _standing(observed: Observed, label: str, pool: Object) -> Means:
     name = objects.name(pool)
-    if not workloads.wanted(observed, name):
+    if not standbys.wanted(observed, name):
         return Means(label, False, "PoolEmpty", f"FallbackPool {name} has spec.perWorkload 0")
     found = waiting(observed, pool)
     ready = [pod for pod in found if objects.ready(pod)]
@@ -438,7 +439,7 @@ def standby(observed: Observed, understanding: Understanding) -> str:
             continue
         pool = served[name]
         if policies.readiness(pool) in WAITING:
-            want = workloads.wanted(observed, name)
+            want = standbys.wanted(observed, name)
             have = sum(objects.ready(pod) for pod in waiting(observed, pool))
             return f"{policies.readiness(pool)} ({min(have, want)}/{want})"
         if policies.readiness(pool) == "Uninitialized":

@@ -12,14 +12,13 @@ from dataclasses import replace
 
 from understudy.api import names
 from understudy.api.settings import PoolChoice, WorkloadSettings
-from understudy.api.switchovers import ENDED, Drain
+from understudy.api.switchovers import Drain
 from understudy.api.workloads import RobotWorkloadSpec
 from understudy.cluster.client import (
     CONFIG_MAPS,
     DEPLOYMENTS,
     DISRUPTION_BUDGETS,
     NETWORK_POLICIES,
-    PODS,
     REPLICA_SETS,
     ROLE_BINDINGS,
     ROLES,
@@ -33,20 +32,17 @@ from understudy.controller import (
     dependencies,
     discovery,
     draining,
-    fleets,
     gates,
     inforce,
     instances,
-    levels,
     monitors,
-    nodes,
     objects,
     ownership,
     policies,
     pools,
     references,
     robots,
-    situations,
+    standbys,
     tasking,
 )
 from understudy.controller.desired import Apply, Create, Delete, Images, Patch, Plan
@@ -58,29 +54,6 @@ _BY_KIND: dict[str, Resource] = {"ServiceAccount": SERVICE_ACCOUNTS, "Role": ROL
 
 SWEPT = (DEPLOYMENTS, SERVICES)
 """Of these, what a workload controls and no longer needs is deleted (the discovery server)."""
-
-
-def wanted(observed: Observed, pool: str) -> int:
-    """How many standbys of a pool the workload is to have now."""
-    return _kept(observed, pool) + levels.prewarmed(observed.workload, observed.policy, pool)
-
-
-def _kept(observed: Observed, pool: str) -> int:
-    """How many standbys of a pool the workload is to have always: none where others were chosen for it."""
-    chosen = inforce.chosen(observed)
-    if chosen is not None and pool not in inforce.counted_on(observed, chosen):
-        return 0
-    kept: int = observed.pools[pool]["spec"].get("perWorkload") or 0
-    return kept
-
-
-def own_stands_by(observed: Observed) -> bool:
-    """Whether a pod that the workload's own controller makes waits as a standby while another one drives.
-
-    Not where what is in force changes with the situation: as whose standby it waits would change with it.
-    """
-    policy = observed.policy
-    return observed.reference is None and (policy is None or not situations.has_some(policy))
 
 
 def plan(observed: Observed, understanding: Understanding, images: Images, fresh: Fresh) -> Plan:
@@ -101,18 +74,19 @@ def plan(observed: Observed, understanding: Understanding, images: Images, fresh
     _configure(made, observed, understanding, environment)
     _monitor(made, observed, understanding, images, environment)
     if spec.template is not None:
-        if waits_for_standby(observed, understanding) is None:
+        if standbys.awaited(observed, understanding) is None:
             body = instances.replica_set(understanding.builts[""], objects.name(workload))
             made.writes.append(_ours(observed, REPLICA_SETS, body))
-        _scale(made, observed)
+        standbys.scale(made, observed)
     for pool in sorted(understanding.builts):
         if pool:
-            _standbys(made, observed, pool, understanding.builts[pool], fresh)
+            standbys.keep(made, observed, pool, understanding.builts[pool], fresh)
     if ("secrets", names.agent_secret(objects.name(workload))) not in observed.owned:
         secret = ownership.token(names.agent_secret(objects.name(workload)), fresh.token())
         owner = objects.owner("RobotWorkload", workload)
         made.writes.insert(0, Create(SECRETS, ownership.ours(secret, owner, workload)))
     _sweep(made, observed)
+    standbys.sweep(made, observed)
     return made
 
 
@@ -323,112 +297,10 @@ def _monitor(
     made.writes.append(_ours(observed, DEPLOYMENTS, body))
 
 
-def waits_for_standby(observed: Observed, understanding: Understanding) -> str | None:
-    """Why the ReplicaSet doesn't get the present template yet, or None.
-
-    A restart must not fall for a template that can't start: where there are standbys, one of the new template is ready
-    first. While a standby is in control there is none to go first.
-    """
-    built, live = understanding.builts.get(""), observed.owned.get(("replicasets", objects.name(observed.workload)))
-    if built is None or live is None:
-        return None
-    labels = live["spec"]["template"]["metadata"].get("labels") or {}
-    if labels.get(names.TEMPLATE_HASH) == instances.template_hash(built):
-        return None
-    if any(objects.is_active(pod, observed.gate) and names.POOL in objects.labels(pod) for pod in observed.pods):
-        return None
-    pools_first = {
-        name: instances.template_hash(understanding.builts[name])
-        for name in observed.standby_pools
-        if _kept(observed, name)
-    }
-    if not pools_first or any(
-        objects.ready(pod) and pools_first.get(objects.labels(pod).get(names.POOL, "")) == fleets.hash_of(pod)
-        for pod in observed.pods
-    ):
-        return None
-    told = f"ReplicaSet {objects.name(observed.workload)} gets the new template when a standby of it is ready"
-    unmade = [name for name in sorted(pools_first) if observed.refused(name) is not None]
-    return f"{told}, and FallbackPool {unmade[0]}, which is not accepted, makes none" if unmade else told
-
-
-def _scale(made: Plan, observed: Observed) -> None:
-    """One pod of the template, or none while a pod of a shared pool drives and nobody wants another as a standby.
-
-    While the gate is closed the monitor may be at it, so it stays as it is; and while a switchover is asked for or under way, for
-    which a pod may be started beside the one that drives.
-    """
-    live = observed.owned.get(("replicasets", objects.name(observed.workload)))
-    if live is None or observed.gate is None or not objects.active(observed.gate)[0] or _switching(observed.workload):
-        return
-    driving = [p for p in observed.pods if objects.is_active(p, observed.gate) and objects.alive(p)]
-    foreign = any(objects.labels(pod).get(names.SOURCE) != "workload" for pod in driving)
-    standing_by = sum(wanted(observed, pool) for pool in observed.standby_pools) if own_stands_by(observed) else 0
-    replicas = 0 if foreign and not standing_by else 1
-    if (live.get("spec") or {}).get("replicas", 1) != replicas:
-        made.writes.append(Patch(REPLICA_SETS, live, {"spec": {"replicas": replicas}}, subresource="scale"))
-
-
-def _switching(workload: Object) -> bool:
-    """Whether a switchover is asked for or under way, by what its monitor says."""
-    asked = objects.notes(workload).get(names.SWITCHOVER)
-    said = (workload.get("status") or {}).get("switchover") or {}
-    return bool(asked and asked != said.get("handled")) or said.get("phase", ENDED[0]) not in ENDED
-
-
-def _standbys(made: Plan, observed: Observed, pool: str, built: Object, fresh: Fresh) -> None:
-    workload, gate = observed.workload, observed.gate
-    owner = objects.owner("RobotWorkload", workload)
-    if observed.refused(pool) is not None:
-        return
-    mine = [
-        pod
-        for pod in observed.pods
-        if objects.labels(pod).get(names.POOL) == pool
-        and names.CLAIM not in objects.notes(pod)
-        and ownership.controls(objects.uid(workload), pod)
-    ]
-    want = wanted(observed, pool)
-    if not own_stands_by(observed):
-        # what a referred controller makes instead of the failed pod has no agent, so it can't be the standby
-        want += sum(objects.is_active(pod, gate) for pod in mine) if want else 0
-    change = fleets.change(
-        mine,
-        want=want,
-        template_hash=instances.template_hash(built),
-        expected=observed.expected.get(pool, 0),
-        now=observed.now,
-        kept=lambda pod: objects.is_active(pod, gate),
-        moving=lambda pod: nodes.on(pod, observed.leaving),
-        hold=observed.recovering,
-    )
-    for _ in range(change.create):
-        name = fresh.name(objects.name(workload))
-        body = instances.pod(built, name=name, namespace=workload["metadata"]["namespace"], owner=owner)
-        made.writes.append(Create(PODS, body, counted=True))
-    made.writes += [Delete(PODS, pod) for pod in change.delete]
-    if change.again_after is not None:
-        made.later(change.again_after)
-
-
 def _sweep(made: Plan, observed: Observed) -> None:
-    """Delete what the workload controls and no longer needs, and standbys of pools that don't serve it any more."""
+    """Delete what the workload controls and no longer needs."""
     wanted = {(w.resource.plural, objects.name(w.body)) for w in made.writes if isinstance(w, Apply)}
     swept = {resource.plural: resource for resource in SWEPT}
     for (plural, name), item in sorted(observed.owned.items()):
         if plural in swept and (plural, name) not in wanted and not objects.deleted(item):
             made.writes.append(Delete(swept[plural], item))
-    if observed.recovering:
-        return
-    serving_now = observed.standby_pools
-    for pod in observed.pods:
-        pool = objects.labels(pod).get(names.POOL)
-        if (
-            pool
-            and pool not in serving_now
-            and names.CLAIM not in objects.notes(pod)
-            and ownership.controls(objects.uid(observed.workload), pod)
-            and not objects.is_active(pod, observed.gate)
-            and not objects.deleted(pod)
-        ):
-            made.writes.append(Delete(PODS, pod))
