@@ -21,7 +21,6 @@ from understudy.controller import (
     poolsizes,
     situations,
     standbys,
-    workloads,
 )
 from understudy.controller.desired import Problem
 from understudy.controller.observed import WAITING, Observed
@@ -75,7 +74,7 @@ def status(
         *_situation(observed, understanding),
         *dependencies.resolved(observed.dependencies, workload),
         *([resized] if resized is not None else []),
-        *_draining(observed, understanding),
+        *draining.conditions(observed, understanding),
     ]
     return {
         "observedGeneration": objects.generation(workload),
@@ -84,14 +83,6 @@ def status(
         **_order(observed, understanding),
         "conditions": [c.to_wire() for c in conditions],
     }
-
-
-def _draining(observed: Observed, understanding: Understanding) -> list[Condition]:
-    drain = workloads.drain(observed)
-    if understanding.spec is None or drain is None or observed.active is None:
-        return []
-    found, generation = workloads.hold(observed, understanding), objects.generation(observed.workload)
-    return [draining.said(observed.active, drain, found, generation)]
 
 
 def timed(live: Object, desired: Object) -> Object:

@@ -12,7 +12,6 @@ from dataclasses import replace
 
 from understudy.api import names
 from understudy.api.settings import PoolChoice, WorkloadSettings
-from understudy.api.switchovers import Drain
 from understudy.api.workloads import RobotWorkloadSpec
 from understudy.cluster.client import (
     CONFIG_MAPS,
@@ -137,39 +136,9 @@ def _gate(made: Plan, observed: Observed, spec: RobotWorkloadSpec) -> None:
         made.writes.append(Patch(NETWORK_POLICIES, gate, repair))
 
 
-def drain(observed: Observed) -> Drain | None:
-    """Where the instance in control runs on a node that is to be emptied."""
-    if not observed.cordoned:
-        return None  # nothing to parse, as mostly
-    present = observed.told
-    told = present.drain if present is not None else None
-    return draining.seen(observed.active, observed.cordoned, told, observed.now)
-
-
-def hold(observed: Observed, understanding: Understanding) -> draining.Hold:
-    """Whether evictions of the instance in control wait for an understudy."""
-    assert understanding.spec is not None
-    return draining.hold(
-        observed.active,
-        drain(observed),
-        understanding.spec.draining,
-        fallbacks=_falls_back(observed, understanding),
-        budgets=observed.budgets,
-        now=observed.now,
-    )
-
-
-def _falls_back(observed: Observed, understanding: Understanding) -> bool:
-    """Whether its policy has a pool that serves it. While that can't be followed, whether it had."""
-    if understanding.policy_problem is not None:
-        return bool(observed.told_pools)
-    served = observed.serving
-    return any(name in served for name in inforce.named_pools(inforce.strategies(observed)))
-
-
 def _hold(made: Plan, observed: Observed, understanding: Understanding) -> None:
     """The budget of the instance in control. While none is, in a recovery, it stays as it is: it selects nothing then."""
-    found, active, name = hold(observed, understanding), observed.active, objects.name(observed.workload)
+    found, active, name = draining.hold(observed, understanding), observed.active, objects.name(observed.workload)
     if active is None:
         return
     live = observed.owned.get((DISRUPTION_BUDGETS.plural, names.in_control(name)))
@@ -211,7 +180,7 @@ def _settings(observed: Observed, understanding: Understanding, environment: Map
         instance_profiles=understanding.profiles,
         tasks_problem=tasking.problem(objects.name(workload), understanding.spec, understanding.template),
         pools=_choices(observed, understanding),
-        drain=drain(observed),
+        drain=draining.seen(observed),
         strategies=inforce.chosen(observed),
         situation=_situation(observed),
         upstream=dependencies.upstream(observed.dependencies, objects.name(workload)),
