@@ -6,12 +6,10 @@ followed keeps only what was derived from it; the rest is kept up.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from understudy.api import names
-from understudy.api.settings import PoolChoice, WorkloadSettings
 from understudy.api.workloads import RobotWorkloadSpec
 from understudy.cluster.client import (
     CONFIG_MAPS,
@@ -32,15 +30,14 @@ from understudy.controller import (
     discovery,
     draining,
     gates,
-    inforce,
     instances,
     monitors,
     objects,
     ownership,
     policies,
-    pools,
     references,
     robots,
+    settings,
     standbys,
     tasking,
 )
@@ -158,91 +155,7 @@ def _configure(made: Plan, observed: Observed, understanding: Understanding, env
         made.writes.append(_ours(observed, CONFIG_MAPS, body))
     if understanding.profiles:
         made.writes.append(_ours(observed, CONFIG_MAPS, tasking.profiles_map(name, understanding.profiles)))
-    made.writes.append(_ours(observed, CONFIG_MAPS, _settings(observed, understanding, environment)))
-
-
-def _settings(observed: Observed, understanding: Understanding, environment: Mapping[str, str]) -> Object:
-    assert understanding.spec is not None
-    workload = observed.workload
-    kind, name = _source(observed, understanding)
-    selector: dict[str, str] = {}
-    if observed.reference is not None and observed.reference.controller is not None:
-        selector = observed.reference.controller["spec"]["selector"].get("matchLabels") or {}
-    settings = WorkloadSettings(
-        workload=objects.name(workload),
-        namespace=workload["metadata"]["namespace"],
-        uid=objects.uid(workload),
-        source_kind=kind,
-        source_name=name,
-        source_selector=selector,
-        ros_environment=dict(environment),
-        container_environment=instances.literal_environment(understanding.template, environment),
-        instance_profiles=understanding.profiles,
-        tasks_problem=tasking.problem(objects.name(workload), understanding.spec, understanding.template),
-        pools=_choices(observed, understanding),
-        drain=draining.seen(observed),
-        strategies=inforce.chosen(observed),
-        situation=_situation(observed),
-        upstream=dependencies.upstream(observed.dependencies, objects.name(workload)),
-    )
-    # sorted and indented, since people read it when they look for why
-    text = json.dumps(settings.to_wire(), indent=1, sort_keys=True)
-    return {
-        "apiVersion": "v1",
-        "kind": "ConfigMap",
-        "metadata": {"name": names.settings(objects.name(workload))},
-        "data": {"settings.json": text},
-    }
-
-
-def _situation(observed: Observed) -> str | None:
-    """What the monitor is told: the situation of the strategies that it is told of; None for none."""
-    if observed.policy is None:
-        settings = observed.told
-        return settings.situation if settings is not None else None
-    return inforce.situation(observed) or None
-
-
-def _choices(observed: Observed, understanding: Understanding) -> list[PoolChoice]:
-    """The pools that the strategies name and that serve the workload, those in force first. While the policy can't be followed, as
-    they were.
-    """
-    assert understanding.spec is not None
-    if understanding.policy_problem is not None:
-        return observed.told_pools
-    served = observed.serving
-    present = {choice.name: choice for choice in observed.told_pools}
-    found = []
-    chosen = inforce.strategies(observed)
-    first = inforce.named_pools(chosen)
-    for name in (*first, *sorted(inforce.counted_on(observed, chosen).difference(first))):
-        if name not in served:
-            continue
-        if observed.refused(name) is not None:
-            # Its standbys were made and brought up by what was accepted before, and are judged by that.
-            found += [present[name]] if name in present else []
-            continue
-        pool = policies.pool_spec(served[name])
-        readiness = pool.readiness
-        keep_up = pool.keep_up.period if pool.keep_up and readiness == "Initialized" else None
-        allowed = pools.claimable_hash(observed.held_policies.get(name)) if readiness == "Uninitialized" else ""
-        choice = PoolChoice(
-            name=name,
-            readiness=readiness,
-            template_hash=allowed,
-            reserved=pool.kept_from(understanding.spec.pool_priority),
-            initialization=pool.initialization,
-            readiness_check=pool.readiness_check,
-            keep_up=keep_up,
-        )
-        found.append(choice)
-    return found
-
-
-def _source(observed: Observed, understanding: Understanding) -> tuple[str, str]:
-    assert understanding.spec is not None
-    reference = understanding.spec.workload_ref
-    return (reference.kind, reference.name) if reference else ("ReplicaSet", objects.name(observed.workload))
+    made.writes.append(_ours(observed, CONFIG_MAPS, settings.config_map(observed, understanding, environment)))
 
 
 def _monitor(
@@ -251,9 +164,13 @@ def _monitor(
     spec = understanding.spec
     assert spec is not None
     name, namespace = objects.name(observed.workload), observed.workload["metadata"]["namespace"]
-    shared = [choice.name for choice in _choices(observed, understanding) if choice.readiness == "Uninitialized"]
+    shared = [
+        choice.name for choice in settings.choices(observed, understanding) if choice.readiness == "Uninitialized"
+    ]
     seen = [one.name for one in dependencies.upstream(observed.dependencies, name)]
-    for kind, body in monitors.access(name, source=_source(observed, understanding), pools=shared, upstream=seen):
+    for kind, body in monitors.access(
+        name, source=settings.source(observed, understanding), pools=shared, upstream=seen
+    ):
         made.writes.append(_ours(observed, _BY_KIND[kind], body))
     profiles = robots.config_maps(name, environment, spec.outputs, spec.gate.reflex)[1]["data"][robots.PROFILES_KEY]
     if understanding.policy_problem is not None:
