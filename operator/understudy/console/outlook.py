@@ -29,13 +29,13 @@ from understudy.controller import (
     policies,
     pools,
     poolsizes,
+    protection,
     situations,
     standbys,
-    statuses,
 )
 from understudy.controller.desired import Images
 from understudy.controller.observed import Observed
-from understudy.controller.statuses import Means
+from understudy.controller.protection import Means
 from understudy.controller.troubles import trouble
 from understudy.controller.understanding import Understanding, understand
 from understudy.trees.forms import load_monitoring
@@ -68,7 +68,7 @@ class Known:
         """From what is so around a workload. Raises Unusable where its status can't be read."""
         observed = around.observed
         understanding = understand(observed, Images(monitor=""))
-        protected = statuses.protected(observed, understanding)
+        protected = protection.protected(observed, understanding)
         item = observed.workload
         others = {objects.name(one): one for one in around.workloads}
         return cls(observed, understanding, status_of(item), robot(item), protected, around.events, others)
@@ -76,7 +76,7 @@ class Known:
     @property
     def considered(self) -> Sequence[tuple[Strategy, Means]]:
         """The strategies that count now, in order, each with whether it could be carried out."""
-        return statuses.considered(self.observed, self.understanding)
+        return protection.considered(self.observed, self.understanding)
 
     @property
     def left_out(self) -> list[str]:
@@ -412,7 +412,7 @@ def _shared(name: str, item: Object, observed: Observed) -> Iterator[_Entry]:
 
 
 def _own(name: str, item: Object, observed: Observed) -> Iterator[_Entry]:
-    found = statuses.waiting(observed, item)
+    found = protection.waiting(observed, item)
     ready = sum(objects.ready(pod) for pod in found)
     yield _Entry(f"{name} ({policies.readiness(item)}): {ready} ready, {standbys.wanted(observed, name)} wanted")
     yield from map(_pod, found)

@@ -109,6 +109,14 @@ class Observed:
         return next((p for p in self.pods if objects.is_active(p, self.gate) and objects.alive(p)), None)
 
     @property
+    def instances(self) -> list[Object]:
+        """The workload's pods, of a referred controller also those that aren't labelled yet."""
+        found = {objects.uid(pod): pod for pod in self.pods}
+        if self.reference is not None:
+            found |= {objects.uid(pod): pod for pod in self.reference.pods}
+        return sorted(found.values(), key=objects.sort_key)
+
+    @property
     def recovering(self) -> bool:
         """Whether a recovery is under way, as far as can be seen from here."""
         health = (self.workload.get("status") or {}).get("health")
