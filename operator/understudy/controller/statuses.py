@@ -123,8 +123,6 @@ def _reconciled(observed: Observed, understanding: Understanding, problems: Sequ
         return no(found.reason, f"{found.message} {kept}." if kept else found.message)
     if kept:
         return no("InProgress", f"{kept}.")
-    if (found := troubles.first(observed.instances)) is not None:
-        return no(found.reason, f"{found.message.rstrip('.')}. What runs stays as it is until its successor does.")
     return condition("Reconciled", True, "Reconciled", "Everything was built as it says.", generation=generation)
 
 
