@@ -22,8 +22,8 @@ class Run:
     def __init__(self, folder: Path, stack: ExitStack, sources: Sequence[Path], **environment: str) -> None:
         self.folder = folder
         self._stack = stack
-        self._environment = {
-            k: v for k, v in os.environ.items() if not k.startswith(("ROS_", "FASTRTPS_", "FASTDDS_"))
+        self.environment = {
+            k: v for k, v in os.environ.items() if not k.startswith(("ROS_", "FASTRTPS_", "FASTDDS_", "NAVIGATION_"))
         } | {
             "PYTHONPATH": os.pathsep.join(map(str, sources)),
             "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
@@ -36,33 +36,40 @@ class Run:
 
     def start(self, name: str, *command: str, **more: str) -> subprocess.Popen[bytes]:
         """Start a process of Python; ``more`` is for its environment."""
-        output = self._stack.enter_context(self.output(name).open("wb"))
+        output = self._stack.enter_context((self.folder / f"{name}.out").open("ab"))
         process = subprocess.Popen(
-            [sys.executable, *command], env=self._environment | more, stdout=output, stderr=subprocess.STDOUT
+            [sys.executable, *command], env=self.environment | more, stdout=output, stderr=subprocess.STDOUT
         )
-        self._stack.callback(stop, process)
+        self._stack.callback(self.end, process)
         return process
 
-    def output(self, name: str) -> Path:
-        """Where a process says what it has to say."""
-        return self.folder / f"{name}.out"
+    def end(self, process: subprocess.Popen[bytes]) -> None:
+        """End a process when the test is over."""
+        stop(process)
+
+    def output(self, name: str) -> str:
+        """What a process has said; of several of one name, all that they have."""
+        file = self.folder / f"{name}.out"
+        return file.read_text() if file.exists() else ""
 
     def records(self, name: str) -> list[dict[str, Any]]:
         """What a process has said, in JSON."""
-        lines = self.output(name).read_text().splitlines(keepends=True)
+        lines = self.output(name).splitlines(keepends=True)
         return [json.loads(line) for line in lines if line.startswith("{") and line.endswith("\n")]
 
     def log(self) -> RobotLog:
         file = self.folder / "robot.jsonl"
         return parse(file.read_text() if file.exists() else "")
 
-    def wait(self, what: str, condition: Callable[[], object], *, within: float = 30.0) -> None:
+    def wait(self, what: str, condition: Callable[[], Any], *, within: float = 30.0) -> Any:
+        """What the condition gave when it was met."""
         end = time.monotonic() + within
-        while not condition():
+        while not (found := condition()):
             if time.monotonic() > end:
-                outputs = "\n".join(f"{f.name}:\n{f.read_text()[-1500:]}" for f in self.folder.glob("*.out"))
+                outputs = "\n".join(f"{f.name}:\n{f.read_text()[-3000:]}" for f in self.folder.glob("*.out"))
                 pytest.fail(f"not within {within} s: {what}\n{outputs}")
-            time.sleep(0.1)
+            time.sleep(0.05)
+        return found
 
 
 def stop(process: subprocess.Popen[bytes]) -> None:

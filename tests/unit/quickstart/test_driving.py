@@ -38,10 +38,8 @@ def run(tmp_path: Path) -> Iterator[Run]:
 @pytest.mark.timeout(90)
 def test_the_application_drives_the_robot_and_another_goes_on_from_there(run: Run) -> None:
     first = run.pod("drive-a", "application")
-    run.wait(
-        "the robot passes the first waypoint", lambda: "to waypoint 2" in run.output("drive-a").read_text(), within=40
-    )
-    assert "map received after" in run.output("drive-a").read_text()
+    run.wait("the robot passes the first waypoint", lambda: "to waypoint 2" in run.output("drive-a"), within=40)
+    assert "map received after" in run.output("drive-a")
     log = run.log()
     assert log.sources() == ["drive-a"]
     there = log.motions[-1]
@@ -60,7 +58,7 @@ def test_the_application_drives_the_robot_and_another_goes_on_from_there(run: Ru
 
     run.pod("drive-b", "application")
     run.wait("another application moves it on", lambda: run.log().motions[-1].x > stopped + 0.5, within=30)
-    assert "map received after" in run.output("drive-b").read_text(), "the map is latched"
+    assert "map received after" in run.output("drive-b"), "the map is latched"
     handover = run.log().handover("drive-a", "drive-b")
     assert handover.clean
     assert handover.gap is not None
@@ -74,4 +72,4 @@ def test_both_end_when_they_are_told_to(run: Run) -> None:
     for process in (application, run.robot):
         process.send_signal(signal.SIGTERM)
         assert process.wait(10) == 0
-    assert "Traceback" not in run.output("robot-pod").read_text() + run.output("drive-a").read_text()
+    assert "Traceback" not in run.output("robot-pod") + run.output("drive-a")
