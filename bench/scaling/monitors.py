@@ -20,8 +20,9 @@ import aiohttp
 
 from bench.roles import answer, end_with_parent, tell
 from bench.scaling.fleets import POOL, Robot
-from bench.scaling.senses import Application, BlackBox, Keeping, Probes, Sidecars, Sight
+from bench.scaling.senses import Application, Probes, Sidecars, Sight
 from bench.scaling.watches import Borrowed, Drain
+from tests.unit.interleavings.blanks import BlackBox, Keeping
 from understudy.api import names
 from understudy.cluster.client import NETWORK_POLICIES, POLICIES, Access, ApiError
 from understudy.cluster.events import Recorder

@@ -6,9 +6,8 @@ Everything goes well at once, but for failures that the bench asks for: what is 
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import time
-from collections.abc import AsyncIterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from understudy.api.agents import AgentStatus
@@ -175,28 +174,3 @@ class Sidecars:
 
     async def restore(self, instance: Instance, state: KeptState, within: float) -> RestoreReport:
         return RestoreReport()
-
-
-class BlackBox:
-    """Nothing is recorded."""
-
-    def begin(self, *_: Any) -> None:
-        return
-
-    end = begin
-
-
-class Keeping:
-    """Nothing is kept."""
-
-    def take(self, *_: Any) -> None:
-        return
-
-    follow = judge = tell = housekeeping = take
-
-    def select(self, onset: float) -> KeptState:
-        return KeptState()
-
-    @contextlib.asynccontextmanager
-    async def recovering(self) -> AsyncIterator[None]:
-        yield

@@ -20,9 +20,9 @@ from understudy.cluster.client import (
 from understudy.console.kubectl import Kubectl
 from understudy.controller import affected, healthtrees, situations
 from understudy.controller.expectations import Expectations
+from understudy.controller.observed import Observed
 from understudy.controller.observing import Observer, Reader
 from understudy.controller.stores import Store
-from understudy.controller.workloads import Observed
 
 _KINDS = {
     "RobotWorkload": WORKLOADS,

@@ -22,11 +22,22 @@ from understudy.console.drawing import coloured, plain
 from understudy.console.observing import Around
 from understudy.console.robots import DRIVEN, UNWATCHED, Problem, Robot, is_told, pool, robot, status_of
 from understudy.console.texts import age, listed, wrapped
-from understudy.controller import dependencies, objects, policies, pools, poolsizes, situations, statuses, workloads
+from understudy.controller import (
+    dependencies,
+    inforce,
+    objects,
+    policies,
+    pools,
+    poolsizes,
+    protection,
+    situations,
+    standbys,
+)
 from understudy.controller.desired import Images
-from understudy.controller.statuses import Means
+from understudy.controller.observed import Observed
+from understudy.controller.protection import Means
 from understudy.controller.troubles import trouble
-from understudy.controller.workloads import Observed, Understanding
+from understudy.controller.understanding import Understanding, understand
 from understudy.trees.forms import load_monitoring
 from understudy.trees.problems import TreeError
 
@@ -56,8 +67,8 @@ class Known:
     def of(cls, around: Around) -> Known:
         """From what is so around a workload. Raises Unusable where its status can't be read."""
         observed = around.observed
-        understanding = workloads.understand(observed, Images(monitor=""))
-        protected = statuses.protected(observed, understanding)
+        understanding = understand(observed, Images(monitor=""))
+        protected = protection.protected(observed, understanding)
         item = observed.workload
         others = {objects.name(one): one for one in around.workloads}
         return cls(observed, understanding, status_of(item), robot(item), protected, around.events, others)
@@ -65,13 +76,13 @@ class Known:
     @property
     def considered(self) -> Sequence[tuple[Strategy, Means]]:
         """The strategies that count now, in order, each with whether it could be carried out."""
-        return statuses.considered(self.observed, self.understanding)
+        return protection.considered(self.observed, self.understanding)
 
     @property
     def left_out(self) -> list[str]:
         """The pools of the policy that nobody counts on while it is well."""
         counted = {s.pool_ref.name for s, _ in self.considered if s.pool_ref is not None}
-        strategies = workloads.strategies(self.observed) if self.policy else []
+        strategies = inforce.strategies(self.observed) if self.policy else []
         named = [s.pool_ref.name for s in strategies if s.pool_ref is not None]
         return [name for name in named if name not in counted]
 
@@ -401,9 +412,9 @@ def _shared(name: str, item: Object, observed: Observed) -> Iterator[_Entry]:
 
 
 def _own(name: str, item: Object, observed: Observed) -> Iterator[_Entry]:
-    found = statuses.waiting(observed, item)
+    found = protection.waiting(observed, item)
     ready = sum(objects.ready(pod) for pod in found)
-    yield _Entry(f"{name} ({policies.readiness(item)}): {ready} ready, {workloads.wanted(observed, name)} wanted")
+    yield _Entry(f"{name} ({policies.readiness(item)}): {ready} ready, {standbys.wanted(observed, name)} wanted")
     yield from map(_pod, found)
 
 

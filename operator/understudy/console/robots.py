@@ -16,7 +16,7 @@ from understudy.api.healths import PAST
 from understudy.api.pools import FallbackPoolStatus
 from understudy.api.workloads import Recovery, RobotWorkloadStatus
 from understudy.console.kubectl import Unusable
-from understudy.controller.statuses import LIMITED
+from understudy.controller.protection import LIMITED
 
 Object = Mapping[str, Any]
 

@@ -6,26 +6,29 @@ they have waited for as long as the workload says. The operator sees the nodes a
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
 from understudy.api import names
 from understudy.api.base import seconds
 from understudy.api.conditions import Condition, condition
-from understudy.api.switchovers import Drain, Draining
+from understudy.api.switchovers import Drain
 from understudy.cluster.client import Object
-from understudy.controller import evictions, nodes, objects
+from understudy.controller import evictions, inforce, nodes, objects
+from understudy.controller.observed import Observed
+from understudy.controller.understanding import Understanding
 
 CONDITION = "Draining"
 
 
-def seen(active: Object | None, cordoned: Collection[str], present: Drain | None, now: float) -> Drain | None:
-    """What a monitor is told of the node of its instance in control; ``present`` is what it was told last."""
+def seen(observed: Observed) -> Drain | None:
+    """What a monitor is told of the node of its instance in control, where that is to be emptied."""
+    active, cordoned = observed.active, observed.cordoned
     if active is None or (node := nodes.of(active)) not in cordoned:
         return None
-    uid = objects.uid(active)
-    since = present.since if present is not None and (present.uid, present.node) == (uid, node) else round(now, 3)
+    told, uid, now = observed.told, objects.uid(active), round(observed.now, 3)
+    present = told.drain if told is not None else None
+    since = present.since if present is not None and (present.uid, present.node) == (uid, node) else now
     return Drain(uid=uid, node=node, since=since, cordoned=sorted(cordoned))
 
 
@@ -40,40 +43,39 @@ class Hold:
     """When they no longer do, in unix seconds; None while nothing is drained."""
 
 
-def hold(
-    active: Object | None,
-    drain: Drain | None,
-    asked: Draining,
-    *,
-    fallbacks: bool,
-    budgets: Sequence[Object],
-    now: float,
-) -> Hold:
-    """Whether evictions of the instance in control wait, and else why not.
-
-    ``fallbacks`` is whether any understudy could come before it goes; ``budgets`` are those of others in the namespace.
-    """
+def hold(observed: Observed, understanding: Understanding) -> Hold:
+    """Whether evictions of the instance in control wait for an understudy, and else why not."""
+    assert understanding.spec is not None
+    active, asked = observed.active, understanding.spec.draining
     if active is None:
         return Hold("NoneInControl", "no instance is in control")
     length = seconds(asked.hold_for)
     if not length:
         return Hold("NotAskedFor", "spec.draining.holdFor is 0s")
-    if not fallbacks:
+    if not _falls_back(observed, understanding):
         return Hold(
             "NoFallback", "its policy has no Fallback whose pool serves it, so nothing could take over before it goes"
         )
-    if other := next((objects.name(b) for b in budgets if evictions.selects(b, objects.labels(active))), None):
+    if other := next((objects.name(b) for b in observed.budgets if evictions.selects(b, objects.labels(active))), None):
         # With two of them Kubernetes refuses every eviction, for good.
         return Hold(
             "OtherBudget", f"PodDisruptionBudget {other}, which isn't of Understudy, selects it and decides alone"
         )
-    if drain is None:
+    if (drain := seen(observed)) is None:
         return Hold("Held", "", holds=True)
     until = drain.since + length
-    if now >= until:
+    if observed.now >= until:
         words = f"no understudy on another node took over within {asked.hold_for}; see status.switchover for what it waited for"
         return Hold("HoldEnded", words)
     return Hold("Held", "", holds=True, until=until)
+
+
+def _falls_back(observed: Observed, understanding: Understanding) -> bool:
+    """Whether its policy has a pool that serves it. While that can't be followed, whether it had."""
+    if understanding.policy_problem is not None:
+        return bool(observed.told_pools)
+    served = observed.serving
+    return any(name in served for name in inforce.named_pools(inforce.strategies(observed)))
 
 
 def budget(workload: str, active: Object) -> Object:
@@ -85,12 +87,16 @@ def budget(workload: str, active: Object) -> Object:
     return evictions.keeping(names.in_control(workload), 1, chosen)
 
 
-def said(active: Object, drain: Drain, found: Hold, generation: int | None) -> Condition:
+def conditions(observed: Observed, understanding: Understanding) -> list[Condition]:
     """The condition that tells of it, while a node is drained."""
+    active, drain = observed.active, seen(observed)
+    if understanding.spec is None or drain is None or active is None:
+        return []
+    found, generation = hold(observed, understanding), objects.generation(observed.workload)
     told = f"Node {drain.node}, from which {objects.name(active)} drives the robot, is to be emptied (it is cordoned)."
     if not found.holds:
         then = f"Evictions of it don't wait: {found.message}."
-        return condition(CONDITION, False, found.reason, f"{told} {then}", generation=generation)
+        return [condition(CONDITION, False, found.reason, f"{told} {then}", generation=generation)]
     clock = datetime.fromtimestamp(found.until or 0.0, UTC).strftime("%H:%M:%S UTC")
     then = f"Evictions of it wait for an understudy on another node to take over, until {clock} at the latest."
-    return condition(CONDITION, True, found.reason, f"{told} {then}", generation=generation)
+    return [condition(CONDITION, True, found.reason, f"{told} {then}", generation=generation)]

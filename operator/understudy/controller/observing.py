@@ -35,10 +35,10 @@ from understudy.controller import (
     references,
     selectors,
     statuses,
-    workloads,
 )
 from understudy.controller.affected import Key
 from understudy.controller.expectations import Expectations
+from understudy.controller.observed import Observed
 from understudy.controller.stores import Store
 
 
@@ -58,14 +58,14 @@ class Observer:
     def __init__(self, client: Reader, store: Store, expectations: Expectations) -> None:
         self._client, self._store, self._expectations = client, store, expectations
 
-    async def workload(self, item: Object) -> workloads.Observed:
+    async def workload(self, item: Object) -> Observed:
         """What is so around a workload."""
         store = self._store
         name, namespace = objects.name(item), item["metadata"]["namespace"]
         found_pools = store.in_namespace(POOLS, namespace)
         key = Key(WORKLOADS.plural, namespace, name)
         serving = [p for p, pool in found_pools.items() if pools.serves(pool, item)]
-        return workloads.Observed(
+        return Observed(
             workload=item,
             now=time.time(),
             policies=store.in_namespace(POLICIES, namespace),

@@ -31,8 +31,10 @@ from understudy.controller.affected import Key
 from understudy.controller.desired import Images
 from understudy.controller.executing import MANAGER, Executor
 from understudy.controller.judging import FORGET_REFUSAL, Judge
+from understudy.controller.observed import Observed
 from understudy.controller.observing import Observer
 from understudy.controller.stores import Store
+from understudy.controller.understanding import Understanding, probe_template, understand
 
 _logger = logging.getLogger(__name__)
 
@@ -126,9 +128,9 @@ class Reconciler:
             await self._executor.run(key, workloads.abandoned(key.name, pods).writes)
             return None
         observed = await self._observer.workload(item)
-        understanding = workloads.understand(observed, self._images)
+        understanding = understand(observed, self._images)
         again = None
-        if (pod := workloads.probe_template(observed, understanding)) is not None:
+        if (pod := probe_template(observed, understanding)) is not None:
             path = "spec.template" if observed.reference is None else "the referred controller's spec.template"
             refusal = await self._judge.judge(pod, path)
             if refusal is not None:
@@ -143,9 +145,7 @@ class Reconciler:
         status = statuses.status(observed, understanding, problems, resizing.judged(observed, raised))
         return _earliest(plan.again_after, again, await self._tell(WORKLOADS, observed.workload, status))
 
-    async def _resize(
-        self, key: Key, observed: workloads.Observed, understanding: workloads.Understanding
-    ) -> list[resizing.Outcome]:
+    async def _resize(self, key: Key, observed: Observed, understanding: Understanding) -> list[resizing.Outcome]:
         """Resize the pod in control as far as it is asked for; what the API server refuses concerns nothing else."""
         found = []
         for outcome in resizing.outcomes(observed, understanding):
@@ -154,7 +154,7 @@ class Reconciler:
             found.append(resizing.refused(outcome, problems[0]) if problems else outcome)
         return found
 
-    def _seen(self, observed: workloads.Observed) -> workloads.Observed:
+    def _seen(self, observed: Observed) -> Observed:
         """With what was just written, so that the status isn't one step behind."""
         return dataclasses.replace(observed, owned=self._store.owned(objects.uid(observed.workload)))
 

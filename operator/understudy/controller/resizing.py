@@ -16,7 +16,8 @@ from understudy.cluster.client import PODS, STRATEGIC, Object
 from understudy.controller import levels, objects
 from understudy.controller.desired import Patch, Problem
 from understudy.controller.executing import RESIZE
-from understudy.controller.workloads import Observed, Understanding
+from understudy.controller.observed import Observed
+from understudy.controller.understanding import Understanding
 
 CONDITION = "Resized"
 

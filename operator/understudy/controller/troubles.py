@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from understudy.cluster.client import Object
@@ -50,6 +51,11 @@ def trouble(pod: Object) -> Trouble | None:
             if reason in _ADVICE:
                 return _told(pod, reason, "", "it", condition)
     return None
+
+
+def first(pods: Sequence[Object]) -> Trouble | None:
+    """Why one of several pods can't start: that of the first that can't."""
+    return next((found for pod in sorted(pods, key=objects.sort_key) if (found := trouble(pod))), None)
 
 
 def _crashing(pod: Object, entry: Object) -> bool:

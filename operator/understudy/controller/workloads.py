@@ -6,25 +6,16 @@ followed keeps only what was derived from it; the rest is kept up.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
-
-from pydantic import ValidationError
+from dataclasses import replace
 
 from understudy.api import names
-from understudy.api.policies import Strategy
-from understudy.api.settings import PoolChoice, WorkloadSettings
-from understudy.api.switchovers import ENDED, Drain
 from understudy.api.workloads import RobotWorkloadSpec
-from understudy.choosing.ordering import Order
 from understudy.cluster.client import (
     CONFIG_MAPS,
     DEPLOYMENTS,
     DISRUPTION_BUDGETS,
     NETWORK_POLICIES,
-    PODS,
     REPLICA_SETS,
     ROLE_BINDINGS,
     ROLES,
@@ -35,406 +26,30 @@ from understudy.cluster.client import (
     Resource,
 )
 from understudy.controller import (
-    choosing,
     dependencies,
     discovery,
     draining,
-    fleets,
     gates,
     instances,
-    levels,
     monitors,
-    nodes,
     objects,
     ownership,
     policies,
-    pools,
-    poolsizes,
     references,
-    reflexes,
     robots,
-    situations,
+    settings,
+    standbys,
     tasking,
 )
-from understudy.controller.desired import Apply, Create, Delete, Images, Patch, Plan, Problem
+from understudy.controller.desired import Apply, Create, Delete, Images, Patch, Plan
+from understudy.controller.observed import Observed
 from understudy.controller.pools import Fresh
-from understudy.trees.procedureforms import composed
+from understudy.controller.understanding import Understanding
 
 _BY_KIND: dict[str, Resource] = {"ServiceAccount": SERVICE_ACCOUNTS, "Role": ROLES, "RoleBinding": ROLE_BINDINGS}
 
 SWEPT = (DEPLOYMENTS, SERVICES)
 """Of these, what a workload controls and no longer needs is deleted (the discovery server)."""
-
-
-@dataclass(frozen=True)
-class Observed:
-    """What is so around a workload."""
-
-    workload: Object
-    now: float
-    policies: Mapping[str, Object] = field(default_factory=dict)
-    """All FailurePolicies of the namespace."""
-    config_maps: Mapping[str, Object] = field(default_factory=dict)
-    """The ConfigMaps of the namespace that policies may read, and ours."""
-    pools: Mapping[str, Object] = field(default_factory=dict)
-    """All FallbackPools of the namespace."""
-    held_policies: Mapping[str, Object] = field(default_factory=dict)
-    """The network policies of the pools' held pods, by pool."""
-    owned: Mapping[tuple[str, str], Object] = field(default_factory=dict)
-    """What the workload controls besides pods, by plural and name."""
-    pods: Sequence[Object] = ()
-    """Pods with the workload's label."""
-    monitors: Sequence[Object] = ()
-    """The monitor's pods."""
-    discovery: Sequence[Object] = ()
-    """The managed discovery server's pods."""
-    unclaimed: Mapping[str, Sequence[Object]] = field(default_factory=dict)
-    """Held pods, by pool."""
-    reference: references.Referred | None = None
-    """What ``workloadRef`` names; None where there is a template."""
-    rivals: Sequence[str] = ()
-    """Older RobotWorkloads that refer to the same controller."""
-    expected: Mapping[str, int] = field(default_factory=dict)
-    """By pool, standbys that were created and haven't been observed yet."""
-    dependencies: Mapping[str, Sequence[str]] = field(default_factory=dict)
-    """What each workload of the namespace depends on; empty where this one depends on none."""
-    resized: Object | None = None
-    """The pod in control, whole, while the workload is degraded and its policy gives it more then."""
-    cordoned: frozenset[str] = frozenset()
-    """The nodes of the cluster that are to be emptied."""
-    budgets: Sequence[Object] = ()
-    """PodDisruptionBudgets of the namespace that aren't ours."""
-    leaving: frozenset[str] = frozenset()
-    """The nodes whose pods are about to go."""
-
-    @property
-    def gate(self) -> Object | None:
-        """The gate's policy."""
-        return self.owned.get(("networkpolicies", names.gate(objects.name(self.workload))))
-
-    @property
-    def active(self) -> Object | None:
-        """The pod in control."""
-        return next((p for p in self.pods if objects.is_active(p, self.gate) and objects.alive(p)), None)
-
-    @property
-    def recovering(self) -> bool:
-        """Whether a recovery is under way, as far as can be seen from here."""
-        health = (self.workload.get("status") or {}).get("health")
-        epoch = objects.notes(self.gate).get(names.EPOCH, "0") if self.gate else "0"
-        return health == "Recovering" or (epoch != "0" and not objects.active(self.gate)[0])
-
-
-@dataclass(frozen=True)
-class Understanding:
-    """What a workload's spec comes to."""
-
-    spec: RobotWorkloadSpec | None = None
-    problem: Problem | None = None
-    """Why its spec can't be followed."""
-    policy_problem: Problem | None = None
-    template: Mapping[str, Any] = field(default_factory=dict)
-    environment: Mapping[str, str] | None = None
-    """ROS environment; None while the discovery server's address isn't known."""
-    profiles: str = ""
-    """DDS profiles of the instances; empty where they need none."""
-    builts: Mapping[str, Object] = field(default_factory=dict)
-    """Built pod templates: of its own ReplicaSet ("") and of the standbys of each pool."""
-
-
-def serving(observed: Observed) -> dict[str, Object]:
-    """The pools whose selector matches the workload, and that can be kept."""
-    return {
-        name: pool
-        for name, pool in observed.pools.items()
-        if not objects.deleted(pool) and pools.serves(pool, observed.workload)
-    }
-
-
-def refused(observed: Observed, pool: str) -> Problem | None:
-    """Why a pool isn't accepted. Nothing is made for it then, and what there is of it stays as it was."""
-    return policies.pool_problem(observed.pools[pool])
-
-
-WAITING = ("Initialized", "Executing")
-"""The readinesses at which a standby of a workload's own waits."""
-
-
-def standby_pools(observed: Observed) -> dict[str, Object]:
-    """The pools that keep standbys of the workload's own template."""
-    return {name: pool for name, pool in serving(observed).items() if policies.readiness(pool) in WAITING}
-
-
-def wanted(observed: Observed, pool: str) -> int:
-    """How many standbys of a pool the workload is to have now."""
-    return _kept(observed, pool) + levels.prewarmed(observed.workload, _policy(observed), pool)
-
-
-def _kept(observed: Observed, pool: str) -> int:
-    """How many standbys of a pool the workload is to have always: none where others were chosen for it."""
-    chosen = _chosen(observed)
-    if chosen is not None and pool not in _counted_on(observed, chosen):
-        return 0
-    kept: int = observed.pools[pool]["spec"].get("perWorkload") or 0
-    return kept
-
-
-def _policy(observed: Observed) -> Object | None:
-    name = ((observed.workload.get("spec") or {}).get("failurePolicyRef") or {}).get("name", "")
-    return observed.policies.get(name)
-
-
-def order(observed: Observed, situation: str | None = None) -> Order | None:
-    """The order of strategies that the workload's policy comes to, where it leaves that and can be followed.
-
-    In a situation (empty for none) it may be another than the one in force, which it is where none is given.
-    """
-    policy = _policy(observed)
-    if policy is None or not choosing.is_auto(policy) or policies.problem(policy, observed.config_maps) is not None:
-        return None
-    name = in_force(observed) if situation is None else situation
-    found = situations.find(policies.spec(policy), name) if name else None
-    # A pool that isn't accepted any more has still what it had: what counts on it goes on.
-    before = {choice.name for choice in _present_choices(observed)}
-    usable = {
-        name: pool for name, pool in serving(observed).items() if refused(observed, name) is None or name in before
-    }
-    requirements = found.requirements if found is not None else None
-    return choosing.order(policy, observed.workload, usable, requirements=requirements)
-
-
-def strategies(observed: Observed) -> list[Strategy]:
-    """The strategies in force, in order. For a policy that can be followed."""
-    policy = _policy(observed)
-    assert policy is not None
-    chosen = _chosen(observed)
-    return policies.spec(policy).strategies if chosen is None else chosen
-
-
-def _chosen(observed: Observed) -> list[Strategy] | None:
-    """The strategies that were chosen for the workload, or are for its situation; None where its policy says them.
-
-    Those that it has stay while its policy can't be followed, and in the midst of a recovery, which goes by places in the order. Between
-    two recoveries that failed they don't: what was changed may be what helps.
-    """
-    policy = _policy(observed)
-    if policy is not None and not choosing.varies(policy):
-        return None
-    settings = _present_settings(observed)
-    present = settings.strategies if settings is not None else None
-    if policy is None or (present and _in_recovery(observed)):
-        return present
-    found = _of_situation(observed, policy, in_force(observed))
-    return present if found is None else found
-
-
-def _in_recovery(observed: Observed) -> bool:
-    """Whether the monitor says that it is recovering: that goes by places in the order."""
-    return (observed.workload.get("status") or {}).get("health") == "Recovering"
-
-
-# -- situations ---------------------------------------------------------------------------------------------------------
-
-
-def in_force(observed: Observed) -> str:
-    """The situation whose strategies are in force; empty for none.
-
-    It is another one than the monitor says until the first strategy of that one could be carried out, and in the midst of a recovery.
-    """
-    policy = _policy(observed)
-    if policy is None or not situations.has_some(policy):
-        return ""
-    told, asked = _told(observed, policy), situations.asked(observed.workload, policy)
-    if told == asked or _lacking(observed, policy, asked) is None:
-        return asked
-    return told
-
-
-def situation_lacks(observed: Observed) -> str:
-    """Why the strategies of the situation that the monitor says aren't in force yet; empty where they are, or none has any."""
-    policy = _policy(observed)
-    if policy is None or not situations.has_some(policy):
-        return ""
-    return _lacking(observed, policy, situations.asked(observed.workload, policy)) or ""
-
-
-def _situation(observed: Observed) -> str | None:
-    """What the monitor is told: the situation of the strategies that it is told of; None for none."""
-    if _policy(observed) is None:
-        settings = _present_settings(observed)
-        return settings.situation if settings is not None else None
-    return in_force(observed) or None
-
-
-def _told(observed: Observed, policy: Object) -> str:
-    """The situation of whose strategies the monitor was told last."""
-    settings = _present_settings(observed)
-    return situations.known(policy, settings.situation if settings is not None else None)
-
-
-def _of_situation(observed: Observed, policy: Object, name: str) -> list[Strategy] | None:
-    """The strategies of a situation (empty for none); None where the policy can't be followed."""
-    if choosing.is_auto(policy):
-        found = order(observed, name)
-        return choosing.strategies(policy, found) if found is not None else None
-    if policies.problem(policy, observed.config_maps) is not None:
-        return None
-    spec = policies.spec(policy)
-    situation = situations.find(spec, name)
-    return situation.strategies if situation is not None and situation.strategies else spec.strategies
-
-
-def _lacking(observed: Observed, policy: Object, name: str) -> str | None:
-    """Why the first strategy of a situation couldn't be carried out now, of those that ever could; None where it could."""
-    if _in_recovery(observed):
-        return "a recovery is under way"
-    strategies = _of_situation(observed, policy, name)
-    if strategies is None:
-        return "its policy can't be followed"
-    served = serving(observed)
-    sizes = {pool: poolsizes.size(item) or item["spec"].get("perWorkload") for pool, item in served.items()}
-    first = situations.first_kept(strategies, sizes)
-    if first is None or first.pool_ref is None:
-        return None
-    pool, least = first.pool_ref.name, 0
-    if policies.readiness(served[pool]) in WAITING:
-        ready = [
-            pod
-            for pod in observed.pods
-            if objects.labels(pod).get(names.POOL) == pool
-            and objects.ready(pod)
-            and objects.alive(pod)
-            and not objects.is_active(pod, observed.gate)
-        ]
-    else:
-        ready = pools.claimable_now(observed.unclaimed.get(pool, ()), observed.held_policies.get(pool))
-        if refused(observed, pool) is None:
-            least = policies.pool_spec(served[pool]).kept_from(observed.workload["spec"].get("poolPriority") or 0)
-    return None if len(ready) > least else f"no pod of FallbackPool {pool} is ready for it"
-
-
-def _counted_on(observed: Observed, chosen: Sequence[Strategy]) -> set[str]:
-    """The pools of the strategies in force; with situations also of those that the monitor was told of last, and of those asked for."""
-    found = set(_named(chosen))
-    policy = _policy(observed)
-    if policy is not None and situations.has_some(policy):
-        for name in {_told(observed, policy), situations.asked(observed.workload, policy)}:
-            found |= set(_named(_of_situation(observed, policy, name) or []))
-    return found
-
-
-def own_stands_by(observed: Observed) -> bool:
-    """Whether a pod that the workload's own controller makes waits as a standby while another one drives.
-
-    Not where what is in force changes with the situation: as whose standby it waits would change with it.
-    """
-    policy = _policy(observed)
-    return observed.reference is None and (policy is None or not situations.has_some(policy))
-
-
-def _named(strategies: Sequence[Strategy]) -> list[str]:
-    """The pools that strategies take instances from, in order."""
-    return list(dict.fromkeys(one.pool_ref.name for one in strategies if one.pool_ref is not None))
-
-
-def policy_problem(observed: Observed, spec: RobotWorkloadSpec) -> Problem | None:
-    """Why the workload's policy can't be followed."""
-    name = spec.failure_policy_ref.name
-    policy = observed.policies.get(name)
-    if policy is None:
-        return Problem(
-            "PolicyNotFound",
-            f'spec.failurePolicyRef.name: no FailurePolicy "{name}" in namespace '
-            f"{observed.workload['metadata']['namespace']} ({objects.hint(name, observed.policies)}). "
-            f"Create it or correct the name",
-        )
-    if found := policies.problem(policy, observed.config_maps):
-        return Problem("PolicyNotAccepted", f"FailurePolicy {name}: {found.message}")
-    return None
-
-
-def understand(observed: Observed, images: Images) -> Understanding:
-    """What a workload's spec comes to, before the API server has judged its template."""
-    workload = observed.workload
-    name, namespace = objects.name(workload), workload["metadata"]["namespace"]
-    try:
-        spec = RobotWorkloadSpec.model_validate(workload.get("spec") or {})
-    except ValidationError as error:
-        return Understanding(problem=Problem("SpecInvalid", policies.invalid(error)))
-    policy = policy_problem(observed, spec)
-    trees = ((f"spec.dependsOn[{index}].procedure", one.procedure) for index, one in enumerate(spec.depends_on))
-    if words := policies.procedures_problem(("spec.bringUp", spec.bring_up), *trees):
-        return Understanding(spec=spec, problem=Problem("TreeInvalid", words), policy_problem=policy)
-
-    def refuse(problem: Problem) -> Understanding:
-        return Understanding(spec=spec, problem=problem, policy_problem=policy)
-
-    try:
-        robots.config_maps(name, {}, spec.outputs)
-    except ValueError as error:
-        return refuse(Problem("PortsExhausted", str(error)))
-    template, path, stripped = spec.template or {}, "spec.template", frozenset[str]()
-    if spec.workload_ref is not None:
-        referred = observed.reference or references.Referred()
-        if found := references.problem(spec.workload_ref, referred, observed.rivals, namespace):
-            return refuse(found)
-        assert referred.controller is not None
-        template = referred.controller["spec"]["template"]
-        path = f"{spec.workload_ref.kind} {spec.workload_ref.name}: spec.template"
-        stripped = references.label_keys(referred)
-    if words := instances.problem(template, held=False, path=path):
-        return refuse(Problem("TemplateInvalid", words))
-    if words := reflexes.problem(spec, template):
-        return refuse(Problem("ReflexUnsafe", words))
-    service = observed.owned.get(("services", names.discovery(name)))
-    address = discovery.address(service)
-    if spec.ros.discovery.mode == "Managed" and address is None:
-        return Understanding(spec=spec, policy_problem=policy, template=template)
-    environment = robots.ros_environment(spec.ros, address)
-    own_images = replace(images, monitor=spec.monitor.image or images.monitor)
-    profiles = tasking.instance_profiles(spec)
-
-    def build(pool: str) -> Object:
-        recipe = instances.Recipe(
-            workload=name,
-            namespace=namespace,
-            images=own_images,
-            secret=names.agent_secret(name),
-            environment=environment,
-            pool=pool,
-            stripped=stripped,
-            profiles=profiles,
-            procedure=_procedure(observed, spec, pool) if pool else "",
-        )
-        return instances.build(template, recipe)
-
-    builts = {pool: build(pool) for pool in standby_pools(observed)}
-    if spec.template is not None:
-        builts[""] = build("")
-    return Understanding(spec, None, policy, template, environment, profiles, builts)
-
-
-def _procedure(observed: Observed, spec: RobotWorkloadSpec, pool: str) -> str:
-    """The tree that brings a pool's standbys up, in the short form as text; empty where there is none, or the pool isn't accepted."""
-    if refused(observed, pool) is not None:
-        return ""
-    parsed = policies.pool_spec(observed.pools[pool])
-    found = parsed.initialization or (spec.bring_up if parsed.readiness == "Executing" else None)
-    return json.dumps(composed(found, path=pool).node, sort_keys=True) if found is not None else ""
-
-
-def probe_template(observed: Observed, understanding: Understanding) -> Object | None:
-    """A pod by which the API server can judge the template; it is only ever sent as a dry run."""
-    if not understanding.builts:
-        return None
-    built = understanding.builts[min(understanding.builts)]
-    workload = observed.workload
-    return instances.pod(
-        built,
-        name=f"{objects.name(workload)}-check",
-        namespace=workload["metadata"]["namespace"],
-        owner=objects.owner("RobotWorkload", workload),
-    )
 
 
 def plan(observed: Observed, understanding: Understanding, images: Images, fresh: Fresh) -> Plan:
@@ -455,18 +70,19 @@ def plan(observed: Observed, understanding: Understanding, images: Images, fresh
     _configure(made, observed, understanding, environment)
     _monitor(made, observed, understanding, images, environment)
     if spec.template is not None:
-        if waits_for_standby(observed, understanding) is None:
+        if standbys.awaited(observed, understanding) is None:
             body = instances.replica_set(understanding.builts[""], objects.name(workload))
             made.writes.append(_ours(observed, REPLICA_SETS, body))
-        _scale(made, observed)
+        standbys.scale(made, observed)
     for pool in sorted(understanding.builts):
         if pool:
-            _standbys(made, observed, pool, understanding.builts[pool], fresh)
+            standbys.keep(made, observed, pool, understanding.builts[pool], fresh)
     if ("secrets", names.agent_secret(objects.name(workload))) not in observed.owned:
         secret = ownership.token(names.agent_secret(objects.name(workload)), fresh.token())
         owner = objects.owner("RobotWorkload", workload)
         made.writes.insert(0, Create(SECRETS, ownership.ours(secret, owner, workload)))
     _sweep(made, observed)
+    standbys.sweep(made, observed)
     return made
 
 
@@ -517,39 +133,9 @@ def _gate(made: Plan, observed: Observed, spec: RobotWorkloadSpec) -> None:
         made.writes.append(Patch(NETWORK_POLICIES, gate, repair))
 
 
-def drain(observed: Observed) -> Drain | None:
-    """Where the instance in control runs on a node that is to be emptied."""
-    if not observed.cordoned:
-        return None  # nothing to parse, as mostly
-    present = _present_settings(observed)
-    told = present.drain if present is not None else None
-    return draining.seen(observed.active, observed.cordoned, told, observed.now)
-
-
-def hold(observed: Observed, understanding: Understanding) -> draining.Hold:
-    """Whether evictions of the instance in control wait for an understudy."""
-    assert understanding.spec is not None
-    return draining.hold(
-        observed.active,
-        drain(observed),
-        understanding.spec.draining,
-        fallbacks=_falls_back(observed, understanding),
-        budgets=observed.budgets,
-        now=observed.now,
-    )
-
-
-def _falls_back(observed: Observed, understanding: Understanding) -> bool:
-    """Whether its policy has a pool that serves it. While that can't be followed, whether it had."""
-    if understanding.policy_problem is not None:
-        return bool(_present_choices(observed))
-    served = serving(observed)
-    return any(name in served for name in _named(strategies(observed)))
-
-
 def _hold(made: Plan, observed: Observed, understanding: Understanding) -> None:
     """The budget of the instance in control. While none is, in a recovery, it stays as it is: it selects nothing then."""
-    found, active, name = hold(observed, understanding), observed.active, objects.name(observed.workload)
+    found, active, name = draining.hold(observed, understanding), observed.active, objects.name(observed.workload)
     if active is None:
         return
     live = observed.owned.get((DISRUPTION_BUDGETS.plural, names.in_control(name)))
@@ -569,98 +155,7 @@ def _configure(made: Plan, observed: Observed, understanding: Understanding, env
         made.writes.append(_ours(observed, CONFIG_MAPS, body))
     if understanding.profiles:
         made.writes.append(_ours(observed, CONFIG_MAPS, tasking.profiles_map(name, understanding.profiles)))
-    made.writes.append(_ours(observed, CONFIG_MAPS, _settings(observed, understanding, environment)))
-
-
-def _settings(observed: Observed, understanding: Understanding, environment: Mapping[str, str]) -> Object:
-    assert understanding.spec is not None
-    workload = observed.workload
-    kind, name = _source(observed, understanding)
-    selector: dict[str, str] = {}
-    if observed.reference is not None and observed.reference.controller is not None:
-        selector = observed.reference.controller["spec"]["selector"].get("matchLabels") or {}
-    settings = WorkloadSettings(
-        workload=objects.name(workload),
-        namespace=workload["metadata"]["namespace"],
-        uid=objects.uid(workload),
-        source_kind=kind,
-        source_name=name,
-        source_selector=selector,
-        ros_environment=dict(environment),
-        container_environment=instances.literal_environment(understanding.template, environment),
-        instance_profiles=understanding.profiles,
-        tasks_problem=tasking.problem(objects.name(workload), understanding.spec, understanding.template),
-        pools=_choices(observed, understanding),
-        drain=drain(observed),
-        strategies=_chosen(observed),
-        situation=_situation(observed),
-        upstream=dependencies.upstream(observed.dependencies, objects.name(workload)),
-    )
-    # sorted and indented, since people read it when they look for why
-    text = json.dumps(settings.to_wire(), indent=1, sort_keys=True)
-    return {
-        "apiVersion": "v1",
-        "kind": "ConfigMap",
-        "metadata": {"name": names.settings(objects.name(workload))},
-        "data": {"settings.json": text},
-    }
-
-
-def _choices(observed: Observed, understanding: Understanding) -> list[PoolChoice]:
-    """The pools that the strategies name and that serve the workload, those in force first. While the policy can't be followed, as
-    they were.
-    """
-    assert understanding.spec is not None
-    if understanding.policy_problem is not None:
-        return _present_choices(observed)
-    served = serving(observed)
-    present = {choice.name: choice for choice in _present_choices(observed)}
-    found = []
-    chosen = strategies(observed)
-    first = _named(chosen)
-    for name in (*first, *sorted(_counted_on(observed, chosen).difference(first))):
-        if name not in served:
-            continue
-        if refused(observed, name) is not None:
-            # Its standbys were made and brought up by what was accepted before, and are judged by that.
-            found += [present[name]] if name in present else []
-            continue
-        pool = policies.pool_spec(served[name])
-        readiness = pool.readiness
-        keep_up = pool.keep_up.period if pool.keep_up and readiness == "Initialized" else None
-        allowed = pools.claimable_hash(observed.held_policies.get(name)) if readiness == "Uninitialized" else ""
-        choice = PoolChoice(
-            name=name,
-            readiness=readiness,
-            template_hash=allowed,
-            reserved=pool.kept_from(understanding.spec.pool_priority),
-            initialization=pool.initialization,
-            readiness_check=pool.readiness_check,
-            keep_up=keep_up,
-        )
-        found.append(choice)
-    return found
-
-
-def _present_choices(observed: Observed) -> list[PoolChoice]:
-    present = _present_settings(observed)
-    return present.pools if present is not None else []
-
-
-def _present_settings(observed: Observed) -> WorkloadSettings | None:
-    """What the monitor was told last."""
-    present = observed.owned.get(("configmaps", names.settings(objects.name(observed.workload))))
-    text = ((present or {}).get("data") or {}).get("settings.json")
-    try:
-        return WorkloadSettings.model_validate_json(text) if text else None
-    except ValidationError:
-        return None
-
-
-def _source(observed: Observed, understanding: Understanding) -> tuple[str, str]:
-    assert understanding.spec is not None
-    reference = understanding.spec.workload_ref
-    return (reference.kind, reference.name) if reference else ("ReplicaSet", objects.name(observed.workload))
+    made.writes.append(_ours(observed, CONFIG_MAPS, settings.config_map(observed, understanding, environment)))
 
 
 def _monitor(
@@ -669,9 +164,13 @@ def _monitor(
     spec = understanding.spec
     assert spec is not None
     name, namespace = objects.name(observed.workload), observed.workload["metadata"]["namespace"]
-    shared = [choice.name for choice in _choices(observed, understanding) if choice.readiness == "Uninitialized"]
+    shared = [
+        choice.name for choice in settings.choices(observed, understanding) if choice.readiness == "Uninitialized"
+    ]
     seen = [one.name for one in dependencies.upstream(observed.dependencies, name)]
-    for kind, body in monitors.access(name, source=_source(observed, understanding), pools=shared, upstream=seen):
+    for kind, body in monitors.access(
+        name, source=settings.source(observed, understanding), pools=shared, upstream=seen
+    ):
         made.writes.append(_ours(observed, _BY_KIND[kind], body))
     profiles = robots.config_maps(name, environment, spec.outputs, spec.gate.reflex)[1]["data"][robots.PROFILES_KEY]
     if understanding.policy_problem is not None:
@@ -684,112 +183,10 @@ def _monitor(
     made.writes.append(_ours(observed, DEPLOYMENTS, body))
 
 
-def waits_for_standby(observed: Observed, understanding: Understanding) -> str | None:
-    """Why the ReplicaSet doesn't get the present template yet, or None.
-
-    A restart must not fall for a template that can't start: where there are standbys, one of the new template is ready
-    first. While a standby is in control there is none to go first.
-    """
-    built, live = understanding.builts.get(""), observed.owned.get(("replicasets", objects.name(observed.workload)))
-    if built is None or live is None:
-        return None
-    labels = live["spec"]["template"]["metadata"].get("labels") or {}
-    if labels.get(names.TEMPLATE_HASH) == instances.template_hash(built):
-        return None
-    if any(objects.is_active(pod, observed.gate) and names.POOL in objects.labels(pod) for pod in observed.pods):
-        return None
-    pools_first = {
-        name: instances.template_hash(understanding.builts[name])
-        for name in standby_pools(observed)
-        if _kept(observed, name)
-    }
-    if not pools_first or any(
-        objects.ready(pod) and pools_first.get(objects.labels(pod).get(names.POOL, "")) == fleets.hash_of(pod)
-        for pod in observed.pods
-    ):
-        return None
-    told = f"ReplicaSet {objects.name(observed.workload)} gets the new template when a standby of it is ready"
-    unmade = [name for name in sorted(pools_first) if refused(observed, name) is not None]
-    return f"{told}, and FallbackPool {unmade[0]}, which is not accepted, makes none" if unmade else told
-
-
-def _scale(made: Plan, observed: Observed) -> None:
-    """One pod of the template, or none while a pod of a shared pool drives and nobody wants another as a standby.
-
-    While the gate is closed the monitor may be at it, so it stays as it is; and while a switchover is asked for or under way, for
-    which a pod may be started beside the one that drives.
-    """
-    live = observed.owned.get(("replicasets", objects.name(observed.workload)))
-    if live is None or observed.gate is None or not objects.active(observed.gate)[0] or _switching(observed.workload):
-        return
-    driving = [p for p in observed.pods if objects.is_active(p, observed.gate) and objects.alive(p)]
-    foreign = any(objects.labels(pod).get(names.SOURCE) != "workload" for pod in driving)
-    standing_by = sum(wanted(observed, pool) for pool in standby_pools(observed)) if own_stands_by(observed) else 0
-    replicas = 0 if foreign and not standing_by else 1
-    if (live.get("spec") or {}).get("replicas", 1) != replicas:
-        made.writes.append(Patch(REPLICA_SETS, live, {"spec": {"replicas": replicas}}, subresource="scale"))
-
-
-def _switching(workload: Object) -> bool:
-    """Whether a switchover is asked for or under way, by what its monitor says."""
-    asked = objects.notes(workload).get(names.SWITCHOVER)
-    said = (workload.get("status") or {}).get("switchover") or {}
-    return bool(asked and asked != said.get("handled")) or said.get("phase", ENDED[0]) not in ENDED
-
-
-def _standbys(made: Plan, observed: Observed, pool: str, built: Object, fresh: Fresh) -> None:
-    workload, gate = observed.workload, observed.gate
-    owner = objects.owner("RobotWorkload", workload)
-    if refused(observed, pool) is not None:
-        return
-    mine = [
-        pod
-        for pod in observed.pods
-        if objects.labels(pod).get(names.POOL) == pool
-        and names.CLAIM not in objects.notes(pod)
-        and ownership.controls(objects.uid(workload), pod)
-    ]
-    want = wanted(observed, pool)
-    if not own_stands_by(observed):
-        # what a referred controller makes instead of the failed pod has no agent, so it can't be the standby
-        want += sum(objects.is_active(pod, gate) for pod in mine) if want else 0
-    change = fleets.change(
-        mine,
-        want=want,
-        template_hash=instances.template_hash(built),
-        expected=observed.expected.get(pool, 0),
-        now=observed.now,
-        kept=lambda pod: objects.is_active(pod, gate),
-        moving=lambda pod: nodes.on(pod, observed.leaving),
-        hold=observed.recovering,
-    )
-    for _ in range(change.create):
-        name = fresh.name(objects.name(workload))
-        body = instances.pod(built, name=name, namespace=workload["metadata"]["namespace"], owner=owner)
-        made.writes.append(Create(PODS, body, counted=True))
-    made.writes += [Delete(PODS, pod) for pod in change.delete]
-    if change.again_after is not None:
-        made.later(change.again_after)
-
-
 def _sweep(made: Plan, observed: Observed) -> None:
-    """Delete what the workload controls and no longer needs, and standbys of pools that don't serve it any more."""
+    """Delete what the workload controls and no longer needs."""
     wanted = {(w.resource.plural, objects.name(w.body)) for w in made.writes if isinstance(w, Apply)}
     swept = {resource.plural: resource for resource in SWEPT}
     for (plural, name), item in sorted(observed.owned.items()):
         if plural in swept and (plural, name) not in wanted and not objects.deleted(item):
             made.writes.append(Delete(swept[plural], item))
-    if observed.recovering:
-        return
-    serving_now = standby_pools(observed)
-    for pod in observed.pods:
-        pool = objects.labels(pod).get(names.POOL)
-        if (
-            pool
-            and pool not in serving_now
-            and names.CLAIM not in objects.notes(pod)
-            and ownership.controls(objects.uid(observed.workload), pod)
-            and not objects.is_active(pod, observed.gate)
-            and not objects.deleted(pod)
-        ):
-            made.writes.append(Delete(PODS, pod))

@@ -10,11 +10,13 @@ import pytest
 from tests.unit.controller.world import IMAGES, World, applied, policy, workload
 from understudy.api.settings import WorkloadSettings
 from understudy.cluster.client import POLICIES, WORKLOADS, Client, Object
-from understudy.controller import affected, dependencies, statuses, workloads
+from understudy.controller import affected, dependencies, statuses
 from understudy.controller.affected import Key
 from understudy.controller.expectations import Expectations
+from understudy.controller.observed import Observed
 from understudy.controller.observing import Observer
 from understudy.controller.stores import Sight, Store
+from understudy.controller.understanding import understand
 
 CIRCLE = {"a": ["b"], "b": ["c"], "c": ["a"], "d": ["a"], "e": []}
 LADDER = {"control": ["localization", "planning"], "planning": ["localization"], "localization": []}
@@ -105,7 +107,7 @@ class Nobody:
     """Nothing has to be asked."""
 
 
-async def observed(item: Object, *others: Object) -> workloads.Observed:
+async def observed(item: Object, *others: Object) -> Observed:
     store = Store()
     store.put(POLICIES, policy("Restart"))
     for one in (item, *others):
@@ -123,7 +125,7 @@ async def test_one_that_is_being_deleted_is_missing() -> None:
     going = workload("a")
     going["metadata"]["deletionTimestamp"] = "2026-11-22T14:00:00Z"
     found = await observed(needing("w", "a"), going)
-    status = statuses.status(found, workloads.understand(found, IMAGES), [])
+    status = statuses.status(found, understand(found, IMAGES), [])
     assert "DependencyNotFound" in [one["reason"] for one in status["conditions"]]
 
 

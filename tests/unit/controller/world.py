@@ -13,7 +13,9 @@ from understudy.cluster import applying
 from understudy.cluster.client import Object
 from understudy.controller import objects, pools, statuses, workloads
 from understudy.controller.desired import Apply, Create, Delete, Images, Patch, Plan, Problem
+from understudy.controller.observed import Observed
 from understudy.controller.references import Referred
+from understudy.controller.understanding import Understanding, understand
 
 NAMESPACE = "fleet"
 NOW = 1_700_000_000.0
@@ -239,11 +241,11 @@ class World:
         plural = plurals.get(item["kind"], f"{item['kind'].lower()}s")
         self.owned[(plural, objects.name(item))] = item
 
-    def observed(self) -> workloads.Observed:
+    def observed(self) -> Observed:
         kinds: dict[str, dict[str, Object]] = {"FailurePolicy": {}, "FallbackPool": {}}
         for item in self.others:
             kinds[item["kind"]][objects.name(item)] = item
-        return workloads.Observed(
+        return Observed(
             workload=self.workload,
             now=self.now,
             policies=kinds["FailurePolicy"],
@@ -263,8 +265,8 @@ class World:
             budgets=self.budgets,
         )
 
-    def understood(self) -> workloads.Understanding:
-        return workloads.understand(self.observed(), IMAGES)
+    def understood(self) -> Understanding:
+        return understand(self.observed(), IMAGES)
 
     def plan(self) -> Plan:
         return workloads.plan(self.observed(), self.understood(), IMAGES, self.names.fresh())

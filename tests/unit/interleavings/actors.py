@@ -12,10 +12,11 @@ from typing import Any, cast
 import aiohttp
 
 from tests.unit.interleavings.apiserver import ApiServer
+from tests.unit.interleavings.blanks import BlackBox, Keeping
 from tests.unit.interleavings.network import Network, SimulatedClient
 from tests.unit.interleavings.robots import Robots
 from tests.unit.interleavings.scheduling import Killed, Process
-from tests.unit.interleavings.senses import BlackBox, Keeping, Probes, Sidecars, Sight
+from tests.unit.interleavings.senses import Probes, Sidecars, Sight
 from understudy.api import names
 from understudy.cluster import gates
 from understudy.cluster.client import NETWORK_POLICIES, NODES, PODS, ApiError, Expired, Object, Resource

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
-from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from tests.unit.interleavings.robots import Robots, Running
@@ -219,28 +218,3 @@ class Sidecars:
 
     async def restore(self, instance: Instance, state: KeptState, within: float) -> RestoreReport:
         return RestoreReport()
-
-
-class BlackBox:
-    """Nothing is recorded."""
-
-    def begin(self, *_: Any) -> None:
-        return
-
-    end = begin
-
-
-class Keeping:
-    """Nothing is kept."""
-
-    def take(self, *_: Any) -> None:
-        return
-
-    follow = judge = tell = housekeeping = take
-
-    def select(self, onset: float) -> KeptState:
-        return KeptState()
-
-    @contextlib.asynccontextmanager
-    async def recovering(self) -> AsyncIterator[None]:
-        yield

@@ -12,7 +12,8 @@ from typing import Any
 
 import pytest
 
-from tests.unit.navigation.processes import Run, stop
+from tests.unit.navigation.processes import Run
+from tests.unit.processes import stop
 
 pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy")

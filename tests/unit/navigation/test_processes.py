@@ -13,7 +13,8 @@ from pathlib import Path
 import pytest
 from navigation_world import generate
 
-from tests.unit.navigation.processes import SEED, Run, stop
+from tests.unit.navigation.processes import SEED, Run
+from tests.unit.processes import stop
 
 pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy")

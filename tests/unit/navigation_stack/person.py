@@ -5,87 +5,44 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
-import sys
 import threading
-import time
-from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
-import pytest
 from navigation_stack.names import NODES
 from navigation_stack.poses import Pose
 
-SOURCES = Path(__file__).parents[3] / "examples" / "navigation" / "src"
-OPERATOR = Path(__file__).parents[3] / "operator"
+from tests.unit.processes import Run, stop
+
+REPOSITORY = Path(__file__).parents[3]
+SOURCES = (REPOSITORY / "examples" / "navigation" / "src", REPOSITORY / "operator")
 
 
-class Site:
+class Site(Run):
     """A robot and what drives it, as processes over loopback, and one person."""
 
-    def __init__(self, folder: Path, cleanup: ExitStack) -> None:
-        self.folder = folder
-        self._cleanup = cleanup
-        self.environment = {
-            name: value
-            for name, value in os.environ.items()
-            if not name.startswith(("ROS_", "FASTRTPS_", "FASTDDS_", "NAVIGATION_"))
-        } | {
-            "PYTHONPATH": f"{SOURCES}:{OPERATOR}",
-            "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
-            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-            # A domain of its own for each run; 2 to 9 and 90 up are left to others.
-            "ROS_DOMAIN_ID": os.environ.get("ROS_DOMAIN_ID") or str(10 + os.getpid() % 80),
-        }
-        self.start("navigation_robot", ROBOT_LOG=str(folder / "robot.jsonl"))
+    def __init__(self, folder: Path, stack: ExitStack) -> None:
+        super().__init__(folder, stack, SOURCES)
+        self.module("navigation_robot")
 
-    def start(self, module: str, **more: str) -> subprocess.Popen[bytes]:
-        output = self._cleanup.enter_context((self.folder / f"{module}.out").open("ab"))
-        process = subprocess.Popen(
-            [sys.executable, "-m", module],
-            env=self.environment | more,
-            stdout=output,
-            stderr=subprocess.STDOUT,
-        )
-        self._cleanup.callback(end, process)
-        return process
+    def module(self, name: str, **more: str) -> subprocess.Popen[bytes]:
+        return self.start(name, "-m", name, **more)
+
+    def end(self, process: subprocess.Popen[bytes]) -> None:
+        """The stack has processes of its own, which it ends when it is told to end."""
+        if process.poll() is None:
+            process.send_signal(signal.SIGTERM)
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(10)
+        stop(process)
 
     def person(self) -> Person:
         for name in ("ROS_AUTOMATIC_DISCOVERY_RANGE", "RMW_IMPLEMENTATION"):
             os.environ[name] = self.environment[name]
         made = Person(int(self.environment["ROS_DOMAIN_ID"]))
-        self._cleanup.callback(made.close)
+        self._stack.callback(made.close)
         return made
-
-    def output(self, module: str) -> str:
-        file = self.folder / f"{module}.out"
-        return file.read_text() if file.exists() else ""
-
-    @property
-    def log(self) -> str:
-        file = self.folder / "robot.jsonl"
-        return file.read_text() if file.exists() else ""
-
-    def until(self, what: str, condition: Callable[[], Any], *, within: float = 30) -> Any:
-        """What the condition gave when it was met."""
-        end = time.monotonic() + within
-        while not (found := condition()):
-            if time.monotonic() > end:
-                outputs = "\n".join(f"{f.name}:\n{f.read_text()[-3000:]}" for f in self.folder.glob("*.out"))
-                pytest.fail(f"not within {within} s: {what}\n{outputs}")
-            time.sleep(0.05)
-        return found
-
-
-def end(process: subprocess.Popen[bytes]) -> None:
-    if process.poll() is None:
-        process.send_signal(signal.SIGTERM)
-        try:
-            process.wait(10)
-        except subprocess.TimeoutExpired:
-            process.kill()
-    process.wait(10)
 
 
 DOUBT = 0.35
@@ -167,7 +124,7 @@ class Person:
         request.transition.id = getattr(Transition, f"TRANSITION_{transition.upper()}")
         for node in nodes:
             # An answer can be lost while the graph is young: the state tells.
-            site.until(
+            site.wait(
                 f"{node} is {state}",
                 lambda node=node: (
                     self.state(node) == state

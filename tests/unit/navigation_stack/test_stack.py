@@ -43,23 +43,23 @@ def near(pose: Pose, distance: float) -> Pose:
 
 
 def test_from_unconfigured_to_goals_reached_replaced_and_canceled(site: Site) -> None:
-    stack = site.start("navigation_stack")
+    stack = site.module("navigation_stack")
     person = site.person()
     for node in NODES:
-        assert site.until(f"{node} is there", lambda node=node: person.state(node)) == "unconfigured"
+        assert site.wait(f"{node} is there", lambda node=node: person.state(node)) == "unconfigured"
     person.bring(site, "configure", "inactive")
-    site.until("somebody listens to /initialpose", lambda: person.localizable)
+    site.wait("somebody listens to /initialpose", lambda: person.localizable)
     person.told_where(START.then(Pose(0.1, -0.1, 0.1)))
-    site.until("it is heard while inactive", lambda: "told to be at" in site.output("navigation_stack"))
+    site.wait("it is heard while inactive", lambda: "told to be at" in site.output("navigation_stack"))
     assert not person.believed
     assert not person.heartbeats
     person.bring(site, "activate", "active")
-    site.until("it knows where it is", lambda: person.off < 0.1)
-    site.until("its heart beats", lambda: person.heartbeats > 3)
+    site.wait("it knows where it is", lambda: person.off < 0.1)
+    site.wait("its heart beats", lambda: person.heartbeats > 3)
 
     first, second = near(START, 1.2), near(START, 0.6)
     arrived = person.goal(first)
-    site.until("the goal is reached", lambda: arrived.status is not None, within=60)
+    site.wait("the goal is reached", lambda: arrived.status is not None, within=60)
     assert (arrived.status, arrived.result.error_code) == (SUCCEEDED, 0)
     assert person.truth[-1].distance(first) < 0.25
     assert person.off < 0.15
@@ -69,72 +69,72 @@ def test_from_unconfigured_to_goals_reached_replaced_and_canceled(site: Site) ->
 
     # A newer goal takes the place of the one before, also at the controller, and the older one is aborted as in Nav2.
     replaced = person.goal(START)
-    site.until("it drives", lambda: len(replaced.feedback) > 2)
+    site.wait("it drives", lambda: len(replaced.feedback) > 2)
     errand = person.goal(second)
-    site.until("the older goal has ended", lambda: replaced.status is not None)
+    site.wait("the older goal has ended", lambda: replaced.status is not None)
     assert replaced.status == ABORTED
-    site.until("the newer goal is reached", lambda: errand.status is not None, within=60)
+    site.wait("the newer goal is reached", lambda: errand.status is not None, within=60)
     assert errand.status == SUCCEEDED
     assert person.truth[-1].distance(second) < 0.25
 
     errand = person.goal(first)
-    site.until("it drives", lambda: len(errand.feedback) > 2)
+    site.wait("it drives", lambda: len(errand.feedback) > 2)
     errand.cancel()
-    site.until("the goal has ended", lambda: errand.status is not None)
+    site.wait("the goal has ended", lambda: errand.status is not None)
     assert errand.status == CANCELED
-    at = site.until(
+    at = site.wait(
         "it stands", lambda: person.truth[-1] if person.truth[-1].distance(person.truth[-5]) < 1e-3 else None
     )
     assert at.distance(first) > 0.05
 
     nowhere = person.goal(Pose(-30.0, 0.0, 0.0))
-    site.until("it is given up", lambda: nowhere.status is not None)
+    site.wait("it is given up", lambda: nowhere.status is not None)
     assert nowhere.status == ABORTED
     assert nowhere.result.error_code == 206  # GOAL_OCCUPIED of ComputePathToPose
     assert "the goal -30.00, 0.00" in nowhere.result.error_msg
 
     person.bring(site, "deactivate", "inactive", ["bt_navigator"])
     assert not person.goal(first).accepted
-    assert "bumped" not in site.log
+    assert "bumped" not in site.output("navigation_robot")
     stack.send_signal(signal.SIGTERM)
     assert stack.wait(20) == 0
     assert "Traceback" not in site.output("navigation_stack")
 
 
 def test_a_new_instance_is_lost_until_it_is_given_the_pose(site: Site) -> None:
-    first = site.start("navigation_stack", NAVIGATION_AUTOSTART="1")
+    first = site.module("navigation_stack", NAVIGATION_AUTOSTART="1")
     person = site.person()
-    site.until("somebody listens to /initialpose", lambda: person.localizable)
+    site.wait("somebody listens to /initialpose", lambda: person.localizable)
     person.told_where(START)
-    site.until("it is up", lambda: person.heartbeats > 0)
-    site.until("it knows where it is", lambda: person.off < 0.1)
+    site.wait("it is up", lambda: person.heartbeats > 0)
+    site.wait("it knows where it is", lambda: person.off < 0.1)
     goal = near(START, 2.2)
     errand = person.goal(goal)
-    site.until("it drives", lambda: person.truth[-1].distance(START) > 1.6)
+    site.wait("it drives", lambda: person.truth[-1].distance(START) > 1.6)
     kept = person.believed[-1][1]
     first.kill()
     first.wait(10)
-    site.until("the robot stands", lambda: '"held":true' in site.log.splitlines()[-1])
+    site.wait("the robot stands", lambda: site.log().motions[-1].held)
     assert errand.status is None
 
     # What it would do without the kept state: wait, or, told where the robot was at first, believe that.
     person.believed.clear()
     beats = person.heartbeats
-    site.start("navigation_stack", NAVIGATION_AUTOSTART="1")
-    site.until("the new one is up", lambda: person.heartbeats > beats)
+    site.module("navigation_stack", NAVIGATION_AUTOSTART="1")
+    site.wait("the new one is up", lambda: person.heartbeats > beats)
     lost = person.goal(goal)
-    site.until("it is given up", lambda: lost.status is not None)
+    site.wait("it is given up", lambda: lost.status is not None)
     assert lost.status == ABORTED
     assert "it isn't known where the robot is" in lost.result.error_msg
     assert not person.believed
     person.told_where(START)
-    site.until("it believes to be at the start", lambda: len(person.believed) > 20)
+    site.wait("it believes to be at the start", lambda: len(person.believed) > 20)
     assert person.off > 0.4
 
     person.restore(kept)
-    site.until("it knows where it is", lambda: person.off < 0.15)
+    site.wait("it knows where it is", lambda: person.off < 0.15)
     again = person.goal(goal)
-    site.until("the goal is reached", lambda: again.status is not None, within=60)
+    site.wait("the goal is reached", lambda: again.status is not None, within=60)
     assert again.status == SUCCEEDED
     assert person.truth[-1].distance(goal) < 0.25
-    assert "bumped" not in site.log
+    assert "bumped" not in site.output("navigation_robot")

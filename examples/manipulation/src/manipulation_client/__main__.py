@@ -6,18 +6,13 @@ every goal succeeded.
 
 from __future__ import annotations
 
-import argparse
-import os
 import sys
 from typing import Any
 
-import rclpy
 from manipulation_arm import Pose, places
 from manipulation_interfaces.action import MoveToPose
-from navigation_client.client import Client, Patience
-from navigation_robot.journal import Journal
-from rclpy.executors import ExternalShutdownException
-from rclpy.utilities import remove_ros_args
+from navigation_client import running
+from navigation_client.client import Client
 
 
 class Poser(Client):
@@ -40,20 +35,7 @@ class Poser(Client):
 
 def main() -> int:
     """Send the goals; returns the exit status."""
-    parser = argparse.ArgumentParser(prog="manipulation_client", description=__doc__)
-    parser.add_argument("--goals", type=int, default=6, help="how many")
-    parser.add_argument("--within", type=float, default=300.0, help="seconds that a goal may take")
-    parser.add_argument("--wait", type=float, default=120.0, help="seconds to wait for the server and for acceptance")
-    options = parser.parse_args(remove_ros_args(sys.argv)[1:])
-    rclpy.init()
-    patience = Patience(server=options.wait, acceptance=options.wait, result=options.within)
-    client = Poser(Journal(os.environ.get("MANIPULATION_CLIENT_LOG")), patience)
-    try:
-        return 0 if client.run(list(places(options.goals))) else 1
-    except (KeyboardInterrupt, ExternalShutdownException):
-        return 1
-    finally:
-        client.close()
+    return running.run(Poser, running.parser(Poser, __doc__), lambda told: list(places(told.goals)))
 
 
 if __name__ == "__main__":

@@ -17,10 +17,10 @@ import numpy as np
 from manipulation_arm import JOINTS, Arm, Joints, Pose
 from manipulation_interfaces.action import MoveToPose
 from navigation_stack import managed
+from navigation_stack.heartbeats import Heartbeat
 from navigation_stack.serving import Goal, Outcome, Server, until
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from manipulation_stack.following import Follower
@@ -38,8 +38,7 @@ LONGEST = 0.025
 """s that a command goes on at most, however late it is: on a busy machine the arm is slower, it doesn't take larger steps."""
 
 FEEDBACK = 0.1
-HEARTBEAT = 0.2
-"""s between two messages."""
+"""s between two messages of feedback."""
 
 REPLAN = 0.25
 """s between two plans for an arm that another instance moves another way."""
@@ -72,19 +71,15 @@ class Mover(managed.Managed):
         self._heard = self.input(JointState, "/arm_controller/reference", QoSProfile(depth=5))
         # The newest alone: whoever opens the way to the arm must not have it sent what was right some time ago.
         self._commands = self.create_lifecycle_publisher(JointTrajectory, "/arm_controller/joint_trajectory", 1)
-        self._heartbeats = self.create_lifecycle_publisher(Header, "/manipulation/heartbeat", 1)
         self.at_cleanup(lambda: self.destroy_lifecycle_publisher(self._commands))
-        self.at_cleanup(lambda: self.destroy_lifecycle_publisher(self._heartbeats))
+        self._heartbeat = Heartbeat(self, "/manipulation/heartbeat")
         Server(self, MoveToPose, "/move_to_pose", self._move)
 
     def activated(self) -> None:
-        self._beating = managed.Loop(HEARTBEAT, self._beat)
+        self._heartbeat.begin()
 
     def deactivated(self) -> None:
-        self._beating.stop()
-
-    def _beat(self) -> None:
-        self._heartbeats.publish(Header(stamp=self.get_clock().now().to_msg(), frame_id=self.get_name()))
+        self._heartbeat.stop()
 
     # -- a goal -----------------------------------------------------------------------------------------------------
 

@@ -18,17 +18,14 @@ from nav2_msgs.action import ComputePathToPose, FollowPath, NavigateToPose
 from rclpy.action import ActionClient
 from rclpy.action.client import ClientGoalHandle
 from rclpy.task import Future
-from std_msgs.msg import Header
 
 from navigation_stack import managed
 from navigation_stack.conversions import pose_of, stamped
+from navigation_stack.heartbeats import Heartbeat
 from navigation_stack.serving import Goal, Outcome, Server, until
 from navigation_stack.whereabouts import Whereabouts
 
 _Result = NavigateToPose.Result
-
-HEARTBEAT = 0.2
-"""s between two heartbeats."""
 
 FEEDBACK = 0.25
 """s between two messages of feedback."""
@@ -128,20 +125,16 @@ class Navigator(managed.Managed):
         self._whereabouts = Whereabouts(self, odometry=False)
         self._planner = ActionClient(self, ComputePathToPose, "/compute_path_to_pose")
         self._controller = ActionClient(self, FollowPath, "/follow_path")
-        self._heartbeats = self.create_lifecycle_publisher(Header, "/navigation/heartbeat", 1)
-        self.at_cleanup(lambda: self.destroy_lifecycle_publisher(self._heartbeats))
+        self._heartbeat = Heartbeat(self, "/navigation/heartbeat")
         self.at_cleanup(self._planner.destroy)
         self.at_cleanup(self._controller.destroy)
         Server(self, NavigateToPose, "/navigate_to_pose", self._navigate)
 
     def activated(self) -> None:
-        self._beating = managed.Loop(HEARTBEAT, self._beat)
+        self._heartbeat.begin()
 
     def deactivated(self) -> None:
-        self._beating.stop()
-
-    def _beat(self) -> None:
-        self._heartbeats.publish(Header(stamp=self.get_clock().now().to_msg(), frame_id=self.get_name()))
+        self._heartbeat.stop()
 
     # -- a goal -----------------------------------------------------------------------------------------------------
 

@@ -1,0 +1,124 @@
+"""What is so around a workload, as it was read, and what follows from it alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from pydantic import ValidationError
+
+from understudy.api import names
+from understudy.api.settings import PoolChoice, WorkloadSettings
+from understudy.cluster.client import CONFIG_MAPS, Object
+from understudy.controller import objects, policies, pools, references
+from understudy.controller.desired import Problem
+
+WAITING = ("Initialized", "Executing")
+"""The readinesses at which a standby of a workload's own waits."""
+
+
+@dataclass(frozen=True)
+class Observed:
+    """What is so around a workload."""
+
+    workload: Object
+    now: float
+    policies: Mapping[str, Object] = field(default_factory=dict)
+    """All FailurePolicies of the namespace."""
+    config_maps: Mapping[str, Object] = field(default_factory=dict)
+    """The ConfigMaps of the namespace that policies may read, and ours."""
+    pools: Mapping[str, Object] = field(default_factory=dict)
+    """All FallbackPools of the namespace."""
+    held_policies: Mapping[str, Object] = field(default_factory=dict)
+    """The network policies of the pools' held pods, by pool."""
+    owned: Mapping[tuple[str, str], Object] = field(default_factory=dict)
+    """What the workload controls besides pods, by plural and name."""
+    pods: Sequence[Object] = ()
+    """Pods with the workload's label."""
+    monitors: Sequence[Object] = ()
+    """The monitor's pods."""
+    discovery: Sequence[Object] = ()
+    """The managed discovery server's pods."""
+    unclaimed: Mapping[str, Sequence[Object]] = field(default_factory=dict)
+    """Held pods, by pool."""
+    reference: references.Referred | None = None
+    """What ``workloadRef`` names; None where there is a template."""
+    rivals: Sequence[str] = ()
+    """Older RobotWorkloads that refer to the same controller."""
+    expected: Mapping[str, int] = field(default_factory=dict)
+    """By pool, standbys that were created and haven't been observed yet."""
+    dependencies: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    """What each workload of the namespace depends on; empty where this one depends on none."""
+    resized: Object | None = None
+    """The pod in control, whole, while the workload is degraded and its policy gives it more then."""
+    cordoned: frozenset[str] = frozenset()
+    """The nodes of the cluster that are to be emptied."""
+    budgets: Sequence[Object] = ()
+    """PodDisruptionBudgets of the namespace that aren't ours."""
+    leaving: frozenset[str] = frozenset()
+    """The nodes whose pods are about to go."""
+
+    @property
+    def policy(self) -> Object | None:
+        """The workload's policy."""
+        name = ((self.workload.get("spec") or {}).get("failurePolicyRef") or {}).get("name", "")
+        return self.policies.get(name)
+
+    @property
+    def serving(self) -> dict[str, Object]:
+        """The pools whose selector matches the workload, and that can be kept."""
+        return {
+            name: pool
+            for name, pool in self.pools.items()
+            if not objects.deleted(pool) and pools.serves(pool, self.workload)
+        }
+
+    @property
+    def standby_pools(self) -> dict[str, Object]:
+        """The pools that keep standbys of the workload's own template."""
+        return {name: pool for name, pool in self.serving.items() if policies.readiness(pool) in WAITING}
+
+    def refused(self, pool: str) -> Problem | None:
+        """Why a pool isn't accepted. Nothing is made for it then, and what there is of it stays as it was."""
+        return policies.pool_problem(self.pools[pool])
+
+    @property
+    def told(self) -> WorkloadSettings | None:
+        """What the monitor was told last."""
+        present = self.owned.get((CONFIG_MAPS.plural, names.settings(objects.name(self.workload))))
+        text = ((present or {}).get("data") or {}).get("settings.json")
+        try:
+            return WorkloadSettings.model_validate_json(text) if text else None
+        except ValidationError:
+            return None
+
+    @property
+    def told_pools(self) -> list[PoolChoice]:
+        """The pools that the monitor was told of last."""
+        told = self.told
+        return told.pools if told is not None else []
+
+    @property
+    def gate(self) -> Object | None:
+        """The gate's policy."""
+        return self.owned.get(("networkpolicies", names.gate(objects.name(self.workload))))
+
+    @property
+    def active(self) -> Object | None:
+        """The pod in control."""
+        return next((p for p in self.pods if objects.is_active(p, self.gate) and objects.alive(p)), None)
+
+    @property
+    def instances(self) -> list[Object]:
+        """The workload's pods, of a referred controller also those that aren't labelled yet."""
+        found = {objects.uid(pod): pod for pod in self.pods}
+        if self.reference is not None:
+            found |= {objects.uid(pod): pod for pod in self.reference.pods}
+        return sorted(found.values(), key=objects.sort_key)
+
+    @property
+    def recovering(self) -> bool:
+        """Whether a recovery is under way, as far as can be seen from here."""
+        health = (self.workload.get("status") or {}).get("health")
+        epoch = objects.notes(self.gate).get(names.EPOCH, "0") if self.gate else "0"
+        return health == "Recovering" or (epoch != "0" and not objects.active(self.gate)[0])

@@ -1,0 +1,142 @@
+"""The standbys of a workload's own: how many of which pool it is to have, and the writes by which it has them."""
+
+from __future__ import annotations
+
+from understudy.api import names
+from understudy.api.switchovers import ENDED
+from understudy.cluster.client import PODS, REPLICA_SETS, Object
+from understudy.controller import fleets, inforce, instances, levels, nodes, objects, ownership, situations
+from understudy.controller.desired import Create, Delete, Patch, Plan
+from understudy.controller.observed import Observed
+from understudy.controller.pools import Fresh
+from understudy.controller.understanding import Understanding
+
+
+def wanted(observed: Observed, pool: str) -> int:
+    """How many standbys of a pool the workload is to have now."""
+    return _kept(observed, pool) + levels.prewarmed(observed.workload, observed.policy, pool)
+
+
+def _kept(observed: Observed, pool: str) -> int:
+    """How many standbys of a pool the workload is to have always: none where others were chosen for it."""
+    chosen = inforce.chosen(observed)
+    if chosen is not None and pool not in inforce.counted_on(observed, chosen):
+        return 0
+    kept: int = observed.pools[pool]["spec"].get("perWorkload") or 0
+    return kept
+
+
+def own_stands_by(observed: Observed) -> bool:
+    """Whether a pod that the workload's own controller makes waits as a standby while another one drives.
+
+    Not where what is in force changes with the situation: as whose standby it waits would change with it.
+    """
+    policy = observed.policy
+    return observed.reference is None and (policy is None or not situations.has_some(policy))
+
+
+def keep(made: Plan, observed: Observed, pool: str, built: Object, fresh: Fresh) -> None:
+    """As many standbys of a pool as the workload is to have, of the present template."""
+    workload, gate = observed.workload, observed.gate
+    owner = objects.owner("RobotWorkload", workload)
+    if observed.refused(pool) is not None:
+        return
+    mine = [
+        pod
+        for pod in observed.pods
+        if objects.labels(pod).get(names.POOL) == pool
+        and names.CLAIM not in objects.notes(pod)
+        and ownership.controls(objects.uid(workload), pod)
+    ]
+    want = wanted(observed, pool)
+    if not own_stands_by(observed):
+        # what a referred controller makes instead of the failed pod has no agent, so it can't be the standby
+        want += sum(objects.is_active(pod, gate) for pod in mine) if want else 0
+    change = fleets.change(
+        mine,
+        want=want,
+        template_hash=instances.template_hash(built),
+        expected=observed.expected.get(pool, 0),
+        now=observed.now,
+        kept=lambda pod: objects.is_active(pod, gate),
+        moving=lambda pod: nodes.on(pod, observed.leaving),
+        hold=observed.recovering,
+    )
+    for _ in range(change.create):
+        name = fresh.name(objects.name(workload))
+        body = instances.pod(built, name=name, namespace=workload["metadata"]["namespace"], owner=owner)
+        made.writes.append(Create(PODS, body, counted=True))
+    made.writes += [Delete(PODS, pod) for pod in change.delete]
+    if change.again_after is not None:
+        made.later(change.again_after)
+
+
+def scale(made: Plan, observed: Observed) -> None:
+    """One pod of the template, or none while a pod of a shared pool drives and nobody wants another as a standby.
+
+    While the gate is closed the monitor may be at it, so it stays as it is; and while a switchover is asked for or under way, for
+    which a pod may be started beside the one that drives.
+    """
+    live = observed.owned.get(("replicasets", objects.name(observed.workload)))
+    if live is None or observed.gate is None or not objects.active(observed.gate)[0] or _switching(observed.workload):
+        return
+    driving = [p for p in observed.pods if objects.is_active(p, observed.gate) and objects.alive(p)]
+    foreign = any(objects.labels(pod).get(names.SOURCE) != "workload" for pod in driving)
+    standing_by = sum(wanted(observed, pool) for pool in observed.standby_pools) if own_stands_by(observed) else 0
+    replicas = 0 if foreign and not standing_by else 1
+    if (live.get("spec") or {}).get("replicas", 1) != replicas:
+        made.writes.append(Patch(REPLICA_SETS, live, {"spec": {"replicas": replicas}}, subresource="scale"))
+
+
+def _switching(workload: Object) -> bool:
+    """Whether a switchover is asked for or under way, by what its monitor says."""
+    asked = objects.notes(workload).get(names.SWITCHOVER)
+    said = (workload.get("status") or {}).get("switchover") or {}
+    return bool(asked and asked != said.get("handled")) or said.get("phase", ENDED[0]) not in ENDED
+
+
+def awaited(observed: Observed, understanding: Understanding) -> str | None:
+    """Why the ReplicaSet doesn't get the present template yet, or None.
+
+    A restart must not fall for a template that can't start: where there are standbys, one of the new template is ready
+    first. While a standby is in control there is none to go first.
+    """
+    built, live = understanding.builts.get(""), observed.owned.get(("replicasets", objects.name(observed.workload)))
+    if built is None or live is None:
+        return None
+    labels = live["spec"]["template"]["metadata"].get("labels") or {}
+    if labels.get(names.TEMPLATE_HASH) == instances.template_hash(built):
+        return None
+    if any(objects.is_active(pod, observed.gate) and names.POOL in objects.labels(pod) for pod in observed.pods):
+        return None
+    pools_first = {
+        name: instances.template_hash(understanding.builts[name])
+        for name in observed.standby_pools
+        if _kept(observed, name)
+    }
+    if not pools_first or any(
+        objects.ready(pod) and pools_first.get(objects.labels(pod).get(names.POOL, "")) == fleets.hash_of(pod)
+        for pod in observed.pods
+    ):
+        return None
+    told = f"ReplicaSet {objects.name(observed.workload)} gets the new template when a standby of it is ready"
+    unmade = [name for name in sorted(pools_first) if observed.refused(name) is not None]
+    return f"{told}, and FallbackPool {unmade[0]}, which is not accepted, makes none" if unmade else told
+
+
+def sweep(made: Plan, observed: Observed) -> None:
+    """Delete standbys of pools that don't serve the workload any more; not in a recovery, which may be about to take one."""
+    if observed.recovering:
+        return
+    serving_now = observed.standby_pools
+    for pod in observed.pods:
+        pool = objects.labels(pod).get(names.POOL)
+        if (
+            pool
+            and pool not in serving_now
+            and names.CLAIM not in objects.notes(pod)
+            and ownership.controls(objects.uid(observed.workload), pod)
+            and not objects.is_active(pod, observed.gate)
+            and not objects.deleted(pod)
+        ):
+            made.writes.append(Delete(PODS, pod))

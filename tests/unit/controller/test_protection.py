@@ -1,0 +1,199 @@
+"""What a failure now would lead to: what is protected, by what, and what is missing."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from tests.unit.controller.world import (
+    World,
+    applied,
+    gate,
+    held_pod,
+    hot,
+    pod,
+    policy,
+    source_pod,
+    spare,
+    standby_pod,
+    workload,
+)
+from understudy.cluster.client import Object
+from understudy.controller import statuses
+
+
+def world(*others: Object, standby: Object | None = None, **active: object) -> World:
+    made = World(workload(), *others)
+    made.build()
+    driving = source_pod("w-a", **active)  # type: ignore[arg-type]
+    made.pods = [driving, *([standby] if standby else [])]
+    made.own(gate(made.workload, active=driving, epoch=1))
+    return made
+
+
+def test_protected_by_a_ready_standby() -> None:
+    found = world(policy("hot", "Restart"), hot(), standby=standby_pod("w-s", of=workload()))
+    protected = found.condition("Protected")
+    assert protected["status"] == "True"
+    assert protected["message"] == "If it failed now, Fallback from pool hot would be used: pod w-s (Executing)."
+    assert found.status()["standby"] == "Executing (1/1)"
+
+
+def test_not_protected_while_the_standby_is_not_ready_but_the_next_strategy_is_told() -> None:
+    found = world(policy("hot", "Restart"), hot(), standby=standby_pod("w-s", of=workload(), ready=False))
+    protected = found.condition("Protected")
+    assert (protected["status"], protected["reason"]) == ("False", "StandbyNotReady")
+    assert "If it failed now, Restart would be used" in protected["message"]
+    assert found.status()["standby"] == "Executing (0/1)"
+
+
+def test_after_a_failover_the_replacement_is_the_standby() -> None:
+    found = world(policy("hot"), hot())
+    driving = standby_pod("w-s", of=workload())
+    found.pods = [driving, source_pod("w-b")]
+    found.own(gate(found.workload, active=driving, epoch=2))
+    assert found.condition("Protected")["status"] == "True"
+    assert found.status()["standby"] == "Executing (1/1)"
+
+
+@pytest.mark.parametrize(
+    ("type_", "status", "reason", "outlook"),
+    [
+        ("Paused", "True", "Paused", "If it failed now, nothing would be done."),
+        ("WithinBudget", "False", "BudgetSpent", "If it failed now, it would only be fenced."),
+    ],
+)
+def test_not_protected_while_the_monitor_would_recover_nothing(
+    type_: str, status: str, reason: str, outlook: str
+) -> None:
+    found = world(policy("hot", "Restart"), hot(), standby=standby_pod("w-s", of=workload()))
+    before = found.status()
+    said = {"type": type_, "status": status, "reason": "Whatever", "message": "That is so."}
+    found.workload["status"] = {"conditions": [said]}
+    protected = found.condition("Protected")
+    assert (protected["status"], protected["reason"]) == ("False", reason)
+    assert protected["message"] == f"That is so. {outlook}"
+    told = [c["type"] for c in statuses.transitions({"status": before}, found.status())]
+    assert "Protected" not in told, "the monitor tells of it"
+    said["status"] = {"True": "False", "False": "True"}[status]
+    assert found.condition("Protected")["status"] == "True"
+
+
+def test_nobody_would_notice_without_a_monitor() -> None:
+    found = world(policy("hot"), hot(), standby=standby_pod("w-s", of=workload()))
+    found.monitors = [pod("w-monitor-1", ready=False)]
+    protected = found.condition("Protected")
+    assert (protected["status"], protected["reason"]) == ("False", "MonitorNotReady")
+    assert "nobody would notice" in protected["message"]
+
+
+def test_a_monitor_whose_image_is_missing_is_named() -> None:
+    found = world(policy("Restart"))
+    found.monitors = [pod("w-monitor-1", ready=False, waiting="ErrImageNeverPull")]
+    assert "w-monitor-1" in found.condition("Protected")["message"]
+
+
+def test_without_a_discovery_server_only_what_runs_already_could_take_over() -> None:
+    found = world(policy("hot", "Restart"), hot(), standby=standby_pod("w-s", of=workload()))
+    found.discovery = [pod("w-discovery-1", ready=False, waiting="CrashLoopBackOff")]
+    assert found.condition("Protected")["status"] == "True"
+    found.pods.pop()
+    protected = found.condition("Protected")
+    assert (protected["status"], protected["reason"]) == ("False", "DiscoveryNotReady")
+    assert "w-discovery-1" in protected["message"]
+    assert "no strategy of its policy could be carried out" in protected["message"]
+    found.workload["spec"]["ros"] = {"discovery": {"mode": "Multicast"}}
+    assert "If it failed now, Restart would be used" in found.condition("Protected")["message"]
+
+
+@pytest.mark.parametrize(
+    ("waiting", "reason"),
+    [
+        ("ErrImagePull", "ImagePullBackOff"),
+        ("ImagePullBackOff", "ImagePullBackOff"),
+        ("ErrImageNeverPull", "ErrImageNeverPull"),
+        ("CrashLoopBackOff", "CrashLoopBackOff"),
+        ("CreateContainerConfigError", "CreateContainerConfigError"),
+    ],
+)
+def test_an_image_that_can_not_start_is_told_with_its_pod(waiting: str, reason: str) -> None:
+    found = world(policy("Restart"), ready=False, waiting=waiting)
+    protected = found.condition("Protected")
+    assert (protected["status"], protected["reason"]) == ("False", reason)
+    assert "pod w-a" in protected["message"]
+    assert "app:1" in protected["message"]
+
+
+def test_a_broken_new_template_does_not_unprotect_while_the_old_standby_is_ready() -> None:
+    found = world(policy("hot"), hot(), standby=standby_pod("w-s", of=workload()))
+    found.pods.append(standby_pod("w-n", of=workload(), ready=False, waiting="ErrImageNeverPull"))
+    assert found.condition("Protected")["status"] == "True"
+    reconciled = found.condition("Reconciled")
+    assert (reconciled["status"], reconciled["reason"]) == ("False", "ErrImageNeverPull")
+    assert "pod w-n" in reconciled["message"]
+
+
+def test_a_shared_pool_in_the_column() -> None:
+    found = world(policy("spare", "Restart"), spare(replicas=2))
+    pool = spare(replicas=2)
+    found.unclaimed = {"spare": [held_pod("spare-a", of=pool), held_pod("spare-b", of=pool, ready=False)]}
+    assert found.status()["standby"] == "Uninitialized (1/1)"
+    assert found.status()["stocked"] == ["spare"], "which its monitor goes by until it needs a pod"
+    assert found.condition("Protected")["status"] == "True"
+    found.unclaimed = {"spare": [held_pod("spare-b", of=pool, ready=False)]}
+    assert found.status()["standby"] == "Uninitialized (0/1)"
+    assert "stocked" not in found.status()
+    assert found.condition("Protected")["status"] == "False"
+
+
+def test_how_many_pods_a_shared_pool_has_changes_nothing_of_a_workload() -> None:
+    """Or each claim would be a write for each workload of a fleet."""
+    pool = spare(replicas=9)
+    said = []
+    for count in (1, 2, 9):
+        found = world(policy("spare", "Restart"), pool)
+        found.unclaimed = {"spare": [held_pod(f"spare-{n}", of=pool) for n in range(count)]}
+        said.append(found.status())
+    assert said[0] == said[1] == said[2]
+
+
+@pytest.mark.parametrize(("priority", "status"), [(0, "False"), (100, "True")])
+def test_the_last_pods_that_are_kept_for_others_protect_nobody_else(priority: int, status: str) -> None:
+    pool = spare(replicas=2, reserve={"pods": 1, "poolPriority": 100})
+    made = World(workload(poolPriority=priority), policy("spare", "Restart"), pool)
+    made.build()
+    driving = source_pod("w-a")
+    made.pods = [driving]
+    made.own(gate(made.workload, active=driving, epoch=1))
+    made.unclaimed = {"spare": [held_pod("spare-a", of=pool)]}
+    protected = made.condition("Protected")
+    assert protected["status"] == status
+    assert made.status().get("stocked") == (["spare"] if priority else None)
+    if not priority:
+        assert protected["reason"] == "PodsReserved"
+        assert protected["message"] == (
+            "FallbackPool spare keeps its last 1 for workloads with a higher spec.poolPriority (spec.reserve), and has no more ready. "
+            "If it failed now, Restart would be used."
+        )
+
+
+@pytest.mark.parametrize(("priority", "reserved"), [(99, 2), (100, 0)])
+def test_a_monitor_is_told_how_many_pods_it_may_not_take(priority: int, reserved: int) -> None:
+    pool = spare(replicas=3, reserve={"pods": 2, "poolPriority": 100})
+    made = World(workload(poolPriority=priority), policy("spare"), pool)
+    text = applied(made.plan(), "configmaps")["w-settings"]["data"]["settings.json"]
+    assert [choice["reserved"] for choice in json.loads(text)["pools"]] == [reserved]
+
+
+def test_restart_only_in_the_column() -> None:
+    found = world(policy("Restart"))
+    assert found.status()["standby"] == "None"
+    assert found.condition("Protected")["status"] == "True"
+
+
+def test_a_pool_that_does_not_serve_it_is_told_with_what_to_do() -> None:
+    found = world(policy("spare"), spare(workloadSelector={"matchLabels": {"a": "b"}}))
+    protected = found.condition("Protected")
+    assert protected["reason"] == "PoolDoesNotServe"
+    assert "no strategy of its policy could be carried out" in protected["message"]

@@ -1,0 +1,173 @@
+"""The standbys of a workload's own: how many, of which template, and which are never touched."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.unit.controller.world import (
+    World,
+    applied,
+    claimed_pod,
+    created,
+    deleted,
+    gate,
+    hot,
+    patched,
+    policy,
+    source_pod,
+    spare,
+    standby_pod,
+    workload,
+)
+from understudy.api import names
+from understudy.cluster.client import Object
+
+
+class TestStandbys:
+    def test_as_many_as_the_pool_says_for_each_workload(self) -> None:
+        assert len(created(World(workload(), policy("hot"), hot(per_workload=3)).plan(), "pods")) == 3
+
+    def test_none_for_a_workload_that_the_pool_does_not_select(self) -> None:
+        world = World(workload(labels={"task": "other"}), policy("hot"), hot())
+        assert not created(world.plan(), "pods")
+
+    def test_pods_that_were_created_and_not_seen_yet_count(self) -> None:
+        world = World(workload(), policy("hot"), hot(per_workload=2))
+        world.expected = {"hot": 2}
+        assert not created(world.plan(), "pods")
+
+    def test_the_active_one_counts_so_that_instances_stay_one_more(self) -> None:
+        world = World(workload(), policy("hot"), hot())
+        active = standby_pod("w-s", of=world.workload)
+        world.pods = [active, source_pod("w-a")]
+        world.own(gate(world.workload, active=active, epoch=2))
+        plan = world.plan()
+        assert not created(plan, "pods")
+        assert not deleted(plan)
+
+    def test_the_active_one_is_not_replaced_for_an_old_template(self) -> None:
+        world = World(workload(), policy("hot"), hot())
+        active = standby_pod("w-s", of=world.workload, template_hash="old")
+        world.pods = [active]
+        world.own(gate(world.workload, active=active, epoch=2))
+        assert not deleted(world.plan())
+
+    def test_an_old_one_goes_only_after_its_replacement_is_ready(self) -> None:
+        world = World(workload(), policy("hot"), hot())
+        active, old = source_pod("w-a"), standby_pod("w-old", of=world.workload, template_hash="old")
+        world.own(gate(world.workload, active=active, epoch=1))
+        world.pods = [active, old]
+        plan = world.plan()
+        assert len(created(plan, "pods")) == 1
+        assert not deleted(plan)
+        new = standby_pod("w-new", of=world.workload, template_hash=world.template_hash, ready=False)
+        world.pods = [active, old, new]
+        assert not deleted(world.plan())
+        world.pods[-1] = standby_pod("w-new", of=world.workload, template_hash=world.template_hash)
+        assert deleted(world.plan()) == ["w-old"]
+
+    def test_none_is_deleted_while_a_recovery_is_under_way(self) -> None:
+        world = World(workload(status={"health": "Recovering"}), policy("hot"), hot())
+        world.own(gate(world.workload, active=source_pod("w-a"), epoch=1))
+        old = standby_pod("w-old", of=world.workload, template_hash="old")
+        new = standby_pod("w-new", of=world.workload, template_hash=world.template_hash)
+        world.pods = [old, new]
+        assert not deleted(world.plan())
+
+    def test_those_of_a_pool_that_no_longer_serves_go_but_never_the_active_one(self) -> None:
+        world = World(workload(labels={"task": "other"}), policy("hot"), hot())
+        active, idle = standby_pod("w-s", of=world.workload), standby_pod("w-t", of=world.workload)
+        world.pods = [active, idle]
+        world.own(gate(world.workload, active=active, epoch=2))
+        assert deleted(world.plan()) == ["w-t"]
+
+    def test_claimed_pods_are_not_touched(self) -> None:
+        world = World(workload(), policy("hot", "spare"), hot(), spare())
+        claimed = claimed_pod("spare-1", of=spare(), by=world.workload)
+        world.pods = [claimed]
+        world.own(gate(world.workload, active=source_pod("w-a"), epoch=2))
+        plan = world.plan()
+        assert not deleted(plan)
+        assert "spare-1" not in patched(plan, "pods")
+
+    def test_labels_keep_them_out_of_the_replica_set(self) -> None:
+        world = World(workload(), policy("hot"), hot())
+        plan = world.plan()
+        (standby,) = created(plan, "pods")
+        selector = applied(plan, "replicasets")["w"]["spec"]["selector"]["matchLabels"]
+        assert not selector.items() <= standby["metadata"]["labels"].items()
+        assert standby["metadata"]["labels"][names.INSTANCE] == standby["metadata"]["name"]
+        template = applied(plan, "replicasets")["w"]["spec"]["template"]["metadata"]["labels"]
+        assert selector.items() <= template.items()
+
+
+class TestNewTemplates:
+    def world(self) -> World:
+        world = World(workload(), policy("hot", "Restart"), hot())
+        world.build()
+        active = source_pod("w-a")
+        world.own(gate(world.workload, active=active, epoch=1))
+        world.pods = [active, standby_pod("w-s", of=world.workload, template_hash=world.template_hash)]
+        world.workload["spec"]["template"]["spec"]["containers"][0]["image"] = "app:2"
+        return world
+
+    def test_a_standby_goes_first_so_that_a_restart_does_not_fall_for_a_bad_one(self) -> None:
+        world = self.world()
+        assert not applied(world.plan(), "replicasets")
+        assert world.condition("Reconciled")["reason"] == "InProgress"
+        bad = standby_pod(
+            "w-n", of=world.workload, template_hash=world.template_hash, ready=False, waiting="ErrImagePull"
+        )
+        world.pods.append(bad)
+        assert not applied(world.plan(), "replicasets")
+        reconciled = world.condition("Reconciled")
+        assert reconciled["reason"] == "ImagePullBackOff"
+        assert "w-n" in reconciled["message"]
+        world.pods[-1] = standby_pod("w-n", of=world.workload, template_hash=world.template_hash)
+        assert applied(world.plan(), "replicasets")
+        assert world.condition("Reconciled")["status"] == "True"
+
+    def test_it_is_taken_at_once_where_there_are_no_standbys(self) -> None:
+        world = self.world()
+        world.others = [policy("Restart")]
+        assert applied(world.plan(), "replicasets")
+
+    def test_it_is_taken_at_once_while_a_standby_is_in_control(self) -> None:
+        world = self.world()
+        world.own(gate(world.workload, active=world.pods[1], epoch=2))
+        assert applied(world.plan(), "replicasets")
+
+
+class TestReplicas:
+    def test_the_template_is_applied_without_replicas(self) -> None:
+        assert "replicas" not in applied(World(workload(), policy("Restart")).plan(), "replicasets")["w"]["spec"]
+
+    def scaled(self, world: World) -> Object | None:
+        return patched(world.plan(), "replicasets").get("w")
+
+    def world(self, *others: Object, replicas: int, active: Object | None) -> World:
+        world = World(workload(), *others)
+        world.build()
+        world.owned[("replicasets", "w")]["spec"]["replicas"] = replicas
+        world.own(gate(world.workload, active=active, epoch=3))
+        world.pods = [active] if active else []
+        return world
+
+    def test_none_while_a_claimed_pod_drives_and_no_standby_is_wanted(self) -> None:
+        claimed = claimed_pod("spare-1", of=spare(), by=workload())
+        world = self.world(policy("spare"), spare(), replicas=1, active=claimed)
+        assert self.scaled(world) == {"spec": {"replicas": 0}}
+
+    def test_one_while_a_claimed_pod_drives_and_a_standby_is_wanted(self) -> None:
+        claimed = claimed_pod("spare-1", of=spare(), by=workload())
+        world = self.world(policy("hot", "spare"), hot(), spare(), replicas=0, active=claimed)
+        assert self.scaled(world) == {"spec": {"replicas": 1}}
+
+    def test_one_again_when_the_claimed_pod_is_gone(self) -> None:
+        claimed = claimed_pod("spare-1", of=spare(), by=workload(), deletionTimestamp="2026-01-01T00:00:00Z")
+        world = self.world(policy("spare"), spare(), replicas=0, active=claimed)
+        assert self.scaled(world) == {"spec": {"replicas": 1}}
+
+    @pytest.mark.parametrize("replicas", [0, 1])
+    def test_as_it_is_while_the_gate_is_closed(self, replicas: int) -> None:
+        assert self.scaled(self.world(policy("spare"), spare(), replicas=replicas, active=None)) is None

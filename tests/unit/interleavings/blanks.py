@@ -1,0 +1,34 @@
+"""What a monitor records and keeps, where nothing is: for simulations and benches that have no application's data."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import AsyncIterator
+from typing import Any
+
+from understudy.api.kept import KeptState
+
+
+class BlackBox:
+    """Nothing is recorded."""
+
+    def begin(self, *_: Any) -> None:
+        return
+
+    end = begin
+
+
+class Keeping:
+    """Nothing is kept."""
+
+    def take(self, *_: Any) -> None:
+        return
+
+    follow = judge = tell = housekeeping = take
+
+    def select(self, onset: float) -> KeptState:
+        return KeptState()
+
+    @contextlib.asynccontextmanager
+    async def recovering(self) -> AsyncIterator[None]:
+        yield
