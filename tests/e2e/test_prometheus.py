@@ -12,6 +12,7 @@ import time
 import urllib.parse
 import urllib.request
 from collections.abc import Callable, Iterator
+from dataclasses import astuple
 from pathlib import Path
 from typing import Any
 
@@ -109,7 +110,7 @@ def test_a_report_counts_every_recovery_of_its_period_whatever_became_of_the_mon
     with serving(programs, tmp_path) as url:
         asked_of = Prometheus(url)
         found = measured(asked_of, period, namespace="fleet")
-        assert [tuple(count) for count in found.counts] == [
+        assert [astuple(count) for count in found.counts] == [
             ("Recovery", "Fallback/Executing", "Recovered", 3 + 1 + 3 + 3 + 1),
             ("Recovery", "Restart", "Recovered", 1),
             ("Recovery", "none", "Failed", 1),

@@ -31,7 +31,8 @@ class Histogram:
     @classmethod
     def of(cls, below: Mapping[float, float], total: float) -> Histogram | None:
         """From how many were at most so long, by bound; None where there are none."""
-        bounds, counts = sorted(below), []
+        bounds = sorted(below)
+        counts: list[float] = []
         for bound in bounds:  # a process that ended between two readings may leave them out of step
             counts.append(max(below[bound], counts[-1] if counts else 0.0))
         if not bounds or not math.isinf(bounds[-1]) or round(counts[-1]) < 1:

@@ -24,7 +24,8 @@ WHOLE = "whole"
 Key = tuple[str, ...]
 
 
-class Count(NamedTuple):
+@dataclass(frozen=True)
+class Count:
     """How many there were of one kind."""
 
     kind: str

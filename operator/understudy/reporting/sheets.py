@@ -6,6 +6,7 @@ import csv
 import io
 import json
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, fields
 
 from understudy.api.workloads import Moments
 from understudy.console.bars import NAMES
@@ -34,7 +35,7 @@ def sheets(findings: Findings, measured: Measured | None = None) -> dict[str, st
     if measured is not None:
         times = [_time(time) for time in measured.times]
         bounds = sorted({bound for time in measured.times for bound in time.histogram.bounds})
-        told["prometheus-recoveries.csv"] = _written([count._asdict() for count in measured.counts], Count._fields)
+        told["prometheus-recoveries.csv"] = _written([asdict(count) for count in measured.counts], _COUNT)
         told["prometheus-times.csv"] = _written(times, [*_TIME, *(_upto(bound) for bound in bounds)])
         told["prometheus-pools.csv"] = _written([_pool(pool) for pool in measured.pools], _POOL)
     return told
@@ -166,6 +167,8 @@ def _reserved(share: Share) -> Iterator[Row]:
         values = {"cpu_cores": amounts.cpu, "memory_bytes": amounts.memory}
         yield {"strategy": share.name, "count": share.count, "role": ROLES[role], **values}
 
+
+_COUNT = tuple(field.name for field in fields(Count))
 
 _TIME = ("strategy", "part", "count", "mean_seconds", "p50_seconds", "p95_seconds", "p99_seconds")
 
