@@ -62,7 +62,8 @@ def _lacking(measured: Measured) -> Iterator[str]:
         yield (
             f"The operator's own count, which outlives monitors, grew by {measured.recovered}: "
             f"{counted(measured.missed, 'recovery is', 'recoveries are')} missing in the figures below. A monitor takes with it what it "
-            "counted since it was scraped last."
+            "counted since it was scraped last; and of one that is older than the period and was scraped in it for the first time, the "
+            "first recovery by each strategy isn't seen."
         )
 
 
