@@ -536,6 +536,11 @@ def test_a_pool_s_size_follows_the_failures_that_its_robots_status_tells_of(flee
     fleet.create(policy("spare"), pool, workload())
     assumed = until(lambda: (fleet.get("FallbackPool", "spare").get("status") or {}).get("sizing"), "a size")
     assert (assumed["size"], assumed["failures"], assumed["robots"]) == (3, 0, 1)
+    asked = ("--robots=1", "--failures-per-robot-hour=1", "--recovery-seconds=2", "--refill-seconds=600", "--risk=0.01")
+    by_hand = subprocess.run(
+        [sys.executable, "-m", "understudy", "size", *asked, "-o", "json"], capture_output=True, timeout=60, check=True
+    )
+    assert json.loads(by_hand.stdout)["needed"]["loss"] == assumed["size"], "understudy size comes to the same"
     until(lambda: len(fleet.held()) == 3, "the pods that it asks for")
     detected = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(time.time() + 1))
     time.sleep(2)

@@ -23,6 +23,16 @@ def understudy(kubectl: Kubectl, command: str, *arguments: str) -> subprocess.Co
     return done
 
 
+def offline(command: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """``understudy COMMAND``, of one that asks no cluster; what it wrote is printed too."""
+    done = subprocess.run(
+        [sys.executable, "-m", "understudy", command, *arguments],
+        capture_output=True, text=True, timeout=120, check=False, env=_environment(),
+    )  # fmt: skip
+    print(f"\n{done.stdout}{done.stderr}")
+    return done
+
+
 def started(kubectl: Kubectl, command: str, *arguments: str) -> subprocess.Popen[str]:
     """The same while it runs."""
     return subprocess.Popen(

@@ -1,16 +1,17 @@
-"""What is kept of a real failure, fetched as a user would and opened as a bag of rosbag2's."""
+"""What is kept of a real failure, fetched as a user would and opened as a bag of rosbag2's; and the policy, tried over it."""
 
 from __future__ import annotations
 
 import json
 import time
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import pytest
 from mcap.reader import make_reader
 
-from tests.e2e.console import understudy
+from tests.e2e.console import offline, understudy
 from tests.e2e.scenario import Robot, eventually
 from understudy.trying.bags import Bag, Taken
 
@@ -64,6 +65,12 @@ def test_a_failure_is_kept_with_what_led_to_it(executing: Robot, tmp_path: Path)
         assert any(name == f"RobotWorkload/{executing.workload}" and "Recovered" in text for _, _, name, text in logs)
         traces = [json.loads(message.data) for _, message in messages(bag, TREE)]
     assert {"Healthy", "Failed"} <= {node["state"] for trace in traces for node in trace["tree"]["children"]}
+    policy = tmp_path / "policy.yaml"
+    policy.write_text(executing.kubectl("get", "failurepolicy", "quickstart-executing", "-o", "yaml"))
+    simulated = offline("simulate", str(policy), "--bag", str(path), "-o", "json")
+    assert simulated.returncode == 1, simulated.stderr
+    found = [datetime.fromisoformat(one["detectedWall"]) for one in json.loads(simulated.stdout)["detections"]]
+    assert min(abs(one.timestamp() - detected) for one in found) < 0.1, "as its monitor did"
     with path.open("rb") as file:
         (metadata,) = make_reader(file, validate_crcs=True).iter_metadata()
     assert metadata.metadata["workload"] == executing.workload

@@ -1,13 +1,36 @@
-"""``understudy status``, ``timeline``, ``explain`` and ``report`` of a workload that runs and fails, asked for as a user would."""
+"""``understudy status``, ``timeline``, ``explain`` and ``report`` of a workload that runs and fails, asked for as a user would; and what
+``check`` and ``recommend`` say of it as kubectl writes it.
+"""
 
 from __future__ import annotations
 
 import csv
 import json
+import subprocess
 from pathlib import Path
 
-from tests.e2e.console import completed, understudy
+import yaml
+
+from tests.e2e.console import completed, offline, understudy
 from tests.e2e.scenario import Robot
+
+
+def judged_as_it_is(robot: Robot, file: Path) -> None:
+    """What kubectl writes of a robot that is protected can be checked and weighed, and a fault in it is found."""
+    written = robot.kubectl("get", "robotworkloads,failurepolicies,fallbackpools", "-o", "yaml")
+    file.write_text(written)
+    checked = offline("check", str(file))
+    assert checked.returncode == 0, checked.stdout
+    assert "3 objects checked in 1 file: 0 errors" in checked.stderr
+    weighed = understudy(robot.kubectl, "recommend", str(file), "-o", "json")
+    assert weighed.returncode == 0, weighed.stderr
+    (found,) = json.loads(weighed.stdout)
+    assert (found["workload"], found["present"]) == (robot.workload, "Executing, Restart")
+    assert found["order"][0]["strategy"] == "Fallback/Executing"
+    file.write_text(written.replace("gap: 500ms", "gap: often"))
+    wrong = offline("check", str(file))
+    assert wrong.returncode == 1
+    assert "'often'" in wrong.stdout
 
 
 def test_a_robot_is_told_before_and_after_a_failure(executing: Robot, tmp_path: Path) -> None:
@@ -22,9 +45,17 @@ def test_a_robot_is_told_before_and_after_a_failure(executing: Robot, tmp_path: 
     assert "1. Fallback from pool quickstart-executing would be carried out: pod " in explained.stdout
     assert understudy(kubectl, "timeline", name).stdout.strip().endswith("no recovery yet")
 
+    judged_as_it_is(executing, tmp_path / "fleet.yaml")
+
     executing.delete(active, force=True)
     recovered = executing.wait_recovered(1)
 
+    wide = understudy(kubectl, "status", "-o", "wide").stdout
+    assert "quickstart-executing" in wide
+    assert "\x1b" not in wide, "colours are for terminals"
+    for verb, form in (("status", "yaml"), ("timeline", "json"), ("explain", "yaml")):
+        told = understudy(kubectl, verb, *([name] if verb != "status" else []), "-o", form)
+        assert name in json.dumps(yaml.safe_load(told.stdout)), "JSON is YAML too"
     told = understudy(kubectl, "status", "-o", "json")
     (robot,) = json.loads(told.stdout)["robots"]
     assert (robot["name"], robot["active"], robot["epoch"]) == (name, recovered.new, recovered.epoch)
@@ -56,3 +87,13 @@ def test_a_robot_is_told_before_and_after_a_failure(executing: Robot, tmp_path: 
     assert (told_of["recoveries_ever"], told_of["protected"]) == (str(len(rows)), "true")
     assert float(told_of["down_seconds"]) >= last["recoverySeconds"] - 1e-6
     assert understudy(kubectl, "report", "-o", str(page), "robot-2-drive").returncode == 2
+
+
+def test_a_shell_takes_what_completion_gives_it() -> None:
+    given = offline("completion", "bash").stdout
+    script = 'eval "$1"; complete -p understudy'
+    done = subprocess.run(
+        ["bash", "-c", script, "bash", given], capture_output=True, text=True, timeout=30, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("complete ")

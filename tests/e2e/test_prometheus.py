@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
+import csv
 import json
 import shutil
 import socket
 import subprocess
+import time
 import urllib.parse
 import urllib.request
 from collections.abc import Callable, Iterator
+from dataclasses import astuple
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +22,15 @@ import yaml
 from testcluster import golang
 from testcluster.progress import Progress
 from tests.e2e.conftest import CHART, SYSTEM
+from tests.e2e.console import understudy
 from tests.e2e.kubectl import Kubectl, Object
+from tests.e2e.past import EVERY, Monitor, Operator, Recovery, openmetrics
 from tests.e2e.scenario import Robot, eventually
+from understudy.console.kubectl import Unusable
+from understudy.reporting.expressions import came_to, selector
+from understudy.reporting.measured import measured
+from understudy.reporting.prometheus import Prometheus
+from understudy.reporting.records import Span
 
 pytestmark = [pytest.mark.long, pytest.mark.local_only]  # this machine must reach pods by their addresses
 
@@ -52,6 +63,92 @@ def test_the_alerts_are_well_formed_and_fire_when_they_should(programs: Path, tm
     promtool(programs, "test", "rules", str(tmp_path / "alerts_test.yaml"))
 
 
+def past(begin: float, end: float) -> Operator:
+    """Of robots whose monitors live on, begin, end and begin anew in a period, whatever that does to their counters."""
+    hour, middle, before = 3600.0, (begin + end) / 2, begin - 3600.0
+    monitors = [
+        Monitor(
+            "lives-on", "10.0.0.1", before, end + hour,
+            [Recovery(before + 60), Recovery(before + 600), *(Recovery(begin + 600 * n) for n in (1, 2, 3))],
+        ),
+        Monitor(
+            "fails-first", "10.0.0.2", before, end + hour,
+            [
+                Recovery(begin + 700), Recovery(begin + 1500, "Restart", cluster=3.0),
+                Recovery(begin + 2500, "none", "Failed"),
+            ],
+        ),
+        Monitor(
+            "replaced", "10.0.0.3", before, middle, [Recovery(before + 60), Recovery(before + 120), Recovery(begin + 700)]
+        ),
+        Monitor("replaced", "10.0.0.4", middle + 60, end + hour, [Recovery(middle + 300), Recovery(middle + 900)]),
+        Monitor(
+            "restarted", "10.0.0.5", before, end + hour,
+            [Recovery(before + 60), Recovery(begin + 700), Recovery(middle + 300), Recovery(middle + 900)],
+            restarted=middle,
+        ),
+        Monitor(
+            "scraped-late", "10.0.0.6", before, end + hour,
+            [*(Recovery(before + 60 * n) for n in (1, 2, 3, 4)), Recovery(begin + 700), Recovery(middle + 900)],
+            scraped=middle,
+        ),
+        Monitor("elsewhere", "10.0.0.7", before, end + hour, [Recovery(begin + 700)], namespace="lab"),
+    ]  # fmt: skip
+    return Operator(middle, monitors, lambda now: 0 if middle <= now < middle + 300 else 4)
+
+
+def test_a_report_counts_every_recovery_of_its_period_whatever_became_of_the_monitors(
+    programs: Path, tmp_path: Path
+) -> None:
+    end = float(int(time.time()) // EVERY * EVERY - 600)
+    period = Span(end - 3 * 3600, end)
+    (tmp_path / "prometheus.yaml").write_text("{}")
+    (tmp_path / "past").write_text(openmetrics(period.begin - 3600, end, past(period.begin, end)))
+    promtool(
+        programs, "tsdb", "create-blocks-from", "openmetrics", str(tmp_path / "past"), str(tmp_path / "data"),
+    )  # fmt: skip
+    with serving(programs, tmp_path) as url:
+        asked_of = Prometheus(url)
+        found = measured(asked_of, period, namespace="fleet")
+        assert [astuple(count) for count in found.counts] == [
+            ("Recovery", "Fallback/Executing", "Recovered", 3 + 1 + 3 + 3 + 1),
+            ("Recovery", "Restart", "Recovered", 1),
+            ("Recovery", "none", "Failed", 1),
+        ]
+        assert (found.recovered, found.missed) == (3 + 3 + 3 + 3 + 2, 1), "one came before its monitor was scraped"
+        assert len(found.seen) == found.asked
+        assert list(found.strategies) == ["Restart", "Fallback/Executing"]
+        executing = found.of("Fallback/Executing")
+        assert {part: histogram.count for part, histogram in executing.items()} == {
+            "detection": 11, "cluster": 11, "whole": 11,
+        }  # fmt: skip
+        assert executing["whole"].mean == pytest.approx(0.506, rel=0.01)
+        by = "strategy, part, le"
+        where = selector("fleet")
+        asked_for = f"histogram_quantile(0.95, {came_to(by, 'understudy_recovery_part_seconds_bucket', where, period)})"
+        for series in asked_of.query(asked_for, end):
+            histogram = found.of(series.labels["strategy"])[series.labels["part"]]
+            assert histogram.quantile(0.95) == pytest.approx(series.value)
+        (pool,) = found.pools
+        assert (pool.name, pool.desired, pool.least_ready, pool.most_claimed, pool.most_waiting) == (
+            "spare",
+            4,
+            0,
+            1,
+            1,
+        )
+        assert pool.mean_ready == pytest.approx(4 * (1 - 5 / 180), rel=0.02)
+        assert {value for _, value in pool.ready} == {0, 4}
+        assert {value for _, value in pool.wanted} == {4}
+
+        one = measured(asked_of, period, namespace="fleet", names=["fails-first"])
+        assert one.counted("Recovery") == one.recovered == 3
+        assert measured(asked_of, period, namespace=None).counted("Recovery") == 14
+        assert not measured(asked_of, period, namespace="nowhere").seen
+        with pytest.raises(Unusable, match=r"can't tell: .*parse error"):
+            asked_of.query("sum(", end)
+
+
 def scraping(kubeconfig: Path, namespace: str) -> Object:
     """What the Prometheus operator makes of the chart's PodMonitors, for one robot's namespace."""
 
@@ -82,45 +179,53 @@ def scraping(kubeconfig: Path, namespace: str) -> Object:
     }
 
 
-@pytest.fixture
-def prometheus(programs: Path, kubectl: Kubectl, tmp_path: Path) -> Iterator[Callable[[str], Any]]:
-    """Asks a running Prometheus for a page of its API."""
-    config = tmp_path / "prometheus.yaml"
-    config.write_text(yaml.safe_dump(scraping(kubectl.kubeconfig, kubectl.namespace)))
-    promtool(programs, "check", "config", str(config))
+def asked(url: str, path: str) -> Any:
+    with urllib.request.urlopen(f"{url}/api/v1/{path}", timeout=10) as answer:
+        return json.load(answer)["data"]
+
+
+@contextlib.contextmanager
+def serving(programs: Path, folder: Path) -> Iterator[str]:
+    """The URL of a Prometheus with the configuration and the data of this folder, while the context lasts."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         address = f"127.0.0.1:{free.getsockname()[1]}"
     command = [
-        str(programs / "prometheus"), f"--config.file={config}", f"--storage.tsdb.path={tmp_path / 'data'}",
+        str(programs / "prometheus"), f"--config.file={folder / 'prometheus.yaml'}", f"--storage.tsdb.path={folder / 'data'}",
         f"--web.listen-address={address}",
     ]  # fmt: skip
-    with (tmp_path / "prometheus.log").open("w") as log, subprocess.Popen(command, stdout=log, stderr=log) as process:
-
-        def ask(path: str) -> Any:
-            with urllib.request.urlopen(f"http://{address}/api/v1/{path}", timeout=10) as answer:
-                return json.load(answer)["data"]
+    with (folder / "prometheus.log").open("w") as log, subprocess.Popen(command, stdout=log, stderr=log) as process:
 
         def up() -> bool:
             try:
-                return bool(ask("status/runtimeinfo"))
+                return bool(asked(f"http://{address}", "status/runtimeinfo"))
             except OSError:
                 return False
 
         try:
-            eventually(up, within=30, what="Prometheus answers", note=(tmp_path / "prometheus.log").read_text)
-            yield ask
+            eventually(up, within=30, what="Prometheus answers", note=(folder / "prometheus.log").read_text)
+            yield f"http://{address}"
         finally:
             process.terminate()
             process.wait(20)
 
 
 @pytest.fixture
-def query(prometheus: Callable[[str], Any]) -> Query:
+def prometheus(programs: Path, kubectl: Kubectl, tmp_path: Path) -> Iterator[str]:
+    """The URL of a Prometheus that scrapes the operator and the monitors of kubectl's namespace."""
+    config = tmp_path / "prometheus.yaml"
+    config.write_text(yaml.safe_dump(scraping(kubectl.kubeconfig, kubectl.namespace)))
+    promtool(programs, "check", "config", str(config))
+    with serving(programs, tmp_path) as url:
+        yield url
+
+
+@pytest.fixture
+def query(prometheus: str) -> Query:
     """The series that an expression has now."""
 
     def ask(expression: str) -> list[Object]:
-        found: list[Object] = prometheus(f"query?query={urllib.parse.quote(expression)}")["result"]
+        found: list[Object] = asked(prometheus, f"query?query={urllib.parse.quote(expression)}")["result"]
         return found
 
     return ask
@@ -133,6 +238,11 @@ def value(query: Query, expression: str) -> float:
     return float(found[0]["value"][1])
 
 
+def rows(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
 def expressions(kubectl: Kubectl, workload: str) -> list[str]:
     """Of every panel of the dashboards, as Grafana would ask them for this robot."""
     found = []
@@ -143,7 +253,7 @@ def expressions(kubectl: Kubectl, workload: str) -> list[str]:
 
 
 def test_a_failover_is_seen_in_metrics_alerts_and_dashboards(
-    executing: Robot, kubectl: Kubectl, release: Kubectl, programs: Path, query: Query, prometheus: Callable[[str], Any]
+    executing: Robot, kubectl: Kubectl, release: Kubectl, programs: Path, query: Query, prometheus: str, tmp_path: Path
 ) -> None:
     old = executing.wait_protected()
     mine = f'namespace="{kubectl.namespace}",workload="{executing.workload}"'
@@ -163,6 +273,15 @@ def test_a_failover_is_seen_in_metrics_alerts_and_dashboards(
     assert value(query, f"understudy_gate_commit_seconds_count{{{mine}}}") >= 1
     executing.wait_protected()
 
+    given = ("--since", "1h", "-o", str(tmp_path / "report.html"), "--csv", str(tmp_path / "csv"))
+    reported = understudy(kubectl, "report", *given, "--prometheus", prometheus)
+    assert reported.returncode == 0, reported.stderr
+    assert reported.stdout.endswith("; 1 recovery by Prometheus, 0 of them failed\n")
+    (record,), times = (rows(tmp_path / "csv" / name) for name in ("recoveries.csv", "prometheus-times.csv"))
+    (whole,) = (row for row in times if row["part"] == "whole")
+    assert (whole["strategy"], whole["mean_seconds"]) == (record["strategy"], record["recovery_seconds"])
+    assert len(times) == 5, "the four parts, and all of it"
+
     for expression in expressions(kubectl, executing.workload):
         series = query(expression)
         assert series or any(name in expression for name in SELDOM) or expression.endswith("== 0"), expression
@@ -171,7 +290,7 @@ def test_a_failover_is_seen_in_metrics_alerts_and_dashboards(
     kubectl.patch("fallbackpool", pool, {"spec": {"perWorkload": 0}})
 
     def told() -> bool:
-        alerts = prometheus("alerts")["alerts"]
+        alerts = asked(prometheus, "alerts")["alerts"]
         return any(
             a["labels"]["alertname"] == "UnderstudyStandbyNotReady" and a["labels"]["workload"] == executing.workload
             for a in alerts

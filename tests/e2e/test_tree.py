@@ -1,4 +1,4 @@
-"""The live tree of a workload that runs, asked for as a user would."""
+"""The live tree of a workload that runs, asked for as a user would; and the same tree, watched beside it."""
 
 from __future__ import annotations
 
@@ -27,6 +27,20 @@ def conditions(robot: Robot) -> dict[str, str]:
     return {c["type"]: c["status"] for c in state.get("conditions", [])}
 
 
+def watched(robot: Robot) -> str | None:
+    """What ``understudy watch`` says of the policy in the ROS graph of the monitor's container, once it has found all of it there.
+
+    Without the monitor's profiles: of two processes of a pod only one can have the gated ports.
+    """
+    policy = robot.kubectl("get", "failurepolicy", "quickstart-executing", "-o", "yaml")
+    (monitor,) = (pod["metadata"]["name"] for pod in robot.monitor_pods())
+    watch = "env -u FASTRTPS_DEFAULT_PROFILES_FILE python3 -m understudy watch - --for 5s 2>&1"
+    script = f'printf %s "$1" | {watch}; echo "ended with $?"'
+    said = robot.kubectl.shell(monitor, "monitor", script, policy)
+    print(f"\n{said}")
+    return said if "it wasn't healthy either" not in said else None
+
+
 def test_the_live_tree_is_asked_for_through_kubectl(executing: Robot) -> None:
     active = executing.wait_protected()
     shown = eventually(
@@ -37,6 +51,9 @@ def test_the_live_tree_is_asked_for_through_kubectl(executing: Robot) -> None:
     assert " Hz, " in commands(shown)
     good = {"GateEnforced": "True", "Monitored": "True", "Healthy": "True"}.items()
     eventually(lambda: good <= conditions(executing).items(), within=60, every=2.0, what="all is well by the live tree")
+    said = eventually(lambda: watched(executing), within=60, what="the policy is watched beside its monitor")
+    assert "understudy watch: no failure was seen\n" in said
+    assert said.endswith("ended with 0\n")
     missing = understudy(executing.kubectl, "tree", "robot-2-drive")
     assert missing.returncode == 2
     assert '"robot-2-drive" not found' in missing.stderr

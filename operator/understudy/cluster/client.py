@@ -18,7 +18,7 @@ from collections.abc import AsyncIterator, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Protocol, Self
 
 import aiohttp
 import yaml
@@ -209,8 +209,22 @@ def _data(section: Mapping[str, Any], key: str) -> bytes | None:
     return None
 
 
+class Listener(Protocol):
+    """Is told of what goes to and fro."""
+
+    def asked(self, method: str, path: str, status: int | None) -> None:
+        """A request has ended; with no status where there was no answer."""
+        ...
+
+    def heard(self, resource: str) -> None:
+        """A watch of this resource has brought something."""
+        ...
+
+
 class Client:
     """Requests to one API server; use as an asynchronous context manager."""
+
+    listener: Listener | None = None
 
     def __init__(self, access: Access, *, timeout: float = 10.0, connections: int = 32) -> None:
         """``connections`` is how many there are at most at a time; 0 for as many as are needed."""
@@ -273,18 +287,24 @@ class Client:
         data: bytes | None = None,
     ) -> bytes:
         assert self._session is not None, "use the client as an asynchronous context manager"
-        async with self._session.request(
-            method,
-            self._access.server + path,
-            params=params,
-            data=data,
-            headers={**self._headers(), **headers},
-            timeout=self._timeout,
-        ) as response:
-            text = await response.read()
-            if response.status >= 400:
-                raise _error(response.status, text.decode(errors="replace"))
-            return text
+        status = None
+        try:
+            async with self._session.request(
+                method,
+                self._access.server + path,
+                params=params,
+                data=data,
+                headers={**self._headers(), **headers},
+                timeout=self._timeout,
+            ) as response:
+                text = await response.read()
+                status = response.status
+        finally:
+            if self.listener is not None:
+                self.listener.asked(method, path, status)
+        if status >= 400:
+            raise _error(status, text.decode(errors="replace"))
+        return text
 
     async def get(self, resource: Resource, namespace: str | None, name: str) -> Object:
         """An object. Raises ApiError (404 where it isn't there)."""
@@ -419,10 +439,14 @@ class Client:
         async with self._session.get(
             self._access.server + resource.path(namespace), params=params, headers=self._headers(), timeout=timeout
         ) as response:
+            if self.listener is not None:
+                self.listener.asked("WATCH", resource.path(namespace), response.status)
             if response.status >= 400:
                 raise Expired if response.status == 410 else _error(response.status, await response.text())
             buffer = b""
             async for chunk in response.content.iter_any():
+                if self.listener is not None:
+                    self.listener.heard(resource.plural)
                 *lines, buffer = (buffer + chunk).split(b"\n")
                 for line in lines:
                     event = json.loads(line)

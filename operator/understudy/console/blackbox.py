@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import hashlib
 import http.client
-import json
 import os
 import sys
 import time
@@ -20,7 +19,7 @@ from understudy.console import terminal
 from understudy.console.drawing import plain
 from understudy.console.kubectl import Kubectl, Unusable, add_options
 from understudy.console.tables import Cell, drawn
-from understudy.console.texts import age, clock, counted, wrapped
+from understudy.console.texts import age, clock, counted, structured, wrapped
 from understudy.console.tree import asked, monitor_pod
 
 DONE, NONE, CANT = 0, 1, 2
@@ -40,7 +39,7 @@ def main(arguments: list[str]) -> int:
         with kubectl.forwarded(monitor_pod(kubectl, given.name), names.RECORDINGS_PORT) as port:
             found = _listed(port)
             if given.fetch is None:
-                return _show(found, as_json=given.output == "json")
+                return _show(found, given.output)
             recording = _wanted(found, given.fetch)
             path = Path(given.to or f"{given.name}-{recording.number}.mcap")
             _fetch(port, recording, path)
@@ -62,9 +61,9 @@ def _listed(port: int) -> Recordings:
         ) from error
 
 
-def _show(found: Recordings, *, as_json: bool) -> int:
-    if as_json:
-        print(json.dumps(found.to_wire(), indent=2))
+def _show(found: Recordings, output: str) -> int:
+    if output != "text":
+        print(structured(found.to_wire(), output))
     else:
         for line in lines(
             found, time.time(), colours=terminal.colours(sys.stdout), columns=terminal.columns(sys.stdout)
@@ -176,6 +175,8 @@ def _parser() -> argparse.ArgumentParser:
         help=f"fetch a recording, by its id, the number of the failure, or {LATEST} (which is meant where nothing is said)",
     )
     parser.add_argument("--to", metavar="FILE", help="the file that it is fetched into (NAME-NUMBER.mcap)")
-    parser.add_argument("-o", "--output", choices=["text", "json"], default="text", help="the list as text, or as JSON")
+    parser.add_argument(
+        "-o", "--output", choices=["text", "json", "yaml"], default="text", help="the list as text, or as JSON or YAML"
+    )
     add_options(parser)
     return parser

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -17,6 +16,7 @@ from understudy.console.findings import Finding
 from understudy.console.installed import Installed
 from understudy.console.kubectl import Kubectl, Unusable, add_options
 from understudy.console.proxying import Api, Refused, proxied
+from understudy.console.texts import structured
 from understudy.controller import objects
 from understudy.controller.desired import Images
 
@@ -36,11 +36,11 @@ def main(arguments: list[str]) -> int:
             examination = _Examination(kubectl, api, given, progress)
             examination.run()
         found = examination.found
-        if given.output == "json":
-            told = {"version": __version__, "namespace": kubectl.namespace, **findings.to_wire(found)}
-            print(json.dumps(told | examination.measured, indent=2))
-        else:
+        if given.output == "text":
             print("\n".join(findings.lines(found, columns=terminal.columns(out), colours=terminal.colours(out))))
+        else:
+            told = {"version": __version__, "namespace": kubectl.namespace, **findings.to_wire(found)}
+            print(structured(told | examination.measured, given.output))
         return WELL if findings.is_well(found) else NOT_WELL
     except Unusable as error:
         print(f"understudy doctor: {error}", file=sys.stderr)
@@ -160,6 +160,8 @@ def _parser() -> argparse.ArgumentParser:
         "--no-pods", action="store_true", help="make no pods: send no packets, ask no clocks, join no graph"
     )
     parser.add_argument("--image", help="what the pods are made of (the monitor's image, as the operator has it)")
-    parser.add_argument("-o", "--output", choices=["text", "json"], default="text", help="text, or everything as JSON")
+    parser.add_argument(
+        "-o", "--output", choices=["text", "json", "yaml"], default="text", help="text, or everything as JSON or YAML"
+    )
     add_options(parser)
     return parser

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from pathlib import Path
 
@@ -14,6 +13,7 @@ from understudy.api.workloads import RobotWorkloadSpec
 from understudy.cluster.client import Object
 from understudy.console.kubectl import WORKLOADS, Kubectl, Unusable, add_options
 from understudy.console.profile import Profile
+from understudy.console.texts import structured
 from understudy.controller.robots import PROFILES_DIR
 
 DONE, CANT = 0, 2
@@ -29,8 +29,8 @@ def main(arguments: list[str]) -> int:
         if given.write:
             _write(found, Path(given.write))
             print("\n".join(found.advice()))
-        elif given.output == "json":
-            print(json.dumps(found.to_wire(), indent=2))
+        elif given.output in ("json", "yaml"):
+            print(structured(found.to_wire(), given.output))
         elif given.output == "text":
             print("\n".join(found.lines()))
         else:
@@ -83,7 +83,7 @@ def _parser() -> argparse.ArgumentParser:
     how.add_argument(
         "-o",
         "--output",
-        choices=["text", "env", "xml", "json"],
+        choices=["text", "env", "xml", "json", "yaml"],
         default="text",
         help="text; only the environment, as a file of variables; only the profiles; or everything as JSON",
     )

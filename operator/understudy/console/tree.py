@@ -15,6 +15,7 @@ from understudy.api import names
 from understudy.console import terminal
 from understudy.console.drawing import Rates, lines
 from understudy.console.kubectl import Kubectl, Unusable, add_options
+from understudy.console.texts import structured
 
 HEALTHY, NOT_HEALTHY, CANT = 0, 1, 2
 """Exit statuses."""
@@ -35,7 +36,7 @@ def main(arguments: list[str]) -> int:
             return _web(kubectl, given.name)
         if given.watch:
             return _watch(kubectl, given.name)
-        return _once(kubectl, given.name, as_json=given.output == "json")
+        return _once(kubectl, given.name, given.output)
     except Unusable as error:
         print(f"understudy tree: {error}", file=sys.stderr)
         return CANT
@@ -83,20 +84,19 @@ def asked(port: int, path: str = "/tree", *, what: str = "a live tree") -> dict[
         connection.close()
 
 
-def _once(kubectl: Kubectl, workload: str, *, as_json: bool) -> int:
+def _once(kubectl: Kubectl, workload: str, output: str) -> int:
     rates = Rates()
     with kubectl.forwarded(monitor_pod(kubectl, workload), names.METRICS_PORT) as port:
         state = asked(port)
-        if not as_json:
+        if output == "text":
             rates.look(state)
             time.sleep(PERIOD)  # rates are counted between two looks
             state = asked(port)
             rates.look(state)
-    if as_json:
-        json.dump(state, sys.stdout, indent=2)
-        print()
-    else:
+    if output == "text":
         print("\n".join(lines(state, rates, colours=terminal.colours(sys.stdout))))
+    else:
+        print(structured(state, output))
     return HEALTHY if state["health"] == "Healthy" else NOT_HEALTHY
 
 
@@ -153,7 +153,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("name", metavar="NAME", help="the RobotWorkload")
     how = parser.add_mutually_exclusive_group()
     how.add_argument("-w", "--watch", action="store_true", help="go on until Ctrl-C")
-    how.add_argument("-o", "--output", choices=["text", "json"], default="text", help="text, or everything as JSON")
+    how.add_argument(
+        "-o", "--output", choices=["text", "json", "yaml"], default="text", help="text, or everything as JSON or YAML"
+    )
     how.add_argument("--web", action="store_true", help="serve the monitor's own page on this machine until Ctrl-C")
     add_options(parser)
     return parser

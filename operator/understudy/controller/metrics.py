@@ -6,6 +6,8 @@ import contextlib
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, ProcessCollector
 
+from understudy.cluster import traffic
+
 REGISTRY = CollectorRegistry()
 ProcessCollector(registry=REGISTRY)
 
@@ -56,6 +58,9 @@ MISSED = Counter(
 )
 RESYNC_SECONDS = Gauge("understudy_last_resync_seconds", "How long it took to list everything last.", registry=REGISTRY)
 RESYNCED = Gauge("understudy_last_resync_timestamp_seconds", "When everything was listed last.", registry=REGISTRY)
+
+_REQUESTS, _HEARD = traffic.series(REGISTRY)
+TRAFFIC = traffic.Traffic(_REQUESTS, _HEARD)
 
 
 def storm(namespace: str, policy: str, on: bool | None) -> None:

@@ -57,6 +57,7 @@ async def run(access: Access, options: Options, *, stop: asyncio.Event | None = 
     handlers.quiet()
     # a fleet's lists are long, and each watch of each namespace has a connection
     async with Client(access, timeout=20, connections=0) as client:
+        client.listener = metrics.TRAFFIC
         lease = Lease(client, options.lease_namespace, options.lease, options.identity, timing=options.timing)
         store, expectations = Store(), Expectations()
         reconciler = Reconciler(

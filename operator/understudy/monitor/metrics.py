@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from datetime import datetime
 from typing import get_args
 
-from prometheus_client import Counter, Gauge, Histogram
+from prometheus_client import REGISTRY, Counter, Gauge, Histogram
 
 from understudy.api.workloads import Health, Recovery
+from understudy.cluster import traffic
 
 _WRITES = (0.002, 0.005, 0.01, 0.02, 0.03, 0.05, 0.1, 0.2, 0.3, 0.5, 1, 2, 5)
 """Buckets for answers of the API server, in seconds."""
@@ -68,6 +69,8 @@ _PAUSED = Gauge("understudy_paused", "1 while spec.pause is in force.")
 _HELD = Counter("understudy_recoveries_held", "Failures that were not recovered at once, by what held them.", ["why"])
 _KEPT_AT = Gauge("understudy_kept_timestamp_seconds", "When the state was taken that would be restored now.", ["name"])
 _KEPT_BYTES = Gauge("understudy_kept_bytes", "Size of the state that would be restored now.", ["name"])
+_REQUESTS, _HEARD = traffic.series(REGISTRY)
+TRAFFIC = traffic.Traffic(_REQUESTS, _HEARD)
 
 
 def health(value: Health) -> None:

@@ -22,6 +22,7 @@ from understudy.cluster.pages import Page, serve
 from understudy.cluster.probes import ProbeReceiver
 from understudy.mitigation.journal import Journal
 from understudy.mitigation.shelf import Shelf
+from understudy.monitor import metrics
 from understudy.monitor.archive import Archive
 from understudy.monitor.blackbox import BlackBox
 from understudy.monitor.faults import CrashPoints
@@ -72,6 +73,7 @@ async def _run(workload: str, namespace: str, state: Path) -> None:
 async def _protect(workload: str, namespace: str, state: Path) -> None:
     alive = {"ready": 0.0}
     async with Client(Access.default()) as client, asyncio.TaskGroup() as group:
+        client.listener = metrics.TRAFFIC
         watchers: list[Supervisor] = []
 
         def on_pod() -> None:

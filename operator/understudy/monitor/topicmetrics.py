@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterable, Mapping
 
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
@@ -19,14 +20,14 @@ class TopicMetrics(Collector):
 
     def describe(self) -> Iterable[Metric]:
         """Their names, without looking at anything: asked for when it is registered."""
-        return _families({})
+        return _families({}, 0.0)
 
     def collect(self) -> Iterable[Metric]:
         """All of them as of now."""
-        return _families(self._records())
+        return _families(self._records(), time.time())
 
 
-def _families(records: Mapping[str, TopicRecord]) -> list[Metric]:
+def _families(records: Mapping[str, TopicRecord], now: float) -> list[Metric]:
     messages = CounterMetricFamily(
         "understudy_topic_messages",
         "Messages of a watched topic that count for the instance in control; their rate is the topic's.",
@@ -37,8 +38,15 @@ def _families(records: Mapping[str, TopicRecord]) -> list[Metric]:
         "When the last of them was received (Unix time).",
         labels=["topic"],
     )
+    gap = GaugeMetricFamily(
+        "understudy_topic_longest_gap_seconds",
+        "Longest time between two of them in the last minute or two, the present silence included.",
+        labels=["topic"],
+    )
     for topic, record in records.items():
         messages.add_metric([topic], record.count)
         if record.last is not None:
             last.add_metric([topic], record.last)
-    return [messages, last]
+        if (longest := record.longest_gap(now)) is not None:
+            gap.add_metric([topic], longest)
+    return [messages, last, gap]

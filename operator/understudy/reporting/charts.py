@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import count
 
 from understudy.console.bars import NAMES, length
 from understudy.console.texts import clock, counted
+from understudy.reporting.axes import ROOM, figure, grid, marks, percent, tick, ticks
 from understudy.reporting.markup import Markup, element, joined
 from understudy.reporting.records import Course, Entry, Findings, Group, Span
 from understudy.reporting.resources import ROLES, Share
 from understudy.reporting.samples import Spread
 from understudy.reporting.tables import span
-
-_ROOM = 97.0
-"""Percent of the width up to which is drawn: marks at the end need some."""
 
 _JITTER = (0, 4, -4, 7, -7)
 """Pixels by which marks are moved, in turn, so that those of one value are seen as several."""
@@ -31,11 +29,11 @@ _LEAST_GAP = 0.001
 def recovery_times(groups: Sequence[Group]) -> Markup:
     """The mean of each part of the recovery time by strategy, stacked as in the paper, with each recovery as a dot."""
     most = max((group.spread.greatest for group in groups), default=0.0) or 1.0
-    steps = list(_ticks(most))
+    steps = list(ticks(most))
     most = max(most, steps[-1])
 
     def place(seconds: float) -> float:
-        return seconds / most * _ROOM
+        return seconds / most * ROOM
 
     rows, height = [], 78
     for number, group in enumerate(groups):
@@ -46,12 +44,12 @@ def recovery_times(groups: Sequence[Group]) -> Markup:
                 words = element("title", f"{NAMES[part]}: mean {length(seconds)}")
                 rows.append(_bar(words, place(begin), place(seconds), top + 34, part))
             begin += seconds
-        rows += _quantiles(group.spread, place, top + 30, 26)
+        rows += marks(group.spread.p50, group.spread.p95, place, top + 30, 26)
         rows += _dots(group.entries, group.times, place, top + 65)
-    return _figure(
+    return figure(
         "Recovery time by strategy",
         "; ".join(_said(group.name, group.spread) for group in groups),
-        joined(_grid(((place(s), _tick(s)) for s in steps), 8, len(groups) * height), *rows),
+        joined(grid(((place(s), tick(s)) for s in steps), 8, len(groups) * height), *rows),
         len(groups) * height + 34,
     )
 
@@ -64,29 +62,29 @@ def gaps(groups: Sequence[Group]) -> Markup:
 
     def place(seconds: float) -> float:
         share = (math.log10(max(seconds, 10.0**low)) - low) / (high - low)
-        return 1.0 + share * (_ROOM - 1.0)
+        return 1.0 + share * (ROOM - 1.0)
 
     rows, height = [], 72
     for number, group in enumerate(groups):
         top, spread = 8 + number * height, Spread.of(group.gaps)
         entries = [entry for entry in group.entries if entry.gap is not None]
         rows.append(_heading(group, spread, top))
-        rows += _quantiles(spread, place, top + 33, 24)
+        rows += marks(spread.p50, spread.p95, place, top + 33, 24)
         rows += _dots(entries, group.gaps, place, top + 45)
-    return _figure(
+    return figure(
         "Gap by strategy",
         "; ".join(_said(group.name, Spread.of(group.gaps)) for group in groups),
-        joined(_grid(((place(10.0**e), _tick(10.0**e)) for e in range(low, high + 1)), 8, len(groups) * height), *rows),
+        joined(grid(((place(10.0**e), tick(10.0**e)) for e in range(low, high + 1)), 8, len(groups) * height), *rows),
         len(groups) * height + 34,
     )
 
 
 def reserved(shares: Sequence[Share]) -> Markup:
     """The CPU that is reserved by strategy, stacked by what the pods are for."""
-    steps = list(_ticks(max(share.total.cpu for share in shares) * 1000 or 1.0))
+    steps = list(ticks(max(share.total.cpu for share in shares) * 1000 or 1.0))
 
     def place(cpu: float) -> float:
-        return cpu / steps[-1] * _ROOM
+        return cpu / steps[-1] * ROOM
 
     rows, height = [], 62
     for number, share in enumerate(shares):
@@ -100,10 +98,10 @@ def reserved(shares: Sequence[Share]) -> Markup:
                 words = element("title", f"{ROLES[role]}: {milli(amounts.cpu)}")
                 rows.append(_bar(words, place(begin), place(wide), top + 33, role))
             begin += wide
-    return _figure(
+    return figure(
         "Reserved CPU by strategy",
         "; ".join(f"{share.name}: {milli(share.total.cpu)}, {_of(share)}" for share in shares),
-        joined(_grid(((place(s), f"{s:g} m") for s in steps), 8, len(shares) * height), *rows),
+        joined(grid(((place(s), f"{s:g} m") for s in steps), 8, len(shares) * height), *rows),
         len(shares) * height + 34,
     )
 
@@ -123,7 +121,7 @@ def _of(share: Share) -> str:
 
 def _bar(words: Markup, begin: float, wide: float, top: int, kind: str) -> Markup:
     """A piece of a stacked bar."""
-    return element("rect", words, x=_percent(begin), y=top, width=_percent(wide), height=18, class_=f"part {kind}")
+    return element("rect", words, x=percent(begin), y=top, width=percent(wide), height=18, class_=f"part {kind}")
 
 
 def timeline(findings: Findings) -> Markup:
@@ -131,7 +129,7 @@ def timeline(findings: Findings) -> Markup:
     period = findings.period
 
     def place(moment: float) -> float:
-        return 1.5 + (moment - period.begin) / period.length * (_ROOM - 1.5)
+        return 1.5 + (moment - period.begin) / period.length * (ROOM - 1.5)
 
     rows, height = [], 50
     for number, course in enumerate(findings.eventful):
@@ -141,17 +139,22 @@ def timeline(findings: Findings) -> Markup:
         rows += _lane(course, period, place, top + 20)
     ends = [(place(period.begin + period.length * share), "") for share in (0.0, 0.25, 0.5, 0.75, 1.0)]
     bottom = len(findings.eventful) * height + 8
-    return _figure(
+    return figure(
         "Recoveries over time",
         "; ".join(f"{findings.named(course.robot)}: {_told_of(course)}" for course in findings.eventful),
         joined(
-            _grid(ends, 8, bottom - 8),
+            grid(ends, 8, bottom - 8),
             *rows,
             element("text", clock(period.begin), x="0", y=bottom + 18, class_="axis"),
             element("text", clock(period.end), x="100%", y=bottom + 18, text_anchor="end", class_="axis"),
         ),
         bottom + 26,
     )
+
+
+def legend(*entries: tuple[str, str]) -> Markup:
+    """What stands for what in a figure."""
+    return element("ul", *(element("li", swatch(kind), words) for kind, words in entries), class_="legend")
 
 
 def swatch(kind: str) -> Markup:
@@ -167,6 +170,8 @@ _MARKS = {
     "failed": '<path d="M-5-5 5 5M5-5-5 5" class="failed"/>',
     "median": '<path d="M0-7V7" class="median"/>',
     "tail": '<path d="M0-7V7" class="tail"/>',
+    "ready": '<path d="M-6 0H6" class="ready"/>',
+    "wanted": '<path d="M-6 0H6" class="wanted"/>',
 }
 
 
@@ -188,28 +193,28 @@ def told(entry: Entry) -> str:
 def _lane(course: Course, period: Span, place: Callable[[float], float], top: int) -> Iterator[Markup]:
     yield element(
         "rect",
-        x=_percent(place(period.begin)),
+        x=percent(place(period.begin)),
         y=top,
-        width=_percent(place(period.end) - place(period.begin)),
+        width=percent(place(period.end) - place(period.begin)),
         height=18,
         class_="unknown",
     )
     if course.known is not None:
         begin, end = place(course.known.begin), place(course.known.end)
-        yield element("rect", x=_percent(begin), y=top, width=_percent(end - begin), height=18, class_="known")
+        yield element("rect", x=percent(begin), y=top, width=percent(end - begin), height=18, class_="known")
     for outage in course.outages:
         begin, end = place(outage.span.begin), place(outage.span.end)
         yield element(
             "rect",
             element("title", f"not driven for {span(outage.span.length)}"),
-            x=_percent(begin),
+            x=percent(begin),
             y=top,
-            width=_percent(max(_LEAST_SHOWN, end - begin)),
+            width=percent(max(_LEAST_SHOWN, end - begin)),
             height=18,
             class_="outage",
         )
     for entry in reversed(course.entries):
-        yield _at(_percent(place(entry.began)), top + 9, kind_of(entry), told(entry))
+        yield _at(percent(place(entry.began)), top + 9, kind_of(entry), told(entry))
 
 
 def _told_of(course: Course) -> str:
@@ -229,19 +234,11 @@ def _heading(group: Group, spread: Spread, top: int) -> Markup:
     )
 
 
-def _quantiles(spread: Spread, place: Callable[[float], float], top: int, height: int) -> Iterator[Markup]:
-    for value, words, class_ in ((spread.p50, "p50", "median"), (spread.p95, "p95", "tail")):
-        at = _percent(place(value))
-        yield element(
-            "line", element("title", f"{words}: {length(value)}"), x1=at, x2=at, y1=top, y2=top + height, class_=class_
-        )
-
-
 def _dots(
     entries: Sequence[Entry], values: Sequence[float], place: Callable[[float], float], middle: int
 ) -> Iterator[Markup]:
     for entry, value, number in zip(entries, values, count(), strict=False):
-        yield _at(_percent(place(value)), middle + _JITTER[number % len(_JITTER)], "dot", told(entry))
+        yield _at(percent(place(value)), middle + _JITTER[number % len(_JITTER)], "dot", told(entry))
 
 
 def _at(x: str, y: float, mark: str, words: str) -> Markup:
@@ -251,45 +248,5 @@ def _at(x: str, y: float, mark: str, words: str) -> Markup:
     )
 
 
-def _grid(ticks: Iterable[tuple[float, str]], top: int, height: int) -> Markup:
-    drawn = []
-    for at, words in ticks:
-        drawn.append(element("line", x1=_percent(at), x2=_percent(at), y1=top, y2=top + height, class_="grid"))
-        if words:
-            anchor = "start" if at < 4 else "end" if at > 92 else "middle"
-            drawn.append(element("text", words, x=_percent(at), y=top + height + 16, text_anchor=anchor, class_="axis"))
-    return joined(*drawn)
-
-
-def _figure(title: str, description: str, drawn: Markup, height: int) -> Markup:
-    return element(
-        "svg",
-        element("title", title),
-        element("desc", description),
-        drawn,
-        role="img",
-        aria_label=f"{title}: {description}",
-        width="100%",
-        height=height,
-        class_="chart",
-    )
-
-
 def _said(name: str, spread: Spread) -> str:
     return f"{name}: n = {spread.count}, mean {length(spread.mean)}, p50 {length(spread.p50)}, p95 {length(spread.p95)}"
-
-
-def _ticks(most: float) -> Iterator[float]:
-    """Round values from 0 to beyond the greatest, at most six."""
-    rough = most / 4
-    unit = 10.0 ** math.floor(math.log10(rough))
-    step = next(factor * unit for factor in (1, 2, 5, 10) if factor * unit >= rough)
-    yield from (number * step for number in range(math.ceil(most / step - 1e-9) + 1))
-
-
-def _tick(seconds: float) -> str:
-    return f"{seconds:g} s" if seconds >= 1 else f"{seconds * 1000:g} ms" if seconds else "0"
-
-
-def _percent(value: float) -> str:
-    return f"{value:.3f}%"

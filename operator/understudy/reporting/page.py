@@ -12,11 +12,17 @@ import understudy
 from understudy.console.texts import clock
 from understudy.reporting import sections
 from understudy.reporting.markup import Markup, element
+from understudy.reporting.measured import Measured
+from understudy.reporting.measuredsections import whole_period
 from understudy.reporting.records import Findings
 
 
-def page(findings: Findings, sheets: Mapping[str, str], *, where: str, made: float) -> str:
-    """The whole file. ``sheets`` are the data to be downloaded from it, by file name; ``where`` says which robots were asked for."""
+def page(
+    findings: Findings, sheets: Mapping[str, str], *, where: str, made: float, measured: Measured | None = None
+) -> str:
+    """The whole file. ``sheets`` are the data to be downloaded from it, by file name; ``where`` says which robots were asked for;
+    ``measured`` is what a Prometheus has, where one was asked.
+    """
     period = findings.period
     title = f"Recoveries of {where}"
     body = element(
@@ -24,11 +30,12 @@ def page(findings: Findings, sheets: Mapping[str, str], *, where: str, made: flo
         element(
             "header",
             element("h1", title),
-            element("p", f"{clock(period.begin)} to {clock(period.end)}", class_="faint"),
+            element("p", f"{clock(period.begin)} to {clock(period.end)}, {_source(measured)}", class_="faint"),
         ),
         *sections.known(findings),
         sections.tiles(findings),
         *sections.robots(findings),
+        *(whole_period(measured) if measured is not None else ()),
         *sections.strategies(findings),
         *sections.over_time(findings),
         *sections.gaps(findings),
@@ -59,6 +66,12 @@ def page(findings: Findings, sheets: Mapping[str, str], *, where: str, made: flo
         element("style", Markup(style)),
     )
     return f"<!doctype html>\n{element('html', head, element('body', body, element('script', Markup(script))), lang='en')}\n"
+
+
+def _source(measured: Measured | None) -> str:
+    """Where the figures come from."""
+    told = "by the records in the robots' status"
+    return told if measured is None else f"{told}, and by Prometheus at {measured.url} under the heading that says so"
 
 
 def _downloads(sheets: Mapping[str, str]) -> Markup:

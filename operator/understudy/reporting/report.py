@@ -13,7 +13,9 @@ from typing import Any
 from understudy.api import base, names
 from understudy.console.kubectl import WORKLOADS, Kubectl, Unusable, add_options
 from understudy.console.texts import clock, counted
+from understudy.reporting.measured import Measured, measured
 from understudy.reporting.page import page
+from understudy.reporting.prometheus import Prometheus
 from understudy.reporting.records import Findings, Span, findings
 from understudy.reporting.sheets import sheets
 
@@ -31,16 +33,17 @@ def main(arguments: list[str]) -> int:
         items = _robots(kubectl, given)
         pods, unknown = _pods(kubectl, given)
         found = findings(items, period, pods, pods_unknown=unknown)
-        data = sheets(found)
+        told = _measured(found, given)
+        data = sheets(found, told)
         where = _where(found, given)
-        _write(Path(given.output), page(found, data, where=where, made=now))
+        _write(Path(given.output), page(found, data, where=where, made=now, measured=told))
         if given.csv is not None:
             for name, text in data.items():
                 _write(Path(given.csv, name), text)
     except Unusable as error:
         print(f"understudy report: {error}", file=sys.stderr)
         return CANT
-    print(_told(found, given))
+    print(_told(found, given, told))
     return WRITTEN
 
 
@@ -74,6 +77,18 @@ def _pods(kubectl: Kubectl, given: argparse.Namespace) -> tuple[Sequence[Mapping
     except Unusable as error:
         return [], str(error)
     return list(found.values()), ""
+
+
+def _measured(found: Findings, given: argparse.Namespace) -> Measured | None:
+    """What a Prometheus has of the same robots and the same period; None where none was named. Raises Unusable."""
+    if given.prometheus is None:
+        for option in ("prometheus_token_file", "prometheus_ca_file"):
+            if getattr(given, option) is not None:
+                raise Unusable(f"--{option.replace('_', '-')} is for --prometheus URL, which isn't given")
+        return None
+    prometheus = Prometheus(given.prometheus, token_file=given.prometheus_token_file, ca_file=given.prometheus_ca_file)
+    namespace = None if given.all_namespaces else found.courses[0].robot.namespace
+    return measured(prometheus, found.period, namespace=namespace, names=given.names)
 
 
 def _period(given: argparse.Namespace, now: float) -> Span:
@@ -118,7 +133,7 @@ def _write(path: Path, text: str) -> None:
         raise Unusable(f"{path} can't be written: {error.strerror}; give another place") from error
 
 
-def _told(found: Findings, given: argparse.Namespace) -> str:
+def _told(found: Findings, given: argparse.Namespace, told_of: Measured | None) -> str:
     entries, lost = found.entries, len(found.incomplete)
     told = (
         f"{given.output}: {counted(len(found.courses), 'robot')}, {counted(len(entries), 'recovery', 'recoveries')} from "
@@ -126,6 +141,13 @@ def _told(found: Findings, given: argparse.Namespace) -> str:
     )
     if lost:
         told += f"; of {counted(lost, 'robot')} not the whole period is known, since a status keeps the last ten recoveries only"
+    if told_of is not None:
+        counts = counted(told_of.counted("Recovery"), "recovery", "recoveries")
+        told += (
+            f"; {counts} by Prometheus, {told_of.counted('Recovery', result='Failed')} of them failed"
+            if told_of.seen
+            else f"; Prometheus at {told_of.url} has nothing of these robots in it"
+        )
     return told
 
 
@@ -134,8 +156,10 @@ def _parser() -> argparse.ArgumentParser:
         prog="understudy report",
         description="Writes what the recoveries of a period came to into one HTML file: recovery times by strategy and part, the robots' "
         "gaps and downtime, what is reserved for them, and every recovery. It is made from the records in the RobotWorkloads' status, "
-        "which keep the last ten of each robot, and says of which time they aren't whole. It acts on nothing.",
-        epilog="Exit status: 0 where it is written, 2 where it can't be: kubectl failed, a name isn't there, or there is no robot at all.",
+        "which keep the last ten of each robot, and says of which time they aren't whole; a Prometheus, where one is named, has counted "
+        "them all. It acts on nothing.",
+        epilog="Exit status: 0 where it is written, 2 where it can't be: kubectl or Prometheus failed, a name isn't there, or there is no "
+        "robot at all.",
     )
     parser.add_argument("names", metavar="NAME", nargs="*", help="a RobotWorkload; all where none is named")
     begin = parser.add_mutually_exclusive_group()
@@ -152,7 +176,16 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--csv",
         metavar="FOLDER",
-        help="write the data there too: recoveries.csv, robots.csv, strategies.csv and reserved.csv",
+        help="write the data there too: recoveries.csv, robots.csv, strategies.csv and reserved.csv, and with --prometheus "
+        "prometheus-recoveries.csv, prometheus-times.csv and prometheus-pools.csv",
     )
+    parser.add_argument(
+        "--prometheus",
+        metavar="URL",
+        help="ask this Prometheus too, which knows of all recoveries of the period how many there were and how long they took, such as "
+        "http://localhost:9090",
+    )
+    parser.add_argument("--prometheus-token-file", metavar="FILE", help="a file with the bearer token that it wants")
+    parser.add_argument("--prometheus-ca-file", metavar="FILE", help="by which its certificate is trusted, in PEM")
     add_options(parser, all_namespaces=True)
     return parser

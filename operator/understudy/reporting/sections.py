@@ -164,7 +164,7 @@ def strategies(findings: Findings) -> Iterator[Markup]:
         return
     yield element(
         "figure",
-        _legend(*NAMES.items(), ("dot", "one recovery"), ("median", "p50"), ("tail", "p95")),
+        charts.legend(*NAMES.items(), ("dot", "one recovery"), ("median", "p50"), ("tail", "p95")),
         charts.recovery_times(groups),
         element(
             "figcaption",
@@ -194,7 +194,7 @@ def over_time(findings: Findings) -> Iterator[Markup]:
     others = f" Of {counted(quiet, 'robot')} there is nothing to be shown." if quiet else ""
     yield element(
         "figure",
-        _legend(
+        charts.legend(
             ("recovered", "recovered"),
             ("planned", "without a failure"),
             ("failed", "failed"),
@@ -216,7 +216,7 @@ def gaps(findings: Findings) -> Iterator[Markup]:
         return
     yield element(
         "figure",
-        _legend(("dot", "one recovery"), ("median", "p50"), ("tail", "p95")),
+        charts.legend(("dot", "one recovery"), ("median", "p50"), ("tail", "p95")),
         charts.gaps(groups),
         element(
             "figcaption",
@@ -241,7 +241,7 @@ def reserved(findings: Findings) -> Iterator[Markup]:
         return
     yield element(
         "figure",
-        _legend(*((role, ROLES[role]) for role in roles)),
+        charts.legend(*((role, ROLES[role]) for role in roles)),
         charts.reserved(shares),
         element(
             "figcaption",
@@ -342,7 +342,3 @@ def _recovery(entry: Entry, findings: Findings) -> list[Cell]:
         Cell(f"{pods[recovery.from_pod] or 'no pod'} → {pods[recovery.to_pod] or 'no pod'}"),
         Cell(recovery.reason, state="long"),
     ]
-
-
-def _legend(*entries: tuple[str, str]) -> Markup:
-    return element("ul", *(element("li", charts.swatch(kind), words) for kind, words in entries), class_="legend")

@@ -6,12 +6,14 @@ import csv
 import io
 import json
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, fields
 
 from understudy.api.workloads import Moments
 from understudy.console.bars import NAMES
 from understudy.console.recoveries import parts_of
 from understudy.console.robots import Robot
 from understudy.mitigation.progress import rfc3339
+from understudy.reporting.measured import Count, Measured, Pool, Time
 from understudy.reporting.records import Course, Entry, Findings, Group, Span
 from understudy.reporting.resources import ROLES, Share
 
@@ -22,14 +24,21 @@ _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 """What a spreadsheet takes for a formula where a text begins with it."""
 
 
-def sheets(findings: Findings) -> dict[str, str]:
-    """By the names of their files."""
-    return {
+def sheets(findings: Findings, measured: Measured | None = None) -> dict[str, str]:
+    """By the names of their files; those of a Prometheus too, where one was asked."""
+    told = {
         "recoveries.csv": _written([_recovery(entry) for entry in findings.entries], _recovery_columns()),
         "robots.csv": _written([_robot(course, findings.period) for course in findings.courses], _ROBOT),
         "strategies.csv": _written([_strategy(group) for group in findings.groups], _STRATEGY),
         "reserved.csv": _written([row for share in findings.shares for row in _reserved(share)], _RESERVED),
     }
+    if measured is not None:
+        times = [_time(time) for time in measured.times]
+        bounds = sorted({bound for time in measured.times for bound in time.histogram.bounds})
+        told["prometheus-recoveries.csv"] = _written([asdict(count) for count in measured.counts], _COUNT)
+        told["prometheus-times.csv"] = _written(times, [*_TIME, *(_upto(bound) for bound in bounds)])
+        told["prometheus-pools.csv"] = _written([_pool(pool) for pool in measured.pools], _POOL)
+    return told
 
 
 def _written(rows: Sequence[Row], columns: Sequence[str]) -> str:
@@ -157,3 +166,42 @@ def _reserved(share: Share) -> Iterator[Row]:
     for role, amounts in share.roles.items():
         values = {"cpu_cores": amounts.cpu, "memory_bytes": amounts.memory}
         yield {"strategy": share.name, "count": share.count, "role": ROLES[role], **values}
+
+
+_COUNT = tuple(field.name for field in fields(Count))
+
+_TIME = ("strategy", "part", "count", "mean_seconds", "p50_seconds", "p95_seconds", "p99_seconds")
+
+
+def _time(time: Time) -> Row:
+    """With how many were at most as long as each bound of the histogram, by the bound."""
+    histogram = time.histogram
+    return {
+        "strategy": time.strategy,
+        "part": time.part,
+        "count": histogram.count,
+        "mean_seconds": histogram.mean,
+        "p50_seconds": histogram.quantile(0.5),
+        "p95_seconds": histogram.quantile(0.95),
+        "p99_seconds": histogram.quantile(0.99),
+        **{_upto(bound): round(count) for bound, count in zip(histogram.bounds, histogram.counts, strict=True)},
+    }
+
+
+def _upto(bound: float) -> str:
+    return f"upto_{bound:g}_seconds"
+
+
+_POOL = ("namespace", "pool", "desired", "least_ready", "mean_ready", "most_claimed", "most_waiting")
+
+
+def _pool(pool: Pool) -> Row:
+    return {
+        "namespace": pool.namespace,
+        "pool": pool.name,
+        "desired": pool.desired,
+        "least_ready": pool.least_ready,
+        "mean_ready": pool.mean_ready,
+        "most_claimed": pool.most_claimed,
+        "most_waiting": pool.most_waiting,
+    }

@@ -139,10 +139,14 @@ class ParameterState:
     """Whether it can be told what it is."""
 
 
+GAPS = 60.0
+"""Seconds for which the longest gap is known at least, which is as often as metrics are asked for."""
+
+
 class TopicRecord:
     """When a topic was received. Times are Unix seconds."""
 
-    __slots__ = ("arrivals", "contents", "count", "last", "window")
+    __slots__ = ("_gap", "_gap_before", "_until", "arrivals", "contents", "count", "last", "window")
 
     def __init__(self, window: float = 0.0, contents: int = 0) -> None:
         """``contents`` is how many of the last messages are kept to be looked into."""
@@ -156,12 +160,26 @@ class TopicRecord:
         """Times within the window, oldest first, and one before it, which tells that the window has been full."""
         self.contents: deque[Content] = deque(maxlen=contents)
         """The last messages, oldest first."""
+        self._gap, self._gap_before, self._until = 0.0, 0.0, 0.0
+
+    def longest_gap(self, now: float) -> float | None:
+        """The longest time between two samples of the last minute or two, the present silence included; None before the first."""
+        if self.last is None:
+            return None
+        silence = now - self.last
+        known = (self._gap, self._gap_before) if now < self._until else (self._gap,) if now < self._until + GAPS else ()
+        return max(0.0, silence, *known)
 
     def add(self, received: float) -> None:
         """Note a sample that was received at this time; late ones find their place."""
         self.count += 1
         arrivals = self.arrivals
         if self.last is None or received >= self.last:
+            if received >= self._until:
+                self._gap_before = self._gap if received < self._until + GAPS else 0.0
+                self._gap, self._until = 0.0, received + GAPS
+            if self.last is not None and received - self.last > self._gap:
+                self._gap = received - self.last
             self.last = received
             arrivals.append(received)
         else:
@@ -173,6 +191,7 @@ class TopicRecord:
         """Move all times, after the clock they were taken from was set."""
         if self.last is not None:
             self.last += seconds
+        self._until += seconds
         self.arrivals = deque(time + seconds for time in self.arrivals)
         for content in self.contents:
             content.received += seconds

@@ -14,6 +14,8 @@ from tests.unit.chart.conftest import CHART, Object, Render, one
 from understudy.api import names
 from understudy.api.workloads import Health
 from understudy.controller import fleetmetrics, monitors
+from understudy.mitigation.interfaces import Instance
+from understudy.monitor.enforcement import judge
 
 ALERTS = yaml.safe_load((CHART / "files" / "alerts.yaml").read_text())
 DASHBOARDS = {path.name: json.loads(path.read_text()) for path in (CHART / "files" / "dashboards").glob("*.json")}
@@ -49,6 +51,21 @@ def test_an_alert_says_how_grave_it_is_and_where_to_look(alert: Object) -> None:
     assert alert["annotations"]["summary"].endswith(".")
     assert alert["annotations"]["description"]
     assert alert["alert"] in (CHART.parents[1] / "docs" / "metrics.md").read_text()
+
+
+def test_a_gate_of_which_nothing_can_be_known_is_no_alert() -> None:
+    active, held = Instance(name="w-1", uid="1", running=True), Instance(name="w-2", uid="2", running=True)
+    last = {"1": 99.0}
+    unknown = [
+        judge([active], "1", last, now=100.0, since=99.5),
+        judge([], "1", last, now=100.0, since=0.0),
+        judge([active], "1", last, now=100.0, since=0.0),
+        judge([active, held], "1", last, now=100.0, since=0.0, admitted_uid="2"),
+    ]
+    assert {status for status, _, _ in unknown} == {"Unknown"}
+    (alert,) = (alert for alert in alerts() if alert["alert"] == "UnderstudyGateNotEnforced")
+    (left_out,) = re.findall(r'reason!~"([^"]+)"', alert["expr"])
+    assert sorted(left_out.split("|")) == sorted(reason for _, reason, _ in unknown)
 
 
 def test_every_monitor_is_selected_and_says_of_which_workload_it_is(render: Render) -> None:

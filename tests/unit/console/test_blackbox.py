@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 from tests.unit.console.test_tree import KUBECTL, READY
 from understudy.api.recordings import Recording, Recordings
@@ -88,9 +89,12 @@ def test_they_are_listed(monitor: Monitor, capsys: pytest.CaptureFixture[str]) -
     assert "port-forward pod/monitor-1 :9110" in monitor.asked
 
 
-def test_scripts_have_them_as_json(monitor: Monitor, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["robot-1", "-o", "json"]) == 0
-    assert Recordings.model_validate_json(capsys.readouterr().out) == monitor.told
+@pytest.mark.parametrize("form", ["json", "yaml"])
+def test_scripts_have_them_whole(monitor: Monitor, capsys: pytest.CaptureFixture[str], form: str) -> None:
+    assert main(["robot-1", "-o", form]) == 0
+    told = capsys.readouterr().out
+    assert told.startswith("{") is (form == "json")
+    assert Recordings.model_validate(yaml.safe_load(told)) == monitor.told
 
 
 def test_where_there_are_none_it_is_said_why(monitor: Monitor, capsys: pytest.CaptureFixture[str]) -> None:

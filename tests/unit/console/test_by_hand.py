@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import re
 import shlex
 from pathlib import Path
@@ -196,8 +195,9 @@ def test_files_can_be_had_one_by_one_or_written(
     assert (tmp_path / "new" / "ros.env").read_text() == env
     assert (tmp_path / "new" / "profiles.xml").read_text() == xml
     assert "On the robot, put both files into /etc/understudy" in capsys.readouterr().out
-    assert robotprofile.main([ROBOT, "-o", "json"]) == 0
-    assert json.loads(capsys.readouterr().out)["ports"] == {"/cmd_vel": 7950}
+    for form in ("json", "yaml"):
+        assert robotprofile.main([ROBOT, "-o", form]) == 0
+        assert yaml.safe_load(capsys.readouterr().out)["ports"] == {"/cmd_vel": 7950}
 
 
 def test_a_robot_with_an_address_and_a_server_of_its_own(stand: Stand, capsys: pytest.CaptureFixture[str]) -> None:

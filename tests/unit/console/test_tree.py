@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 from tests.unit.console.states import state
 from understudy.cluster.pages import JSON, serve
@@ -90,10 +91,15 @@ def test_the_tree_is_told_and_kubectl_is_asked_where_it_was_said(
     assert "-l understudy.dev/monitored=robot-1-drive,understudy.dev/component=monitor" in cluster.asked.read_text()
 
 
-def test_json_is_what_the_monitor_says(cluster: Cluster, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("form", ["json", "yaml"])
+def test_a_script_is_given_what_the_monitor_says(
+    cluster: Cluster, capsys: pytest.CaptureFixture[str], form: str
+) -> None:
     cluster.state = state(health="Failed")
-    assert main(["robot-1-drive", "-o", "json"]) == 1, "a script learns that it isn't healthy"
-    assert json.loads(capsys.readouterr().out) == cluster.state
+    assert main(["robot-1-drive", "-o", form]) == 1, "a script learns that it isn't healthy"
+    told = capsys.readouterr().out
+    assert told.startswith("{") is (form == "json")
+    assert yaml.safe_load(told) == cluster.state
 
 
 @pytest.mark.parametrize(

@@ -19,5 +19,9 @@ def test_messages_and_the_last_one_are_told_by_topic() -> None:
     assert value("understudy_topic_last_message_timestamp_seconds", {"topic": "/cmd_vel"}) == 10.2
     assert value("understudy_topic_messages_total", {"topic": "/odom"}) == 0
     assert value("understudy_topic_last_message_timestamp_seconds", {"topic": "/odom"}) is None
+    gap = value("understudy_topic_longest_gap_seconds", {"topic": "/cmd_vel"})
+    assert gap is not None
+    assert gap > 1e9, "it has been silent since 1970"
+    assert value("understudy_topic_longest_gap_seconds", {"topic": "/odom"}) is None
     heard.add(10.3)
     assert value("understudy_topic_messages_total", {"topic": "/cmd_vel"}) == 4

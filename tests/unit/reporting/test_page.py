@@ -16,7 +16,7 @@ from understudy.reporting.records import Findings, Span, findings
 from understudy.reporting.sections import availability
 from understudy.reporting.sheets import sheets
 
-VOID = ("meta", "link", "br", "circle", "path")
+VOID = ("meta", "link", "br")
 
 
 class Read(HTMLParser):

@@ -1,4 +1,4 @@
-"""What a record keeps: the window, and one arrival before it."""
+"""What a record keeps: the window, and one arrival before it; and the longest gap of late."""
 
 from understudy.trees.observations import TopicRecord
 
@@ -36,3 +36,24 @@ def test_shift_of_nothing_is_nothing():
     made = record(5.0)
     made.shift(3.0)
     assert made.last is None
+
+
+def test_the_longest_gap_is_known_for_a_minute_at_least():
+    made = record(0.0, *(100.0 + n / 10 for n in range(10)), 103.0)
+    assert made.longest_gap(103.1) == 103.0 - 100.9
+    for n in range(600):
+        made.add(103.1 + n / 10)
+    assert made.longest_gap(163.0) == 103.0 - 100.9
+    for n in range(1300):
+        made.add(163.1 + n / 10)
+    assert 0.09 < made.longest_gap(293.0) < 0.11, "that was long ago"
+
+
+def test_silence_is_a_gap_while_it_lasts():
+    made = record(0.0, 100.0, 100.5)
+    assert [made.longest_gap(now) for now in (100.4, 100.6, 102.5, 400.5)] == [0.5, 0.5, 2.0, 300.0]
+    made.add(401.0)
+    assert made.longest_gap(401.0) == 300.5
+    made.shift(-1000.0)
+    assert made.longest_gap(-599.0) == 300.5
+    assert record(0.0).longest_gap(100.0) is None
