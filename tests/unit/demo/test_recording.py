@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as some
 from understudy_demo.recording import asciicast
-from understudy_demo.recording.__main__ import COLUMNS, PANES, SHELL, STATUS, act
+from understudy_demo.recording.__main__ import CAST, COLUMNS, LONGEST, PANES, SHELL, STATUS, SVG, act
 from understudy_demo.recording.asciicast import Cast, frames
 from understudy_demo.recording.marks import Marks
 from understudy_demo.recording.panes import NotShown, Pane, Split
@@ -133,6 +133,16 @@ def test_who_wants_nothing_to_move_sees_the_end() -> None:
     }
     assert hidden == {"begin": "a h", "end": "a"}
     assert "@media (prefers-reduced-motion:reduce){.a,.p{animation:none}}" in svg
+
+
+def test_the_picture_in_the_repository_is_the_recordings() -> None:
+    recorded = asciicast.from_text(CAST.read_text())
+    svg = SVG.read_text()
+    assert svg == render(recorded), "scripts/record --render draws it again"
+    assert 15 <= recorded.length <= LONGEST
+    assert len(svg) < 300_000
+    assert "<script" not in svg
+    assert "href" not in svg
 
 
 def test_a_mark_for_each_command_and_a_line_for_each_that_takes_over() -> None:
