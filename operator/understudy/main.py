@@ -19,7 +19,7 @@ import importlib
 import os
 import sys
 
-_PARTS = {
+PARTS = {
     "operator": "understudy.controller.running",
     "monitor": "understudy.monitor.running",
     "agent": "understudy.agent.running",
@@ -49,7 +49,7 @@ _PARTS = {
     "recommend": "understudy.planning.recommend",
     "report": "understudy.reporting.report",
 }
-
+"""The module of each verb, whose ``main`` is given the arguments behind it."""
 
 _IN_PODS = ("operator", "monitor", "agent", "tasks", "prepare")
 """What nobody types."""
@@ -90,17 +90,17 @@ def main() -> int:
     if not arguments or arguments[0] in ("-h", "--help", "help"):
         print(_help(), file=sys.stdout if arguments else sys.stderr)
         return 0 if arguments else 2
-    if arguments[0] not in _PARTS:
-        print(f"understudy: there is no command {arguments[0]!r}{_meant(arguments[0])}", file=sys.stderr)
+    if arguments[0] not in PARTS:
+        print(f"understudy: there is no verb {arguments[0]!r}{_meant(arguments[0])}", file=sys.stderr)
         return 2
-    result: int = importlib.import_module(_PARTS[arguments[0]]).main(arguments[1:])
+    result: int = importlib.import_module(PARTS[arguments[0]]).main(arguments[1:])
     return result
 
 
 def _help() -> str:
     width = max(map(len, _SAYS)) + 2
     listed = "\n".join(f"  {verb:{width}}{says}" for verb, says in _SAYS.items())
-    return f"usage: understudy COMMAND ...\n\n{listed}\n\nunderstudy COMMAND --help says more of one."
+    return f"usage: understudy VERB ...\n\n{listed}\n\nunderstudy VERB --help says more of one."
 
 
 def _meant(found: str) -> str:
@@ -113,7 +113,7 @@ def _meant(found: str) -> str:
 def _complete() -> int:
     """Answer a shell that asks how the line may go on. Verbs that work on files leave it to the shell."""
     completing = importlib.import_module("understudy.console.completing")
-    found = _PARTS.get(completing.verb([part for part in _PARTS if part not in _IN_PODS]) or "", "")
+    found = PARTS.get(completing.verb([part for part in PARTS if part not in _IN_PODS]) or "", "")
     if found.startswith("understudy.console."):
         importlib.import_module(found).main([])
     return 1
