@@ -54,17 +54,60 @@ PARTS = {
 _IN_PODS = ("operator", "monitor", "agent", "tasks", "prepare")
 """What nobody types."""
 
+_SAYS = {
+    "check": "validate manifests, without a cluster",
+    "status": "all robots: who is in control, what is ready, what is wrong",
+    "explain": "why a robot is as it is, and what would happen if it failed now",
+    "timeline": "a robot's last recoveries",
+    "tree": "a robot's live health tree",
+    "doctor": "does the cluster do what is needed?",
+    "report": "what a period's recoveries came to, as a page",
+    "blackbox": "what was recorded around a robot's failures",
+    "pause": "leave a robot alone",
+    "resume": "end a pause",
+    "failover": "have an understudy take over, as planned",
+    "failback": "give the robot back to the workload's own pod",
+    "fence": "shut everybody out of a robot",
+    "inject": "make the instance in control fail, where that is allowed",
+    "robot-profile": "what a robot outside the cluster needs",
+    "simulate": "a policy over a recorded bag",
+    "watch": "a policy beside a live ROS graph",
+    "learn": "gaps and rates from a recorded bag",
+    "size": "how many fallbacks a fleet needs",
+    "recommend": "which strategies the requirements come to",
+    "tracker": "watch robots by a camera",
+    "verify": "does the installation work? (helm test)",
+    "completion": "have a shell complete all this at Tab",
+}
+"""For people, in the order in which they need it."""
+
 
 def main() -> int:
     """Run the part named by the first argument; imports only that one, since each must stay small."""
     arguments = sys.argv[1:]
     if "_ARGCOMPLETE" in os.environ:
         return _complete()
-    if not arguments or arguments[0] not in PARTS:
-        print(f"usage: understudy {{{'|'.join(PARTS)}}}", file=sys.stderr)
+    if not arguments or arguments[0] in ("-h", "--help", "help"):
+        print(_help(), file=sys.stdout if arguments else sys.stderr)
+        return 0 if arguments else 2
+    if arguments[0] not in PARTS:
+        print(f"understudy: there is no verb {arguments[0]!r}{_meant(arguments[0])}", file=sys.stderr)
         return 2
     result: int = importlib.import_module(PARTS[arguments[0]]).main(arguments[1:])
     return result
+
+
+def _help() -> str:
+    width = max(map(len, _SAYS)) + 2
+    listed = "\n".join(f"  {verb:{width}}{says}" for verb, says in _SAYS.items())
+    return f"usage: understudy VERB ...\n\n{listed}\n\nunderstudy VERB --help says more of one."
+
+
+def _meant(found: str) -> str:
+    import difflib  # here, since the parts that run in pods must stay small
+
+    close = difflib.get_close_matches(found, _SAYS, n=1)
+    return f"; did you mean {close[0]!r}?" if close else "; understudy --help lists them"
 
 
 def _complete() -> int:

@@ -5,12 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from pydantic import ValidationError
+
+from understudy.api.policies import Monitoring
 from understudy.checking import situations
 from understudy.checking.documents import Manifest
 from understudy.checking.findings import Finding
 from understudy.choosing import explaining
 from understudy.controller import choosing, dependencies, objects, selectors
 from understudy.controller.policies import shared, unshared
+from understudy.trees.forms import load_monitoring
+from understudy.trees.health import HealthTree
+from understudy.trees.problems import TreeError
 
 _MOST_SHOWN = 5
 _IN_THE_CLUSTER = "If it is in the cluster already, all is well"
@@ -26,6 +32,7 @@ def check(manifests: Sequence[Manifest]) -> Iterator[Finding]:
         yield from _unserved(workload, policies, pools)
         yield from _unmet(workload, policies, pools)
         yield from _never_idle(workload, policies)
+        yield from _unheard(workload, policies)
         yield from _depends(workload, workloads)
     for policy in policies:
         for index, _ in enumerate(_list(_at(policy.data, "spec", "strategies"))):
@@ -137,6 +144,35 @@ def _never_idle(workload: Manifest, policies: Sequence[Manifest]) -> Iterator[Fi
                 yield workload.finding("spec.tasks", message, warning=True)
 
 
+def _unheard(workload: Manifest, policies: Sequence[Manifest]) -> Iterator[Finding]:
+    """A tree that judges by messages alone must look at one of the outputs: most often a name was mistyped where it doesn't."""
+    name = _field(workload.data, "spec.failurePolicyRef.name")
+    outputs = [
+        topic for one in _list(_at(workload.data, "spec", "outputs")) if isinstance(topic := _at(one, "topic"), str)
+    ]
+    for policy in policies:
+        if policy.name != name or not workload.together(policy) or (tree := _tree(policy)) is None:
+            continue
+        watched = [topic.name for topic in tree.topics]
+        if outputs and all(leaf.hears for leaf in tree.leaves) and not set(outputs) & set(watched):
+            message = (
+                f"looks at {_some(watched)} and at no output of RobotWorkload {workload.name} ({_some(outputs)}), so nobody notices where "
+                f"these fall silent; watch one of them, or correct the names"
+            )
+            yield policy.finding("spec.monitoring", message, warning=True)
+
+
+def _tree(policy: Manifest) -> HealthTree | None:
+    """The health tree of a policy; None where it isn't in it or can't be loaded, which is told elsewhere."""
+    monitoring = _at(policy.data, "spec", "monitoring")
+    if _at(monitoring, "configMapKeyRef") is not None:
+        return None
+    try:
+        return load_monitoring(Monitoring.model_validate(monitoring))
+    except (ValidationError, TreeError):
+        return None
+
+
 def _not_prewarmed(policy: Manifest, pools: Sequence[Manifest]) -> Iterator[Finding]:
     """A pool that is pre-warmed must have standbys of the workload's own."""
     kinds = {one.name: _at(one.data, "spec", "readiness") for one in pools if policy.together(one)}
@@ -180,6 +216,11 @@ def _selector(pool: Manifest) -> Mapping[str, Any] | None:
         if not isinstance(one.get("values") or [], list):
             return None
     return found
+
+
+def _some(names: Sequence[str]) -> str:
+    more = f" and {len(names) - _MOST_SHOWN} more" if len(names) > _MOST_SHOWN else ""
+    return ", ".join(names[:_MOST_SHOWN]) + more
 
 
 def _labels(workload: Manifest) -> str:

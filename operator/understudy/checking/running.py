@@ -9,9 +9,10 @@ import argparse
 import io
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from understudy.checking import documents, lending, objects, references
 from understudy.checking.documents import Manifest
@@ -76,9 +77,16 @@ def check(files: Sequence[tuple[str, bytes]]) -> Result:
 
 
 def _other(manifest: Manifest) -> Iterator[Finding]:
-    if not manifest.kind:
+    if not manifest.kind and not _has_parameters(manifest.data):
         message = "missing, so this is passed over; if it is meant to be an object, give apiVersion and kind"
         yield manifest.finding("kind", message, warning=True)
+
+
+def _has_parameters(data: Any) -> bool:
+    """Whether it is a file of ROS parameters, of nodes or of namespaces with nodes: those lie beside manifests."""
+    nodes = [one for one in data.values() if isinstance(one, Mapping)] if isinstance(data, Mapping) else []
+    deeper = [one for node in nodes for one in node.values() if isinstance(one, Mapping)]
+    return any("ros__parameters" in one for one in [*nodes, *deeper])
 
 
 def _count(number: int, what: str) -> str:

@@ -76,5 +76,6 @@ def main(argv: list[str]) -> int:
 
 def _missing(error: ModuleNotFoundError) -> int:
     package = NEEDS.get(error.name or "", error.name)
-    print(f"understudy tracker: {package} is not installed: install understudy[ros,tracker]", file=sys.stderr)
+    message = f"{package} is not installed: pip install '.[ros,tracker]' in understudy's repository"
+    print(f"understudy tracker: {message}", file=sys.stderr)
     return 2

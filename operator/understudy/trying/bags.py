@@ -98,7 +98,7 @@ class Bag:
         except ImportError as error:
             raise Unusable(
                 f"bags are read with the Python package rosbags, which isn't here ({error}): install understudy with its "
-                "extra bags, as by pip install 'understudy[bags]'"
+                "extra bags: pip install '.[bags]' in its repository"
             ) from error
         if not Path(path).exists():
             raise Unusable(f"{path}: there is no such file or folder; {_FORMS}")

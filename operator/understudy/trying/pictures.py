@@ -20,6 +20,6 @@ def usable(file: str) -> None:
         import matplotlib  # noqa: F401
     except ImportError as error:
         raise Unusable(
-            f"--plot: pictures are drawn with matplotlib, which isn't here ({error}): install understudy with its extra plots, "
-            "as by pip install 'understudy[plots]'"
+            f"--plot: pictures are drawn with matplotlib, which isn't here ({error}): install understudy with its extra plots: "
+            "pip install '.[plots]' in its repository"
         ) from error

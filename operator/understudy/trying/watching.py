@@ -70,8 +70,8 @@ def _joined() -> Iterator[Watching]:
         from understudy.ros.watching import Watching
     except ImportError as error:
         raise Unusable(
-            f"ROS 2 isn't here ({error}): source a ROS 2 installation, or install understudy with its extra ros, as by "
-            "pip install 'understudy[ros]'"
+            f"ROS 2 isn't here ({error}): source a ROS 2 installation, or install understudy with its extra ros: "
+            "pip install '.[ros]' in its repository"
         ) from error
     try:
         graph = Graph(f"understudy_watch_{os.getpid()}")

@@ -203,6 +203,12 @@ def test_no_spec_at_all() -> None:
 # -- files --------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("node", ["/fork/mission: {}", "fork: {{mission: {}}}", "/**: {}"])
+def test_a_file_of_ros_parameters_is_passed_over_without_a_word(node: str) -> None:
+    result = checked(POLICY, node.format("{ros__parameters: {speed: 0.6}}"))
+    assert (result.findings, result.passed_over) == ([], 1)
+
+
 def test_other_kinds_are_passed_over_and_counted() -> None:
     config = "apiVersion: v1\nkind: ConfigMap\nmetadata: {name: a}\ndata: {a: b, nobody: [knows]}\n"
     result = checked(f"---\n{config}---\n{POLICY}---\n")

@@ -71,6 +71,40 @@ def test_a_wait_for_a_standby_of_the_workload_s_own() -> None:
     assert found(waits, WORKLOAD, shared + "  templateFrom: {workload: robot-17}\n") == []
 
 
+def test_a_policy_that_looks_at_no_output_of_its_workload() -> None:
+    finding = only(POLICY.replace("/cmd_vel", "/cmd_vell"), WORKLOAD)
+    assert (finding.severity, finding.file, finding.field) == ("warning", "a.yaml", "spec.monitoring")
+    assert finding.message == (
+        "looks at /cmd_vell and at no output of RobotWorkload robot-17 (/cmd_vel), so nobody notices where these fall silent; "
+        "watch one of them, or correct the names"
+    )
+
+
+def test_one_output_that_is_looked_at_is_enough() -> None:
+    more = WORKLOAD.replace(
+        "  failurePolicyRef", "    - {topic: /fork, type: std_msgs/msg/Float64}\n  failurePolicyRef"
+    )
+    assert found(POLICY, more) == []
+
+
+def test_a_policy_that_judges_otherwise_than_by_messages_may_look_at_no_output() -> None:
+    assert found(POLICY.replace("topic: {name: /cmd_vel, gap: 500ms}", "node: {name: /planner}"), WORKLOAD) == []
+
+
+def test_a_workload_whose_outputs_are_services_has_nothing_to_look_at() -> None:
+    service = WORKLOAD.replace(
+        "{topic: /cmd_vel, type: geometry_msgs/msg/Twist}", "{service: /grip, type: std_srvs/srv/Trigger}"
+    )
+    assert found(POLICY, service) == []
+
+
+def test_a_policy_whose_tree_is_in_a_configmap_is_not_known_to_look_at_nothing() -> None:
+    elsewhere = POLICY.replace(
+        "yaml: {topic: {name: /cmd_vel, gap: 500ms}}", "configMapKeyRef: {name: trees, key: tree.yaml}"
+    )
+    assert "looks at" not in only(elsewhere, WORKLOAD).message
+
+
 def needing(name: str, *others: str) -> str:
     listed = ", ".join(f"{{name: {other}}}" for other in others)
     return WORKLOAD.replace("robot-17", name) + f"  dependsOn: [{listed}]\n"

@@ -79,7 +79,7 @@ def test_messages_are_kept_as_they_came_where_there_is_a_ring(watching, processe
 def test_type_is_learnt_from_the_graph_where_the_tree_gives_none(watching, processes, eventually):
     watching.follow([WatchedTopic("/chat", None, 0.0, None)])
     assert watching.waiting == [
-        "the type of /chat is not known, since nobody publishes it yet: give the type in the tree"
+        "the type of /chat is not known, since nobody publishes it yet: correct its name, or give the type in the tree"
     ]
     processes.node("publish", "/chat", "20")
     eventually(lambda: watching.drain() and watching.topic("/chat").count)

@@ -297,7 +297,7 @@ def test_without_an_extra_it_says_which(folder: Path, missing: str, extra: str) 
     )
     done = run(program, folder)
     assert done.returncode == 2, done.stderr
-    assert f"pip install 'understudy[{extra}]'" in done.stderr
+    assert f"pip install '.[{extra}]'" in done.stderr
 
 
 def test_it_is_a_command_of_understudy_and_needs_no_ros(folder: Path) -> None:

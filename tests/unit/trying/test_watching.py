@@ -251,4 +251,4 @@ def test_without_ros_it_says_which_extra(tmp_path: Path) -> None:
         [sys.executable, "-c", program], cwd=tmp_path, env=environment(), capture_output=True, text=True, timeout=60
     )
     assert done.returncode == 2, done.stderr
-    assert "pip install 'understudy[ros]'" in done.stderr
+    assert "pip install '.[ros]'" in done.stderr

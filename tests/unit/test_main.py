@@ -1,0 +1,46 @@
+"""The command's own help, for who has just installed it."""
+
+from __future__ import annotations
+
+import sys
+
+import pytest
+
+from understudy import main as command
+
+
+def _run(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
+    monkeypatch.setattr(sys, "argv", ["understudy", *arguments])
+    return command.main()
+
+
+@pytest.mark.parametrize("asked", ["--help", "-h", "help"])
+def test_help_has_a_line_for_each_verb_that_people_type(
+    asked: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert _run(monkeypatch, asked) == 0
+    listed = [line.split()[0] for line in capsys.readouterr().out.splitlines() if line.startswith("  ")]
+    assert sorted(listed) == sorted(set(command.PARTS) - set(command._IN_PODS))
+
+
+def test_without_a_verb_the_same_is_an_error(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert _run(monkeypatch) == 2
+    said = capsys.readouterr()
+    assert not said.out
+    assert "usage: understudy VERB" in said.err
+
+
+@pytest.mark.parametrize(
+    ("typed", "said"),
+    [
+        ("explan", "there is no verb 'explan'; did you mean 'explain'?"),
+        ("frobnicate", "there is no verb 'frobnicate'; understudy --help lists them"),
+    ],
+)
+def test_a_verb_that_is_not_there_is_told_by_its_name(
+    typed: str, said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert _run(monkeypatch, typed) == 2
+    assert capsys.readouterr().err == f"understudy: {said}\n"
