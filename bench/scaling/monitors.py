@@ -92,6 +92,7 @@ class Monitor:
         self.fleet: Fleet | None = None
         self.gate: PolicyGate | None = None
         self.reporter: Recording | None = None
+        self._claiming = False
 
     async def run(self, watching: asyncio.Event) -> None:
         """As ``understudy.monitor.running`` puts it together; ``watching`` is set once its copies are there."""
@@ -129,8 +130,8 @@ class Monitor:
             await self.supervisor.run()
 
     def wake(self) -> None:
-        """Have it look at once."""
-        if self.supervisor is not None:
+        """Have it look at once, but not at a pod that it merely claims: to a recovery that is no surprise."""
+        if self.supervisor is not None and not self._claiming:
             self.supervisor.wake.set()
 
     @property
@@ -154,6 +155,7 @@ class Monitor:
     async def claim(self, intended: float) -> None:
         """Claim a pod of the pool as a recovery does, and nothing else of it."""
         assert self.supervisor is not None
+        self._claiming = True
         begun = time.time()
         strategy = UninitializedFallback(POOL)
         progress = Progress.begin("claim", last_healthy=begun, detected=begun)
@@ -169,6 +171,7 @@ class Monitor:
                 break
             if found is None:
                 await asyncio.sleep(LOOK)
+        self._claiming = False
         tell(
             "claimed",
             robot=self.robot.key,

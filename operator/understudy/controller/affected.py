@@ -76,6 +76,14 @@ def _keys(sight: Sight, store: Store) -> Iterator[Key]:
         yield from _after_trees(found, store, namespace)
 
 
+def is_claim(sight: Sight, store: Store) -> bool:
+    """Whether a workload has taken one of many pods of a shared pool. Until its gate says what came of it, that means nothing to others."""
+    if sight.resource.plural != PODS.plural or sight.old is None or sight.new is None:
+        return False
+    taken = names.HELD in objects.labels(sight.old) and names.CLAIM in objects.notes(sight.new)
+    return taken and _plenty(sight.old, store, sight.old["metadata"]["namespace"])
+
+
 def _spec_changed(sight: Sight) -> bool:
     if sight.old is None or sight.new is None:
         return True

@@ -28,6 +28,11 @@ SOON = 0.2
 operator may share with it.
 """
 
+CLAIMED = {POOLS.plural: 1.0, WORKLOADS.plural: 5.0}
+"""Seconds that a claim waits for what follows it, such as its gate's opening, which doesn't wait so long: of a pool, whose numbers have
+changed, and of the workload, for which nothing has.
+"""
+
 _UNREACHABLE = (ApiError, aiohttp.ClientError, TimeoutError, OSError)
 
 
@@ -66,12 +71,13 @@ class Operator:
                 self._add(key)
 
     def _enqueue(self, sight: Sight) -> None:
+        delays = CLAIMED if affected.is_claim(sight, self._store) else {}
         for key in affected.keys(sight, self._store):
-            self._add(key)
+            self._add(key, delays.get(key.plural, SOON))
 
-    def _add(self, key: Key) -> None:
+    def _add(self, key: Key, delay: float = SOON) -> None:
         if self._leading:
-            self.queue.add_after(key, SOON)
+            self.queue.add_after(key, delay)
             metrics.WAITING.set(len(self.queue))
 
     async def keep_listing(self) -> None:
