@@ -218,7 +218,10 @@ class Watching:
                     f"the publishers of {want.name} disagree about its type ({types}): give the type in the tree"
                 )
             else:
-                topic.waiting = f"the type of {want.name} is not known, since nobody publishes it yet: correct its name, or give the type in the tree"
+                topic.waiting = (
+                    f"the type of {want.name} is not known, since nobody publishes it yet: "
+                    f"correct its name, or give the type in the tree"
+                )
             return
         try:
             topic.message, topic.type = message_class(type_name), type_name
