@@ -19,7 +19,7 @@ import aiohttp
 from understudy.api.base import seconds
 from understudy.api.policies import FailurePolicySpec
 from understudy.api.settings import WorkloadSettings
-from understudy.api.workloads import DependencyRecovery, GateStatus
+from understudy.api.workloads import GateStatus
 from understudy.cluster.client import ApiError
 from understudy.cluster.probes import ProbeReceiver
 from understudy.mitigation import reflex, switchover
@@ -36,6 +36,7 @@ from understudy.monitor.bringing import Bringing, expected, managed
 from understudy.monitor.budgeting import Spending
 from understudy.monitor.choosing import choices
 from understudy.monitor.dependencies import Dependencies, following, told
+from understudy.monitor.detection import Detector, Failure
 from understudy.monitor.faults import CrashPoints
 from understudy.monitor.fleet import Fleet
 from understudy.monitor.gating import PolicyGate
@@ -54,19 +55,12 @@ from understudy.monitor.storms import Storms
 from understudy.monitor.switching import Switching
 from understudy.monitor.view import View
 from understudy.monitor.waiting import Line
-from understudy.trees.debounce import Debounce
 from understudy.trees.health import Verdict
 
 _logger = logging.getLogger(__name__)
 
-KNOWN_GRACE = 3.0
-"""Seconds that a new monitor waits for the first samples of an instance that its agent knows was healthy before."""
-
 BACKOFF_FIRST, BACKOFF_MOST = 2.0, 60.0
 """Seconds before everything is tried again after no strategy verified."""
-
-DEAD_AFTER = 0.1
-"""Seconds without an output after which a pod whose object is gone counts as dead."""
 
 SETTLE = 2.0
 """Most seconds that a new monitor takes to hear of the understudies before it goes on with a recovery."""
@@ -79,23 +73,6 @@ LOOK_WITHIN = 0.5
 
 SLOW = 1.0
 """Seconds between looks at what isn't urgent: labels, whether the gate is enforced."""
-
-
-@dataclass(frozen=True)
-class Failure:
-    """What failed and since when; times are unix seconds."""
-
-    reason: str
-    onset: float
-    detected: float
-    taken: reflex.TakenOver | None = None
-    """The standby that the robot follows already, if one does."""
-    planned: bool = False
-    """Whether nothing failed, and an instance that is degraded is handed over."""
-    switch: Prepared | None = None
-    """Where nothing failed either: the understudy that can drive instead, as is planned; or what was begun and isn't settled yet."""
-    follows: Sequence[DependencyRecovery] = ()
-    """The recoveries of others after which the instance in control is dealt with, where that is all."""
 
 
 @dataclass
@@ -126,16 +103,15 @@ class Supervisor:
         self._looks = Looks(parts.sight.coming)
         self.wake = self._looks.wake
         """Set to have it look at once, such as when a pod of the workload changed."""
-        self._since = time.time()
-        self._started = self._since
-        self._debounce = Debounce()
+        self._detector = Detector(parts.fleet, parts.gate, parts.sidecars, parts.sight)
+        self._started = self._detector.since
         self._escalation = Escalation()
         self._not_before = 0.0
         self._backoff = BACKOFF_FIRST
         self._given: tuple[object, ...] = ()
         self._next_slow = 0.0
         self._next_asked = 0.0
-        self._gate_changed = self._since
+        self._gate_changed = self._started
         self._let_through = ("", "")
         self._postponed = ""
         """What puts off the present failure, once that was told."""
@@ -303,24 +279,24 @@ class Supervisor:
                 return None, self._looks.trusted_from
             reason = f"{state.active} is silent and {taken.standby.name} has taken over"
             return Failure(reason, taken.last, taken.first, taken), None
-        if (loss := self._lost(active, now)) is not None:
+        if (loss := self._detector.lost(active, now)) is not None:
             failure, look = loss
             return (self._counted(failure, now) if failure else None), look
         assert active is not None
-        verdict = self._verdict(active, policy, now)
-        degraded = self._levels.look(policy, verdict, active, now=now, since=self._since)
-        self._situations.look(policy, verdict, now=now, since=self._since)
+        verdict = self._detector.verdict(active, now)
+        degraded = self._levels.look(policy, verdict, active, now=now, since=self._detector.since)
+        self._situations.look(policy, verdict, now=now, since=self._detector.since)
         self._say(verdict, degraded=degraded)
         self._keeping.judge(verdict.state, now)
         if verdict.state != "Starting" and (followed := self._followed(active, now)) is not None:
             return followed, None
         if verdict.state != "Failed":
-            self._debounce.clear()
+            self._detector.well()
             self._dependencies.well(active.name)
             if verdict.state == "Healthy":
                 self._unattended.driven()
                 self._postponed = "" if self._postponed == "Paused" else self._postponed
-            if verdict.state == "Healthy" and now - self._since >= seconds(policy.limits.healthy_delay):
+            if verdict.state == "Healthy" and now - self._detector.since >= seconds(policy.limits.healthy_delay):
                 self._backoff = BACKOFF_FIRST
                 if self._reporter.reason("Recovering") not in ("", "Recovered", "HealthyAgain"):
                     self._reporter.condition("Recovering", "False", "HealthyAgain", f"{active.name} is healthy again.")
@@ -328,13 +304,13 @@ class Supervisor:
                 return switch, None
             if verdict.state == "Healthy" and degraded and (planned := self._planned(policy, active, now)) is not None:
                 return planned, None
-            return None, self._sight.deadline(now=now, since=self._since)
+            return None, self._sight.deadline(now=now, since=self._detector.since)
         detected = time.time()
         if detected < self._looks.trusted_from:
             return None, self._looks.trusted_from
-        onset = verdict.onset if verdict.onset is not None else self._onset(active.name, now)
+        onset = verdict.onset if verdict.onset is not None else self._detector.onset(active.name, now)
         self._dependencies.notice(onset, detected)
-        counts = self._debounce.failed(detected, seconds(policy.monitoring.debounce))
+        counts = self._detector.counts_from(detected, policy.monitoring)
         if detected < counts:
             return None, counts
         # What is critical to safety isn't left in control for another's sake: it may do worse than to be silent.
@@ -348,7 +324,7 @@ class Supervisor:
         found = self._dependencies.due(active, now)
         if found is None or now < self._not_before or self._pauses.on is not None:
             return None
-        return Failure(told(found.follows), self._onset(active.name, now), time.time(), follows=found.follows)
+        return Failure(told(found.follows), self._detector.onset(active.name, now), time.time(), follows=found.follows)
 
     def _planned(self, policy: FailurePolicySpec, active: Instance, now: float) -> Failure | None:
         """The hand-over of a degraded instance, if it is due. The policy's first strategy must be there: nobody waits for it."""
@@ -368,7 +344,7 @@ class Supervisor:
         if (lacking := first.outlook(self._means()) or self._holds(first)) is not None:
             self._levels.wait("means", _not_now(lacking))
             return None
-        return Failure(reason, self._onset(active.name, now), time.time(), planned=True)
+        return Failure(reason, self._detector.onset(active.name, now), time.time(), planned=True)
 
     async def _is_there(self, policy: FailurePolicySpec, settings: WorkloadSettings) -> bool:
         """Whether what a hand-over that is due needs is there by what is so, and not only by what was said. Meanwhile nobody watches
@@ -403,42 +379,6 @@ class Supervisor:
             lacking = f"others fail: {storm}"
         found = self._switching.look(lacking, lambda: choices(policy, settings, self._view.spec), self._means)
         return Failure(found.progress.reason, now, now, switch=found) if found is not None else None
-
-    def _lost(self, active: Instance | None, now: float) -> tuple[Failure | None, float | None] | None:
-        """Whether the pod in control is lost, which needs no health tree: a failure, or when to look again.
-
-        One on a node that Kubernetes has lost goes on, whatever becomes of its object: its outputs say whether it lives.
-        A pod that is being deleted still has its labels, so the gate can fence it at once. One whose object is gone
-        (deleted by force) has none, and its process may run on for a moment: fencing it isn't possible, so the switch
-        waits until it is silent.
-        """
-        name = self._gate.state.active
-        if active is not None and not active.leaving and active.running:
-            return None
-        onset = self._onset(name, now)
-        if (
-            active is None
-            and (silent := self._sight.last_from(name)) is not None
-            and now - silent < DEAD_AFTER
-            # Once a successor of the same name has an address, as in a StatefulSet, it's that one which is heard.
-            and not any(i.name == name and i.ip for i in self._fleet.of_workload())
-        ):
-            return None, silent + DEAD_AFTER
-        gone = "is gone" if active is None else "is being deleted" if active.leaving else "has stopped running"
-        return Failure(f"pod {name} {gone}", onset, time.time()), None
-
-    def _verdict(self, active: Instance, policy: FailurePolicySpec, now: float) -> Verdict:
-        verdict = self._sight.verdict(now=now, since=self._since)
-        if verdict.state == "Starting" and now - self._since > KNOWN_GRACE:
-            # This monitor is new, its instance isn't: what its own agent says counts, not the grace for a start.
-            status = self._sidecars.status(active)
-            if status is not None and status.ready_at is not None and not status.ready:
-                return Verdict("Failed", status.reason, verdict.leaf, status.ready_at)
-        return verdict
-
-    def _onset(self, pod: str, now: float) -> float:
-        last = self._sight.last_well(pod)
-        return last if last is not None and last <= now else now
 
     def _counted(self, failure: Failure, now: float) -> Failure | None:
         """The failure, unless the limits say not now."""
@@ -528,7 +468,7 @@ class Supervisor:
             return
         _logger.info("gate opened for %s, epoch %d", first.name, self._gate.state.epoch)
         self._reporter.event("Normal", "InControl", f"{first.name} is in control, epoch {self._gate.state.epoch}")
-        self._since = time.time()
+        self._detector.since = time.time()
 
     async def _ask_for_one(self, now: float) -> None:
         """No pod runs and no recovery is under way. The workload's own controller may have been told to run none, while a pod of
@@ -803,7 +743,7 @@ class Supervisor:
             self._reporter.set(health="Healthy")
             self._after(0.0 if urgent else seconds(policy.limits.cooldown))
             # Its samples count from the commit, so that an understudy that fails at once is noticed in the usual time.
-            self._since = done.moments.get("committing", self._since)
+            self._detector.since = done.moments.get("committing", self._detector.since)
         else:
             self._unattended.nothing_verified(time.time())
             self._reporter.set(health="Failed")
@@ -846,7 +786,9 @@ class Supervisor:
         self._after(0.0)
         self._not_before = before
         # Its samples count from the commit, so that an understudy that fails at once is noticed in the usual time.
-        self._since = progress.moments.get("committing", self._since) if done else self._since
+        self._detector.since = (
+            progress.moments.get("committing", self._detector.since) if done else self._detector.since
+        )
 
     def _first(self, failure: Failure, failed_uid: str) -> int | None:
         """The strategy to begin with. None where every one's instance failed at once: they are tried again after a pause."""
@@ -890,10 +832,8 @@ class Supervisor:
             self._black_box.end(progress)
 
     def _after(self, wait: float) -> None:
-        now = time.time()
-        self._since = now
-        self._debounce.clear()
-        self._not_before = now + wait
+        self._detector.restart()
+        self._not_before = self._detector.since + wait
         self._postponed = ""
 
 

@@ -392,7 +392,7 @@ def supervising(dependencies: Held, state: str = "Failed", pod: Instance | None 
     watching = Supervisor(Parts(**parts))
     watching._reflexes = cast(Any, SimpleNamespace(taken_over=lambda now: None))
     watching._dependencies = cast(Any, dependencies)
-    watching._debounce = cast(Any, SimpleNamespace(failed=lambda at, debounce: at, clear=lambda: None))
+    watching._detector._debounce = cast(Any, SimpleNamespace(failed=lambda at, debounce: at, clear=lambda: None))
     return watching
 
 

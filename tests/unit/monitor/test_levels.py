@@ -407,7 +407,7 @@ def test_a_hand_over_is_begun_like_a_failure_once_the_first_strategy_is_there_an
         _spending=SimpleNamespace(spent_until=lambda now: spent),
         _holds=lambda strategy: storm,
         _means=object,
-        _onset=lambda pod, now: now - 0.05,
+        _detector=SimpleNamespace(onset=lambda pod, now: now - 0.05),
     )
     now = time.time()
     found = Supervisor._planned(watching, HANDED, ACTIVE, now)  # type: ignore[arg-type]

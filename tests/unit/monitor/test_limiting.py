@@ -18,7 +18,8 @@ from understudy.cluster.client import ApiError
 from understudy.mitigation.interfaces import GateState, Instance, Superseded
 from understudy.mitigation.progress import PodIdentity, Progress, rfc3339
 from understudy.monitor import supervising
-from understudy.monitor.supervising import Failure, Parts, Supervisor
+from understudy.monitor.detection import Failure
+from understudy.monitor.supervising import Parts, Supervisor
 
 PAUSE = Pause(reason="a new gripper", owner="ann")
 

@@ -12,7 +12,7 @@ from tests.unit.monitor.test_limiting import World
 from understudy.api.conditions import condition
 from understudy.mitigation.strategies import ExecutingFallback, Restart, UninitializedFallback
 from understudy.monitor import supervising
-from understudy.monitor.supervising import Failure
+from understudy.monitor.detection import Failure
 
 MESSAGE = "4 of 6 workloads fail."
 LIMITS = {"budget": None, "stormGuard": {"holdFor": "1m"}}

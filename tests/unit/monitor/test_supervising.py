@@ -1,4 +1,4 @@
-"""The monitor's loop, where it decides whether a pod is lost and with which strategy to begin."""
+"""The monitor's loop, where it decides with which strategy to begin, and which pod is in control first."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from understudy.api.policies import FailurePolicySpec
 from understudy.cluster.client import ApiError
 from understudy.mitigation.interfaces import GateState, Instance
 from understudy.mitigation.progress import PodIdentity, Progress
-from understudy.monitor.supervising import BACKOFF_FIRST, Failure, Parts, Supervisor
+from understudy.monitor.detection import Failure
+from understudy.monitor.supervising import BACKOFF_FIRST, Parts, Supervisor
 
 ACTIVE = Instance(name="w-1", uid="uid-1", ip="10.0.0.1", running=True, ready=True)
 
@@ -42,16 +43,13 @@ def policy(strategies: int) -> FailurePolicySpec:
     )
 
 
-def supervisor(told: Told, *, strategies: int = 2, last_output: float | None = None) -> Supervisor:
-    sight = SimpleNamespace(
-        graph=None, coming=None, last_from=lambda pod: last_output, last_well=lambda pod: last_output
-    )
+def supervisor(told: Told, *, strategies: int = 2) -> Supervisor:
     parts: dict[str, Any] = {
         "view": SimpleNamespace(policy=policy(strategies), settings=SimpleNamespace(), spec=None),
         "fleet": SimpleNamespace(),
         "gate": SimpleNamespace(state=GateState(epoch=3, active="w-1", active_uid="uid-1")),
         "sidecars": SimpleNamespace(),
-        "sight": sight,
+        "sight": SimpleNamespace(graph=None, coming=None),
         "probes": SimpleNamespace(),
         "reporter": told,
         "journal": SimpleNamespace(),
@@ -68,38 +66,6 @@ def took_over(index: int, at: float) -> Progress:
     progress.target = PodIdentity(name="w-1", uid="uid-1")
     progress.moments["verified"] = at
     return progress
-
-
-def test_a_pod_that_is_evicted_from_a_lost_node_is_not_lost_while_it_lives() -> None:
-    evicted = replace(ACTIVE, terminating=True, evicted=True)
-    assert supervisor(Told())._lost(evicted, time.time()) is None
-
-
-@pytest.mark.parametrize(
-    ("pod", "words"),
-    [
-        (replace(ACTIVE, terminating=True), "is being deleted"),
-        (replace(ACTIVE, running=False), "has stopped running"),
-        (None, "is gone"),
-    ],
-)
-def test_a_pod_whose_processes_end_is_lost(pod: Instance | None, words: str) -> None:
-    found = supervisor(Told(), last_output=time.time() - 1)._lost(pod, time.time())
-    assert found is not None
-    failure, _ = found
-    assert failure is not None
-    assert failure.reason == f"pod w-1 {words}"
-
-
-@pytest.mark.parametrize(("ip", "lost"), [("10.0.0.2", True), ("", False)])
-def test_a_lost_pod_is_not_taken_to_live_on_in_its_successor_of_the_same_name(ip: str, lost: bool) -> None:
-    # As of a StatefulSet. While that one has no address, who is heard under the name is the process of the one before.
-    watching = supervisor(Told(), last_output=time.time())
-    successor = replace(ACTIVE, uid="uid-2", ip=ip)
-    watching._fleet = cast(Any, SimpleNamespace(of_workload=lambda: [successor]))
-    found = watching._lost(None, time.time())
-    assert found is not None
-    assert (found[0] is not None) == lost
 
 
 def test_after_every_strategys_instance_failed_at_once_there_is_a_pause_that_is_told() -> None:
