@@ -44,6 +44,7 @@ from understudy.monitor.keeping import StateKeeping
 from understudy.monitor.leftovers import Leftovers
 from understudy.monitor.levels import Levels
 from understudy.monitor.looking import TICK, WAKE_LATE, Looks
+from understudy.monitor.opening import Opening
 from understudy.monitor.pausing import Pauses
 from understudy.monitor.reflexes import Reflexes
 from understudy.monitor.reporting import Reporter, describe, in_vain, switched
@@ -104,14 +105,12 @@ class Supervisor:
         self.wake = self._looks.wake
         """Set to have it look at once, such as when a pod of the workload changed."""
         self._detector = Detector(parts.fleet, parts.gate, parts.sidecars, parts.sight)
-        self._started = self._detector.since
         self._escalation = Escalation()
         self._not_before = 0.0
         self._backoff = BACKOFF_FIRST
         self._given: tuple[object, ...] = ()
         self._next_slow = 0.0
-        self._next_asked = 0.0
-        self._gate_changed = self._started
+        self._gate_changed = time.time()
         self._let_through = ("", "")
         self._postponed = ""
         """What puts off the present failure, once that was told."""
@@ -125,6 +124,7 @@ class Supervisor:
         self._levels = Levels(parts.sight, parts.reporter)
         self._situations = Situations(parts.sight, parts.reporter)
         self._pauses = Pauses(parts.view, parts.reporter)
+        self._opening = Opening(parts.fleet, parts.gate, parts.sidecars, parts.reporter, self._pauses)
         self._spending = Spending(parts.view, parts.reporter)
         self._storms = Storms(parts.view)
         self._line = Line(parts.view, parts.reporter)
@@ -271,7 +271,8 @@ class Supervisor:
             self._let_through = (state.active_uid, state.admitted_uid)
             self._gate_changed = now
         if state.closed:
-            await self._bootstrap(policy, now)
+            if await self._opening.look(policy, now):
+                self._detector.since = time.time()
             return None, None
         active = self._fleet.find(state.active_uid)
         if (taken := self._reflexes.taken_over(now)) is not None:
@@ -433,54 +434,6 @@ class Supervisor:
         )
         status = {"Healthy": "True", "Failed": "False", "Starting": "Unknown"}[verdict.state]
         self._reporter.condition("Healthy", status, verdict.state, verdict.reason)
-
-    async def _bootstrap(self, policy: FailurePolicySpec, now: float) -> None:
-        """No pod is in control and none is being recovered: open the gate for one that runs, its controller's first."""
-        running = [i for i in self._fleet.of_workload() if i.usable and not i.held]
-        self._reporter.set(
-            active="", health="Starting" if running else "Unknown", gate=GateStatus(epoch=self._gate.state.epoch)
-        )
-        if self._pauses.on is not None:
-            return
-        if not running:
-            await self._ask_for_one(now)
-            return
-        ready = [i for i in running if not i.has_agent or self._sidecars.is_ready(i)[0]]
-        # An application may need an answer of the robot before its outputs flow, and the workload's own pod comes before
-        # a standby: but neither is waited for too long.
-        if now - self._started <= seconds(policy.monitoring.startup_grace) / 2:
-            ready = [i for i in ready if i.from_source]
-        elif not ready:
-            ready = running
-        if not ready:
-            return
-        first = min(ready, key=lambda i: (not i.from_source, i.created, i.name))
-        # A recovery that closed it and came to nothing isn't gone on with, but which other pods had failed is still true.
-        left = self._gate.state.recovery
-        if left is not None:
-            failed = [pod for pod in left.failed if pod.uid != first.uid]
-            left = left.model_copy(update={"result": "Failed", "failed": failed, "waiting": None})
-        try:
-            await self._gate.commit(first, left)
-        except (Superseded, ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
-            _logger.warning("opening the gate for %s: %s", first.name, error)
-            await asyncio.sleep(1)
-            return
-        _logger.info("gate opened for %s, epoch %d", first.name, self._gate.state.epoch)
-        self._reporter.event("Normal", "InControl", f"{first.name} is in control, epoch {self._gate.state.epoch}")
-        self._detector.since = time.time()
-
-    async def _ask_for_one(self, now: float) -> None:
-        """No pod runs and no recovery is under way. The workload's own controller may have been told to run none, while a pod of
-        a shared pool drove: nobody else tells it otherwise while the gate is closed.
-        """
-        if now < self._next_asked:
-            return
-        self._next_asked = now + BACKOFF_FIRST
-        try:
-            await self._fleet.replace([])
-        except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
-            _logger.warning("no pod runs, and none can be asked for: %s", error)
 
     def _housekeeping(self) -> None:
         """What has time: labels on new pods, links to agents, whether the gate is enforced, what would be done now."""

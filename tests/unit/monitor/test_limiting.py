@@ -267,14 +267,6 @@ def test_after_a_pause_a_failure_counts_from_its_end(world: World) -> None:
     assert found.onset == now + 50
 
 
-async def test_in_a_pause_nobody_is_put_in_control(world: World) -> None:
-    world.gate.state = GateState(epoch=4)
-    world.spec.pause = PAUSE
-    world.watching._pauses.look(time.time())
-    await world.watching._bootstrap(world.view.policy, time.time())
-    assert world.gate.committed == []
-
-
 def test_an_instance_that_fails_within_the_healthy_delay_has_the_next_strategy_and_that_is_told(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
