@@ -23,7 +23,6 @@ from understudy.api.workloads import GateStatus
 from understudy.cluster.client import ApiError
 from understudy.cluster.probes import ProbeReceiver
 from understudy.mitigation import reflex, switchover
-from understudy.mitigation.escalation import Escalation
 from understudy.mitigation.failover import Choice, recover
 from understudy.mitigation.interfaces import Instance, NotAvailable, Superseded
 from understudy.mitigation.journal import Journal
@@ -48,6 +47,7 @@ from understudy.monitor.opening import Opening
 from understudy.monitor.pausing import Pauses
 from understudy.monitor.reflexes import Reflexes
 from understudy.monitor.reporting import Reporter, describe, in_vain, switched
+from understudy.monitor.retries import BACKOFF_FIRST, Retries
 from understudy.monitor.safety import SafeCommands, Unattended
 from understudy.monitor.sidecars import Sidecars
 from understudy.monitor.sight import Sight
@@ -59,9 +59,6 @@ from understudy.monitor.waiting import Line
 from understudy.trees.health import Verdict
 
 _logger = logging.getLogger(__name__)
-
-BACKOFF_FIRST, BACKOFF_MOST = 2.0, 60.0
-"""Seconds before everything is tried again after no strategy verified."""
 
 SETTLE = 2.0
 """Most seconds that a new monitor takes to hear of the understudies before it goes on with a recovery."""
@@ -105,16 +102,11 @@ class Supervisor:
         self.wake = self._looks.wake
         """Set to have it look at once, such as when a pod of the workload changed."""
         self._detector = Detector(parts.fleet, parts.gate, parts.sidecars, parts.sight)
-        self._escalation = Escalation()
-        self._not_before = 0.0
-        self._backoff = BACKOFF_FIRST
-        self._given: tuple[object, ...] = ()
         self._next_slow = 0.0
         self._gate_changed = time.time()
         self._let_through = ("", "")
         self._postponed = ""
         """What puts off the present failure, once that was told."""
-        self._resumed: float | None = None
         self._held = False
         self._labelling: asyncio.Task[None] | None = None
         self.recovering: Progress | None = None
@@ -126,6 +118,7 @@ class Supervisor:
         self._pauses = Pauses(parts.view, parts.reporter)
         self._opening = Opening(parts.fleet, parts.gate, parts.sidecars, parts.reporter, self._pauses)
         self._spending = Spending(parts.view, parts.reporter)
+        self._retries = Retries(parts.view, parts.reporter)
         self._storms = Storms(parts.view)
         self._line = Line(parts.view, parts.reporter)
         self._dependencies = Dependencies(parts.view, parts.reporter, self.wake.set)
@@ -149,7 +142,7 @@ class Supervisor:
             elif interrupted.result != "Running" or switchover.committed(interrupted, self._means()):
                 await self._hand_over(Prepared(interrupted))
         elif (done := self._concluded()) is not None:
-            self._escalation.note(done)
+            self._retries.note(done)
         while True:
             failure = await self._watch()
             if failure.switch is not None:
@@ -189,10 +182,12 @@ class Supervisor:
                 planned=failure.planned,
             )
             progress.target = prepared
-            if (first := self._first(failure, state.active_uid)) is not None:
-                progress.index = first
-                if await self._allowed(progress):
-                    await self._carry_out(progress)
+            if (first := self._retries.first(failure.reason, failure.onset, state.active_uid)) is None:
+                self._postponed = "Waiting"
+                continue
+            progress.index = first
+            if await self._allowed(progress):
+                await self._carry_out(progress)
 
     # -- watching ---------------------------------------------------------------------------------------------------
 
@@ -208,8 +203,7 @@ class Supervisor:
                 self._reporter.set(health="Unknown")
                 next_look = now + SLOW
             else:
-                self._notice_correction(now)
-                self._notice_word(now)
+                self._retries.look(self._spending.resumed, now)
                 self._sight.follow(policy, self._view.spec)
                 self._follow_safety(policy)
                 self._dependencies.follow(self._view.settings)
@@ -228,21 +222,6 @@ class Supervisor:
                 self._next_slow = now + SLOW
                 self._housekeeping()
             await self._looks.until(next_look)
-
-    def _notice_correction(self, now: float) -> None:
-        """Where no strategy verified, what was changed since may be the correction: trying it isn't put off."""
-        given = (self._view.policy, self._view.spec, self._view.settings)
-        if len(given) == len(self._given) and all(a is b for a, b in zip(given, self._given, strict=True)):
-            return
-        before, self._given = self._given, given
-        if self._backoff > BACKOFF_FIRST and before != given:
-            self._backoff, self._not_before = BACKOFF_FIRST, now
-
-    def _notice_word(self, now: float) -> None:
-        """Somebody has looked at it and says to go on: that isn't put off either."""
-        if (said := self._spending.resumed) != self._resumed:
-            self._resumed = said
-            self._backoff, self._not_before = BACKOFF_FIRST, now
 
     def _follow_safety(self, policy: FailurePolicySpec) -> None:
         if (spec := self._view.spec) is not None:
@@ -298,7 +277,7 @@ class Supervisor:
                 self._unattended.driven()
                 self._postponed = "" if self._postponed == "Paused" else self._postponed
             if verdict.state == "Healthy" and now - self._detector.since >= seconds(policy.limits.healthy_delay):
-                self._backoff = BACKOFF_FIRST
+                self._retries.healthy()
                 if self._reporter.reason("Recovering") not in ("", "Recovered", "HealthyAgain"):
                     self._reporter.condition("Recovering", "False", "HealthyAgain", f"{active.name} is healthy again.")
             if (switch := self._switch_due(policy, verdict, now)) is not None:
@@ -323,7 +302,7 @@ class Supervisor:
     def _followed(self, active: Instance, now: float) -> Failure | None:
         """What is to be done with the instance in control since others were recovered, if it is due and the limits don't say not now."""
         found = self._dependencies.due(active, now)
-        if found is None or now < self._not_before or self._pauses.on is not None:
+        if found is None or now < self._retries.not_before or self._pauses.on is not None:
             return None
         return Failure(told(found.follows), self._detector.onset(active.name, now), time.time(), follows=found.follows)
 
@@ -335,7 +314,7 @@ class Supervisor:
         if self._pauses.on is not None:
             self._levels.wait("paused", f"it is {self._pauses.on.words}")
             return None
-        if now < self._not_before:
+        if now < self._retries.not_before:
             self._levels.wait("limits", "the policy's limits ask for a pause after the last recovery")
             return None
         if self._spending.spent_until(now) is not None:
@@ -374,7 +353,7 @@ class Supervisor:
             lacking = f"it is {pause.words}"
         elif verdict.state != "Healthy":
             lacking = f"{self._gate.state.active} isn't healthy yet ({verdict.reason or 'it has just begun to drive'})"
-        elif now < self._not_before:
+        elif now < self._retries.not_before:
             lacking = "the policy's limits ask for a pause after the last recovery"
         elif (storm := self._storms.on(now)) is not None and not self._stands_by():
             lacking = f"others fail: {storm}"
@@ -388,14 +367,14 @@ class Supervisor:
         if (pause := self._pauses.on) is not None:
             self._postpone("Paused", failure, f"nothing is done about it: it is {pause.words}")
             return None
-        if now >= self._not_before:
+        if now >= self._retries.not_before:
             if (storm := self._storms.on(now)) is not None and not self._stands_by():
                 self._postpone("Storm", failure, f"it waits, since others fail too: {storm}")
                 return None
             self._postponed = ""
             # What it went without in the pause was nobody's failure.
             return replace(failure, onset=max(failure.onset, min(self._pauses.ended, failure.detected)))
-        self._postpone("Waiting", failure, f"tried again in {self._not_before - now:.0f} s")
+        self._postpone("Waiting", failure, f"tried again in {self._retries.not_before - now:.0f} s")
         return None
 
     def _stands_by(self) -> bool:
@@ -676,7 +655,7 @@ class Supervisor:
             _logger.warning("the failed pod is not deleted yet: %s", error)
             done = progress
         self._parts.crash_points.step("before record")
-        self._escalation.note(done)
+        self._retries.note(done)
         recovery = self._reporter.record(done)
         self._spending.count(done, time.time())
         self._dependencies.note(done.follows)
@@ -685,7 +664,6 @@ class Supervisor:
         self._keeping.tell(recovery)
         text = describe(recovery)
         _logger.warning("recovery %d: %s", recovery.number, text)
-        urgent = policy.priority == "Safety"
         if done.result == "Recovered":
             self._leftovers.remember()
             self._unattended.driven()
@@ -694,7 +672,7 @@ class Supervisor:
             for words in in_vain(recovery):
                 self._reporter.event("Warning", "StrategyNotVerified", f"{words}. The next strategy took over.")
             self._reporter.set(health="Healthy")
-            self._after(0.0 if urgent else seconds(policy.limits.cooldown))
+            self._after(0.0 if policy.priority == "Safety" else seconds(policy.limits.cooldown))
             # Its samples count from the commit, so that an understudy that fails at once is noticed in the usual time.
             self._detector.since = done.moments.get("committing", self._detector.since)
         else:
@@ -702,12 +680,12 @@ class Supervisor:
             self._reporter.set(health="Failed")
             self._reporter.condition("Recovering", "False", "NothingVerified", text)
             self._reporter.event("Warning", "RecoveryFailed", text)
-            self._after(self._backoff)
-            self._backoff = BACKOFF_FIRST if urgent else min(2 * self._backoff, BACKOFF_MOST)
+            self._begin_anew()
+            self._retries.after_nothing_verified(policy)
 
     async def _hand_over(self, prepared: Prepared) -> None:
         """Switch to an understudy that can drive, as is planned; or see what came of a switch that was begun before."""
-        progress, means, before = prepared.progress, self._means(), self._not_before
+        progress, means, before = prepared.progress, self._means(), self._retries.not_before
         self._switching.switching(progress)
         _logger.warning("switchover (%s): %s", progress.switchover, progress.reason)
         self.recovering = progress
@@ -737,37 +715,11 @@ class Supervisor:
         self._reporter.event("Normal" if done else "Warning", "SwitchedOver" if done else "SwitchoverNotDone", text)
         self._switching.done(progress, f"{text}.")
         self._after(0.0)
-        self._not_before = before
+        self._retries.not_before = before
         # Its samples count from the commit, so that an understudy that fails at once is noticed in the usual time.
         self._detector.since = (
             progress.moments.get("committing", self._detector.since) if done else self._detector.since
         )
-
-    def _first(self, failure: Failure, failed_uid: str) -> int | None:
-        """The strategy to begin with. None where every one's instance failed at once: they are tried again after a pause."""
-        policy, settings = self._view.policy, self._view.settings
-        if policy is None or settings is None:
-            return 0
-        lived, delay = self._escalation.lived(failed_uid, failure.onset), policy.limits.healthy_delay
-        first = self._escalation.first(failed_uid, failure.onset, len(policy.strategies), healthy_delay=seconds(delay))
-        if first and lived is not None:
-            text = (
-                f"{failure.reason}, {max(0.0, lived):.1f} s after it took over (limits.healthyDelay is {delay}): the next "
-                "strategy has its turn"
-            )
-            _logger.warning("%s", text)
-            self._reporter.event("Warning", "Relapsed", text)
-        if first is None:
-            text = (
-                f"{failure.reason}, as soon as it was in control (limits.healthyDelay is {delay}). Every strategy was tried; the "
-                f"first one is tried again in {self._backoff:g} s"
-            )
-            _logger.warning("%s", text)
-            self._reporter.condition("Recovering", "False", "EndsAgainAndAgain", f"{text}.")
-            self._reporter.event("Warning", "EndsAgainAndAgain", text)
-            self._not_before, self._postponed = time.time() + self._backoff, "Waiting"
-            self._backoff = BACKOFF_FIRST if policy.priority == "Safety" else min(2 * self._backoff, BACKOFF_MOST)
-        return first
 
     async def _recovered(self, progress: Progress, choices: list[Choice]) -> Progress:
         means = self._means()
@@ -785,8 +737,11 @@ class Supervisor:
             self._black_box.end(progress)
 
     def _after(self, wait: float) -> None:
+        self._begin_anew()
+        self._retries.after(wait)
+
+    def _begin_anew(self) -> None:
         self._detector.restart()
-        self._not_before = self._detector.since + wait
         self._postponed = ""
 
 

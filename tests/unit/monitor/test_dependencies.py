@@ -431,7 +431,7 @@ class TestInTheMonitorsLoop:
         failure, _ = await supervising(Held(None, due), "Starting", active())._look(POLICY, time.time())
         assert failure is None
         watching = supervising(Held(None, due), "Healthy", active())
-        watching._not_before = time.time() + 10
+        watching._retries.not_before = time.time() + 10
         failure, _ = await watching._look(POLICY, time.time())
         assert failure is None
 

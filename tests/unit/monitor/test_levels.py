@@ -402,7 +402,7 @@ def test_a_hand_over_is_begun_like_a_failure_once_the_first_strategy_is_there_an
     watching = SimpleNamespace(
         _view=SimpleNamespace(settings=object(), spec=None),
         _levels=SimpleNamespace(due=due, wait=lambda kind, words: waits.append(words)),
-        _not_before=not_before,
+        _retries=SimpleNamespace(not_before=not_before),
         _pauses=SimpleNamespace(on=paused),
         _spending=SimpleNamespace(spent_until=lambda now: spent),
         _holds=lambda strategy: storm,

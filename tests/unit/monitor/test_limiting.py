@@ -1,4 +1,4 @@
-"""The monitor's loop where it may not do what it could: a budget that is spent, a pause, an instance that relapses."""
+"""The monitor's loop where it may not do what it could: a budget that is spent, a pause."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any, cast
 
 import pytest
 
-from tests.unit.monitor.test_supervising import ACTIVE, Told, took_over
+from tests.unit.monitor.test_trying_again import Told, took_over
 from understudy.api import names
 from understudy.api.pauses import Pause
 from understudy.api.policies import FailurePolicySpec
@@ -21,6 +21,7 @@ from understudy.monitor import supervising
 from understudy.monitor.detection import Failure
 from understudy.monitor.supervising import Parts, Supervisor
 
+ACTIVE = Instance(name="w-1", uid="uid-1", ip="10.0.0.1", running=True, ready=True)
 PAUSE = Pause(reason="a new gripper", owner="ann")
 
 
@@ -265,33 +266,6 @@ def test_after_a_pause_a_failure_counts_from_its_end(world: World) -> None:
     found = world.watching._counted(Failure("no /cmd_vel", now + 50, now + 51), now + 51)
     assert found is not None
     assert found.onset == now + 50
-
-
-def test_an_instance_that_fails_within_the_healthy_delay_has_the_next_strategy_and_that_is_told(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    world = World(monkeypatch, healthyDelay="1m")
-    now = time.time()
-    world.watching._escalation.note(took_over(0, now))
-    assert world.watching._first(Failure("no /cmd_vel", now + 30, now + 30.5), "uid-1") == 1
-    ((kind, reason, message),) = world.told.events
-    assert (kind, reason) == ("Warning", "Relapsed")
-    assert "30.0 s after it took over (limits.healthyDelay is 1m)" in message
-    world.watching._escalation.note(took_over(0, now))
-    assert world.watching._first(Failure("no /cmd_vel", now + 60, now + 60.5), "uid-1") == 0
-
-
-def test_a_users_word_ends_what_was_put_off(world: World) -> None:
-    now = time.time()
-    world.watching._not_before, world.watching._backoff = now + 60, 60.0
-    world.watching._notice_word(now)
-    assert world.watching._not_before == now + 60
-    world.resume()
-    world.watching._notice_word(now)
-    assert world.watching._not_before == now
-    world.watching._not_before = now + 10
-    world.watching._notice_word(now)
-    assert world.watching._not_before == now + 10, "once"
 
 
 @pytest.mark.parametrize(("id_", "result", "known"), [("", "Recovered", True), ("", "Failed", False), ("x", "", False)])
