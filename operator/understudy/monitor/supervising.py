@@ -10,7 +10,7 @@ import contextlib
 import logging
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
@@ -27,14 +27,13 @@ from understudy.mitigation.failover import Choice, recover
 from understudy.mitigation.interfaces import Instance, NotAvailable, Superseded
 from understudy.mitigation.journal import Journal
 from understudy.mitigation.progress import PodIdentity, Progress
-from understudy.mitigation.strategies import Means, Strategy
+from understudy.mitigation.strategies import Means
 from understudy.mitigation.switchover import Prepared
 from understudy.monitor import enforcement, metrics
 from understudy.monitor.blackbox import BlackBox
 from understudy.monitor.bringing import Bringing, expected, managed
-from understudy.monitor.budgeting import Spending
 from understudy.monitor.choosing import choices
-from understudy.monitor.dependencies import Dependencies, following, told
+from understudy.monitor.dependencies import Dependencies, following
 from understudy.monitor.detection import Detector, Failure
 from understudy.monitor.faults import CrashPoints
 from understudy.monitor.fleet import Fleet
@@ -42,17 +41,19 @@ from understudy.monitor.gating import PolicyGate
 from understudy.monitor.keeping import StateKeeping
 from understudy.monitor.leftovers import Leftovers
 from understudy.monitor.levels import Levels
+from understudy.monitor.limits import Limits
 from understudy.monitor.looking import TICK, WAKE_LATE, Looks
+from understudy.monitor.occasions import Occasions
 from understudy.monitor.opening import Opening
-from understudy.monitor.pausing import Pauses
+from understudy.monitor.postponing import Postponing
 from understudy.monitor.reflexes import Reflexes
+from understudy.monitor.repertoire import Repertoire
 from understudy.monitor.reporting import Reporter, describe, in_vain, switched
-from understudy.monitor.retries import BACKOFF_FIRST, Retries
+from understudy.monitor.retries import BACKOFF_FIRST
 from understudy.monitor.safety import SafeCommands, Unattended
 from understudy.monitor.sidecars import Sidecars
 from understudy.monitor.sight import Sight
 from understudy.monitor.situations import Situations
-from understudy.monitor.storms import Storms
 from understudy.monitor.switching import Switching
 from understudy.monitor.view import View
 from understudy.monitor.waiting import Line
@@ -65,9 +66,6 @@ SETTLE = 2.0
 
 REFLEX_WITHIN = 10.0
 """Seconds within which a standby that took over by the reflex must be seen to drive alone, once the gate names it."""
-
-LOOK_WITHIN = 0.5
-"""Seconds that looking for what a planned hand-over needs may take."""
 
 SLOW = 1.0
 """Seconds between looks at what isn't urgent: labels, whether the gate is enforced."""
@@ -105,8 +103,6 @@ class Supervisor:
         self._next_slow = 0.0
         self._gate_changed = time.time()
         self._let_through = ("", "")
-        self._postponed = ""
-        """What puts off the present failure, once that was told."""
         self._held = False
         self._labelling: asyncio.Task[None] | None = None
         self.recovering: Progress | None = None
@@ -115,16 +111,25 @@ class Supervisor:
         self._safety = SafeCommands(parts.sight.graph, self._waited_since)
         self._levels = Levels(parts.sight, parts.reporter)
         self._situations = Situations(parts.sight, parts.reporter)
-        self._pauses = Pauses(parts.view, parts.reporter)
-        self._opening = Opening(parts.fleet, parts.gate, parts.sidecars, parts.reporter, self._pauses)
-        self._spending = Spending(parts.view, parts.reporter)
-        self._retries = Retries(parts.view, parts.reporter)
-        self._storms = Storms(parts.view)
+        self._limits = Limits(parts.view, parts.reporter)
+        self._opening = Opening(parts.fleet, parts.gate, parts.sidecars, parts.reporter, self._limits.pauses)
+        self._repertoire = Repertoire(parts.view, self._limits.storms, self._means)
+        self._postponing = Postponing(parts.reporter, self._limits, self._repertoire)
         self._line = Line(parts.view, parts.reporter)
         self._dependencies = Dependencies(parts.view, parts.reporter, self.wake.set)
         self._bringing = Bringing(parts.fleet, parts.sidecars, parts.reporter)
         self._leftovers = Leftovers(parts.fleet, parts.gate, parts.reporter)
         self._switching = Switching(parts.view, parts.fleet, parts.gate, parts.reporter, self._leftovers)
+        self._occasions = Occasions(
+            parts.view,
+            parts.gate,
+            self._detector,
+            self._levels,
+            self._switching,
+            self._dependencies,
+            self._repertoire,
+            self._limits,
+        )
         parts.sidecars.role = self._role
         self._reflexes = Reflexes(
             parts.view, parts.fleet, parts.gate, parts.sidecars, parts.sight, parts.probes, parts.reporter
@@ -142,14 +147,14 @@ class Supervisor:
             elif interrupted.result != "Running" or switchover.committed(interrupted, self._means()):
                 await self._hand_over(Prepared(interrupted))
         elif (done := self._concluded()) is not None:
-            self._retries.note(done)
+            self._limits.retries.note(done)
         while True:
             failure = await self._watch()
             if failure.switch is not None:
                 await self._hand_over(failure.switch)
                 continue
             policy, settings = self._view.policy, self._view.settings
-            if failure.planned and policy and settings and not await self._is_there(policy, settings):
+            if failure.planned and policy and settings and not await self._occasions.is_there():
                 continue
             prepared = self._switching.failed(failure.reason)
             active = self._fleet.find(self._gate.state.active_uid)
@@ -182,8 +187,8 @@ class Supervisor:
                 planned=failure.planned,
             )
             progress.target = prepared
-            if (first := self._retries.first(failure.reason, failure.onset, state.active_uid)) is None:
-                self._postponed = "Waiting"
+            if (first := self._limits.retries.first(failure.reason, failure.onset, state.active_uid)) is None:
+                self._postponing.told_to_wait()
                 continue
             progress.index = first
             if await self._allowed(progress):
@@ -197,13 +202,13 @@ class Supervisor:
         while True:
             now = self._looks.begin()
             next_look = now + TICK
-            self._pauses.look(now)
+            self._limits.pauses.look(now)
             policy = self._view.policy
             if policy is None or self._retired():
                 self._reporter.set(health="Unknown")
                 next_look = now + SLOW
             else:
-                self._retries.look(self._spending.resumed, now)
+                self._limits.retries.look(self._limits.spending.resumed, now)
                 self._sight.follow(policy, self._view.spec)
                 self._follow_safety(policy)
                 self._dependencies.follow(self._view.settings)
@@ -229,7 +234,7 @@ class Supervisor:
 
     def _waited_since(self) -> float | None:
         """Since when no instance has been verified to be in control; None while one is."""
-        if self._retired() or (self._pauses.on is not None and (self._held or self.recovering is None)):
+        if self._retired() or (self._limits.pauses.on is not None and (self._held or self.recovering is None)):
             return None
         if self.recovering is not None:
             return self._unattended.recovering(self.recovering)
@@ -268,22 +273,22 @@ class Supervisor:
         self._situations.look(policy, verdict, now=now, since=self._detector.since)
         self._say(verdict, degraded=degraded)
         self._keeping.judge(verdict.state, now)
-        if verdict.state != "Starting" and (followed := self._followed(active, now)) is not None:
+        if verdict.state != "Starting" and (followed := self._occasions.followed(active, now)) is not None:
             return followed, None
         if verdict.state != "Failed":
             self._detector.well()
             self._dependencies.well(active.name)
             if verdict.state == "Healthy":
                 self._unattended.driven()
-                self._postponed = "" if self._postponed == "Paused" else self._postponed
+                self._postponing.healthy()
             if verdict.state == "Healthy" and now - self._detector.since >= seconds(policy.limits.healthy_delay):
-                self._retries.healthy()
+                self._limits.retries.healthy()
                 if self._reporter.reason("Recovering") not in ("", "Recovered", "HealthyAgain"):
                     self._reporter.condition("Recovering", "False", "HealthyAgain", f"{active.name} is healthy again.")
-            if (switch := self._switch_due(policy, verdict, now)) is not None:
+            if (switch := self._occasions.switchover(verdict, now)) is not None:
                 return switch, None
-            if verdict.state == "Healthy" and degraded and (planned := self._planned(policy, active, now)) is not None:
-                return planned, None
+            if verdict.state == "Healthy" and degraded and (due := self._occasions.hand_over(active, now)) is not None:
+                return due, None
             return None, self._sight.deadline(now=now, since=self._detector.since)
         detected = time.time()
         if detected < self._looks.trusted_from:
@@ -299,110 +304,11 @@ class Supervisor:
             return None, again
         return self._counted(Failure(verdict.reason, onset, detected), now), None
 
-    def _followed(self, active: Instance, now: float) -> Failure | None:
-        """What is to be done with the instance in control since others were recovered, if it is due and the limits don't say not now."""
-        found = self._dependencies.due(active, now)
-        if found is None or now < self._retries.not_before or self._pauses.on is not None:
-            return None
-        return Failure(told(found.follows), self._detector.onset(active.name, now), time.time(), follows=found.follows)
-
-    def _planned(self, policy: FailurePolicySpec, active: Instance, now: float) -> Failure | None:
-        """The hand-over of a degraded instance, if it is due. The policy's first strategy must be there: nobody waits for it."""
-        settings = self._view.settings
-        if (reason := self._levels.due) is None or settings is None:
-            return None
-        if self._pauses.on is not None:
-            self._levels.wait("paused", f"it is {self._pauses.on.words}")
-            return None
-        if now < self._retries.not_before:
-            self._levels.wait("limits", "the policy's limits ask for a pause after the last recovery")
-            return None
-        if self._spending.spent_until(now) is not None:
-            self._levels.wait("budget", "the budget of the policy is spent, see WithinBudget")
-            return None
-        first = choices(policy, settings, self._view.spec)[0].strategy
-        if (lacking := first.outlook(self._means()) or self._holds(first)) is not None:
-            self._levels.wait("means", _not_now(lacking))
-            return None
-        return Failure(reason, self._detector.onset(active.name, now), time.time(), planned=True)
-
-    async def _is_there(self, policy: FailurePolicySpec, settings: WorkloadSettings) -> bool:
-        """Whether what a hand-over that is due needs is there by what is so, and not only by what was said. Meanwhile nobody watches
-        the instance in control, so an answer that is slow is none.
-        """
-        first, means = choices(policy, settings, self._view.spec)[0].strategy, self._means()
-        try:
-            async with asyncio.timeout(LOOK_WITHIN):
-                await first.look(means)
-            lacking = first.available(means)
-        except (ApiError, TimeoutError) as error:
-            lacking = str(error) or "the API server doesn't answer"
-        if lacking is not None:
-            self._levels.wait("means", _not_now(lacking))
-        return lacking is None
-
-    def _switch_due(self, policy: FailurePolicySpec, verdict: Verdict, now: float) -> Failure | None:
-        """The planned switchover that can be carried out now, if there is one."""
-        if (unsettled := self._switching.unsettled()) is not None:
-            return Failure(unsettled.reason, now, now, switch=Prepared(unsettled))
-        settings = self._view.settings
-        if settings is None:
-            return None
-        lacking = ""
-        if (pause := self._pauses.on) is not None:
-            lacking = f"it is {pause.words}"
-        elif verdict.state != "Healthy":
-            lacking = f"{self._gate.state.active} isn't healthy yet ({verdict.reason or 'it has just begun to drive'})"
-        elif now < self._retries.not_before:
-            lacking = "the policy's limits ask for a pause after the last recovery"
-        elif (storm := self._storms.on(now)) is not None and not self._stands_by():
-            lacking = f"others fail: {storm}"
-        found = self._switching.look(lacking, lambda: choices(policy, settings, self._view.spec), self._means)
-        return Failure(found.progress.reason, now, now, switch=found) if found is not None else None
-
     def _counted(self, failure: Failure, now: float) -> Failure | None:
         """The failure, unless the limits say not now."""
         self._keeping.judge("Failed", now)
         self._reporter.set(health="Failed", failing_since=failure.onset)
-        if (pause := self._pauses.on) is not None:
-            self._postpone("Paused", failure, f"nothing is done about it: it is {pause.words}")
-            return None
-        if now >= self._retries.not_before:
-            if (storm := self._storms.on(now)) is not None and not self._stands_by():
-                self._postpone("Storm", failure, f"it waits, since others fail too: {storm}")
-                return None
-            self._postponed = ""
-            # What it went without in the pause was nobody's failure.
-            return replace(failure, onset=max(failure.onset, min(self._pauses.ended, failure.detected)))
-        self._postpone("Waiting", failure, f"tried again in {self._retries.not_before - now:.0f} s")
-        return None
-
-    def _stands_by(self) -> bool:
-        """Whether an instance that is well is there to take over, which takes nothing from others."""
-        policy, settings = self._view.policy, self._view.settings
-        if policy is None or settings is None:
-            return False
-        means = self._means()
-        found = (choice.strategy for choice in choices(policy, settings, self._view.spec))
-        return any(strategy.standing and strategy.available(means) is None for strategy in found)
-
-    def _holds(self, strategy: Strategy) -> str | None:
-        """Why a strategy isn't tried now, although it could be."""
-        if strategy.standing or (storm := self._storms.on(time.time())) is None:
-            return None
-        return f"held, since others fail too: {storm}"
-
-    def _postpone(self, why: str, failure: Failure, then: str) -> None:
-        """Say why nothing is done yet, once."""
-        if self._postponed != why:
-            self._postponed = why
-            text = f"{failure.reason}; {then}"
-            metrics.held(why)
-            self._reporter.condition(
-                "Healthy", "False", "Failed", failure.reason
-            )  # of a pod that is gone no tree says so
-            self._reporter.condition("Recovering", "False", why, f"{text.rstrip('.')}.")
-            self._reporter.event("Warning", "RecoveryPostponed", text)
+        return self._postponing.admit(failure, now)
 
     def _say(self, verdict: Verdict, *, degraded: bool = False) -> None:
         state = self._gate.state
@@ -423,16 +329,14 @@ class Supervisor:
         policy, settings = self._view.policy, self._view.settings
         if policy is None or settings is None:
             return
-        means = self._means()
-        reasons = [(c.strategy, c.strategy.outlook(means)) for c in choices(policy, settings, self._view.spec)]
-        usable = next((s.name.split("/")[-1] for s, reason in reasons if reason is None), "None")
+        usable = self._repertoire.usable()
         item = self._view.object
         self._reporter.generation = item["metadata"].get("generation") if item else None
         self._reporter.look(item)
         self._reporter.set(strategy=usable)
         self._say_watched()
-        self._spending.say(time.time())
-        paused = self._pauses.on is not None
+        self._limits.spending.say(time.time())
+        paused = self._limits.pauses.on is not None
         instances = [i for i in instances if i.uid != self._switching.preparing]
         if (spec := self._view.spec) is not None and not paused:
             held = self.recovering if self._held else None
@@ -525,7 +429,7 @@ class Supervisor:
             workload_uid=settings.uid,
             kept=self._keeping.select,
             restore_within=seconds(policy.state.within) if (policy := self._view.policy) else 5.0,
-            holds=self._holds,
+            holds=self._repertoire.holds,
         )
 
     def _save(self, progress: Progress) -> None:
@@ -561,7 +465,9 @@ class Supervisor:
         now = time.time()
         nothing_failed = progress.planned or bool(progress.follows)
         begun = "decided" in progress.moments or progress.attempts or progress.taken_over is not None
-        waits = self._must_wait(now) if "held" in progress.moments else self._spending.spent_until(now) is not None
+        waits = (
+            self._must_wait(now) if "held" in progress.moments else self._limits.spending.spent_until(now) is not None
+        )
         if waits and not begun and not nothing_failed:
             try:
                 await self._hold(progress)
@@ -592,8 +498,8 @@ class Supervisor:
             epoch = self._gate.state.epoch
             self._reporter.set(active="", health="Failed", gate=GateStatus(epoch=epoch))
             self._reporter.condition("Healthy", "False", "Failed", progress.reason)
-            self._spending.say(time.time())
-            self._spending.tell_held(progress)
+            self._limits.spending.say(time.time())
+            self._limits.spending.tell_held(progress)
             while self._must_wait(time.time()):
                 if self._gate.state.epoch != epoch:
                     raise Superseded(
@@ -608,10 +514,10 @@ class Supervisor:
             self.recovering, self._held = None, False
 
     def _must_wait(self, now: float) -> bool:
-        self._pauses.look(now)
+        self._limits.pauses.look(now)
         if self._retired():
             return False
-        return self._pauses.on is not None or self._spending.spent_until(now) is not None
+        return self._limits.pauses.on is not None or self._limits.spending.spent_until(now) is not None
 
     def _superseded(self, progress: Progress, reason: Superseded) -> None:
         """Somebody else acts at a newer epoch: watch again."""
@@ -655,9 +561,9 @@ class Supervisor:
             _logger.warning("the failed pod is not deleted yet: %s", error)
             done = progress
         self._parts.crash_points.step("before record")
-        self._retries.note(done)
+        self._limits.retries.note(done)
         recovery = self._reporter.record(done)
-        self._spending.count(done, time.time())
+        self._limits.spending.count(done, time.time())
         self._dependencies.note(done.follows)
         state = self._gate.state
         self._reporter.set(active=state.active, gate=GateStatus(epoch=state.epoch, active=state.active))
@@ -681,11 +587,11 @@ class Supervisor:
             self._reporter.condition("Recovering", "False", "NothingVerified", text)
             self._reporter.event("Warning", "RecoveryFailed", text)
             self._begin_anew()
-            self._retries.after_nothing_verified(policy)
+            self._limits.retries.after_nothing_verified(policy)
 
     async def _hand_over(self, prepared: Prepared) -> None:
         """Switch to an understudy that can drive, as is planned; or see what came of a switch that was begun before."""
-        progress, means, before = prepared.progress, self._means(), self._retries.not_before
+        progress, means, before = prepared.progress, self._means(), self._limits.retries.not_before
         self._switching.switching(progress)
         _logger.warning("switchover (%s): %s", progress.switchover, progress.reason)
         self.recovering = progress
@@ -715,7 +621,7 @@ class Supervisor:
         self._reporter.event("Normal" if done else "Warning", "SwitchedOver" if done else "SwitchoverNotDone", text)
         self._switching.done(progress, f"{text}.")
         self._after(0.0)
-        self._retries.not_before = before
+        self._limits.retries.not_before = before
         # Its samples count from the commit, so that an understudy that fails at once is noticed in the usual time.
         self._detector.since = (
             progress.moments.get("committing", self._detector.since) if done else self._detector.since
@@ -738,12 +644,8 @@ class Supervisor:
 
     def _after(self, wait: float) -> None:
         self._begin_anew()
-        self._retries.after(wait)
+        self._limits.retries.after(wait)
 
     def _begin_anew(self) -> None:
         self._detector.restart()
-        self._postponed = ""
-
-
-def _not_now(lacking: str) -> str:
-    return f"the first strategy can't be carried out ({lacking})"
+        self._postponing.begin_anew()

@@ -231,7 +231,7 @@ async def test_a_pause_ends_the_safe_commands_of_what_is_held_and_goes_before_th
     holding = asyncio.create_task(world.watching._allowed(failure()))
     await world.until(lambda: world.gate.committed)
     world.spec.pause = PAUSE
-    await world.until(lambda: world.watching._pauses.on is not None)
+    await world.until(lambda: world.watching._limits.pauses.on is not None)
     assert world.watching._waited_since() is None
     world.resume()
     await asyncio.sleep(0.05)
@@ -244,7 +244,7 @@ async def test_a_pause_ends_the_safe_commands_of_what_is_held_and_goes_before_th
 def test_a_failure_in_a_pause_is_told_once_and_nothing_is_done(world: World) -> None:
     world.spec.pause = PAUSE
     now = time.time()
-    world.watching._pauses.look(now)
+    world.watching._limits.pauses.look(now)
     for _ in range(2):
         assert world.watching._counted(Failure("no /cmd_vel", now - 1, now), now) is None
     told = [message for kind, reason, message in world.told.events if reason == "RecoveryPostponed"]
@@ -257,9 +257,9 @@ def test_a_failure_in_a_pause_is_told_once_and_nothing_is_done(world: World) -> 
 def test_after_a_pause_a_failure_counts_from_its_end(world: World) -> None:
     world.spec.pause = PAUSE
     now = time.time()
-    world.watching._pauses.look(now)
+    world.watching._limits.pauses.look(now)
     world.spec.pause = None
-    world.watching._pauses.look(now + 0.1)
+    world.watching._limits.pauses.look(now + 0.1)
     found = world.watching._counted(Failure("no /cmd_vel", now - 7200, now + 0.2), now + 0.2)
     assert found is not None
     assert found.onset == now
