@@ -6,39 +6,36 @@ When it looks is decided in looking.py.
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import logging
 import time
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Any
 
 import aiohttp
 
 from understudy.api.base import seconds
 from understudy.api.policies import FailurePolicySpec
-from understudy.api.settings import WorkloadSettings
 from understudy.api.workloads import GateStatus
 from understudy.cluster.client import ApiError
 from understudy.cluster.probes import ProbeReceiver
 from understudy.mitigation import reflex, switchover
 from understudy.mitigation.failover import Choice, recover
-from understudy.mitigation.interfaces import Instance, NotAvailable, Superseded
+from understudy.mitigation.interfaces import NotAvailable, Superseded
 from understudy.mitigation.journal import Journal
 from understudy.mitigation.progress import PodIdentity, Progress
 from understudy.mitigation.strategies import Means
 from understudy.mitigation.switchover import Prepared
-from understudy.monitor import enforcement, metrics
+from understudy.monitor import metrics
 from understudy.monitor.blackbox import BlackBox
-from understudy.monitor.bringing import Bringing, expected, managed
 from understudy.monitor.choosing import choices
 from understudy.monitor.dependencies import Dependencies, following
 from understudy.monitor.detection import Detector, Failure
+from understudy.monitor.enforcement import Enforcement
 from understudy.monitor.faults import CrashPoints
 from understudy.monitor.fleet import Fleet
 from understudy.monitor.gating import PolicyGate
 from understudy.monitor.keeping import StateKeeping
+from understudy.monitor.labelling import Labels
 from understudy.monitor.leftovers import Leftovers
 from understudy.monitor.levels import Levels
 from understudy.monitor.limits import Limits
@@ -54,7 +51,9 @@ from understudy.monitor.safety import SafeCommands, Unattended
 from understudy.monitor.sidecars import Sidecars
 from understudy.monitor.sight import Sight
 from understudy.monitor.situations import Situations
+from understudy.monitor.standbys import Standbys
 from understudy.monitor.switching import Switching
+from understudy.monitor.underway import UnderWay
 from understudy.monitor.view import View
 from understudy.monitor.waiting import Line
 from understudy.trees.health import Verdict
@@ -101,12 +100,9 @@ class Supervisor:
         """Set to have it look at once, such as when a pod of the workload changed."""
         self._detector = Detector(parts.fleet, parts.gate, parts.sidecars, parts.sight)
         self._next_slow = 0.0
-        self._gate_changed = time.time()
-        self._let_through = ("", "")
-        self._held = False
-        self._labelling: asyncio.Task[None] | None = None
-        self.recovering: Progress | None = None
-        """The recovery under way."""
+        self._under_way = UnderWay()
+        self._labels = Labels(parts.fleet)
+        self._enforcement = Enforcement(parts.gate, parts.probes, parts.reporter)
         self._unattended = Unattended()
         self._safety = SafeCommands(parts.sight.graph, self._waited_since)
         self._levels = Levels(parts.sight, parts.reporter)
@@ -117,8 +113,18 @@ class Supervisor:
         self._postponing = Postponing(parts.reporter, self._limits, self._repertoire)
         self._line = Line(parts.view, parts.reporter)
         self._dependencies = Dependencies(parts.view, parts.reporter, self.wake.set)
-        self._bringing = Bringing(parts.fleet, parts.sidecars, parts.reporter)
         self._leftovers = Leftovers(parts.fleet, parts.gate, parts.reporter)
+        self._standbys = Standbys(
+            parts.view,
+            parts.fleet,
+            parts.gate,
+            parts.sidecars,
+            parts.keeping,
+            parts.reporter,
+            self._leftovers,
+            self._under_way,
+        )
+        parts.sidecars.role = self._standbys.role
         self._switching = Switching(parts.view, parts.fleet, parts.gate, parts.reporter, self._leftovers)
         self._occasions = Occasions(
             parts.view,
@@ -130,10 +136,14 @@ class Supervisor:
             self._repertoire,
             self._limits,
         )
-        parts.sidecars.role = self._role
         self._reflexes = Reflexes(
             parts.view, parts.fleet, parts.gate, parts.sidecars, parts.sight, parts.probes, parts.reporter
         )
+
+    @property
+    def recovering(self) -> Progress | None:
+        """The recovery under way."""
+        return self._under_way.progress
 
     async def run(self) -> None:
         """Watch and recover until cancelled."""
@@ -204,7 +214,7 @@ class Supervisor:
             next_look = now + TICK
             self._limits.pauses.look(now)
             policy = self._view.policy
-            if policy is None or self._retired():
+            if policy is None or self._view.retired:
                 self._reporter.set(health="Unknown")
                 next_look = now + SLOW
             else:
@@ -234,16 +244,10 @@ class Supervisor:
 
     def _waited_since(self) -> float | None:
         """Since when no instance has been verified to be in control; None while one is."""
-        if self._retired() or (self._limits.pauses.on is not None and (self._held or self.recovering is None)):
+        progress, held = self._under_way.progress, self._under_way.held
+        if self._view.retired or (self._limits.pauses.on is not None and (held or progress is None)):
             return None
-        if self.recovering is not None:
-            return self._unattended.recovering(self.recovering)
-        return self._unattended.since
-
-    def _retired(self) -> bool:
-        """Whether the workload is being deleted: then nothing is recovered."""
-        item = self._view.object
-        return item is None or bool(item["metadata"].get("deletionTimestamp"))
+        return self._unattended.recovering(progress) if progress is not None else self._unattended.since
 
     async def _look(self, policy: FailurePolicySpec, now: float) -> tuple[Failure | None, float | None]:
         """What is so at this moment: a failure that counts, and else the time to look again at the latest."""
@@ -251,9 +255,7 @@ class Supervisor:
         if not self._gate.exists:
             self._reporter.set(health="Unknown")
             return None, None
-        if (state.active_uid, state.admitted_uid) != self._let_through:
-            self._let_through = (state.active_uid, state.admitted_uid)
-            self._gate_changed = now
+        self._enforcement.look(now)
         if state.closed:
             if await self._opening.look(policy, now):
                 self._detector.since = time.time()
@@ -323,8 +325,7 @@ class Supervisor:
     def _housekeeping(self) -> None:
         """What has time: labels on new pods, links to agents, whether the gate is enforced, what would be done now."""
         instances = self._fleet.of_workload()
-        if self._labelling is None or self._labelling.done():
-            self._labelling = asyncio.create_task(self._label(instances))
+        self._labels.follow(instances)
         self._sidecars.follow(instances)
         policy, settings = self._view.policy, self._view.settings
         if policy is None or settings is None:
@@ -338,70 +339,10 @@ class Supervisor:
         self._limits.spending.say(time.time())
         paused = self._limits.pauses.on is not None
         instances = [i for i in instances if i.uid != self._switching.preparing]
-        if (spec := self._view.spec) is not None and not paused:
-            held = self.recovering if self._held else None
-            cared = [i for i in instances if held is None or not held.has_failed(i.uid)]
-            self._bringing.housekeeping(
-                cared, policy, spec, settings, self._driver, lambda: self._keeping.select(time.time())
-            )
-        if not paused:
-            self._leftovers.housekeeping(instances, time.monotonic())
-        kept_up = self._kept_up(instances, settings) if not paused else []
-        self._keeping.housekeeping(self._fleet.find(self._gate.state.active_uid), kept_up)
-        active_uid = self._gate.state.active_uid
-        last = {i.uid: found for i in instances if (found := self._parts.probes.last(i.uid)) is not None}
-        judged = enforcement.judge(
-            instances,
-            active_uid,
-            last,
-            now=time.time(),
-            since=self._gate_changed,
-            admitted_uid=self._gate.state.admitted_uid,
-        )
+        self._standbys.housekeeping(instances, policy, settings, paused=paused)
+        judged = self._enforcement.judge(instances)
         self._reflexes.keep(time.time(), enforced=judged[0] == "True", paused=paused)
-        if (
-            judged[1] not in ("Settling", "Admitted")
-            and self._reporter.condition("GateEnforced", *judged)
-            and judged[0] == "False"
-        ):
-            self._reporter.event("Warning", f"Gate{judged[1]}", judged[2])
-
-    @property
-    def _driver(self) -> str:
-        """The UID of the pod by which the others are standbys: while a failure is held nobody is to take its place."""
-        if self._held and self.recovering is not None and self.recovering.failed:
-            return self.recovering.failed[0].uid
-        return self._gate.state.active_uid
-
-    def _role(self, instance: Instance, brought: str) -> tuple[Mapping[str, Any] | None, bool]:
-        """What an instance must be to be ready while it waits, and whether procedures bring its nodes up."""
-        policy, spec, settings = self._view.policy, self._view.spec, self._view.settings
-        if policy is None or spec is None or settings is None:
-            return None, False
-        ready = self._bringing.was_ready(instance) or self._sidecars.is_ready(instance)[0]
-        found = expected(instance, spec, settings, active_uid=self._driver, brought=brought, ready=ready)
-        return found.standby, managed(spec, settings, policy)
-
-    def _kept_up(self, instances: Sequence[Instance], settings: WorkloadSettings) -> list[tuple[Instance, float]]:
-        """The standbys that are given state while they wait, each with its period in seconds."""
-        periods = {pool.name: seconds(pool.keep_up) for pool in settings.pools if pool.keep_up}
-        if not periods:
-            return []
-        active = self._gate.state.active_uid
-        # One that the workload's own controller made is a standby like the pool's.
-        return [
-            (instance, periods.get(instance.pool, min(periods.values())))
-            for instance in instances
-            if instance.uid != active and instance.usable and instance.has_agent and not instance.held
-            if (not instance.pool or instance.pool in periods) and self._sidecars.is_ready(instance)[0]
-        ]
-
-    async def _label(self, instances: Sequence[Instance]) -> None:
-        """Label new pods, beside the loop: an API server that is slow to answer must not delay a detection."""
-        for instance in instances:
-            if not instance.terminating:
-                with contextlib.suppress(ApiError, aiohttp.ClientError, TimeoutError, OSError):
-                    await self._fleet.label(instance)
+        self._enforcement.say(judged)
 
     def _say_watched(self) -> None:
         if problems := [*self._sight.problems, *self._safety.problems]:
@@ -489,9 +430,8 @@ class Supervisor:
         """
         progress.moments.setdefault("held", time.time())
         self._save(progress)
-        self.recovering, self._held = progress, True
         self._black_box.begin(progress)
-        try:
+        with self._under_way.during(progress, held=True):
             if not self._gate.state.closed:
                 await self._gate.commit(None, progress)
             progress.moments.setdefault("fenced", time.time())
@@ -510,12 +450,10 @@ class Supervisor:
                 self._sight.drain(self._fleet.of_workload(), "")
                 self._housekeeping()
                 await asyncio.sleep(SLOW)
-        finally:
-            self.recovering, self._held = None, False
 
     def _must_wait(self, now: float) -> bool:
         self._limits.pauses.look(now)
-        if self._retired():
+        if self._view.retired:
             return False
         return self._limits.pauses.on is not None or self._limits.spending.spent_until(now) is not None
 
@@ -538,7 +476,7 @@ class Supervisor:
 
     async def _carry_out(self, progress: Progress) -> None:
         policy, settings = self._view.policy, self._view.settings
-        if policy is None or settings is None or self._retired():
+        if policy is None or settings is None or self._view.retired:
             return
         self._sight.follow(policy, self._view.spec)
         self._follow_safety(policy)
@@ -594,13 +532,13 @@ class Supervisor:
         progress, means, before = prepared.progress, self._means(), self._limits.retries.not_before
         self._switching.switching(progress)
         _logger.warning("switchover (%s): %s", progress.switchover, progress.reason)
-        self.recovering = progress
         try:
-            async with self._keeping.recovering():
-                if progress.former is None:
-                    await switchover.switch(prepared, means)
-                else:
-                    await switchover.settle(progress, means)
+            with self._under_way.during(progress):
+                async with self._keeping.recovering():
+                    if progress.former is None:
+                        await switchover.switch(prepared, means)
+                    else:
+                        await switchover.settle(progress, means)
         except (NotAvailable, Superseded, ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
             if progress.result == "Running":
                 reason = str(error) or f"the API server didn't answer within {switchover.COMMIT_WITHIN:g} s"
@@ -608,8 +546,6 @@ class Supervisor:
                 self._switching.given_up(progress, reason)
                 return
             _logger.warning("the former pod is not deleted yet: %r", error)
-        finally:
-            self.recovering = None
         self._parts.crash_points.step("before record")
         recovery, state = self._reporter.record(progress), self._gate.state
         text, done = switched(recovery), progress.result == "Recovered"
@@ -629,17 +565,16 @@ class Supervisor:
 
     async def _recovered(self, progress: Progress, choices: list[Choice]) -> Progress:
         means = self._means()
-        self.recovering = progress
         self._black_box.begin(progress)
         try:
-            if progress.taken_over is not None:
-                await reflex.commit(progress, means)
-                choices = [Choice(reflex.ReflexFallback(), REFLEX_WITHIN), *choices]
-            elif progress.follows and self._view.spec is not None:
-                choices = following(progress.follows, self._view.spec, choices)
-            return await recover(progress, choices, means)
+            with self._under_way.during(progress):
+                if progress.taken_over is not None:
+                    await reflex.commit(progress, means)
+                    choices = [Choice(reflex.ReflexFallback(), REFLEX_WITHIN), *choices]
+                elif progress.follows and self._view.spec is not None:
+                    choices = following(progress.follows, self._view.spec, choices)
+                return await recover(progress, choices, means)
         finally:
-            self.recovering = None
             self._black_box.end(progress)
 
     def _after(self, wait: float) -> None:

@@ -31,6 +31,7 @@ from understudy.mitigation.shelf import Shelf
 from understudy.monitor import keeping as module
 from understudy.monitor.keeping import StateKeeping
 from understudy.monitor.safety import Unattended
+from understudy.monitor.standbys import Standbys
 from understudy.monitor.supervising import Supervisor
 from understudy.ros.graph import Graph
 
@@ -209,7 +210,7 @@ async def test_it_is_there_for_a_recovery_that_an_earlier_monitor_had_begun(
     await monitor.until(lambda: monitor.x() == 1.0 and (tmp_path / "kept").exists() and Shelf(tmp_path).load())
     onset = time.time()
     later = Monitor(graph, tmp_path)
-    view = SimpleNamespace(policy=policy_of(STATE), settings=SimpleNamespace(), spec=None, object={"metadata": {}})
+    view = SimpleNamespace(policy=policy_of(STATE), settings=SimpleNamespace(), spec=None, retired=False)
     quiet = SimpleNamespace(follow=lambda *_: None, of_workload=list, set=lambda **_: None, end=lambda _: None)
     parts = SimpleNamespace(keeping=later.keeping, view=view, sight=quiet, sidecars=quiet, fleet=quiet, black_box=quiet)
     found: list[KeptState] = []
@@ -416,11 +417,11 @@ def test_only_ready_standbys_of_pools_that_say_so_are_kept_up() -> None:
         Instance("w-6", "uid-6", running=True, pool="warm", has_agent=False),
         Instance("w-7", "uid-7", running=True, pool="warm"),
     ]
-    supervisor = SimpleNamespace(
+    standbys = SimpleNamespace(
         _gate=SimpleNamespace(state=GateState(active_uid=ACTIVE.uid)),
         _sidecars=SimpleNamespace(is_ready=lambda instance: (instance.name != "w-7", "starting")),
     )
-    kept_up = Supervisor._kept_up(supervisor, [ACTIVE, STANDBY, of_source, *others], settings)  # type: ignore[arg-type]
+    kept_up = Standbys._kept_up(standbys, [ACTIVE, STANDBY, of_source, *others], settings)  # type: ignore[arg-type]
     assert kept_up == [(STANDBY, 2.0), (of_source, 2.0)]
     settings.pools.pop(0)
-    assert Supervisor._kept_up(supervisor, [STANDBY], settings) == []  # type: ignore[arg-type]
+    assert Standbys._kept_up(standbys, [STANDBY], settings) == []  # type: ignore[arg-type]

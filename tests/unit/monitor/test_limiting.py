@@ -85,6 +85,7 @@ class World:
             settings=SimpleNamespace(),
             spec=self.spec,
             object=self.item,
+            retired=False,
             namespace="fleet",
             workload="w",
         )
@@ -160,16 +161,16 @@ async def test_once_it_is_spent_what_failed_is_fenced_and_the_robot_is_told_safe
 
 async def test_while_it_is_held_the_others_are_its_standbys_still_and_it_is_left_alone(world: World) -> None:
     world.spend()
-    assert world.watching._driver == "uid-1"
+    assert world.watching._standbys.driver == "uid-1"
     holding = asyncio.create_task(world.watching._allowed(failure()))
     await world.until(lambda: world.told.events)
     assert world.gate.state.active_uid == ""
-    assert world.watching._driver == "uid-1", "or a pod of its own controller would be brought up to drive"
+    assert world.watching._standbys.driver == "uid-1", "or a pod of its own controller would be brought up to drive"
     assert world.told.conditions["Healthy"] == ("False", "Failed", "no /cmd_vel")
     world.resume()
     async with asyncio.timeout(5):
         await holding
-    assert world.watching._driver == ""
+    assert world.watching._standbys.driver == ""
 
 
 async def test_it_goes_on_by_itself_when_the_window_has_moved_on(world: World) -> None:
