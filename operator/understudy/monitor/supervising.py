@@ -9,7 +9,6 @@ import asyncio
 import logging
 import time
 from dataclasses import dataclass
-from datetime import datetime
 
 import aiohttp
 
@@ -25,7 +24,7 @@ from understudy.mitigation.journal import Journal
 from understudy.mitigation.progress import PodIdentity, Progress
 from understudy.mitigation.strategies import Means
 from understudy.mitigation.switchover import Prepared
-from understudy.monitor import metrics
+from understudy.monitor import metrics, resuming
 from understudy.monitor.blackbox import BlackBox
 from understudy.monitor.choosing import choices
 from understudy.monitor.dependencies import Dependencies, following
@@ -91,10 +90,10 @@ class Supervisor:
     """Protects one workload."""
 
     def __init__(self, parts: Parts) -> None:
-        self._parts = parts
         self._view, self._fleet, self._gate = parts.view, parts.fleet, parts.gate
         self._sidecars, self._sight, self._reporter = parts.sidecars, parts.sight, parts.reporter
         self._keeping, self._black_box = parts.keeping, parts.black_box
+        self._journal, self._crash_points = parts.journal, parts.crash_points
         self._looks = Looks(parts.sight.coming)
         self.wake = self._looks.wake
         """Set to have it look at once, such as when a pod of the workload changed."""
@@ -147,7 +146,7 @@ class Supervisor:
 
     async def run(self) -> None:
         """Watch and recover until cancelled."""
-        interrupted = self._interrupted()
+        interrupted = resuming.interrupted(self._journal, self._gate, self._reporter)
         if interrupted is not None:
             _logger.warning("finishing recovery %s, begun before this monitor started", interrupted.id)
             await self._sidecars.settle(self._fleet.of_workload(), SETTLE)
@@ -156,7 +155,7 @@ class Supervisor:
                     await self._carry_out(interrupted)
             elif interrupted.result != "Running" or switchover.committed(interrupted, self._means()):
                 await self._hand_over(Prepared(interrupted))
-        elif (done := self._concluded()) is not None:
+        elif (done := resuming.concluded(self._gate, self._reporter)) is not None:
             self._limits.retries.note(done)
         while True:
             failure = await self._watch()
@@ -374,32 +373,8 @@ class Supervisor:
         )
 
     def _save(self, progress: Progress) -> None:
-        self._parts.crash_points.step("before save")
-        self._parts.journal.save(progress)
-
-    def _interrupted(self) -> Progress | None:
-        """The recovery that an earlier monitor had begun and not recorded, if there is one."""
-        kept = [p for p in (self._parts.journal.load(), self._gate.state.recovery) if p is not None]
-        open_ones = [p for p in kept if p.id not in self._reporter.recorded and p.result != "Failed"]
-        if not open_ones:
-            return None
-        progress = open_ones[0]
-        committed = self._gate.state.recovery
-        if committed is not None and committed.id != progress.id and committed in open_ones:
-            progress = committed  # the journal is of an older one: the gate knows better
-        return progress.model_copy(update={"resumed": True}, deep=True)
-
-    def _concluded(self) -> Progress | None:
-        """The last recovery, of which the gate still tells and the status that it recovered: an earlier monitor's."""
-        left, last = self._gate.state.recovery, self._reporter.last
-        if left is None or last is None or (last.id, last.result) != (left.id, "Recovered"):
-            return None
-        if left.switchover is not None:
-            return None  # nothing had failed
-        done = left.model_copy(update={"result": "Recovered"}, deep=True)
-        if last.moments.verified is not None:
-            done.moments["verified"] = datetime.fromisoformat(last.moments.verified).timestamp()
-        return done
+        self._crash_points.step("before save")
+        self._journal.save(progress)
 
     async def _allowed(self, progress: Progress) -> bool:
         """Whether to carry it out. Where the policy's budget is spent that is known once it isn't any more."""
@@ -498,7 +473,7 @@ class Supervisor:
                 return
             _logger.warning("the failed pod is not deleted yet: %s", error)
             done = progress
-        self._parts.crash_points.step("before record")
+        self._crash_points.step("before record")
         self._limits.retries.note(done)
         recovery = self._reporter.record(done)
         self._limits.spending.count(done, time.time())
@@ -546,7 +521,7 @@ class Supervisor:
                 self._switching.given_up(progress, reason)
                 return
             _logger.warning("the former pod is not deleted yet: %r", error)
-        self._parts.crash_points.step("before record")
+        self._crash_points.step("before record")
         recovery, state = self._reporter.record(progress), self._gate.state
         text, done = switched(recovery), progress.result == "Recovered"
         _logger.warning("switchover %d: %s", recovery.number, text)

@@ -10,7 +10,7 @@ from typing import Any, cast
 
 import pytest
 
-from tests.unit.monitor.test_trying_again import Told, took_over
+from tests.unit.monitor.test_trying_again import Told
 from understudy.api import names
 from understudy.api.pauses import Pause
 from understudy.api.policies import FailurePolicySpec
@@ -267,16 +267,3 @@ def test_after_a_pause_a_failure_counts_from_its_end(world: World) -> None:
     found = world.watching._counted(Failure("no /cmd_vel", now + 50, now + 51), now + 51)
     assert found is not None
     assert found.onset == now + 50
-
-
-@pytest.mark.parametrize(("id_", "result", "known"), [("", "Recovered", True), ("", "Failed", False), ("x", "", False)])
-def test_a_new_monitor_knows_which_instance_took_over_last(world: World, id_: str, result: str, known: bool) -> None:
-    left = took_over(1, 100.0).model_copy(update={"result": "Running"})
-    left.moments.pop("verified")
-    world.gate.state = GateState(epoch=4, active="w-1", active_uid="uid-1", recovery=left)
-    moments = SimpleNamespace(verified=rfc3339(123.0))
-    world.told.last = SimpleNamespace(id=id_ or left.id, result=result, moments=moments)  # type: ignore[attr-defined]
-    done = world.watching._concluded()
-    assert (done is not None) == known
-    if done is not None:
-        assert (done.result, done.index, done.moments["verified"]) == ("Recovered", 1, 123.0)
