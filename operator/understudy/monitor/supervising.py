@@ -5,34 +5,29 @@ When it looks is decided in looking.py.
 
 from __future__ import annotations
 
-import asyncio
 import logging
 import time
 from dataclasses import dataclass
 
-import aiohttp
-
 from understudy.api.base import seconds
 from understudy.api.policies import FailurePolicySpec
 from understudy.api.workloads import GateStatus
-from understudy.cluster.client import ApiError
 from understudy.cluster.probes import ProbeReceiver
 from understudy.mitigation import reflex, switchover
-from understudy.mitigation.failover import Choice, recover
-from understudy.mitigation.interfaces import NotAvailable, Superseded
 from understudy.mitigation.journal import Journal
 from understudy.mitigation.progress import PodIdentity, Progress
 from understudy.mitigation.strategies import Means
 from understudy.mitigation.switchover import Prepared
 from understudy.monitor import metrics, resuming
+from understudy.monitor.aftermath import Aftermath
 from understudy.monitor.blackbox import BlackBox
-from understudy.monitor.choosing import choices
-from understudy.monitor.dependencies import Dependencies, following
+from understudy.monitor.dependencies import Dependencies
 from understudy.monitor.detection import Detector, Failure
 from understudy.monitor.enforcement import Enforcement
 from understudy.monitor.faults import CrashPoints
 from understudy.monitor.fleet import Fleet
 from understudy.monitor.gating import PolicyGate
+from understudy.monitor.holding import Holding
 from understudy.monitor.keeping import StateKeeping
 from understudy.monitor.labelling import Labels
 from understudy.monitor.leftovers import Leftovers
@@ -42,10 +37,10 @@ from understudy.monitor.looking import TICK, WAKE_LATE, Looks
 from understudy.monitor.occasions import Occasions
 from understudy.monitor.opening import Opening
 from understudy.monitor.postponing import Postponing
+from understudy.monitor.recovering import Recoveries
 from understudy.monitor.reflexes import Reflexes
 from understudy.monitor.repertoire import Repertoire
-from understudy.monitor.reporting import Reporter, describe, in_vain, switched
-from understudy.monitor.retries import BACKOFF_FIRST
+from understudy.monitor.reporting import Reporter
 from understudy.monitor.safety import SafeCommands, Unattended
 from understudy.monitor.sidecars import Sidecars
 from understudy.monitor.sight import Sight
@@ -61,9 +56,6 @@ _logger = logging.getLogger(__name__)
 
 SETTLE = 2.0
 """Most seconds that a new monitor takes to hear of the understudies before it goes on with a recovery."""
-
-REFLEX_WITHIN = 10.0
-"""Seconds within which a standby that took over by the reflex must be seen to drive alone, once the gate names it."""
 
 SLOW = 1.0
 """Seconds between looks at what isn't urgent: labels, whether the gate is enforced."""
@@ -92,8 +84,7 @@ class Supervisor:
     def __init__(self, parts: Parts) -> None:
         self._view, self._fleet, self._gate = parts.view, parts.fleet, parts.gate
         self._sidecars, self._sight, self._reporter = parts.sidecars, parts.sight, parts.reporter
-        self._keeping, self._black_box = parts.keeping, parts.black_box
-        self._journal, self._crash_points = parts.journal, parts.crash_points
+        self._keeping, self._journal, self._crash_points = parts.keeping, parts.journal, parts.crash_points
         self._looks = Looks(parts.sight.coming)
         self.wake = self._looks.wake
         """Set to have it look at once, such as when a pod of the workload changed."""
@@ -138,6 +129,39 @@ class Supervisor:
         self._reflexes = Reflexes(
             parts.view, parts.fleet, parts.gate, parts.sidecars, parts.sight, parts.probes, parts.reporter
         )
+        self._recoveries = Recoveries(
+            parts.view,
+            parts.reporter,
+            parts.keeping,
+            parts.black_box,
+            parts.crash_points,
+            self._repertoire,
+            self._switching,
+            self._under_way,
+            Holding(
+                parts.view,
+                parts.gate,
+                parts.reporter,
+                parts.black_box,
+                self._limits,
+                self._under_way,
+                self._save,
+                self._meanwhile,
+            ),
+            Aftermath(
+                parts.gate,
+                parts.reporter,
+                parts.keeping,
+                self._detector,
+                self._limits,
+                self._postponing,
+                self._unattended,
+                self._dependencies,
+                self._leftovers,
+                self._switching,
+            ),
+            self._get_ready,
+        )
 
     @property
     def recovering(self) -> Progress | None:
@@ -151,16 +175,15 @@ class Supervisor:
             _logger.warning("finishing recovery %s, begun before this monitor started", interrupted.id)
             await self._sidecars.settle(self._fleet.of_workload(), SETTLE)
             if interrupted.switchover is None:
-                if await self._allowed(interrupted):
-                    await self._carry_out(interrupted)
+                await self._recoveries.recover(interrupted)
             elif interrupted.result != "Running" or switchover.committed(interrupted, self._means()):
-                await self._hand_over(Prepared(interrupted))
+                await self._recoveries.hand_over(Prepared(interrupted))
         elif (done := resuming.concluded(self._gate, self._reporter)) is not None:
             self._limits.retries.note(done)
         while True:
             failure = await self._watch()
             if failure.switch is not None:
-                await self._hand_over(failure.switch)
+                await self._recoveries.hand_over(failure.switch)
                 continue
             policy, settings = self._view.policy, self._view.settings
             if failure.planned and policy and settings and not await self._occasions.is_there():
@@ -179,12 +202,12 @@ class Supervisor:
             what = "hand-over" if failure.planned else "dependency" if failure.follows else "failure"
             _logger.warning("%s of %s: %s", what, active.name if active else state.active, failure.reason)
             if failure.taken is not None:
-                await self._carry_out(reflex.begin(failure.taken, failed[0], self._reflexes.deadline))
+                await self._recoveries.carry_out(reflex.begin(failure.taken, failed[0], self._reflexes.deadline))
                 continue
             if failure.follows and failed:
                 if prepared is not None:
                     self._leftovers.add(prepared)
-                await self._carry_out(
+                await self._recoveries.carry_out(
                     self._dependencies.begin(failure.follows, failed[0], failure.onset, failure.detected)
                 )
                 continue
@@ -200,8 +223,7 @@ class Supervisor:
                 self._postponing.told_to_wait()
                 continue
             progress.index = first
-            if await self._allowed(progress):
-                await self._carry_out(progress)
+            await self._recoveries.recover(progress)
 
     # -- watching ---------------------------------------------------------------------------------------------------
 
@@ -376,186 +398,16 @@ class Supervisor:
         self._crash_points.step("before save")
         self._journal.save(progress)
 
-    async def _allowed(self, progress: Progress) -> bool:
-        """Whether to carry it out. Where the policy's budget is spent that is known once it isn't any more."""
-        now = time.time()
-        nothing_failed = progress.planned or bool(progress.follows)
-        begun = "decided" in progress.moments or progress.attempts or progress.taken_over is not None
-        waits = (
-            self._must_wait(now) if "held" in progress.moments else self._limits.spending.spent_until(now) is not None
-        )
-        if waits and not begun and not nothing_failed:
-            try:
-                await self._hold(progress)
-            except Superseded as reason:
-                self._superseded(progress, reason)
-                return False
-            except (ApiError, aiohttp.ClientError, OSError) as error:
-                self._stopped(progress, error)
-                return False
-        if "held" in progress.moments and "released" not in progress.moments:
-            progress.release(time.time())
-            self._reporter.event("Normal", "RecoveryReleased", f"{progress.reason}; it is recovered now")
-        return True
-
-    async def _hold(self, progress: Progress) -> None:
-        """Fence what failed, and do no more for as long as the budget is spent: the robot is told the safe commands meanwhile.
-
-        It stands beside the gate, so that the next monitor goes on holding it. Raises Superseded.
-        """
-        progress.moments.setdefault("held", time.time())
-        self._save(progress)
-        self._black_box.begin(progress)
-        with self._under_way.during(progress, held=True):
-            if not self._gate.state.closed:
-                await self._gate.commit(None, progress)
-            progress.moments.setdefault("fenced", time.time())
-            epoch = self._gate.state.epoch
-            self._reporter.set(active="", health="Failed", gate=GateStatus(epoch=epoch))
-            self._reporter.condition("Healthy", "False", "Failed", progress.reason)
-            self._limits.spending.say(time.time())
-            self._limits.spending.tell_held(progress)
-            while self._must_wait(time.time()):
-                if self._gate.state.epoch != epoch:
-                    raise Superseded(
-                        f"the gate is at epoch {self._gate.state.epoch} by another writer, and was at {epoch}"
-                    )
-                if (policy := self._view.policy) is not None:
-                    self._follow_safety(policy)
-                self._sight.drain(self._fleet.of_workload(), "")
-                self._housekeeping()
-                await asyncio.sleep(SLOW)
-
-    def _must_wait(self, now: float) -> bool:
-        self._limits.pauses.look(now)
-        if self._view.retired:
-            return False
-        return self._limits.pauses.on is not None or self._limits.spending.spent_until(now) is not None
-
-    def _superseded(self, progress: Progress, reason: Superseded) -> None:
-        """Somebody else acts at a newer epoch: watch again."""
-        _logger.warning("recovery %s given up: %s", progress.id, reason)
-        self._black_box.end(progress)
-        self._reporter.condition("Recovering", "False", "Superseded", str(reason))
-        self._reporter.event("Warning", "RecoverySuperseded", f"{progress.reason}: {reason}")
-        self._unattended.driven()
-        self._after(0.0)
-
-    def _stopped(self, progress: Progress, error: Exception) -> None:
-        """The API server refused something: all is tried again in a moment."""
-        _logger.error("recovery %s stopped", progress.id, exc_info=error)
-        self._black_box.end(progress)
-        self._reporter.condition("Recovering", "False", "Error", f"{progress.reason}: {error}")
-        self._reporter.event("Warning", "RecoveryError", f"{progress.reason}: {error}")
-        self._after(BACKOFF_FIRST)
-
-    async def _carry_out(self, progress: Progress) -> None:
-        policy, settings = self._view.policy, self._view.settings
-        if policy is None or settings is None or self._view.retired:
-            return
+    def _get_ready(self, policy: FailurePolicySpec) -> None:
+        """A recovery that an earlier monitor had begun comes before the first look."""
         self._sight.follow(policy, self._view.spec)
         self._follow_safety(policy)
-        self._keeping.follow(policy.state)  # a recovery that an earlier monitor had begun comes before the first look
+        self._keeping.follow(policy.state)
         self._sidecars.follow(self._fleet.of_workload())
-        began = "Rescheduling" if progress.planned else "FollowsDependency" if progress.follows else "FailureDetected"
-        self._reporter.condition("Recovering", "True", began, progress.reason)
-        # Why, first: that it is so is told at once.
-        self._reporter.set(health="Recovering", failing_since=progress.moments.get("last_healthy"))
-        try:
-            async with self._keeping.recovering():
-                done = await self._recovered(progress, choices(policy, settings, self._view.spec))
-        except Superseded as reason:
-            self._superseded(progress, reason)
-            return
-        except (ApiError, aiohttp.ClientError, OSError) as error:
-            if progress.result != "Recovered":
-                self._stopped(progress, error)
-                return
-            _logger.warning("the failed pod is not deleted yet: %s", error)
-            done = progress
-        self._crash_points.step("before record")
-        self._limits.retries.note(done)
-        recovery = self._reporter.record(done)
-        self._limits.spending.count(done, time.time())
-        self._dependencies.note(done.follows)
-        state = self._gate.state
-        self._reporter.set(active=state.active, gate=GateStatus(epoch=state.epoch, active=state.active))
-        self._keeping.tell(recovery)
-        text = describe(recovery)
-        _logger.warning("recovery %d: %s", recovery.number, text)
-        if done.result == "Recovered":
-            self._leftovers.remember()
-            self._unattended.driven()
-            self._reporter.condition("Recovering", "False", "Recovered", text)
-            self._reporter.event("Normal", "Recovered", text)
-            for words in in_vain(recovery):
-                self._reporter.event("Warning", "StrategyNotVerified", f"{words}. The next strategy took over.")
-            self._reporter.set(health="Healthy")
-            self._after(0.0 if policy.priority == "Safety" else seconds(policy.limits.cooldown))
-            # Its samples count from the commit, so that an understudy that fails at once is noticed in the usual time.
-            self._detector.since = done.moments.get("committing", self._detector.since)
-        else:
-            self._unattended.nothing_verified(time.time())
-            self._reporter.set(health="Failed")
-            self._reporter.condition("Recovering", "False", "NothingVerified", text)
-            self._reporter.event("Warning", "RecoveryFailed", text)
-            self._begin_anew()
-            self._limits.retries.after_nothing_verified(policy)
 
-    async def _hand_over(self, prepared: Prepared) -> None:
-        """Switch to an understudy that can drive, as is planned; or see what came of a switch that was begun before."""
-        progress, means, before = prepared.progress, self._means(), self._limits.retries.not_before
-        self._switching.switching(progress)
-        _logger.warning("switchover (%s): %s", progress.switchover, progress.reason)
-        try:
-            with self._under_way.during(progress):
-                async with self._keeping.recovering():
-                    if progress.former is None:
-                        await switchover.switch(prepared, means)
-                    else:
-                        await switchover.settle(progress, means)
-        except (NotAvailable, Superseded, ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
-            if progress.result == "Running":
-                reason = str(error) or f"the API server didn't answer within {switchover.COMMIT_WITHIN:g} s"
-                _logger.warning("switchover %s given up: %s", progress.id, reason)
-                self._switching.given_up(progress, reason)
-                return
-            _logger.warning("the former pod is not deleted yet: %r", error)
-        self._crash_points.step("before record")
-        recovery, state = self._reporter.record(progress), self._gate.state
-        text, done = switched(recovery), progress.result == "Recovered"
-        _logger.warning("switchover %d: %s", recovery.number, text)
-        self._leftovers.remember()
-        self._unattended.driven()
-        self._reporter.set(active=state.active, gate=GateStatus(epoch=state.epoch, active=state.active))
-        self._keeping.tell(recovery)
-        self._reporter.event("Normal" if done else "Warning", "SwitchedOver" if done else "SwitchoverNotDone", text)
-        self._switching.done(progress, f"{text}.")
-        self._after(0.0)
-        self._limits.retries.not_before = before
-        # Its samples count from the commit, so that an understudy that fails at once is noticed in the usual time.
-        self._detector.since = (
-            progress.moments.get("committing", self._detector.since) if done else self._detector.since
-        )
-
-    async def _recovered(self, progress: Progress, choices: list[Choice]) -> Progress:
-        means = self._means()
-        self._black_box.begin(progress)
-        try:
-            with self._under_way.during(progress):
-                if progress.taken_over is not None:
-                    await reflex.commit(progress, means)
-                    choices = [Choice(reflex.ReflexFallback(), REFLEX_WITHIN), *choices]
-                elif progress.follows and self._view.spec is not None:
-                    choices = following(progress.follows, self._view.spec, choices)
-                return await recover(progress, choices, means)
-        finally:
-            self._black_box.end(progress)
-
-    def _after(self, wait: float) -> None:
-        self._begin_anew()
-        self._limits.retries.after(wait)
-
-    def _begin_anew(self) -> None:
-        self._detector.restart()
-        self._postponing.begin_anew()
+    def _meanwhile(self) -> None:
+        """What goes on while a recovery is held."""
+        if (policy := self._view.policy) is not None:
+            self._follow_safety(policy)
+        self._sight.drain(self._fleet.of_workload(), "")
+        self._housekeeping()

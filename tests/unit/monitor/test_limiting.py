@@ -17,7 +17,7 @@ from understudy.api.policies import FailurePolicySpec
 from understudy.cluster.client import ApiError
 from understudy.mitigation.interfaces import GateState, Instance, Superseded
 from understudy.mitigation.progress import PodIdentity, Progress, rfc3339
-from understudy.monitor import supervising
+from understudy.monitor import holding
 from understudy.monitor.detection import Failure
 from understudy.monitor.supervising import Parts, Supervisor
 
@@ -71,7 +71,7 @@ class World:
     """A supervisor of a workload whose policy has a budget of one recovery in ten minutes."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, **limits: Any) -> None:
-        monkeypatch.setattr(supervising, "SLOW", 0.01)
+        monkeypatch.setattr(holding, "LOOK", 0.01)
         spec = {
             "monitoring": {"yaml": {"topic": {"name": "/cmd_vel", "gap": "500ms"}}},
             "strategies": [{"type": "Restart"}, {"type": "Restart"}],
@@ -106,6 +106,16 @@ class World:
         self.watching = Supervisor(Parts(**parts))
         self.watching._housekeeping = lambda: None  # type: ignore[method-assign]
         self.watching._follow_safety = lambda policy: None  # type: ignore[method-assign]
+        self.carried_out: list[Progress] = []
+        self.watching._recoveries.carry_out = self._carry_out  # type: ignore[method-assign]
+
+    async def _carry_out(self, progress: Progress) -> None:
+        self.carried_out.append(progress)
+
+    async def allowed(self, progress: Progress) -> bool:
+        """Whether a recovery is carried out, in the end."""
+        await self.watching._recoveries.recover(progress)
+        return progress in self.carried_out
 
     def spend(self) -> None:
         self.told.spent = [time.time() - 60]
@@ -131,7 +141,7 @@ def failure(**more: Any) -> Progress:
 
 
 async def test_within_the_budget_nothing_is_waited_for_nor_written(world: World) -> None:
-    assert await world.watching._allowed(failure())
+    assert await world.allowed(failure())
     assert (world.gate.committed, world.kept, world.told.events) == ([], [], [])
 
 
@@ -140,7 +150,7 @@ async def test_once_it_is_spent_what_failed_is_fenced_and_the_robot_is_told_safe
 ) -> None:
     world.spend()
     progress = failure()
-    holding = asyncio.create_task(world.watching._allowed(progress))
+    holding = asyncio.create_task(world.allowed(progress))
     await world.until(lambda: ("Warning", "RecoveryHeld") in [event[:2] for event in world.told.events])
     ((target, committed),) = world.gate.committed
     assert target is None
@@ -162,7 +172,7 @@ async def test_once_it_is_spent_what_failed_is_fenced_and_the_robot_is_told_safe
 async def test_while_it_is_held_the_others_are_its_standbys_still_and_it_is_left_alone(world: World) -> None:
     world.spend()
     assert world.watching._standbys.driver == "uid-1"
-    holding = asyncio.create_task(world.watching._allowed(failure()))
+    holding = asyncio.create_task(world.allowed(failure()))
     await world.until(lambda: world.told.events)
     assert world.gate.state.active_uid == ""
     assert world.watching._standbys.driver == "uid-1", "or a pod of its own controller would be brought up to drive"
@@ -176,7 +186,7 @@ async def test_while_it_is_held_the_others_are_its_standbys_still_and_it_is_left
 async def test_it_goes_on_by_itself_when_the_window_has_moved_on(world: World) -> None:
     world.told.spent = [time.time() - 599.9]
     async with asyncio.timeout(5):
-        assert await world.watching._allowed(failure())
+        assert await world.allowed(failure())
     assert len(world.gate.committed) == 1
 
 
@@ -184,12 +194,12 @@ async def test_an_interrupted_hold_is_gone_on_with_and_an_interrupted_recovery_i
     world.spend()
     begun = failure()
     begun.moments["decided"] = time.time()
-    assert await world.watching._allowed(begun)
+    assert await world.allowed(begun)
     assert world.gate.committed == []
     held = failure()
     held.moments["held"] = held.moments["fenced"] = time.time() - 30
     world.gate.state = GateState(epoch=4, recovery=held)
-    holding = asyncio.create_task(world.watching._allowed(held))
+    holding = asyncio.create_task(world.allowed(held))
     await world.until(lambda: world.told.events)
     assert world.gate.committed == [], "it is closed already"
     world.resume()
@@ -204,12 +214,12 @@ async def test_what_is_no_new_failure_is_not_held(world: World, exempt: str) -> 
     progress = failure(planned=exempt == "planned")
     if exempt == "reflex":
         progress.taken_over = PodIdentity(name="w-2", uid="uid-2")
-    assert await world.watching._allowed(progress)
+    assert await world.allowed(progress)
 
 
 async def test_whoever_opens_the_gate_meanwhile_is_right(world: World) -> None:
     world.spend()
-    holding = asyncio.create_task(world.watching._allowed(failure()))
+    holding = asyncio.create_task(world.allowed(failure()))
     await world.until(lambda: world.gate.committed)
     world.gate.state = GateState(epoch=9, active="w-3", active_uid="uid-3")
     async with asyncio.timeout(5):
@@ -223,13 +233,13 @@ async def test_whoever_opens_the_gate_meanwhile_is_right(world: World) -> None:
 async def test_a_fence_that_fails_is_tried_again(world: World, error: Exception, reason: str) -> None:
     world.spend()
     world.gate.refuses = error
-    assert not await world.watching._allowed(failure())
+    assert not await world.allowed(failure())
     assert world.told.conditions["Recovering"][1] == reason
 
 
 async def test_a_pause_ends_the_safe_commands_of_what_is_held_and_goes_before_the_budget(world: World) -> None:
     world.spend()
-    holding = asyncio.create_task(world.watching._allowed(failure()))
+    holding = asyncio.create_task(world.allowed(failure()))
     await world.until(lambda: world.gate.committed)
     world.spec.pause = PAUSE
     await world.until(lambda: world.watching._limits.pauses.on is not None)
