@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 from understudy.api.base import seconds
 from understudy.api.policies import FailurePolicySpec
-from understudy.api.workloads import GateStatus
 from understudy.cluster.probes import ProbeReceiver
 from understudy.mitigation import reflex, switchover
 from understudy.mitigation.journal import Journal
@@ -42,6 +41,7 @@ from understudy.monitor.reflexes import Reflexes
 from understudy.monitor.repertoire import Repertoire
 from understudy.monitor.reporting import Reporter
 from understudy.monitor.safety import SafeCommands, Unattended
+from understudy.monitor.saying import Saying
 from understudy.monitor.sidecars import Sidecars
 from understudy.monitor.sight import Sight
 from understudy.monitor.situations import Situations
@@ -50,7 +50,6 @@ from understudy.monitor.switching import Switching
 from understudy.monitor.underway import UnderWay
 from understudy.monitor.view import View
 from understudy.monitor.waiting import Line
-from understudy.trees.health import Verdict
 
 _logger = logging.getLogger(__name__)
 
@@ -82,84 +81,50 @@ class Supervisor:
     """Protects one workload."""
 
     def __init__(self, parts: Parts) -> None:
-        self._view, self._fleet, self._gate = parts.view, parts.fleet, parts.gate
-        self._sidecars, self._sight, self._reporter = parts.sidecars, parts.sight, parts.reporter
-        self._keeping, self._journal, self._crash_points = parts.keeping, parts.journal, parts.crash_points
-        self._looks = Looks(parts.sight.coming)
+        self._view, self._fleet, self._gate = view, fleet, gate = parts.view, parts.fleet, parts.gate
+        self._sidecars, self._sight = sidecars, sight = parts.sidecars, parts.sight
+        self._reporter, self._keeping = reporter, keeping = parts.reporter, parts.keeping
+        self._journal, self._crash_points = parts.journal, parts.crash_points
+        self._next_slow = 0.0
+        self._looks = Looks(sight.coming)
         self.wake = self._looks.wake
         """Set to have it look at once, such as when a pod of the workload changed."""
-        self._detector = Detector(parts.fleet, parts.gate, parts.sidecars, parts.sight)
-        self._next_slow = 0.0
-        self._under_way = UnderWay()
-        self._labels = Labels(parts.fleet)
-        self._enforcement = Enforcement(parts.gate, parts.probes, parts.reporter)
-        self._unattended = Unattended()
-        self._safety = SafeCommands(parts.sight.graph, self._waited_since)
-        self._levels = Levels(parts.sight, parts.reporter)
-        self._situations = Situations(parts.sight, parts.reporter)
-        self._limits = Limits(parts.view, parts.reporter)
-        self._opening = Opening(parts.fleet, parts.gate, parts.sidecars, parts.reporter, self._limits.pauses)
-        self._repertoire = Repertoire(parts.view, self._limits.storms, self._means)
-        self._postponing = Postponing(parts.reporter, self._limits, self._repertoire)
-        self._line = Line(parts.view, parts.reporter)
-        self._dependencies = Dependencies(parts.view, parts.reporter, self.wake.set)
-        self._leftovers = Leftovers(parts.fleet, parts.gate, parts.reporter)
-        self._standbys = Standbys(
-            parts.view,
-            parts.fleet,
-            parts.gate,
-            parts.sidecars,
-            parts.keeping,
-            parts.reporter,
-            self._leftovers,
-            self._under_way,
-        )
-        parts.sidecars.role = self._standbys.role
-        self._switching = Switching(parts.view, parts.fleet, parts.gate, parts.reporter, self._leftovers)
-        self._occasions = Occasions(
-            parts.view,
-            parts.gate,
-            self._detector,
-            self._levels,
-            self._switching,
-            self._dependencies,
-            self._repertoire,
-            self._limits,
-        )
-        self._reflexes = Reflexes(
-            parts.view, parts.fleet, parts.gate, parts.sidecars, parts.sight, parts.probes, parts.reporter
+        self._detector = detector = Detector(fleet, gate, sidecars, sight)
+        self._under_way = under_way = UnderWay()
+        self._unattended = unattended = Unattended()
+        self._limits = limits = Limits(view, reporter)
+        self._line = Line(view, reporter)
+        self._repertoire = repertoire = Repertoire(view, limits.storms, self._means)
+        self._postponing = postponing = Postponing(reporter, limits, repertoire)
+        self._dependencies = dependencies = Dependencies(view, reporter, self.wake.set)
+        self._leftovers = leftovers = Leftovers(fleet, gate, reporter)
+        self._switching = switching = Switching(view, fleet, gate, reporter, leftovers)
+        self._levels = levels = Levels(sight, reporter)
+        self._situations = Situations(sight, reporter)
+        self._occasions = Occasions(view, gate, detector, levels, switching, dependencies, repertoire, limits)
+        self._safety = SafeCommands(sight.graph, self._waited_since)
+        self._saying = Saying(view, gate, sight, self._safety, repertoire, reporter)
+        self._opening = Opening(fleet, gate, sidecars, reporter, limits.pauses)
+        self._labels = Labels(fleet)
+        self._standbys = Standbys(view, fleet, gate, sidecars, keeping, reporter, leftovers, under_way)
+        sidecars.role = self._standbys.role
+        self._enforcement = Enforcement(gate, parts.probes, reporter)
+        self._reflexes = Reflexes(view, fleet, gate, sidecars, sight, parts.probes, reporter)
+        holding = Holding(view, gate, reporter, parts.black_box, limits, under_way, self._save, self._meanwhile)
+        aftermath = Aftermath(
+            gate, reporter, keeping, detector, limits, postponing, unattended, dependencies, leftovers, switching
         )
         self._recoveries = Recoveries(
-            parts.view,
-            parts.reporter,
-            parts.keeping,
+            view,
+            reporter,
+            keeping,
             parts.black_box,
             parts.crash_points,
-            self._repertoire,
-            self._switching,
-            self._under_way,
-            Holding(
-                parts.view,
-                parts.gate,
-                parts.reporter,
-                parts.black_box,
-                self._limits,
-                self._under_way,
-                self._save,
-                self._meanwhile,
-            ),
-            Aftermath(
-                parts.gate,
-                parts.reporter,
-                parts.keeping,
-                self._detector,
-                self._limits,
-                self._postponing,
-                self._unattended,
-                self._dependencies,
-                self._leftovers,
-                self._switching,
-            ),
+            repertoire,
+            switching,
+            under_way,
+            holding,
+            aftermath,
             self._get_ready,
         )
 
@@ -170,6 +135,12 @@ class Supervisor:
 
     async def run(self) -> None:
         """Watch and recover until cancelled."""
+        await self._resume()
+        while True:
+            await self._act_on(await self._watch())
+
+    async def _resume(self) -> None:
+        """Go on with what an earlier monitor had begun."""
         interrupted = resuming.interrupted(self._journal, self._gate, self._reporter)
         if interrupted is not None:
             _logger.warning("finishing recovery %s, begun before this monitor started", interrupted.id)
@@ -180,50 +151,51 @@ class Supervisor:
                 await self._recoveries.hand_over(Prepared(interrupted))
         elif (done := resuming.concluded(self._gate, self._reporter)) is not None:
             self._limits.retries.note(done)
-        while True:
-            failure = await self._watch()
-            if failure.switch is not None:
-                await self._recoveries.hand_over(failure.switch)
-                continue
-            policy, settings = self._view.policy, self._view.settings
-            if failure.planned and policy and settings and not await self._occasions.is_there():
-                continue
-            prepared = self._switching.failed(failure.reason)
-            active = self._fleet.find(self._gate.state.active_uid)
-            state = self._gate.state
-            failed = [PodIdentity(name=state.active, uid=state.active_uid)] if not state.closed else []
-            if failure.planned:
-                self._levels.handed_over()
-                self._reporter.event("Normal", "Rescheduling", failure.reason)
-            elif failure.follows:
-                self._reporter.event("Normal", "FollowsDependency", failure.reason)
-            else:
-                metrics.lateness(time.time() - failure.detected)
-            what = "hand-over" if failure.planned else "dependency" if failure.follows else "failure"
-            _logger.warning("%s of %s: %s", what, active.name if active else state.active, failure.reason)
-            if failure.taken is not None:
-                await self._recoveries.carry_out(reflex.begin(failure.taken, failed[0], self._reflexes.deadline))
-                continue
-            if failure.follows and failed:
-                if prepared is not None:
-                    self._leftovers.add(prepared)
-                await self._recoveries.carry_out(
-                    self._dependencies.begin(failure.follows, failed[0], failure.onset, failure.detected)
-                )
-                continue
-            progress = Progress.begin(
-                failure.reason,
-                last_healthy=failure.onset,
-                detected=failure.detected,
-                failed=[*failed, *self._leftovers.failed()],
-                planned=failure.planned,
+
+    async def _act_on(self, failure: Failure) -> None:
+        """Do what is to be done about it now."""
+        if failure.switch is not None:
+            await self._recoveries.hand_over(failure.switch)
+            return
+        policy, settings = self._view.policy, self._view.settings
+        if failure.planned and policy and settings and not await self._occasions.is_there():
+            return
+        prepared = self._switching.failed(failure.reason)
+        active = self._fleet.find(self._gate.state.active_uid)
+        state = self._gate.state
+        failed = [PodIdentity(name=state.active, uid=state.active_uid)] if not state.closed else []
+        if failure.planned:
+            self._levels.handed_over()
+            self._reporter.event("Normal", "Rescheduling", failure.reason)
+        elif failure.follows:
+            self._reporter.event("Normal", "FollowsDependency", failure.reason)
+        else:
+            metrics.lateness(time.time() - failure.detected)
+        what = "hand-over" if failure.planned else "dependency" if failure.follows else "failure"
+        _logger.warning("%s of %s: %s", what, active.name if active else state.active, failure.reason)
+        if failure.taken is not None:
+            await self._recoveries.carry_out(reflex.begin(failure.taken, failed[0], self._reflexes.deadline))
+            return
+        if failure.follows and failed:
+            if prepared is not None:
+                self._leftovers.add(prepared)
+            await self._recoveries.carry_out(
+                self._dependencies.begin(failure.follows, failed[0], failure.onset, failure.detected)
             )
-            progress.target = prepared
-            if (first := self._limits.retries.first(failure.reason, failure.onset, state.active_uid)) is None:
-                self._postponing.told_to_wait()
-                continue
-            progress.index = first
-            await self._recoveries.recover(progress)
+            return
+        progress = Progress.begin(
+            failure.reason,
+            last_healthy=failure.onset,
+            detected=failure.detected,
+            failed=[*failed, *self._leftovers.failed()],
+            planned=failure.planned,
+        )
+        progress.target = prepared
+        if (first := self._limits.retries.first(failure.reason, failure.onset, state.active_uid)) is None:
+            self._postponing.told_to_wait()
+            return
+        progress.index = first
+        await self._recoveries.recover(progress)
 
     # -- watching ---------------------------------------------------------------------------------------------------
 
@@ -294,7 +266,7 @@ class Supervisor:
         verdict = self._detector.verdict(active, now)
         degraded = self._levels.look(policy, verdict, active, now=now, since=self._detector.since)
         self._situations.look(policy, verdict, now=now, since=self._detector.since)
-        self._say(verdict, degraded=degraded)
+        self._saying.health(verdict, degraded=degraded)
         self._keeping.judge(verdict.state, now)
         if verdict.state != "Starting" and (followed := self._occasions.followed(active, now)) is not None:
             return followed, None
@@ -333,16 +305,6 @@ class Supervisor:
         self._reporter.set(health="Failed", failing_since=failure.onset)
         return self._postponing.admit(failure, now)
 
-    def _say(self, verdict: Verdict, *, degraded: bool = False) -> None:
-        state = self._gate.state
-        self._reporter.set(
-            active=state.active,
-            health="Degraded" if degraded and verdict.state == "Healthy" else verdict.state,
-            gate=GateStatus(epoch=state.epoch, active=state.active),
-        )
-        status = {"Healthy": "True", "Failed": "False", "Starting": "Unknown"}[verdict.state]
-        self._reporter.condition("Healthy", status, verdict.state, verdict.reason)
-
     def _housekeeping(self) -> None:
         """What has time: labels on new pods, links to agents, whether the gate is enforced, what would be done now."""
         instances = self._fleet.of_workload()
@@ -351,12 +313,7 @@ class Supervisor:
         policy, settings = self._view.policy, self._view.settings
         if policy is None or settings is None:
             return
-        usable = self._repertoire.usable()
-        item = self._view.object
-        self._reporter.generation = item["metadata"].get("generation") if item else None
-        self._reporter.look(item)
-        self._reporter.set(strategy=usable)
-        self._say_watched()
+        self._saying.housekeeping()
         self._limits.spending.say(time.time())
         paused = self._limits.pauses.on is not None
         instances = [i for i in instances if i.uid != self._switching.preparing]
@@ -364,16 +321,6 @@ class Supervisor:
         judged = self._enforcement.judge(instances)
         self._reflexes.keep(time.time(), enforced=judged[0] == "True", paused=paused)
         self._enforcement.say(judged)
-
-    def _say_watched(self) -> None:
-        if problems := [*self._sight.problems, *self._safety.problems]:
-            reason = "TypeNotInstalled" if any("not installed" in problem for problem in problems) else "NotWatched"
-            if self._reporter.condition("Monitored", "False", reason, " ".join(problems)):
-                self._reporter.event("Warning", reason, " ".join(problems))
-        elif waiting := self._sight.waiting:
-            self._reporter.condition("Monitored", "Unknown", "WaitingForTopics", " ".join(waiting))
-        else:
-            self._reporter.condition("Monitored", "True", "Watching", self._sight.summary)
 
     # -- recovering -------------------------------------------------------------------------------------------------
 
