@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from typing import Literal
 
+from understudy.cluster.probes import ProbeReceiver
 from understudy.mitigation.interfaces import Instance
+from understudy.monitor.gating import PolicyGate
+from understudy.monitor.reporting import Reporter
 
 SETTLE = 3.0
 """Seconds after a commit (or the start of an instance) before probes are judged; agents probe once a second."""
 
 SILENT = 5.0
 """Seconds without a probe of the instance in control before its way to the robot counts as blocked."""
+
+CONDITION = "GateEnforced"
 
 Judgement = tuple[Literal["True", "False", "Unknown"], str, str]
 
@@ -64,3 +70,41 @@ def judge(
         "SeenFromPackets",
         "Packets of the pod in control get through the gate, those of every standby don't.",
     )
+
+
+class Enforcement:
+    """Whether the gate of one workload is enforced. Times are unix seconds."""
+
+    def __init__(self, gate: PolicyGate, probes: ProbeReceiver, reporter: Reporter) -> None:
+        self._gate, self._probes, self._reporter = gate, probes, reporter
+        self._changed = time.time()
+        self._let_through = ("", "")
+
+    def look(self, now: float) -> None:
+        """Note when the gate lets another pod through than before."""
+        state = self._gate.state
+        if (state.active_uid, state.admitted_uid) != self._let_through:
+            self._let_through = (state.active_uid, state.admitted_uid)
+            self._changed = now
+
+    def judge(self, instances: Sequence[Instance]) -> Judgement:
+        """How it stands, by what came of these instances."""
+        state = self._gate.state
+        last = {i.uid: found for i in instances if (found := self._probes.last(i.uid)) is not None}
+        return judge(
+            instances,
+            state.active_uid,
+            last,
+            now=time.time(),
+            since=self._changed,
+            admitted_uid=state.admitted_uid,
+        )
+
+    def say(self, judged: Judgement) -> None:
+        """Say how it stands, unless that can't be told for the moment."""
+        if (
+            judged[1] not in ("Settling", "Admitted")
+            and self._reporter.condition(CONDITION, *judged)
+            and judged[0] == "False"
+        ):
+            self._reporter.event("Warning", f"Gate{judged[1]}", judged[2])

@@ -5,97 +5,59 @@ When it looks is decided in looking.py.
 
 from __future__ import annotations
 
-import asyncio
-import contextlib
 import logging
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from datetime import datetime
-from typing import Any
-
-import aiohttp
+from dataclasses import dataclass
 
 from understudy.api.base import seconds
 from understudy.api.policies import FailurePolicySpec
-from understudy.api.settings import WorkloadSettings
-from understudy.api.workloads import DependencyRecovery, GateStatus
-from understudy.cluster.client import ApiError
 from understudy.cluster.probes import ProbeReceiver
 from understudy.mitigation import reflex, switchover
-from understudy.mitigation.escalation import Escalation
-from understudy.mitigation.failover import Choice, recover
-from understudy.mitigation.interfaces import Instance, NotAvailable, Superseded
 from understudy.mitigation.journal import Journal
 from understudy.mitigation.progress import PodIdentity, Progress
-from understudy.mitigation.strategies import Means, Strategy
+from understudy.mitigation.strategies import Means
 from understudy.mitigation.switchover import Prepared
-from understudy.monitor import enforcement, metrics
+from understudy.monitor import metrics, resuming
+from understudy.monitor.aftermath import Aftermath
 from understudy.monitor.blackbox import BlackBox
-from understudy.monitor.bringing import Bringing, expected, managed
-from understudy.monitor.budgeting import Spending
-from understudy.monitor.choosing import choices
-from understudy.monitor.dependencies import Dependencies, following, told
+from understudy.monitor.dependencies import Dependencies
+from understudy.monitor.detection import Detector, Failure
+from understudy.monitor.enforcement import Enforcement
 from understudy.monitor.faults import CrashPoints
 from understudy.monitor.fleet import Fleet
 from understudy.monitor.gating import PolicyGate
+from understudy.monitor.holding import Holding
 from understudy.monitor.keeping import StateKeeping
+from understudy.monitor.labelling import Labels
 from understudy.monitor.leftovers import Leftovers
 from understudy.monitor.levels import Levels
+from understudy.monitor.limits import Limits
 from understudy.monitor.looking import TICK, WAKE_LATE, Looks
-from understudy.monitor.pausing import Pauses
+from understudy.monitor.occasions import Occasions
+from understudy.monitor.opening import Opening
+from understudy.monitor.postponing import Postponing
+from understudy.monitor.recovering import Recoveries
 from understudy.monitor.reflexes import Reflexes
-from understudy.monitor.reporting import Reporter, describe, in_vain, switched
+from understudy.monitor.repertoire import Repertoire
+from understudy.monitor.reporting import Reporter
 from understudy.monitor.safety import SafeCommands, Unattended
+from understudy.monitor.saying import Saying
 from understudy.monitor.sidecars import Sidecars
 from understudy.monitor.sight import Sight
 from understudy.monitor.situations import Situations
-from understudy.monitor.storms import Storms
+from understudy.monitor.standbys import Standbys
 from understudy.monitor.switching import Switching
+from understudy.monitor.underway import UnderWay
 from understudy.monitor.view import View
 from understudy.monitor.waiting import Line
-from understudy.trees.debounce import Debounce
-from understudy.trees.health import Verdict
 
 _logger = logging.getLogger(__name__)
-
-KNOWN_GRACE = 3.0
-"""Seconds that a new monitor waits for the first samples of an instance that its agent knows was healthy before."""
-
-BACKOFF_FIRST, BACKOFF_MOST = 2.0, 60.0
-"""Seconds before everything is tried again after no strategy verified."""
-
-DEAD_AFTER = 0.1
-"""Seconds without an output after which a pod whose object is gone counts as dead."""
 
 SETTLE = 2.0
 """Most seconds that a new monitor takes to hear of the understudies before it goes on with a recovery."""
 
-REFLEX_WITHIN = 10.0
-"""Seconds within which a standby that took over by the reflex must be seen to drive alone, once the gate names it."""
-
-LOOK_WITHIN = 0.5
-"""Seconds that looking for what a planned hand-over needs may take."""
-
 SLOW = 1.0
 """Seconds between looks at what isn't urgent: labels, whether the gate is enforced."""
-
-
-@dataclass(frozen=True)
-class Failure:
-    """What failed and since when; times are unix seconds."""
-
-    reason: str
-    onset: float
-    detected: float
-    taken: reflex.TakenOver | None = None
-    """The standby that the robot follows already, if one does."""
-    planned: bool = False
-    """Whether nothing failed, and an instance that is degraded is handed over."""
-    switch: Prepared | None = None
-    """Where nothing failed either: the understudy that can drive instead, as is planned; or what was begun and isn't settled yet."""
-    follows: Sequence[DependencyRecovery] = ()
-    """The recoveries of others after which the instance in control is dealt with, where that is all."""
 
 
 @dataclass
@@ -119,104 +81,121 @@ class Supervisor:
     """Protects one workload."""
 
     def __init__(self, parts: Parts) -> None:
-        self._parts = parts
-        self._view, self._fleet, self._gate = parts.view, parts.fleet, parts.gate
-        self._sidecars, self._sight, self._reporter = parts.sidecars, parts.sight, parts.reporter
-        self._keeping, self._black_box = parts.keeping, parts.black_box
-        self._looks = Looks(parts.sight.coming)
+        self._view, self._fleet, self._gate = view, fleet, gate = parts.view, parts.fleet, parts.gate
+        self._sidecars, self._sight = sidecars, sight = parts.sidecars, parts.sight
+        self._reporter, self._keeping = reporter, keeping = parts.reporter, parts.keeping
+        self._journal, self._crash_points = parts.journal, parts.crash_points
+        self._next_slow = 0.0
+        self._looks = Looks(sight.coming)
         self.wake = self._looks.wake
         """Set to have it look at once, such as when a pod of the workload changed."""
-        self._since = time.time()
-        self._started = self._since
-        self._debounce = Debounce()
-        self._escalation = Escalation()
-        self._not_before = 0.0
-        self._backoff = BACKOFF_FIRST
-        self._given: tuple[object, ...] = ()
-        self._next_slow = 0.0
-        self._next_asked = 0.0
-        self._gate_changed = self._since
-        self._let_through = ("", "")
-        self._postponed = ""
-        """What puts off the present failure, once that was told."""
-        self._resumed: float | None = None
-        self._held = False
-        self._labelling: asyncio.Task[None] | None = None
-        self.recovering: Progress | None = None
-        """The recovery under way."""
-        self._unattended = Unattended()
-        self._safety = SafeCommands(parts.sight.graph, self._waited_since)
-        self._levels = Levels(parts.sight, parts.reporter)
-        self._situations = Situations(parts.sight, parts.reporter)
-        self._pauses = Pauses(parts.view, parts.reporter)
-        self._spending = Spending(parts.view, parts.reporter)
-        self._storms = Storms(parts.view)
-        self._line = Line(parts.view, parts.reporter)
-        self._dependencies = Dependencies(parts.view, parts.reporter, self.wake.set)
-        self._bringing = Bringing(parts.fleet, parts.sidecars, parts.reporter)
-        self._leftovers = Leftovers(parts.fleet, parts.gate, parts.reporter)
-        self._switching = Switching(parts.view, parts.fleet, parts.gate, parts.reporter, self._leftovers)
-        parts.sidecars.role = self._role
-        self._reflexes = Reflexes(
-            parts.view, parts.fleet, parts.gate, parts.sidecars, parts.sight, parts.probes, parts.reporter
+        self._detector = detector = Detector(fleet, gate, sidecars, sight)
+        self._under_way = under_way = UnderWay()
+        self._unattended = unattended = Unattended()
+        self._limits = limits = Limits(view, reporter)
+        self._line = Line(view, reporter)
+        self._repertoire = repertoire = Repertoire(view, limits.storms, self._means)
+        self._postponing = postponing = Postponing(reporter, limits, repertoire)
+        self._dependencies = dependencies = Dependencies(view, reporter, self.wake.set)
+        self._leftovers = leftovers = Leftovers(fleet, gate, reporter)
+        self._switching = switching = Switching(view, fleet, gate, reporter, leftovers)
+        self._levels = levels = Levels(sight, reporter)
+        self._situations = Situations(sight, reporter)
+        self._occasions = Occasions(view, gate, detector, levels, switching, dependencies, repertoire, limits)
+        self._safety = SafeCommands(sight.graph, self._waited_since)
+        self._saying = Saying(view, gate, sight, self._safety, repertoire, reporter)
+        self._opening = Opening(fleet, gate, sidecars, reporter, limits.pauses)
+        self._labels = Labels(fleet)
+        self._standbys = Standbys(view, fleet, gate, sidecars, keeping, reporter, leftovers, under_way)
+        sidecars.role = self._standbys.role
+        self._enforcement = Enforcement(gate, parts.probes, reporter)
+        self._reflexes = Reflexes(view, fleet, gate, sidecars, sight, parts.probes, reporter)
+        holding = Holding(view, gate, reporter, parts.black_box, limits, under_way, self._save, self._meanwhile)
+        aftermath = Aftermath(
+            gate, reporter, keeping, detector, limits, postponing, unattended, dependencies, leftovers, switching
         )
+        self._recoveries = Recoveries(
+            view,
+            reporter,
+            keeping,
+            parts.black_box,
+            parts.crash_points,
+            repertoire,
+            switching,
+            under_way,
+            holding,
+            aftermath,
+            self._get_ready,
+        )
+
+    @property
+    def recovering(self) -> Progress | None:
+        """The recovery under way."""
+        return self._under_way.progress
 
     async def run(self) -> None:
         """Watch and recover until cancelled."""
-        interrupted = self._interrupted()
+        await self._resume()
+        while True:
+            await self._act_on(await self._watch())
+
+    async def _resume(self) -> None:
+        """Go on with what an earlier monitor had begun."""
+        interrupted = resuming.interrupted(self._journal, self._gate, self._reporter)
         if interrupted is not None:
             _logger.warning("finishing recovery %s, begun before this monitor started", interrupted.id)
             await self._sidecars.settle(self._fleet.of_workload(), SETTLE)
             if interrupted.switchover is None:
-                if await self._allowed(interrupted):
-                    await self._carry_out(interrupted)
+                await self._recoveries.recover(interrupted)
             elif interrupted.result != "Running" or switchover.committed(interrupted, self._means()):
-                await self._hand_over(Prepared(interrupted))
-        elif (done := self._concluded()) is not None:
-            self._escalation.note(done)
-        while True:
-            failure = await self._watch()
-            if failure.switch is not None:
-                await self._hand_over(failure.switch)
-                continue
-            policy, settings = self._view.policy, self._view.settings
-            if failure.planned and policy and settings and not await self._is_there(policy, settings):
-                continue
-            prepared = self._switching.failed(failure.reason)
-            active = self._fleet.find(self._gate.state.active_uid)
-            state = self._gate.state
-            failed = [PodIdentity(name=state.active, uid=state.active_uid)] if not state.closed else []
-            if failure.planned:
-                self._levels.handed_over()
-                self._reporter.event("Normal", "Rescheduling", failure.reason)
-            elif failure.follows:
-                self._reporter.event("Normal", "FollowsDependency", failure.reason)
-            else:
-                metrics.lateness(time.time() - failure.detected)
-            what = "hand-over" if failure.planned else "dependency" if failure.follows else "failure"
-            _logger.warning("%s of %s: %s", what, active.name if active else state.active, failure.reason)
-            if failure.taken is not None:
-                await self._carry_out(reflex.begin(failure.taken, failed[0], self._reflexes.deadline))
-                continue
-            if failure.follows and failed:
-                if prepared is not None:
-                    self._leftovers.add(prepared)
-                await self._carry_out(
-                    self._dependencies.begin(failure.follows, failed[0], failure.onset, failure.detected)
-                )
-                continue
-            progress = Progress.begin(
-                failure.reason,
-                last_healthy=failure.onset,
-                detected=failure.detected,
-                failed=[*failed, *self._leftovers.failed()],
-                planned=failure.planned,
+                await self._recoveries.hand_over(Prepared(interrupted))
+        elif (done := resuming.concluded(self._gate, self._reporter)) is not None:
+            self._limits.retries.note(done)
+
+    async def _act_on(self, failure: Failure) -> None:
+        """Do what is to be done about it now."""
+        if failure.switch is not None:
+            await self._recoveries.hand_over(failure.switch)
+            return
+        policy, settings = self._view.policy, self._view.settings
+        if failure.planned and policy and settings and not await self._occasions.is_there():
+            return
+        prepared = self._switching.failed(failure.reason)
+        active = self._fleet.find(self._gate.state.active_uid)
+        state = self._gate.state
+        failed = [PodIdentity(name=state.active, uid=state.active_uid)] if not state.closed else []
+        if failure.planned:
+            self._levels.handed_over()
+            self._reporter.event("Normal", "Rescheduling", failure.reason)
+        elif failure.follows:
+            self._reporter.event("Normal", "FollowsDependency", failure.reason)
+        else:
+            metrics.lateness(time.time() - failure.detected)
+        what = "hand-over" if failure.planned else "dependency" if failure.follows else "failure"
+        _logger.warning("%s of %s: %s", what, active.name if active else state.active, failure.reason)
+        if failure.taken is not None:
+            await self._recoveries.carry_out(reflex.begin(failure.taken, failed[0], self._reflexes.deadline))
+            return
+        if failure.follows and failed:
+            if prepared is not None:
+                self._leftovers.add(prepared)
+            await self._recoveries.carry_out(
+                self._dependencies.begin(failure.follows, failed[0], failure.onset, failure.detected)
             )
-            progress.target = prepared
-            if (first := self._first(failure, state.active_uid)) is not None:
-                progress.index = first
-                if await self._allowed(progress):
-                    await self._carry_out(progress)
+            return
+        progress = Progress.begin(
+            failure.reason,
+            last_healthy=failure.onset,
+            detected=failure.detected,
+            failed=[*failed, *self._leftovers.failed()],
+            planned=failure.planned,
+        )
+        progress.target = prepared
+        if (first := self._limits.retries.first(failure.reason, failure.onset, state.active_uid)) is None:
+            self._postponing.told_to_wait()
+            return
+        progress.index = first
+        await self._recoveries.recover(progress)
 
     # -- watching ---------------------------------------------------------------------------------------------------
 
@@ -226,14 +205,13 @@ class Supervisor:
         while True:
             now = self._looks.begin()
             next_look = now + TICK
-            self._pauses.look(now)
+            self._limits.pauses.look(now)
             policy = self._view.policy
-            if policy is None or self._retired():
+            if policy is None or self._view.retired:
                 self._reporter.set(health="Unknown")
                 next_look = now + SLOW
             else:
-                self._notice_correction(now)
-                self._notice_word(now)
+                self._limits.retries.look(self._limits.spending.resumed, now)
                 self._sight.follow(policy, self._view.spec)
                 self._follow_safety(policy)
                 self._dependencies.follow(self._view.settings)
@@ -253,37 +231,16 @@ class Supervisor:
                 self._housekeeping()
             await self._looks.until(next_look)
 
-    def _notice_correction(self, now: float) -> None:
-        """Where no strategy verified, what was changed since may be the correction: trying it isn't put off."""
-        given = (self._view.policy, self._view.spec, self._view.settings)
-        if len(given) == len(self._given) and all(a is b for a, b in zip(given, self._given, strict=True)):
-            return
-        before, self._given = self._given, given
-        if self._backoff > BACKOFF_FIRST and before != given:
-            self._backoff, self._not_before = BACKOFF_FIRST, now
-
-    def _notice_word(self, now: float) -> None:
-        """Somebody has looked at it and says to go on: that isn't put off either."""
-        if (said := self._spending.resumed) != self._resumed:
-            self._resumed = said
-            self._backoff, self._not_before = BACKOFF_FIRST, now
-
     def _follow_safety(self, policy: FailurePolicySpec) -> None:
         if (spec := self._view.spec) is not None:
             self._safety.follow(policy.safety, spec)
 
     def _waited_since(self) -> float | None:
         """Since when no instance has been verified to be in control; None while one is."""
-        if self._retired() or (self._pauses.on is not None and (self._held or self.recovering is None)):
+        progress, held = self._under_way.progress, self._under_way.held
+        if self._view.retired or (self._limits.pauses.on is not None and (held or progress is None)):
             return None
-        if self.recovering is not None:
-            return self._unattended.recovering(self.recovering)
-        return self._unattended.since
-
-    def _retired(self) -> bool:
-        """Whether the workload is being deleted: then nothing is recovered."""
-        item = self._view.object
-        return item is None or bool(item["metadata"].get("deletionTimestamp"))
+        return self._unattended.recovering(progress) if progress is not None else self._unattended.since
 
     async def _look(self, policy: FailurePolicySpec, now: float) -> tuple[Failure | None, float | None]:
         """What is so at this moment: a failure that counts, and else the time to look again at the latest."""
@@ -291,11 +248,10 @@ class Supervisor:
         if not self._gate.exists:
             self._reporter.set(health="Unknown")
             return None, None
-        if (state.active_uid, state.admitted_uid) != self._let_through:
-            self._let_through = (state.active_uid, state.admitted_uid)
-            self._gate_changed = now
+        self._enforcement.look(now)
         if state.closed:
-            await self._bootstrap(policy, now)
+            if await self._opening.look(policy, now):
+                self._detector.since = time.time()
             return None, None
         active = self._fleet.find(state.active_uid)
         if (taken := self._reflexes.taken_over(now)) is not None:
@@ -303,38 +259,38 @@ class Supervisor:
                 return None, self._looks.trusted_from
             reason = f"{state.active} is silent and {taken.standby.name} has taken over"
             return Failure(reason, taken.last, taken.first, taken), None
-        if (loss := self._lost(active, now)) is not None:
+        if (loss := self._detector.lost(active, now)) is not None:
             failure, look = loss
             return (self._counted(failure, now) if failure else None), look
         assert active is not None
-        verdict = self._verdict(active, policy, now)
-        degraded = self._levels.look(policy, verdict, active, now=now, since=self._since)
-        self._situations.look(policy, verdict, now=now, since=self._since)
-        self._say(verdict, degraded=degraded)
+        verdict = self._detector.verdict(active, now)
+        degraded = self._levels.look(policy, verdict, active, now=now, since=self._detector.since)
+        self._situations.look(policy, verdict, now=now, since=self._detector.since)
+        self._saying.health(verdict, degraded=degraded)
         self._keeping.judge(verdict.state, now)
-        if verdict.state != "Starting" and (followed := self._followed(active, now)) is not None:
+        if verdict.state != "Starting" and (followed := self._occasions.followed(active, now)) is not None:
             return followed, None
         if verdict.state != "Failed":
-            self._debounce.clear()
+            self._detector.well()
             self._dependencies.well(active.name)
             if verdict.state == "Healthy":
                 self._unattended.driven()
-                self._postponed = "" if self._postponed == "Paused" else self._postponed
-            if verdict.state == "Healthy" and now - self._since >= seconds(policy.limits.healthy_delay):
-                self._backoff = BACKOFF_FIRST
+                self._postponing.healthy()
+            if verdict.state == "Healthy" and now - self._detector.since >= seconds(policy.limits.healthy_delay):
+                self._limits.retries.healthy()
                 if self._reporter.reason("Recovering") not in ("", "Recovered", "HealthyAgain"):
                     self._reporter.condition("Recovering", "False", "HealthyAgain", f"{active.name} is healthy again.")
-            if (switch := self._switch_due(policy, verdict, now)) is not None:
+            if (switch := self._occasions.switchover(verdict, now)) is not None:
                 return switch, None
-            if verdict.state == "Healthy" and degraded and (planned := self._planned(policy, active, now)) is not None:
-                return planned, None
-            return None, self._sight.deadline(now=now, since=self._since)
+            if verdict.state == "Healthy" and degraded and (due := self._occasions.hand_over(active, now)) is not None:
+                return due, None
+            return None, self._sight.deadline(now=now, since=self._detector.since)
         detected = time.time()
         if detected < self._looks.trusted_from:
             return None, self._looks.trusted_from
-        onset = verdict.onset if verdict.onset is not None else self._onset(active.name, now)
+        onset = verdict.onset if verdict.onset is not None else self._detector.onset(active.name, now)
         self._dependencies.notice(onset, detected)
-        counts = self._debounce.failed(detected, seconds(policy.monitoring.debounce))
+        counts = self._detector.counts_from(detected, policy.monitoring)
         if detected < counts:
             return None, counts
         # What is critical to safety isn't left in control for another's sake: it may do worse than to be silent.
@@ -343,299 +299,28 @@ class Supervisor:
             return None, again
         return self._counted(Failure(verdict.reason, onset, detected), now), None
 
-    def _followed(self, active: Instance, now: float) -> Failure | None:
-        """What is to be done with the instance in control since others were recovered, if it is due and the limits don't say not now."""
-        found = self._dependencies.due(active, now)
-        if found is None or now < self._not_before or self._pauses.on is not None:
-            return None
-        return Failure(told(found.follows), self._onset(active.name, now), time.time(), follows=found.follows)
-
-    def _planned(self, policy: FailurePolicySpec, active: Instance, now: float) -> Failure | None:
-        """The hand-over of a degraded instance, if it is due. The policy's first strategy must be there: nobody waits for it."""
-        settings = self._view.settings
-        if (reason := self._levels.due) is None or settings is None:
-            return None
-        if self._pauses.on is not None:
-            self._levels.wait("paused", f"it is {self._pauses.on.words}")
-            return None
-        if now < self._not_before:
-            self._levels.wait("limits", "the policy's limits ask for a pause after the last recovery")
-            return None
-        if self._spending.spent_until(now) is not None:
-            self._levels.wait("budget", "the budget of the policy is spent, see WithinBudget")
-            return None
-        first = choices(policy, settings, self._view.spec)[0].strategy
-        if (lacking := first.outlook(self._means()) or self._holds(first)) is not None:
-            self._levels.wait("means", _not_now(lacking))
-            return None
-        return Failure(reason, self._onset(active.name, now), time.time(), planned=True)
-
-    async def _is_there(self, policy: FailurePolicySpec, settings: WorkloadSettings) -> bool:
-        """Whether what a hand-over that is due needs is there by what is so, and not only by what was said. Meanwhile nobody watches
-        the instance in control, so an answer that is slow is none.
-        """
-        first, means = choices(policy, settings, self._view.spec)[0].strategy, self._means()
-        try:
-            async with asyncio.timeout(LOOK_WITHIN):
-                await first.look(means)
-            lacking = first.available(means)
-        except (ApiError, TimeoutError) as error:
-            lacking = str(error) or "the API server doesn't answer"
-        if lacking is not None:
-            self._levels.wait("means", _not_now(lacking))
-        return lacking is None
-
-    def _switch_due(self, policy: FailurePolicySpec, verdict: Verdict, now: float) -> Failure | None:
-        """The planned switchover that can be carried out now, if there is one."""
-        if (unsettled := self._switching.unsettled()) is not None:
-            return Failure(unsettled.reason, now, now, switch=Prepared(unsettled))
-        settings = self._view.settings
-        if settings is None:
-            return None
-        lacking = ""
-        if (pause := self._pauses.on) is not None:
-            lacking = f"it is {pause.words}"
-        elif verdict.state != "Healthy":
-            lacking = f"{self._gate.state.active} isn't healthy yet ({verdict.reason or 'it has just begun to drive'})"
-        elif now < self._not_before:
-            lacking = "the policy's limits ask for a pause after the last recovery"
-        elif (storm := self._storms.on(now)) is not None and not self._stands_by():
-            lacking = f"others fail: {storm}"
-        found = self._switching.look(lacking, lambda: choices(policy, settings, self._view.spec), self._means)
-        return Failure(found.progress.reason, now, now, switch=found) if found is not None else None
-
-    def _lost(self, active: Instance | None, now: float) -> tuple[Failure | None, float | None] | None:
-        """Whether the pod in control is lost, which needs no health tree: a failure, or when to look again.
-
-        One on a node that Kubernetes has lost goes on, whatever becomes of its object: its outputs say whether it lives.
-        A pod that is being deleted still has its labels, so the gate can fence it at once. One whose object is gone
-        (deleted by force) has none, and its process may run on for a moment: fencing it isn't possible, so the switch
-        waits until it is silent.
-        """
-        name = self._gate.state.active
-        if active is not None and not active.leaving and active.running:
-            return None
-        onset = self._onset(name, now)
-        if (
-            active is None
-            and (silent := self._sight.last_from(name)) is not None
-            and now - silent < DEAD_AFTER
-            # Once a successor of the same name has an address, as in a StatefulSet, it's that one which is heard.
-            and not any(i.name == name and i.ip for i in self._fleet.of_workload())
-        ):
-            return None, silent + DEAD_AFTER
-        gone = "is gone" if active is None else "is being deleted" if active.leaving else "has stopped running"
-        return Failure(f"pod {name} {gone}", onset, time.time()), None
-
-    def _verdict(self, active: Instance, policy: FailurePolicySpec, now: float) -> Verdict:
-        verdict = self._sight.verdict(now=now, since=self._since)
-        if verdict.state == "Starting" and now - self._since > KNOWN_GRACE:
-            # This monitor is new, its instance isn't: what its own agent says counts, not the grace for a start.
-            status = self._sidecars.status(active)
-            if status is not None and status.ready_at is not None and not status.ready:
-                return Verdict("Failed", status.reason, verdict.leaf, status.ready_at)
-        return verdict
-
-    def _onset(self, pod: str, now: float) -> float:
-        last = self._sight.last_well(pod)
-        return last if last is not None and last <= now else now
-
     def _counted(self, failure: Failure, now: float) -> Failure | None:
         """The failure, unless the limits say not now."""
         self._keeping.judge("Failed", now)
         self._reporter.set(health="Failed", failing_since=failure.onset)
-        if (pause := self._pauses.on) is not None:
-            self._postpone("Paused", failure, f"nothing is done about it: it is {pause.words}")
-            return None
-        if now >= self._not_before:
-            if (storm := self._storms.on(now)) is not None and not self._stands_by():
-                self._postpone("Storm", failure, f"it waits, since others fail too: {storm}")
-                return None
-            self._postponed = ""
-            # What it went without in the pause was nobody's failure.
-            return replace(failure, onset=max(failure.onset, min(self._pauses.ended, failure.detected)))
-        self._postpone("Waiting", failure, f"tried again in {self._not_before - now:.0f} s")
-        return None
-
-    def _stands_by(self) -> bool:
-        """Whether an instance that is well is there to take over, which takes nothing from others."""
-        policy, settings = self._view.policy, self._view.settings
-        if policy is None or settings is None:
-            return False
-        means = self._means()
-        found = (choice.strategy for choice in choices(policy, settings, self._view.spec))
-        return any(strategy.standing and strategy.available(means) is None for strategy in found)
-
-    def _holds(self, strategy: Strategy) -> str | None:
-        """Why a strategy isn't tried now, although it could be."""
-        if strategy.standing or (storm := self._storms.on(time.time())) is None:
-            return None
-        return f"held, since others fail too: {storm}"
-
-    def _postpone(self, why: str, failure: Failure, then: str) -> None:
-        """Say why nothing is done yet, once."""
-        if self._postponed != why:
-            self._postponed = why
-            text = f"{failure.reason}; {then}"
-            metrics.held(why)
-            self._reporter.condition(
-                "Healthy", "False", "Failed", failure.reason
-            )  # of a pod that is gone no tree says so
-            self._reporter.condition("Recovering", "False", why, f"{text.rstrip('.')}.")
-            self._reporter.event("Warning", "RecoveryPostponed", text)
-
-    def _say(self, verdict: Verdict, *, degraded: bool = False) -> None:
-        state = self._gate.state
-        self._reporter.set(
-            active=state.active,
-            health="Degraded" if degraded and verdict.state == "Healthy" else verdict.state,
-            gate=GateStatus(epoch=state.epoch, active=state.active),
-        )
-        status = {"Healthy": "True", "Failed": "False", "Starting": "Unknown"}[verdict.state]
-        self._reporter.condition("Healthy", status, verdict.state, verdict.reason)
-
-    async def _bootstrap(self, policy: FailurePolicySpec, now: float) -> None:
-        """No pod is in control and none is being recovered: open the gate for one that runs, its controller's first."""
-        running = [i for i in self._fleet.of_workload() if i.usable and not i.held]
-        self._reporter.set(
-            active="", health="Starting" if running else "Unknown", gate=GateStatus(epoch=self._gate.state.epoch)
-        )
-        if self._pauses.on is not None:
-            return
-        if not running:
-            await self._ask_for_one(now)
-            return
-        ready = [i for i in running if not i.has_agent or self._sidecars.is_ready(i)[0]]
-        # An application may need an answer of the robot before its outputs flow, and the workload's own pod comes before
-        # a standby: but neither is waited for too long.
-        if now - self._started <= seconds(policy.monitoring.startup_grace) / 2:
-            ready = [i for i in ready if i.from_source]
-        elif not ready:
-            ready = running
-        if not ready:
-            return
-        first = min(ready, key=lambda i: (not i.from_source, i.created, i.name))
-        # A recovery that closed it and came to nothing isn't gone on with, but which other pods had failed is still true.
-        left = self._gate.state.recovery
-        if left is not None:
-            failed = [pod for pod in left.failed if pod.uid != first.uid]
-            left = left.model_copy(update={"result": "Failed", "failed": failed, "waiting": None})
-        try:
-            await self._gate.commit(first, left)
-        except (Superseded, ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
-            _logger.warning("opening the gate for %s: %s", first.name, error)
-            await asyncio.sleep(1)
-            return
-        _logger.info("gate opened for %s, epoch %d", first.name, self._gate.state.epoch)
-        self._reporter.event("Normal", "InControl", f"{first.name} is in control, epoch {self._gate.state.epoch}")
-        self._since = time.time()
-
-    async def _ask_for_one(self, now: float) -> None:
-        """No pod runs and no recovery is under way. The workload's own controller may have been told to run none, while a pod of
-        a shared pool drove: nobody else tells it otherwise while the gate is closed.
-        """
-        if now < self._next_asked:
-            return
-        self._next_asked = now + BACKOFF_FIRST
-        try:
-            await self._fleet.replace([])
-        except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
-            _logger.warning("no pod runs, and none can be asked for: %s", error)
+        return self._postponing.admit(failure, now)
 
     def _housekeeping(self) -> None:
         """What has time: labels on new pods, links to agents, whether the gate is enforced, what would be done now."""
         instances = self._fleet.of_workload()
-        if self._labelling is None or self._labelling.done():
-            self._labelling = asyncio.create_task(self._label(instances))
+        self._labels.follow(instances)
         self._sidecars.follow(instances)
         policy, settings = self._view.policy, self._view.settings
         if policy is None or settings is None:
             return
-        means = self._means()
-        reasons = [(c.strategy, c.strategy.outlook(means)) for c in choices(policy, settings, self._view.spec)]
-        usable = next((s.name.split("/")[-1] for s, reason in reasons if reason is None), "None")
-        item = self._view.object
-        self._reporter.generation = item["metadata"].get("generation") if item else None
-        self._reporter.look(item)
-        self._reporter.set(strategy=usable)
-        self._say_watched()
-        self._spending.say(time.time())
-        paused = self._pauses.on is not None
+        self._saying.housekeeping()
+        self._limits.spending.say(time.time())
+        paused = self._limits.pauses.on is not None
         instances = [i for i in instances if i.uid != self._switching.preparing]
-        if (spec := self._view.spec) is not None and not paused:
-            held = self.recovering if self._held else None
-            cared = [i for i in instances if held is None or not held.has_failed(i.uid)]
-            self._bringing.housekeeping(
-                cared, policy, spec, settings, self._driver, lambda: self._keeping.select(time.time())
-            )
-        if not paused:
-            self._leftovers.housekeeping(instances, time.monotonic())
-        kept_up = self._kept_up(instances, settings) if not paused else []
-        self._keeping.housekeeping(self._fleet.find(self._gate.state.active_uid), kept_up)
-        active_uid = self._gate.state.active_uid
-        last = {i.uid: found for i in instances if (found := self._parts.probes.last(i.uid)) is not None}
-        judged = enforcement.judge(
-            instances,
-            active_uid,
-            last,
-            now=time.time(),
-            since=self._gate_changed,
-            admitted_uid=self._gate.state.admitted_uid,
-        )
+        self._standbys.housekeeping(instances, policy, settings, paused=paused)
+        judged = self._enforcement.judge(instances)
         self._reflexes.keep(time.time(), enforced=judged[0] == "True", paused=paused)
-        if (
-            judged[1] not in ("Settling", "Admitted")
-            and self._reporter.condition("GateEnforced", *judged)
-            and judged[0] == "False"
-        ):
-            self._reporter.event("Warning", f"Gate{judged[1]}", judged[2])
-
-    @property
-    def _driver(self) -> str:
-        """The UID of the pod by which the others are standbys: while a failure is held nobody is to take its place."""
-        if self._held and self.recovering is not None and self.recovering.failed:
-            return self.recovering.failed[0].uid
-        return self._gate.state.active_uid
-
-    def _role(self, instance: Instance, brought: str) -> tuple[Mapping[str, Any] | None, bool]:
-        """What an instance must be to be ready while it waits, and whether procedures bring its nodes up."""
-        policy, spec, settings = self._view.policy, self._view.spec, self._view.settings
-        if policy is None or spec is None or settings is None:
-            return None, False
-        ready = self._bringing.was_ready(instance) or self._sidecars.is_ready(instance)[0]
-        found = expected(instance, spec, settings, active_uid=self._driver, brought=brought, ready=ready)
-        return found.standby, managed(spec, settings, policy)
-
-    def _kept_up(self, instances: Sequence[Instance], settings: WorkloadSettings) -> list[tuple[Instance, float]]:
-        """The standbys that are given state while they wait, each with its period in seconds."""
-        periods = {pool.name: seconds(pool.keep_up) for pool in settings.pools if pool.keep_up}
-        if not periods:
-            return []
-        active = self._gate.state.active_uid
-        # One that the workload's own controller made is a standby like the pool's.
-        return [
-            (instance, periods.get(instance.pool, min(periods.values())))
-            for instance in instances
-            if instance.uid != active and instance.usable and instance.has_agent and not instance.held
-            if (not instance.pool or instance.pool in periods) and self._sidecars.is_ready(instance)[0]
-        ]
-
-    async def _label(self, instances: Sequence[Instance]) -> None:
-        """Label new pods, beside the loop: an API server that is slow to answer must not delay a detection."""
-        for instance in instances:
-            if not instance.terminating:
-                with contextlib.suppress(ApiError, aiohttp.ClientError, TimeoutError, OSError):
-                    await self._fleet.label(instance)
-
-    def _say_watched(self) -> None:
-        if problems := [*self._sight.problems, *self._safety.problems]:
-            reason = "TypeNotInstalled" if any("not installed" in problem for problem in problems) else "NotWatched"
-            if self._reporter.condition("Monitored", "False", reason, " ".join(problems)):
-                self._reporter.event("Warning", reason, " ".join(problems))
-        elif waiting := self._sight.waiting:
-            self._reporter.condition("Monitored", "Unknown", "WaitingForTopics", " ".join(waiting))
-        else:
-            self._reporter.condition("Monitored", "True", "Watching", self._sight.summary)
+        self._enforcement.say(judged)
 
     # -- recovering -------------------------------------------------------------------------------------------------
 
@@ -653,249 +338,23 @@ class Supervisor:
             workload_uid=settings.uid,
             kept=self._keeping.select,
             restore_within=seconds(policy.state.within) if (policy := self._view.policy) else 5.0,
-            holds=self._holds,
+            holds=self._repertoire.holds,
         )
 
     def _save(self, progress: Progress) -> None:
-        self._parts.crash_points.step("before save")
-        self._parts.journal.save(progress)
+        self._crash_points.step("before save")
+        self._journal.save(progress)
 
-    def _interrupted(self) -> Progress | None:
-        """The recovery that an earlier monitor had begun and not recorded, if there is one."""
-        kept = [p for p in (self._parts.journal.load(), self._gate.state.recovery) if p is not None]
-        open_ones = [p for p in kept if p.id not in self._reporter.recorded and p.result != "Failed"]
-        if not open_ones:
-            return None
-        progress = open_ones[0]
-        committed = self._gate.state.recovery
-        if committed is not None and committed.id != progress.id and committed in open_ones:
-            progress = committed  # the journal is of an older one: the gate knows better
-        return progress.model_copy(update={"resumed": True}, deep=True)
-
-    def _concluded(self) -> Progress | None:
-        """The last recovery, of which the gate still tells and the status that it recovered: an earlier monitor's."""
-        left, last = self._gate.state.recovery, self._reporter.last
-        if left is None or last is None or (last.id, last.result) != (left.id, "Recovered"):
-            return None
-        if left.switchover is not None:
-            return None  # nothing had failed
-        done = left.model_copy(update={"result": "Recovered"}, deep=True)
-        if last.moments.verified is not None:
-            done.moments["verified"] = datetime.fromisoformat(last.moments.verified).timestamp()
-        return done
-
-    async def _allowed(self, progress: Progress) -> bool:
-        """Whether to carry it out. Where the policy's budget is spent that is known once it isn't any more."""
-        now = time.time()
-        nothing_failed = progress.planned or bool(progress.follows)
-        begun = "decided" in progress.moments or progress.attempts or progress.taken_over is not None
-        waits = self._must_wait(now) if "held" in progress.moments else self._spending.spent_until(now) is not None
-        if waits and not begun and not nothing_failed:
-            try:
-                await self._hold(progress)
-            except Superseded as reason:
-                self._superseded(progress, reason)
-                return False
-            except (ApiError, aiohttp.ClientError, OSError) as error:
-                self._stopped(progress, error)
-                return False
-        if "held" in progress.moments and "released" not in progress.moments:
-            progress.release(time.time())
-            self._reporter.event("Normal", "RecoveryReleased", f"{progress.reason}; it is recovered now")
-        return True
-
-    async def _hold(self, progress: Progress) -> None:
-        """Fence what failed, and do no more for as long as the budget is spent: the robot is told the safe commands meanwhile.
-
-        It stands beside the gate, so that the next monitor goes on holding it. Raises Superseded.
-        """
-        progress.moments.setdefault("held", time.time())
-        self._save(progress)
-        self.recovering, self._held = progress, True
-        self._black_box.begin(progress)
-        try:
-            if not self._gate.state.closed:
-                await self._gate.commit(None, progress)
-            progress.moments.setdefault("fenced", time.time())
-            epoch = self._gate.state.epoch
-            self._reporter.set(active="", health="Failed", gate=GateStatus(epoch=epoch))
-            self._reporter.condition("Healthy", "False", "Failed", progress.reason)
-            self._spending.say(time.time())
-            self._spending.tell_held(progress)
-            while self._must_wait(time.time()):
-                if self._gate.state.epoch != epoch:
-                    raise Superseded(
-                        f"the gate is at epoch {self._gate.state.epoch} by another writer, and was at {epoch}"
-                    )
-                if (policy := self._view.policy) is not None:
-                    self._follow_safety(policy)
-                self._sight.drain(self._fleet.of_workload(), "")
-                self._housekeeping()
-                await asyncio.sleep(SLOW)
-        finally:
-            self.recovering, self._held = None, False
-
-    def _must_wait(self, now: float) -> bool:
-        self._pauses.look(now)
-        if self._retired():
-            return False
-        return self._pauses.on is not None or self._spending.spent_until(now) is not None
-
-    def _superseded(self, progress: Progress, reason: Superseded) -> None:
-        """Somebody else acts at a newer epoch: watch again."""
-        _logger.warning("recovery %s given up: %s", progress.id, reason)
-        self._black_box.end(progress)
-        self._reporter.condition("Recovering", "False", "Superseded", str(reason))
-        self._reporter.event("Warning", "RecoverySuperseded", f"{progress.reason}: {reason}")
-        self._unattended.driven()
-        self._after(0.0)
-
-    def _stopped(self, progress: Progress, error: Exception) -> None:
-        """The API server refused something: all is tried again in a moment."""
-        _logger.error("recovery %s stopped", progress.id, exc_info=error)
-        self._black_box.end(progress)
-        self._reporter.condition("Recovering", "False", "Error", f"{progress.reason}: {error}")
-        self._reporter.event("Warning", "RecoveryError", f"{progress.reason}: {error}")
-        self._after(BACKOFF_FIRST)
-
-    async def _carry_out(self, progress: Progress) -> None:
-        policy, settings = self._view.policy, self._view.settings
-        if policy is None or settings is None or self._retired():
-            return
+    def _get_ready(self, policy: FailurePolicySpec) -> None:
+        """A recovery that an earlier monitor had begun comes before the first look."""
         self._sight.follow(policy, self._view.spec)
         self._follow_safety(policy)
-        self._keeping.follow(policy.state)  # a recovery that an earlier monitor had begun comes before the first look
+        self._keeping.follow(policy.state)
         self._sidecars.follow(self._fleet.of_workload())
-        began = "Rescheduling" if progress.planned else "FollowsDependency" if progress.follows else "FailureDetected"
-        self._reporter.condition("Recovering", "True", began, progress.reason)
-        # Why, first: that it is so is told at once.
-        self._reporter.set(health="Recovering", failing_since=progress.moments.get("last_healthy"))
-        try:
-            async with self._keeping.recovering():
-                done = await self._recovered(progress, choices(policy, settings, self._view.spec))
-        except Superseded as reason:
-            self._superseded(progress, reason)
-            return
-        except (ApiError, aiohttp.ClientError, OSError) as error:
-            if progress.result != "Recovered":
-                self._stopped(progress, error)
-                return
-            _logger.warning("the failed pod is not deleted yet: %s", error)
-            done = progress
-        self._parts.crash_points.step("before record")
-        self._escalation.note(done)
-        recovery = self._reporter.record(done)
-        self._spending.count(done, time.time())
-        self._dependencies.note(done.follows)
-        state = self._gate.state
-        self._reporter.set(active=state.active, gate=GateStatus(epoch=state.epoch, active=state.active))
-        self._keeping.tell(recovery)
-        text = describe(recovery)
-        _logger.warning("recovery %d: %s", recovery.number, text)
-        urgent = policy.priority == "Safety"
-        if done.result == "Recovered":
-            self._leftovers.remember()
-            self._unattended.driven()
-            self._reporter.condition("Recovering", "False", "Recovered", text)
-            self._reporter.event("Normal", "Recovered", text)
-            for words in in_vain(recovery):
-                self._reporter.event("Warning", "StrategyNotVerified", f"{words}. The next strategy took over.")
-            self._reporter.set(health="Healthy")
-            self._after(0.0 if urgent else seconds(policy.limits.cooldown))
-            # Its samples count from the commit, so that an understudy that fails at once is noticed in the usual time.
-            self._since = done.moments.get("committing", self._since)
-        else:
-            self._unattended.nothing_verified(time.time())
-            self._reporter.set(health="Failed")
-            self._reporter.condition("Recovering", "False", "NothingVerified", text)
-            self._reporter.event("Warning", "RecoveryFailed", text)
-            self._after(self._backoff)
-            self._backoff = BACKOFF_FIRST if urgent else min(2 * self._backoff, BACKOFF_MOST)
 
-    async def _hand_over(self, prepared: Prepared) -> None:
-        """Switch to an understudy that can drive, as is planned; or see what came of a switch that was begun before."""
-        progress, means, before = prepared.progress, self._means(), self._not_before
-        self._switching.switching(progress)
-        _logger.warning("switchover (%s): %s", progress.switchover, progress.reason)
-        self.recovering = progress
-        try:
-            async with self._keeping.recovering():
-                if progress.former is None:
-                    await switchover.switch(prepared, means)
-                else:
-                    await switchover.settle(progress, means)
-        except (NotAvailable, Superseded, ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
-            if progress.result == "Running":
-                reason = str(error) or f"the API server didn't answer within {switchover.COMMIT_WITHIN:g} s"
-                _logger.warning("switchover %s given up: %s", progress.id, reason)
-                self._switching.given_up(progress, reason)
-                return
-            _logger.warning("the former pod is not deleted yet: %r", error)
-        finally:
-            self.recovering = None
-        self._parts.crash_points.step("before record")
-        recovery, state = self._reporter.record(progress), self._gate.state
-        text, done = switched(recovery), progress.result == "Recovered"
-        _logger.warning("switchover %d: %s", recovery.number, text)
-        self._leftovers.remember()
-        self._unattended.driven()
-        self._reporter.set(active=state.active, gate=GateStatus(epoch=state.epoch, active=state.active))
-        self._keeping.tell(recovery)
-        self._reporter.event("Normal" if done else "Warning", "SwitchedOver" if done else "SwitchoverNotDone", text)
-        self._switching.done(progress, f"{text}.")
-        self._after(0.0)
-        self._not_before = before
-        # Its samples count from the commit, so that an understudy that fails at once is noticed in the usual time.
-        self._since = progress.moments.get("committing", self._since) if done else self._since
-
-    def _first(self, failure: Failure, failed_uid: str) -> int | None:
-        """The strategy to begin with. None where every one's instance failed at once: they are tried again after a pause."""
-        policy, settings = self._view.policy, self._view.settings
-        if policy is None or settings is None:
-            return 0
-        lived, delay = self._escalation.lived(failed_uid, failure.onset), policy.limits.healthy_delay
-        first = self._escalation.first(failed_uid, failure.onset, len(policy.strategies), healthy_delay=seconds(delay))
-        if first and lived is not None:
-            text = (
-                f"{failure.reason}, {max(0.0, lived):.1f} s after it took over (limits.healthyDelay is {delay}): the next "
-                "strategy has its turn"
-            )
-            _logger.warning("%s", text)
-            self._reporter.event("Warning", "Relapsed", text)
-        if first is None:
-            text = (
-                f"{failure.reason}, as soon as it was in control (limits.healthyDelay is {delay}). Every strategy was tried; the "
-                f"first one is tried again in {self._backoff:g} s"
-            )
-            _logger.warning("%s", text)
-            self._reporter.condition("Recovering", "False", "EndsAgainAndAgain", f"{text}.")
-            self._reporter.event("Warning", "EndsAgainAndAgain", text)
-            self._not_before, self._postponed = time.time() + self._backoff, "Waiting"
-            self._backoff = BACKOFF_FIRST if policy.priority == "Safety" else min(2 * self._backoff, BACKOFF_MOST)
-        return first
-
-    async def _recovered(self, progress: Progress, choices: list[Choice]) -> Progress:
-        means = self._means()
-        self.recovering = progress
-        self._black_box.begin(progress)
-        try:
-            if progress.taken_over is not None:
-                await reflex.commit(progress, means)
-                choices = [Choice(reflex.ReflexFallback(), REFLEX_WITHIN), *choices]
-            elif progress.follows and self._view.spec is not None:
-                choices = following(progress.follows, self._view.spec, choices)
-            return await recover(progress, choices, means)
-        finally:
-            self.recovering = None
-            self._black_box.end(progress)
-
-    def _after(self, wait: float) -> None:
-        now = time.time()
-        self._since = now
-        self._debounce.clear()
-        self._not_before = now + wait
-        self._postponed = ""
-
-
-def _not_now(lacking: str) -> str:
-    return f"the first strategy can't be carried out ({lacking})"
+    def _meanwhile(self) -> None:
+        """What goes on while a recovery is held."""
+        if (policy := self._view.policy) is not None:
+            self._follow_safety(policy)
+        self._sight.drain(self._fleet.of_workload(), "")
+        self._housekeeping()

@@ -88,6 +88,12 @@ class View:
         return self.workloads.items.get(self.workload)
 
     @property
+    def retired(self) -> bool:
+        """Whether the workload is being deleted: then nothing is recovered."""
+        item = self.object
+        return item is None or bool(item["metadata"].get("deletionTimestamp"))
+
+    @property
     def spec(self) -> RobotWorkloadSpec | None:
         """The workload's spec in force: while it can't be followed, the last one that could. None where it is gone."""
         if self._spec[0] != self.workloads.revision:

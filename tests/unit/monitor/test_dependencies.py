@@ -391,8 +391,8 @@ def supervising(dependencies: Held, state: str = "Failed", pod: Instance | None 
     }
     watching = Supervisor(Parts(**parts))
     watching._reflexes = cast(Any, SimpleNamespace(taken_over=lambda now: None))
-    watching._dependencies = cast(Any, dependencies)
-    watching._debounce = cast(Any, SimpleNamespace(failed=lambda at, debounce: at, clear=lambda: None))
+    watching._dependencies = watching._occasions._dependencies = cast(Any, dependencies)
+    watching._detector._debounce = cast(Any, SimpleNamespace(failed=lambda at, debounce: at, clear=lambda: None))
     return watching
 
 
@@ -431,7 +431,7 @@ class TestInTheMonitorsLoop:
         failure, _ = await supervising(Held(None, due), "Starting", active())._look(POLICY, time.time())
         assert failure is None
         watching = supervising(Held(None, due), "Healthy", active())
-        watching._not_before = time.time() + 10
+        watching._limits.retries.not_before = time.time() + 10
         failure, _ = await watching._look(POLICY, time.time())
         assert failure is None
 

@@ -2,8 +2,15 @@
 
 from __future__ import annotations
 
-from understudy.mitigation.interfaces import Instance
-from understudy.monitor.enforcement import SETTLE, SILENT, judge
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from tests.unit.monitor.test_trying_again import Told
+from understudy.mitigation.interfaces import GateState, Instance
+from understudy.monitor import enforcement
+from understudy.monitor.enforcement import SETTLE, SILENT, Enforcement, judge
 
 NOW = 1000.0
 SINCE = NOW - 60
@@ -67,3 +74,28 @@ def test_a_standby_that_is_let_through_is_no_leak() -> None:
     assert judged[:2] == ("False", "NotEnforced")
     assert "w-3" in judged[2]
     assert "w-2" not in judged[2]
+
+
+def test_it_is_judged_anew_after_the_gate_lets_another_pod_through_and_said_once_that_can_be_told(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    gate: Any = SimpleNamespace(state=GateState(epoch=3, active="w-1", active_uid="uid-w-1"))
+    last = {"uid-w-1": NOW, "uid-w-2": NOW}
+    probes: Any = SimpleNamespace(last=last.get)
+    told: Any = Told()
+    clock = [NOW]
+    monkeypatch.setattr(enforcement, "time", SimpleNamespace(time=lambda: clock[0]))
+    enforced = Enforcement(gate, probes, told)
+    enforced.look(NOW)
+    enforced.say(found := enforced.judge([ACTIVE, STANDBY]))
+    assert (found[1], told.conditions) == ("Settling", {})
+    clock[0] = last["uid-w-1"] = last["uid-w-2"] = NOW + SETTLE + 1
+    enforced.look(clock[0])
+    enforced.say(enforced.judge([ACTIVE, STANDBY]))
+    assert told.conditions["GateEnforced"][:2] == ("False", "NotEnforced")
+    assert [reason for _, reason, _ in told.events] == ["GateNotEnforced"]
+    gate.state = GateState(epoch=4, active="w-2", active_uid="uid-w-2")
+    enforced.look(clock[0])
+    enforced.say(found := enforced.judge([ACTIVE, STANDBY]))
+    assert found[1] == "Settling"
+    assert told.conditions["GateEnforced"][1] == "NotEnforced", "what was seen before stands"

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
@@ -29,9 +29,11 @@ from understudy.mitigation.interfaces import GateState, Instance, Superseded
 from understudy.mitigation.progress import Progress
 from understudy.mitigation.shelf import Shelf
 from understudy.monitor import keeping as module
+from understudy.monitor import repertoire
 from understudy.monitor.keeping import StateKeeping
-from understudy.monitor.safety import Unattended
-from understudy.monitor.supervising import Supervisor
+from understudy.monitor.recovering import Recoveries
+from understudy.monitor.standbys import Standbys
+from understudy.monitor.supervising import Parts, Supervisor
 from understudy.ros.graph import Graph
 
 pytestmark = pytest.mark.ros
@@ -209,26 +211,37 @@ async def test_it_is_there_for_a_recovery_that_an_earlier_monitor_had_begun(
     await monitor.until(lambda: monitor.x() == 1.0 and (tmp_path / "kept").exists() and Shelf(tmp_path).load())
     onset = time.time()
     later = Monitor(graph, tmp_path)
-    view = SimpleNamespace(policy=policy_of(STATE), settings=SimpleNamespace(), spec=None, object={"metadata": {}})
-    quiet = SimpleNamespace(follow=lambda *_: None, of_workload=list, set=lambda **_: None, end=lambda _: None)
-    parts = SimpleNamespace(keeping=later.keeping, view=view, sight=quiet, sidecars=quiet, fleet=quiet, black_box=quiet)
+    view = SimpleNamespace(policy=policy_of(STATE), settings=SimpleNamespace(), spec=None, retired=False)
+    quiet: Any = SimpleNamespace(
+        graph=None, coming=None, follow=lambda *_: None, of_workload=list, begin=lambda _: None, end=lambda _: None
+    )
+    later.told.set = lambda **_: None  # type: ignore[attr-defined]
+    supervisor = Supervisor(
+        Parts(
+            view=cast(Any, view),
+            fleet=quiet,
+            gate=quiet,
+            sidecars=quiet,
+            sight=quiet,
+            probes=quiet,
+            reporter=cast(Any, later.told),
+            journal=quiet,
+            crash_points=quiet,
+            keeping=later.keeping,
+            black_box=quiet,
+        )
+    )
     found: list[KeptState] = []
 
-    async def recovered(self: Supervisor, *_: object) -> None:
+    async def recovered(self: Recoveries, *_: object) -> None:
         found.append(later.keeping.select(onset))
         raise Superseded("that is all")
 
-    supervisor = Supervisor.__new__(Supervisor)
-    for name, part in vars(parts).items():
-        setattr(supervisor, f"_{name}", part)
-    supervisor._safety, supervisor._unattended = quiet, Unattended()  # type: ignore[assignment]
-    supervisor._reporter = later.told  # type: ignore[assignment]
-    later.told.set = lambda **_: None  # type: ignore[attr-defined]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Supervisor, "_recovered", recovered)
-        patch.setattr(Supervisor, "_after", lambda *_: None)
-        patch.setattr("understudy.monitor.supervising.choices", lambda *_: [])
-        await supervisor._carry_out(Progress.begin("it ended", last_healthy=onset, detected=onset, failed=[]))
+        patch.setattr(Recoveries, "_recovered", recovered)
+        patch.setattr(repertoire, "choices", lambda *_: [])
+        begun = Progress.begin("it ended", last_healthy=onset, detected=onset, failed=[])
+        await supervisor._recoveries.carry_out(begun)
     assert [sample.topic for sample in found[0].samples] == ["/amcl_pose"]
 
 
@@ -416,11 +429,11 @@ def test_only_ready_standbys_of_pools_that_say_so_are_kept_up() -> None:
         Instance("w-6", "uid-6", running=True, pool="warm", has_agent=False),
         Instance("w-7", "uid-7", running=True, pool="warm"),
     ]
-    supervisor = SimpleNamespace(
+    standbys = SimpleNamespace(
         _gate=SimpleNamespace(state=GateState(active_uid=ACTIVE.uid)),
         _sidecars=SimpleNamespace(is_ready=lambda instance: (instance.name != "w-7", "starting")),
     )
-    kept_up = Supervisor._kept_up(supervisor, [ACTIVE, STANDBY, of_source, *others], settings)  # type: ignore[arg-type]
+    kept_up = Standbys._kept_up(standbys, [ACTIVE, STANDBY, of_source, *others], settings)  # type: ignore[arg-type]
     assert kept_up == [(STANDBY, 2.0), (of_source, 2.0)]
     settings.pools.pop(0)
-    assert Supervisor._kept_up(supervisor, [STANDBY], settings) == []  # type: ignore[arg-type]
+    assert Standbys._kept_up(standbys, [STANDBY], settings) == []  # type: ignore[arg-type]

@@ -6,7 +6,7 @@ import asyncio
 import time
 from dataclasses import dataclass, field
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import pytest
 from prometheus_client import REGISTRY
@@ -15,8 +15,9 @@ from understudy.api.conditions import Condition, condition
 from understudy.api.pauses import Pause
 from understudy.api.policies import FailurePolicySpec
 from understudy.mitigation.interfaces import GateState, Instance
-from understudy.monitor import levels
+from understudy.monitor import levels, repertoire
 from understudy.monitor.levels import AGAIN, LOOK, Levels
+from understudy.monitor.occasions import Occasions
 from understudy.monitor.supervising import Parts, Supervisor
 from understudy.monitor.wellness import Busy
 from understudy.trees.health import Verdict
@@ -372,6 +373,26 @@ class TestHandingOver:
         assert world.levels.due is None
 
 
+def occasions(
+    monkeypatch: pytest.MonkeyPatch, waits: list[str], due: str | None, limits: Any = None, **first: Any
+) -> Occasions:
+    """Of a workload whose policy has one strategy."""
+    strategy = SimpleNamespace(standing=False, **first)
+    monkeypatch.setattr(repertoire, "choices", lambda *_: [SimpleNamespace(strategy=strategy)])
+    view: Any = SimpleNamespace(policy=HANDED, settings=object(), spec=None)
+    parts: dict[str, Any] = {
+        "view": view,
+        "gate": SimpleNamespace(),
+        "detector": SimpleNamespace(onset=lambda pod, now: now - 0.05),
+        "levels": SimpleNamespace(due=due, wait=lambda kind, words: waits.append(words)),
+        "switching": SimpleNamespace(),
+        "dependencies": SimpleNamespace(),
+        "repertoire": repertoire.Repertoire(view, limits.storms if limits else None, cast(Any, object)),
+        "limits": limits,
+    }
+    return Occasions(**parts)
+
+
 @pytest.mark.parametrize(
     ("due", "available", "not_before", "spent", "storm", "paused", "planned"),
     [
@@ -380,7 +401,7 @@ class TestHandingOver:
         ("degraded: slow", "pool hot has no standby for this workload", 0.0, None, None, None, False),
         ("degraded: slow", None, 2e10, None, None, None, False),
         ("degraded: slow", None, 0.0, 2e10, None, None, False),
-        ("degraded: slow", None, 0.0, None, "held, since others fail too", None, False),
+        ("degraded: slow", None, 0.0, None, "4 of 6 workloads fail.", None, False),
         ("degraded: slow", None, 0.0, None, None, Pause(reason="a new gripper", owner="ann"), False),
     ],
 )
@@ -394,23 +415,15 @@ def test_a_hand_over_is_begun_like_a_failure_once_the_first_strategy_is_there_an
     paused: Pause | None,
     planned: bool,
 ) -> None:
-    from understudy.monitor import supervising
-
-    first = SimpleNamespace(strategy=SimpleNamespace(outlook=lambda means: available))
-    monkeypatch.setattr(supervising, "choices", lambda *_: [first])
     waits: list[str] = []
-    watching = SimpleNamespace(
-        _view=SimpleNamespace(settings=object(), spec=None),
-        _levels=SimpleNamespace(due=due, wait=lambda kind, words: waits.append(words)),
-        _not_before=not_before,
-        _pauses=SimpleNamespace(on=paused),
-        _spending=SimpleNamespace(spent_until=lambda now: spent),
-        _holds=lambda strategy: storm,
-        _means=object,
-        _onset=lambda pod, now: now - 0.05,
+    limits = SimpleNamespace(
+        retries=SimpleNamespace(not_before=not_before),
+        pauses=SimpleNamespace(on=paused),
+        spending=SimpleNamespace(spent_until=lambda now: spent),
+        storms=SimpleNamespace(on=lambda now: storm),
     )
     now = time.time()
-    found = Supervisor._planned(watching, HANDED, ACTIVE, now)  # type: ignore[arg-type]
+    found = occasions(monkeypatch, waits, due, limits, outlook=lambda means: available).hand_over(ACTIVE, now)
     assert (found is not None) == planned
     if found is not None:
         assert (found.reason, found.onset, found.planned) == ("degraded: slow", now - 0.05, True)
@@ -425,19 +438,11 @@ def test_a_hand_over_is_begun_like_a_failure_once_the_first_strategy_is_there_an
 async def test_a_hand_over_that_is_due_is_not_begun_where_a_look_finds_otherwise_or_takes_too_long(
     monkeypatch: pytest.MonkeyPatch, takes: float, available: str | None, there: bool
 ) -> None:
-    from understudy.monitor import supervising
-
     async def look(means: object) -> None:
         await asyncio.sleep(takes)
 
-    first = SimpleNamespace(strategy=SimpleNamespace(look=look, available=lambda means: available))
-    monkeypatch.setattr(supervising, "choices", lambda *_: [first])
-    monkeypatch.setattr(supervising, "LOOK_WITHIN", 0.02)
+    monkeypatch.setattr(repertoire, "LOOK_WITHIN", 0.02)
     waits: list[str] = []
-    watching = SimpleNamespace(
-        _view=SimpleNamespace(spec=None),
-        _means=object,
-        _levels=SimpleNamespace(wait=lambda kind, words: waits.append(words)),
-    )
-    found = await Supervisor._is_there(watching, HANDED, object())  # type: ignore[arg-type]
+    due = "degraded: slow"
+    found = await occasions(monkeypatch, waits, due, look=look, available=lambda means: available).is_there()
     assert (found, len(waits)) == (there, 0 if there else 1)

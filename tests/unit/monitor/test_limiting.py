@@ -1,4 +1,4 @@
-"""The monitor's loop where it may not do what it could: a budget that is spent, a pause, an instance that relapses."""
+"""The monitor's loop where it may not do what it could: a budget that is spent, a pause."""
 
 from __future__ import annotations
 
@@ -10,16 +10,18 @@ from typing import Any, cast
 
 import pytest
 
-from tests.unit.monitor.test_supervising import ACTIVE, Told, took_over
+from tests.unit.monitor.test_trying_again import Told
 from understudy.api import names
 from understudy.api.pauses import Pause
 from understudy.api.policies import FailurePolicySpec
 from understudy.cluster.client import ApiError
 from understudy.mitigation.interfaces import GateState, Instance, Superseded
 from understudy.mitigation.progress import PodIdentity, Progress, rfc3339
-from understudy.monitor import supervising
-from understudy.monitor.supervising import Failure, Parts, Supervisor
+from understudy.monitor import holding
+from understudy.monitor.detection import Failure
+from understudy.monitor.supervising import Parts, Supervisor
 
+ACTIVE = Instance(name="w-1", uid="uid-1", ip="10.0.0.1", running=True, ready=True)
 PAUSE = Pause(reason="a new gripper", owner="ann")
 
 
@@ -69,7 +71,7 @@ class World:
     """A supervisor of a workload whose policy has a budget of one recovery in ten minutes."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, **limits: Any) -> None:
-        monkeypatch.setattr(supervising, "SLOW", 0.01)
+        monkeypatch.setattr(holding, "LOOK", 0.01)
         spec = {
             "monitoring": {"yaml": {"topic": {"name": "/cmd_vel", "gap": "500ms"}}},
             "strategies": [{"type": "Restart"}, {"type": "Restart"}],
@@ -83,6 +85,7 @@ class World:
             settings=SimpleNamespace(),
             spec=self.spec,
             object=self.item,
+            retired=False,
             namespace="fleet",
             workload="w",
         )
@@ -103,6 +106,16 @@ class World:
         self.watching = Supervisor(Parts(**parts))
         self.watching._housekeeping = lambda: None  # type: ignore[method-assign]
         self.watching._follow_safety = lambda policy: None  # type: ignore[method-assign]
+        self.carried_out: list[Progress] = []
+        self.watching._recoveries.carry_out = self._carry_out  # type: ignore[method-assign]
+
+    async def _carry_out(self, progress: Progress) -> None:
+        self.carried_out.append(progress)
+
+    async def allowed(self, progress: Progress) -> bool:
+        """Whether a recovery is carried out, in the end."""
+        await self.watching._recoveries.recover(progress)
+        return progress in self.carried_out
 
     def spend(self) -> None:
         self.told.spent = [time.time() - 60]
@@ -128,7 +141,7 @@ def failure(**more: Any) -> Progress:
 
 
 async def test_within_the_budget_nothing_is_waited_for_nor_written(world: World) -> None:
-    assert await world.watching._allowed(failure())
+    assert await world.allowed(failure())
     assert (world.gate.committed, world.kept, world.told.events) == ([], [], [])
 
 
@@ -137,7 +150,7 @@ async def test_once_it_is_spent_what_failed_is_fenced_and_the_robot_is_told_safe
 ) -> None:
     world.spend()
     progress = failure()
-    holding = asyncio.create_task(world.watching._allowed(progress))
+    holding = asyncio.create_task(world.allowed(progress))
     await world.until(lambda: ("Warning", "RecoveryHeld") in [event[:2] for event in world.told.events])
     ((target, committed),) = world.gate.committed
     assert target is None
@@ -158,22 +171,22 @@ async def test_once_it_is_spent_what_failed_is_fenced_and_the_robot_is_told_safe
 
 async def test_while_it_is_held_the_others_are_its_standbys_still_and_it_is_left_alone(world: World) -> None:
     world.spend()
-    assert world.watching._driver == "uid-1"
-    holding = asyncio.create_task(world.watching._allowed(failure()))
+    assert world.watching._standbys.driver == "uid-1"
+    holding = asyncio.create_task(world.allowed(failure()))
     await world.until(lambda: world.told.events)
     assert world.gate.state.active_uid == ""
-    assert world.watching._driver == "uid-1", "or a pod of its own controller would be brought up to drive"
+    assert world.watching._standbys.driver == "uid-1", "or a pod of its own controller would be brought up to drive"
     assert world.told.conditions["Healthy"] == ("False", "Failed", "no /cmd_vel")
     world.resume()
     async with asyncio.timeout(5):
         await holding
-    assert world.watching._driver == ""
+    assert world.watching._standbys.driver == ""
 
 
 async def test_it_goes_on_by_itself_when_the_window_has_moved_on(world: World) -> None:
     world.told.spent = [time.time() - 599.9]
     async with asyncio.timeout(5):
-        assert await world.watching._allowed(failure())
+        assert await world.allowed(failure())
     assert len(world.gate.committed) == 1
 
 
@@ -181,12 +194,12 @@ async def test_an_interrupted_hold_is_gone_on_with_and_an_interrupted_recovery_i
     world.spend()
     begun = failure()
     begun.moments["decided"] = time.time()
-    assert await world.watching._allowed(begun)
+    assert await world.allowed(begun)
     assert world.gate.committed == []
     held = failure()
     held.moments["held"] = held.moments["fenced"] = time.time() - 30
     world.gate.state = GateState(epoch=4, recovery=held)
-    holding = asyncio.create_task(world.watching._allowed(held))
+    holding = asyncio.create_task(world.allowed(held))
     await world.until(lambda: world.told.events)
     assert world.gate.committed == [], "it is closed already"
     world.resume()
@@ -201,12 +214,12 @@ async def test_what_is_no_new_failure_is_not_held(world: World, exempt: str) -> 
     progress = failure(planned=exempt == "planned")
     if exempt == "reflex":
         progress.taken_over = PodIdentity(name="w-2", uid="uid-2")
-    assert await world.watching._allowed(progress)
+    assert await world.allowed(progress)
 
 
 async def test_whoever_opens_the_gate_meanwhile_is_right(world: World) -> None:
     world.spend()
-    holding = asyncio.create_task(world.watching._allowed(failure()))
+    holding = asyncio.create_task(world.allowed(failure()))
     await world.until(lambda: world.gate.committed)
     world.gate.state = GateState(epoch=9, active="w-3", active_uid="uid-3")
     async with asyncio.timeout(5):
@@ -220,16 +233,16 @@ async def test_whoever_opens_the_gate_meanwhile_is_right(world: World) -> None:
 async def test_a_fence_that_fails_is_tried_again(world: World, error: Exception, reason: str) -> None:
     world.spend()
     world.gate.refuses = error
-    assert not await world.watching._allowed(failure())
+    assert not await world.allowed(failure())
     assert world.told.conditions["Recovering"][1] == reason
 
 
 async def test_a_pause_ends_the_safe_commands_of_what_is_held_and_goes_before_the_budget(world: World) -> None:
     world.spend()
-    holding = asyncio.create_task(world.watching._allowed(failure()))
+    holding = asyncio.create_task(world.allowed(failure()))
     await world.until(lambda: world.gate.committed)
     world.spec.pause = PAUSE
-    await world.until(lambda: world.watching._pauses.on is not None)
+    await world.until(lambda: world.watching._limits.pauses.on is not None)
     assert world.watching._waited_since() is None
     world.resume()
     await asyncio.sleep(0.05)
@@ -242,7 +255,7 @@ async def test_a_pause_ends_the_safe_commands_of_what_is_held_and_goes_before_th
 def test_a_failure_in_a_pause_is_told_once_and_nothing_is_done(world: World) -> None:
     world.spec.pause = PAUSE
     now = time.time()
-    world.watching._pauses.look(now)
+    world.watching._limits.pauses.look(now)
     for _ in range(2):
         assert world.watching._counted(Failure("no /cmd_vel", now - 1, now), now) is None
     told = [message for kind, reason, message in world.told.events if reason == "RecoveryPostponed"]
@@ -255,60 +268,12 @@ def test_a_failure_in_a_pause_is_told_once_and_nothing_is_done(world: World) -> 
 def test_after_a_pause_a_failure_counts_from_its_end(world: World) -> None:
     world.spec.pause = PAUSE
     now = time.time()
-    world.watching._pauses.look(now)
+    world.watching._limits.pauses.look(now)
     world.spec.pause = None
-    world.watching._pauses.look(now + 0.1)
+    world.watching._limits.pauses.look(now + 0.1)
     found = world.watching._counted(Failure("no /cmd_vel", now - 7200, now + 0.2), now + 0.2)
     assert found is not None
     assert found.onset == now
     found = world.watching._counted(Failure("no /cmd_vel", now + 50, now + 51), now + 51)
     assert found is not None
     assert found.onset == now + 50
-
-
-async def test_in_a_pause_nobody_is_put_in_control(world: World) -> None:
-    world.gate.state = GateState(epoch=4)
-    world.spec.pause = PAUSE
-    world.watching._pauses.look(time.time())
-    await world.watching._bootstrap(world.view.policy, time.time())
-    assert world.gate.committed == []
-
-
-def test_an_instance_that_fails_within_the_healthy_delay_has_the_next_strategy_and_that_is_told(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    world = World(monkeypatch, healthyDelay="1m")
-    now = time.time()
-    world.watching._escalation.note(took_over(0, now))
-    assert world.watching._first(Failure("no /cmd_vel", now + 30, now + 30.5), "uid-1") == 1
-    ((kind, reason, message),) = world.told.events
-    assert (kind, reason) == ("Warning", "Relapsed")
-    assert "30.0 s after it took over (limits.healthyDelay is 1m)" in message
-    world.watching._escalation.note(took_over(0, now))
-    assert world.watching._first(Failure("no /cmd_vel", now + 60, now + 60.5), "uid-1") == 0
-
-
-def test_a_users_word_ends_what_was_put_off(world: World) -> None:
-    now = time.time()
-    world.watching._not_before, world.watching._backoff = now + 60, 60.0
-    world.watching._notice_word(now)
-    assert world.watching._not_before == now + 60
-    world.resume()
-    world.watching._notice_word(now)
-    assert world.watching._not_before == now
-    world.watching._not_before = now + 10
-    world.watching._notice_word(now)
-    assert world.watching._not_before == now + 10, "once"
-
-
-@pytest.mark.parametrize(("id_", "result", "known"), [("", "Recovered", True), ("", "Failed", False), ("x", "", False)])
-def test_a_new_monitor_knows_which_instance_took_over_last(world: World, id_: str, result: str, known: bool) -> None:
-    left = took_over(1, 100.0).model_copy(update={"result": "Running"})
-    left.moments.pop("verified")
-    world.gate.state = GateState(epoch=4, active="w-1", active_uid="uid-1", recovery=left)
-    moments = SimpleNamespace(verified=rfc3339(123.0))
-    world.told.last = SimpleNamespace(id=id_ or left.id, result=result, moments=moments)  # type: ignore[attr-defined]
-    done = world.watching._concluded()
-    assert (done is not None) == known
-    if done is not None:
-        assert (done.result, done.index, done.moments["verified"]) == ("Recovered", 1, 123.0)

@@ -4,6 +4,7 @@ always hold (tests/unit/interleavings) holds, and every robot is driven again in
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import pytest
@@ -12,8 +13,8 @@ from tests.unit.controller import world
 from tests.unit.interleavings import simulation
 from understudy.cluster.client import Object
 from understudy.mitigation.progress import Progress
+from understudy.monitor.holding import Holding
 from understudy.monitor.storms import Storms
-from understudy.monitor.supervising import Supervisor
 
 BUDGET = {"budget": {"recoveries": 1, "within": "20s"}, "healthyDelay": "10s", "cooldown": "1s"}
 GUARD = {"stormGuard": {"percent": 40, "workloads": 2, "within": "5s", "holdFor": "15s"}}
@@ -24,7 +25,7 @@ RUNS = 20
 def test_robots_whose_failures_are_held_are_driven_in_the_end(
     monkeypatch: pytest.MonkeyPatch, limits: Object, first: int
 ) -> None:
-    made, hold, on = world.policy, Supervisor._hold, Storms.on
+    made, hold, on = world.policy, Holding._hold, Storms.on
     held: list[str] = []
 
     def policy(*arguments: Any, **more: Any) -> Object:
@@ -32,7 +33,7 @@ def test_robots_whose_failures_are_held_are_driven_in_the_end(
         found["spec"]["limits"] = limits
         return found
 
-    async def holding(self: Supervisor, progress: Progress) -> None:
+    async def holding(self: Holding, progress: Progress) -> None:
         await hold(self, progress)
         held.append(progress.reason)
 
@@ -42,7 +43,9 @@ def test_robots_whose_failures_are_held_are_driven_in_the_end(
         return said
 
     monkeypatch.setattr(world, "policy", policy)
-    monkeypatch.setattr(Supervisor, "_hold", holding)
+    # What other tests of this process have prepared has another policy, and the other way round.
+    monkeypatch.setattr(simulation, "_prepared", functools.cache(simulation._prepared.__wrapped__))
+    monkeypatch.setattr(Holding, "_hold", holding)
     monkeypatch.setattr(Storms, "on", storm)
     for seed in range(first, first + RUNS):
         outcome = simulation.run(seed)

@@ -15,11 +15,10 @@ from hypothesis import strategies as st
 pytest.importorskip("rclpy")
 
 from tests.unit.dds import keep_to_itself
-from understudy.api.policies import Limits, Safety
+from understudy.api.policies import Safety
 from understudy.api.workloads import Attempt
 from understudy.mitigation.progress import PodIdentity, Progress
 from understudy.monitor.safety import SafeCommands, Unattended
-from understudy.monitor.supervising import BACKOFF_FIRST, Supervisor
 
 TWIST = "geometry_msgs/msg/Twist"
 
@@ -172,18 +171,3 @@ async def test_what_can_not_be_told_is_a_problem_and_the_rest_is(
     assert words in problem
     await asyncio.sleep(0.05)
     assert safe.sent == 0
-
-
-@pytest.mark.parametrize(("priority", "later"), [("Normal", 60.0), ("Safety", BACKOFF_FIRST)])
-def test_with_the_priority_safety_trying_again_is_not_put_off_longer_and_longer(priority: str, later: float) -> None:
-    view = SimpleNamespace(
-        policy=SimpleNamespace(priority=priority, strategies=[1], limits=Limits()), settings=1, spec=1
-    )
-    found: Any = SimpleNamespace(
-        _view=view,
-        _backoff=30.0,
-        _escalation=SimpleNamespace(first=lambda *_, **__: None, lived=lambda *_: None),
-        _reporter=SimpleNamespace(condition=lambda *_: True, event=lambda *_: None),
-    )
-    assert Supervisor._first(found, SimpleNamespace(onset=1.0, reason="silent"), "uid") is None  # type: ignore[arg-type]
-    assert found._backoff == later

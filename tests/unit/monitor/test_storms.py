@@ -11,8 +11,8 @@ import pytest
 from tests.unit.monitor.test_limiting import World
 from understudy.api.conditions import condition
 from understudy.mitigation.strategies import ExecutingFallback, Restart, UninitializedFallback
-from understudy.monitor import supervising
-from understudy.monitor.supervising import Failure
+from understudy.monitor import repertoire
+from understudy.monitor.detection import Failure
 
 MESSAGE = "4 of 6 workloads fail."
 LIMITS = {"budget": None, "stormGuard": {"holdFor": "1m"}}
@@ -26,8 +26,8 @@ class Storm(World):
         self.spec.failure_policy_ref = SimpleNamespace(name="policy")
         self.view.policies = SimpleNamespace(items={})
         self.say("True")
-        monkeypatch.setattr(supervising, "choices", lambda *_: [SimpleNamespace(strategy=one) for one in available])
-        self.watching._means = lambda: None  # type: ignore[method-assign,return-value,assignment]
+        monkeypatch.setattr(repertoire, "choices", lambda *_: [SimpleNamespace(strategy=one) for one in available])
+        self.watching._repertoire.means = lambda: None  # type: ignore[return-value,assignment]
 
     def say(self, status: str) -> None:
         said = condition("Storm", status == "True", "ManyFail", MESSAGE)
@@ -65,9 +65,9 @@ def test_without_a_standby_that_is_ready_a_failure_waits_and_that_is_told_once(
 def test_a_standby_that_is_ready_takes_over_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     world, now = Storm(monkeypatch, UninitializedFallback("spare"), Ready("hot")), time.time()
     assert world.watching._counted(failure(now), now) is not None
-    assert world.watching._holds(Ready("hot")) is None
-    assert world.watching._holds(UninitializedFallback("spare")) == f"held, since others fail too: {MESSAGE}"
-    assert world.watching._holds(Restart()) is not None
+    assert world.watching._repertoire.holds(Ready("hot")) is None
+    assert world.watching._repertoire.holds(UninitializedFallback("spare")) == f"held, since others fail too: {MESSAGE}"
+    assert world.watching._repertoire.holds(Restart()) is not None
 
 
 def test_it_waits_no_longer_than_it_is_to_though_nobody_says_that_it_is_over(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -91,4 +91,4 @@ def test_where_nothing_is_said_nothing_waits(monkeypatch: pytest.MonkeyPatch, ab
     if absent == "policy":
         world.view.policies.items.clear()
     assert world.watching._counted(failure(now), now) is not None
-    assert world.watching._holds(Restart()) is None
+    assert world.watching._repertoire.holds(Restart()) is None

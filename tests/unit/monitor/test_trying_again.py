@@ -7,44 +7,157 @@ from typing import Any
 
 import pytest
 
+from understudy.api.policies import FailurePolicySpec
 from understudy.api.workloads import Attempt, Recovery
+from understudy.mitigation.progress import PodIdentity, Progress
+from understudy.monitor import retries
 from understudy.monitor.reporting import describe, in_vain
-from understudy.monitor.supervising import BACKOFF_FIRST, Supervisor
+from understudy.monitor.retries import BACKOFF_FIRST, BACKOFF_MOST, Retries
 
-LATER = 1060.0
+FAILURE = "no /cmd_vel for 500 ms"
+NOW = 1_000_000.0
 
 
-def supervisor(**more: Any) -> Any:
-    view = SimpleNamespace(policy={"strategies": 1}, spec={"bringUp": 1}, settings={"pools": 1})
-    found = SimpleNamespace(_view=view, _given=(), _backoff=60.0, _not_before=LATER)
-    for name, value in more.items():
-        setattr(found, name, value)
-    Supervisor._notice_correction(found, 1000.0)
-    return found
+@pytest.fixture(autouse=True)
+def clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(retries, "time", SimpleNamespace(time=lambda: NOW))
+
+
+class Told:
+    """What is said."""
+
+    def __init__(self) -> None:
+        self.conditions: dict[str, tuple[str, str, str]] = {}
+        self.events: list[tuple[str, str, str]] = []
+
+    def condition(self, type_: str, status: str, reason: str, message: str = "") -> bool:
+        self.conditions[type_] = (status, reason, message)
+        return True
+
+    def event(self, kind: str, reason: str, message: str) -> None:
+        self.events.append((kind, reason, message))
+
+
+def policy(**more: Any) -> FailurePolicySpec:
+    return FailurePolicySpec.model_validate(
+        {
+            "monitoring": {"yaml": {"topic": {"name": "/cmd_vel", "gap": "500ms"}}},
+            "strategies": [{"type": "Restart"}] * 2,
+            **more,
+        }
+    )
+
+
+class World:
+    """The retries of a workload whose policy has two strategies."""
+
+    def __init__(self, **more: Any) -> None:
+        self.view: Any = SimpleNamespace(policy=policy(**more), settings={"pools": 1}, spec={"bringUp": 1})
+        self.told: Any = Told()
+        self.retries = Retries(self.view, self.told)
+        self.retries.look(None, NOW)
+
+    def waits(self) -> float:
+        """Seconds for which nothing is begun yet."""
+        return self.retries.not_before - NOW
+
+    def in_vain(self, times: int) -> None:
+        for _ in range(times):
+            self.retries.after_nothing_verified(self.view.policy)
+
+
+def took_over(index: int, at: float) -> Progress:
+    progress = Progress.begin("it ended", last_healthy=at - 1, detected=at - 1)
+    progress.index, progress.result = index, "Recovered"
+    progress.target = PodIdentity(name="w-1", uid="uid-1")
+    progress.moments["verified"] = at
+    return progress
+
+
+def test_what_comes_to_nothing_is_put_off_longer_each_time_until_it_has_worked() -> None:
+    world = World()
+    for wait in (BACKOFF_FIRST, 2 * BACKOFF_FIRST, 4 * BACKOFF_FIRST):
+        world.in_vain(1)
+        assert world.waits() == wait
+    world.in_vain(5)
+    assert world.waits() == BACKOFF_MOST
+    world.retries.healthy()
+    world.in_vain(1)
+    assert world.waits() == BACKOFF_FIRST
 
 
 @pytest.mark.parametrize("what", ["policy", "spec", "settings"])
 def test_a_correction_is_tried_at_once(what: str) -> None:
-    found = supervisor()
-    found._not_before, found._backoff = LATER, 60.0
-    setattr(found._view, what, {"corrected": 1})
-    Supervisor._notice_correction(found, 1001.0)
-    assert (found._not_before, found._backoff) == (1001.0, BACKOFF_FIRST)
+    world = World()
+    world.in_vain(3)
+    setattr(world.view, what, {"corrected": 1} if what != "policy" else policy(priority="Safety"))
+    world.retries.look(None, NOW + 1)
+    assert world.waits() == 1
+    world.in_vain(1)
+    assert world.waits() == BACKOFF_FIRST
 
 
 def test_the_same_once_more_is_no_correction() -> None:
-    found = supervisor()
-    found._not_before, found._backoff = LATER, 60.0
-    found._view.policy = dict(found._view.policy)  # as after a change of its status
-    Supervisor._notice_correction(found, 1001.0)
-    assert (found._not_before, found._backoff) == (LATER, 60.0)
+    world = World()
+    world.in_vain(3)
+    before = world.retries.not_before
+    world.view.policy = world.view.policy.model_copy()  # as after a change of its status
+    world.retries.look(None, NOW)
+    assert world.retries.not_before == before
 
 
 def test_the_cooldown_after_a_recovery_stays() -> None:
-    found = supervisor(_backoff=BACKOFF_FIRST)
-    found._view.policy = {"another": 1}
-    Supervisor._notice_correction(found, 1001.0)
-    assert found._not_before == LATER
+    world = World()
+    world.retries.after(60.0)
+    world.view.policy = policy(priority="Safety")
+    world.retries.look(None, NOW)
+    assert world.waits() == 60
+
+
+def test_a_users_word_ends_what_was_put_off() -> None:
+    world, now = World(), NOW
+    world.in_vain(3)
+    before = world.retries.not_before
+    world.retries.look(None, now)
+    assert world.retries.not_before == before
+    world.retries.look(now, now)
+    assert world.retries.not_before == now
+    world.retries.not_before = now + 10
+    world.retries.look(now, now)
+    assert world.retries.not_before == now + 10, "once"
+
+
+@pytest.mark.parametrize(("priority", "later"), [("Normal", 4 * BACKOFF_FIRST), ("Safety", BACKOFF_FIRST)])
+def test_with_the_priority_safety_trying_again_is_not_put_off_longer_and_longer(priority: str, later: float) -> None:
+    world = World(priority=priority)
+    world.in_vain(3)
+    assert world.waits() == later
+
+
+def test_after_every_strategys_instance_failed_at_once_there_is_a_pause_that_is_told() -> None:
+    world, now = World(), NOW
+    world.retries.note(took_over(0, now))
+    assert world.retries.first(FAILURE, now + 1, "uid-1") == 1
+    world.retries.note(took_over(1, now))
+    assert world.retries.first(FAILURE, now + 1, "uid-1") is None
+    status, reason, message = world.told.conditions["Recovering"]
+    assert (status, reason) == ("False", "EndsAgainAndAgain")
+    assert f"{FAILURE}, as soon as it was in control" in message
+    assert f"again in {BACKOFF_FIRST:g} s" in message
+    assert ("Warning", "EndsAgainAndAgain") in [(kind, reason) for kind, reason, _ in world.told.events]
+    assert world.waits() == BACKOFF_FIRST
+    assert world.retries.first(FAILURE, now + 1, "uid-1") == 0, "and then the first one is tried again"
+
+
+def test_an_instance_that_fails_within_the_healthy_delay_has_the_next_strategy_and_that_is_told() -> None:
+    world, now = World(limits={"healthyDelay": "1m"}), NOW
+    world.retries.note(took_over(0, now))
+    assert world.retries.first(FAILURE, now + 30, "uid-1") == 1
+    ((kind, reason, message),) = world.told.events
+    assert (kind, reason) == ("Warning", "Relapsed")
+    assert "30.0 s after it took over (limits.healthyDelay is 1m)" in message
+    world.retries.note(took_over(0, now))
+    assert world.retries.first(FAILURE, now + 60, "uid-1") == 0
 
 
 def test_a_recovery_tells_what_was_tried_in_vain_before() -> None:

@@ -1,0 +1,53 @@
+"""Whether the pod in control is lost."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from understudy.mitigation.interfaces import GateState, Instance
+from understudy.monitor.detection import Detector
+
+ACTIVE = Instance(name="w-1", uid="uid-1", ip="10.0.0.1", running=True, ready=True)
+
+
+def detector(*instances: Instance, last_output: float | None = None) -> Detector:
+    fleet: Any = SimpleNamespace(of_workload=lambda: instances)
+    gate: Any = SimpleNamespace(state=GateState(epoch=3, active="w-1", active_uid="uid-1"))
+    sight: Any = SimpleNamespace(last_from=lambda pod: last_output, last_well=lambda pod: last_output)
+    sidecars: Any = SimpleNamespace()
+    return Detector(fleet, gate, sidecars, sight)
+
+
+def test_a_pod_that_is_evicted_from_a_lost_node_is_not_lost_while_it_lives() -> None:
+    evicted = replace(ACTIVE, terminating=True, evicted=True)
+    assert detector().lost(evicted, time.time()) is None
+
+
+@pytest.mark.parametrize(
+    ("pod", "words"),
+    [
+        (replace(ACTIVE, terminating=True), "is being deleted"),
+        (replace(ACTIVE, running=False), "has stopped running"),
+        (None, "is gone"),
+    ],
+)
+def test_a_pod_whose_processes_end_is_lost(pod: Instance | None, words: str) -> None:
+    found = detector(last_output=time.time() - 1).lost(pod, time.time())
+    assert found is not None
+    failure, _ = found
+    assert failure is not None
+    assert failure.reason == f"pod w-1 {words}"
+
+
+@pytest.mark.parametrize(("ip", "lost"), [("10.0.0.2", True), ("", False)])
+def test_a_lost_pod_is_not_taken_to_live_on_in_its_successor_of_the_same_name(ip: str, lost: bool) -> None:
+    # As of a StatefulSet. While that one has no address, who is heard under the name is the process of the one before.
+    successor = replace(ACTIVE, uid="uid-2", ip=ip)
+    found = detector(successor, last_output=time.time()).lost(None, time.time())
+    assert found is not None
+    assert (found[0] is not None) == lost
