@@ -13,7 +13,7 @@ import yaml
 from tests.support.manifests import MODELS, covers
 from understudy.api.policies import FailurePolicySpec
 from understudy.checking import running
-from understudy.main import _PARTS
+from understudy.main import PARTS
 from understudy.trees.forms import load_monitoring
 from understudy.trees.loading import load
 from understudy.trees.procedures import load_procedure
@@ -95,7 +95,7 @@ def test_commands_name_what_is_there(page: str, monkeypatch: pytest.MonkeyPatch)
         words = shlex.split(line)
         assert all(Path(word).exists() for word in words if word.startswith("examples/"))
         if words[0] == "understudy":
-            assert words[1] in _PARTS
+            assert words[1] in PARTS
         if words[:2] == ["understudy", "check"]:
             checked = True
             assert running.main(["--strict", *words[2:]]) == 0
