@@ -207,7 +207,7 @@ class Bench:
 
     def _fail(self, one: Found, operator: Operator) -> None:
         rate, length = self._options.failures, self._options.failing
-        times = poisson(rate, length, self._random)
+        times = poisson(rate, length, self._random) or [0.0]
         self.say(f"{one.robots} robots: {len(times)} failures in {length:g} s, independently of each other")
         start = time.time() + 1.0
         who = spread(self._robots, len(times), self._random)

@@ -334,19 +334,11 @@ class Client:
         params = _selectors(labels, fields) | ({"resourceVersion": "0"} if cached else {})
         return await self.request("GET", resource.path(namespace), params=params)
 
-    async def table(
-        self,
-        resource: Resource,
-        namespace: str | None = None,
-        *,
-        labels: str | None = None,
-        fields: str | None = None,
-        cached: bool = False,
-    ) -> Object:
-        """A collection as a table (meta.k8s.io/v1 Table): of each object what kubectl shows of it, and nothing else. A server that
-        has no tables answers with a list.
+    async def table(self, resource: Resource, namespace: str, *, labels: str, fields: str) -> Object:
+        """What the API server has in memory of a collection, as a table (meta.k8s.io/v1 Table): of each object what kubectl shows of it,
+        and nothing else. A server that has no tables answers with a list.
         """
-        params = _selectors(labels, fields) | ({"resourceVersion": "0"} if cached else {}) | {"includeObject": "None"}
+        params = _selectors(labels, fields) | {"resourceVersion": "0", "includeObject": "None"}
         answer: Object = json.loads(await self.read(resource.path(namespace), params=params, accept=TABLE))
         return answer
 

@@ -15,7 +15,7 @@ from understudy.api import fencing, holding, names
 from understudy.cluster import claims
 from understudy.cluster.applying import digest
 from understudy.cluster.client import Object
-from understudy.controller import robots
+from understudy.controller import objects, robots
 from understudy.controller.desired import Images, pull_secrets
 
 AGENT_REQUESTS = {"cpu": "20m", "memory": "64Mi"}
@@ -211,6 +211,12 @@ def pod(built: Object, *, name: str, namespace: str, owner: Object) -> Object:
         },
         "spec": built["spec"],
     }
+
+
+def trial(built: Object, kind: str, item: Object) -> Object:
+    """A pod by which the API server can judge the template of an object of ours; it is only ever sent as a dry run."""
+    name, namespace = f"{objects.name(item)}-check", item["metadata"]["namespace"]
+    return pod(built, name=name, namespace=namespace, owner=objects.owner(kind, item))
 
 
 def replica_set(built: Object, workload: str) -> Object:

@@ -161,17 +161,6 @@ def _no_source(source: str, observed: Observed) -> Problem:
     return Problem("TemplateSourceNotFound", f"{message}. Pods that the pool has are kept")
 
 
-def probe_template(observed: Observed, built: Object) -> Object:
-    """A pod by which the API server can judge the template; it is only ever sent as a dry run."""
-    pool = observed.pool
-    return instances.pod(
-        built,
-        name=f"{objects.name(pool)}-check",
-        namespace=pool["metadata"]["namespace"],
-        owner=objects.owner("FallbackPool", pool),
-    )
-
-
 @dataclass(frozen=True)
 class Fresh:
     """Where names and secrets that never were before come from."""

@@ -17,6 +17,7 @@ from understudy.controller import (
     affected,
     dependencies,
     draining,
+    instances,
     metrics,
     objects,
     policies,
@@ -163,9 +164,8 @@ class Reconciler:
         understanding = pools.understand(observed, self._images)
         again = None
         if understanding.built is not None:
-            refusal = await self._judge.judge(
-                pools.probe_template(observed, understanding.built), "the pool's template"
-            )
+            trial = instances.trial(understanding.built, "FallbackPool", item)
+            refusal = await self._judge.judge(trial, "the pool's template")
             if refusal is not None:
                 understanding = dataclasses.replace(understanding, problem=refusal, built=None)
                 again = FORGET_REFUSAL

@@ -97,17 +97,10 @@ def understand(observed: Observed, images: Images) -> Understanding:
 
 
 def probe_template(observed: Observed, understanding: Understanding) -> Object | None:
-    """A pod by which the API server can judge the template; it is only ever sent as a dry run."""
+    """A pod by which the API server can judge the template; None where none was built."""
     if not understanding.builts:
         return None
-    built = understanding.builts[min(understanding.builts)]
-    workload = observed.workload
-    return instances.pod(
-        built,
-        name=f"{objects.name(workload)}-check",
-        namespace=workload["metadata"]["namespace"],
-        owner=objects.owner("RobotWorkload", workload),
-    )
+    return instances.trial(understanding.builts[min(understanding.builts)], "RobotWorkload", observed.workload)
 
 
 def _policy_problem(observed: Observed, spec: RobotWorkloadSpec) -> Problem | None:

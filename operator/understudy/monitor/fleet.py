@@ -75,6 +75,11 @@ class Fleet:
         assert settings is not None, "the view waits for the settings"
         return settings
 
+    @property
+    def _template_hashes(self) -> dict[str, str]:
+        """Of the pods of each pool that may be claimed; empty where any may."""
+        return {choice.name: choice.template_hash for choice in self._settings.pools}
+
     def of_workload(self) -> Sequence[Instance]:
         """Every instance of this workload, terminating ones included."""
         if self._revision != self._view.pods_revision:
@@ -90,7 +95,7 @@ class Fleet:
         """Pods of a shared pool that are ready at its present template and belong to nobody, oldest first; of those that were
         looked for.
         """
-        current = {choice.name: choice.template_hash for choice in self._settings.pools}
+        current = self._template_hashes
         if pool not in current:
             return []
         held = (instance_of(pod) for pod in self._view.unclaimed(pool).items.values())
@@ -107,8 +112,8 @@ class Fleet:
 
     async def look(self, pool: str, *, part: bool = False) -> None:
         """Look which pods of a shared pool are unclaimed, or which of some of them."""
-        current = next((choice.template_hash for choice in self._settings.pools if choice.name == pool), "")
-        await self._view.unclaimed(pool).look(claims.part(self._settings.uid) if part else "", current)
+        asked = claims.part(self._settings.uid) if part else ""
+        await self._view.unclaimed(pool).look(asked, self._template_hashes.get(pool, ""))
 
     def followed(self, pool: str) -> AbstractAsyncContextManager[None]:
         """Go on looking, meanwhile."""

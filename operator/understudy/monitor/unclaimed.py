@@ -41,7 +41,7 @@ class Unclaimed:
         labels = self._labels | ({names.PART: part} if part else {})
         labels |= {names.TEMPLATE_HASH: template_hash} if template_hash else {}
         answer = await claims.answered(
-            lambda: self._client.table(PODS, self._namespace, labels=_selector(labels), fields=RUNNING, cached=True)
+            lambda: self._client.table(PODS, self._namespace, labels=_selector(labels), fields=RUNNING)
         )
         pods = podtables.pods(answer, namespace=self._namespace, labels=labels)
         self._found = {pod["metadata"]["name"]: pod for pod in pods}
