@@ -18,7 +18,8 @@ WATCHES = "apiserver_longrunning_requests"
 REQUESTS = "apiserver_request_total"
 CPU = "process_cpu_seconds_total"
 MEMORY = "process_resident_memory_bytes"
-NAMES = frozenset({DISPATCHED, EVENTS, BYTES, WATCHES, REQUESTS, CPU, MEMORY})
+COLLECTIONS = "go_gc_duration_seconds_count"
+NAMES = frozenset({DISPATCHED, EVENTS, BYTES, WATCHES, REQUESTS, CPU, MEMORY, COLLECTIONS})
 
 PREFIX = "bench-"
 WRITES = ("create", "update", "patch", "delete", "deletecollection")

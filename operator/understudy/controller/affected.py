@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
@@ -168,11 +169,12 @@ def _plenty(held: Object, store: Store, namespace: str) -> bool:
     pool = store.get(POOLS, namespace, name)
     if pool is None:
         return False
-    pods = store.labelled(PODS, namespace, names.POOL, name)
-    others = [pod for pod in pods if names.HELD in objects.labels(pod) and objects.uid(pod) != objects.uid(held)]
-    others = [pod for pod in others if objects.alive(pod)]
     reserved = ((pool.get("spec") or {}).get("reserve") or {}).get("pods") or 0
-    return len(pools.claimable_now(others, store.get(NETWORK_POLICIES, namespace, names.held(name)))) > reserved
+    allowed = pools.claimable_hash(store.get(NETWORK_POLICIES, namespace, names.held(name)))
+    others = (pod for pod in store.labelled(PODS, namespace, names.POOL, name) if objects.uid(pod) != objects.uid(held))
+    # A fleet's pool has hundreds, and this is asked with each step of each of them: the first few will do.
+    found = itertools.islice((pod for pod in others if pools.is_claimable(pod, allowed)), reserved + 1)
+    return sum(1 for _ in found) > reserved
 
 
 def _after_policy(policy: Object, store: Store, namespace: str) -> Iterator[Key]:

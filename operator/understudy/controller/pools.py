@@ -314,7 +314,13 @@ def _held(observed: Observed) -> list[Object]:
 def claimable_now(held: Sequence[Object], policy: Object | None) -> list[Object]:
     """Held pods that could be claimed now: ready, and of the template that the pool's policy names."""
     allowed = claimable_hash(policy)
-    return [pod for pod in held if objects.ready(pod) and (not allowed or fleets.hash_of(pod) == allowed)]
+    return [pod for pod in held if is_claimable(pod, allowed)]
+
+
+def is_claimable(pod: Object, allowed: str) -> bool:
+    """Whether a pod of a shared pool is held, ready and of the template whose hash is allowed; of any where that is empty."""
+    held = objects.labels(pod).get(names.HELD) == "true"
+    return held and objects.ready(pod) and (not allowed or fleets.hash_of(pod) == allowed)
 
 
 def claimable_hash(policy: Object | None) -> str:
