@@ -50,6 +50,11 @@ REST, REST_MOST = 4.0, 0.25
 1000 robots is 86 MB, and while the API server writes it as fast as it can, others wait.
 """
 
+PATIENCE, QUIET = 10.0, 0.5
+"""Seconds that such a list stands back in all while watches bring something, and after which they bring nothing. As long as they do they
+aren't silent, and those who make the changes, in a burst of failures, wait for the API server too.
+"""
+
 TREES = f"{names.HEALTH_TREE}=true"
 """Selects the ConfigMaps that policies may read."""
 
@@ -125,6 +130,7 @@ class Lists:
         """In the given namespaces, or in all."""
         self._client, self._store, self._namespaces = client, store, namespaces
         self._known: dict[tuple[str, str | None], Parts] = {}
+        self._patience = 0.0
 
     async def resync(self, *, gently: bool = False) -> list[Sight]:
         """List everything; what that changed. ``gently``, with rests, where nothing waits for it.
@@ -132,6 +138,7 @@ class Lists:
         Raises ApiError, aiohttp.ClientError or TimeoutError; what was listed before counts.
         """
         sights: list[Sight] = []
+        self._patience = PATIENCE
         for resource, selectors in LISTED:
             for namespace in (self._namespaces if resource != NODES else ()) or (None,):
                 sights += await self._list(resource, namespace, selectors, gently=gently)
@@ -151,13 +158,20 @@ class Lists:
                 digest = hashlib.blake2b(part.body, digest_size=16).digest()
                 found[digest] = known.get(digest) or [slim(resource, item) for item in part.items()]
                 if gently:
-                    await asyncio.sleep(min(REST_MOST, REST * (time.monotonic() - begun)))
+                    await self._stand_back(time.monotonic() - begun)
                     begun = time.monotonic()
         assert version is not None, "every list has a part"
         covered = functools.partial(listed, resource)
         sights = self._store.replace(resource, itertools.chain(*found.values()), version, namespace, covered=covered)
         self._known[place] = {digest: self._stored(resource, items) for digest, items in found.items()}
         return sights
+
+    async def _stand_back(self, took: float) -> None:
+        """Let others go first after a part that took so many seconds."""
+        await asyncio.sleep(min(REST_MOST, REST * took))
+        while self._patience > 0 and self._store.quiet < QUIET:
+            await asyncio.sleep(QUIET)
+            self._patience -= QUIET
 
     def _stored(self, resource: Resource, items: Sequence[Object]) -> list[Object]:
         """The objects as the store has them, so that they aren't kept twice; none where it has another, or none."""

@@ -40,10 +40,15 @@ class Store:
         self._items: dict[str, dict[tuple[str, str], Object]] = defaultdict(dict)
         self._index: dict[Index, dict[tuple[str, str, str], Object]] = defaultdict(dict)
         self._gone: dict[str, tuple[int, float]] = {}
-        self._swept = clock()
+        self._swept = self._changed = clock()
         self._sharing = Sharing(clock=clock)
         self.noticed: Callable[[Sight], None] = lambda sight: None
         """Called with every change, whoever brought it: what one object's work writes may mean something to another."""
+
+    @property
+    def quiet(self) -> float:
+        """Seconds since it noticed a change."""
+        return self._clock() - self._changed
 
     def get(self, resource: Resource, namespace: str, name: str) -> Object | None:
         """An object, or None."""
@@ -104,6 +109,7 @@ class Store:
         return self._notice(Sight(resource, old, None))
 
     def _notice(self, sight: Sight) -> Sight:
+        self._changed = self._clock()
         self.noticed(sight)
         return sight
 

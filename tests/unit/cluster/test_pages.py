@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
 from collections.abc import Iterator, Mapping
 
 import pytest
@@ -13,6 +14,13 @@ from understudy.cluster.client import CONFIG_MAPS, PODS, WORKLOADS, Client, Obje
 from understudy.controller import resyncing
 from understudy.controller.resyncing import Lists
 from understudy.controller.stores import Store
+
+
+class Clock:
+    now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
 
 
 class Server(Client):
@@ -116,15 +124,40 @@ async def test_a_list_that_is_not_urgent_rests_after_each_part(
         rests.append(seconds)
 
     monkeypatch.setattr(asyncio, "sleep", sleep)
-    server, store = Server(600), Store()
+    clock = Clock()
+    server, store = Server(600), Store(clock=clock)
     lists = Lists(server, store, ())
     await lists.resync()
     assert not rests, "who waits for it isn't kept waiting"
     server.asked.clear()
+    clock.now += 1.0
     await lists.resync(gently=True)
     assert len(rests) == len(server.asked) == 4
     assert all(0 < rest <= resyncing.REST_MOST for rest in rests)
     assert len(store.all(PODS)) == 600
+
+
+async def test_a_list_that_is_not_urgent_stands_back_while_watches_bring_something_but_not_for_good(
+    only_pods: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock, slept = Clock(), 0.0
+    server, store = Server(600), Store(clock=clock)
+    lists = Lists(server, store, ())
+    await lists.resync()
+    pod = store.all(PODS)[0]
+
+    async def sleep(seconds: float) -> None:
+        nonlocal slept
+        slept, clock.now = slept + seconds, clock.now + seconds
+        if slept <= until:
+            version = str(int(pod["metadata"]["resourceVersion"]) + round(1000 * clock.now))
+            store.put(PODS, {**pod, "metadata": {**pod["metadata"], "resourceVersion": version}})
+
+    monkeypatch.setattr(asyncio, "sleep", sleep)
+    for until, least, most in ((3.0, 3.0, 5.0), (math.inf, resyncing.PATIENCE, resyncing.PATIENCE + 2.0)):
+        slept = 0.0
+        await lists.resync(gently=True)
+        assert least <= slept <= most
 
 
 async def test_only_what_has_changed_is_decoded_again(only_pods: None, monkeypatch: pytest.MonkeyPatch) -> None:
