@@ -26,6 +26,7 @@ from tests.unit.interleavings.blanks import BlackBox, Keeping
 from understudy.api import names
 from understudy.cluster.client import NETWORK_POLICIES, POLICIES, Access, ApiError
 from understudy.cluster.events import Recorder
+from understudy.cluster.warming import keep_warm
 from understudy.cluster.watching import Reflector
 from understudy.mitigation.interfaces import Instance
 from understudy.mitigation.journal import Journal
@@ -125,6 +126,7 @@ class Monitor:
                 black_box=cast(Any, BlackBox()),
             )
             self.supervisor = Supervisor(parts)
+            group.create_task(keep_warm(client))
             group.create_task(self.reporter.run())
             watching.set()
             await self.supervisor.run()

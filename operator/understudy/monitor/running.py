@@ -20,6 +20,7 @@ from understudy.cluster.client import Access, Client
 from understudy.cluster.events import Recorder
 from understudy.cluster.pages import Page, serve
 from understudy.cluster.probes import ProbeReceiver
+from understudy.cluster.warming import keep_warm
 from understudy.mitigation.journal import Journal
 from understudy.mitigation.shelf import Shelf
 from understudy.monitor import metrics
@@ -130,6 +131,7 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
             leases.wake.set()
 
         sidecars.on_status = on_status
+        group.create_task(keep_warm(client))
         group.create_task(leases.run())
         group.create_task(reporter.run())
         group.create_task(sight.meter.run())

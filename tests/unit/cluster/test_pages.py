@@ -140,7 +140,7 @@ async def test_a_list_that_is_not_urgent_rests_after_each_part(
 async def test_a_list_that_is_not_urgent_stands_back_while_watches_bring_something_but_not_for_good(
     only_pods: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    clock, slept = Clock(), 0.0
+    clock, slept, until = Clock(), 0.0, 0.0
     server, store = Server(600), Store(clock=clock)
     lists = Lists(server, store, ())
     await lists.resync()
@@ -154,8 +154,8 @@ async def test_a_list_that_is_not_urgent_stands_back_while_watches_bring_somethi
             store.put(PODS, {**pod, "metadata": {**pod["metadata"], "resourceVersion": version}})
 
     monkeypatch.setattr(asyncio, "sleep", sleep)
-    for until, least, most in ((3.0, 3.0, 5.0), (math.inf, resyncing.PATIENCE, resyncing.PATIENCE + 2.0)):
-        slept = 0.0
+    for busy, least, most in ((3.0, 3.0, 5.0), (math.inf, resyncing.PATIENCE, resyncing.PATIENCE + 2.0)):
+        slept, until = 0.0, busy
         await lists.resync(gently=True)
         assert least <= slept <= most
 
