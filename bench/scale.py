@@ -234,6 +234,7 @@ class Bench:
         self.say(f"{one.robots} robots: {len(times)} claims, {self._options.rate:g} a second for {times[-1]:.1f} s")
         who = self._fairly(len(times))
         before = {pod["metadata"]["uid"] for pod in self._cluster.claimed()}
+        self._cluster.collect()
         used, counted = self._used(operator), self._cluster.counted()
         start = time.time() + 1.0
         self._ask("claim", "claims", [(start + at, robot) for at, robot in zip(times, who, strict=True)])
