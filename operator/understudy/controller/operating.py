@@ -28,9 +28,9 @@ SOON = 0.2
 operator may share with it.
 """
 
-CLAIMED = {POOLS.plural: 1.0, WORKLOADS.plural: 5.0}
+CLAIMED = {POOLS.plural: 1.0, WORKLOADS.plural: 15.0}
 """Seconds that a claim waits for what follows it, such as its gate's opening, which doesn't wait so long: of a pool, whose numbers have
-changed, and of the workload, for which nothing has.
+changed, and of the workload, for which nothing has. Where many claim at once, these looks would be what the next ones wait for.
 """
 
 _UNREACHABLE = (ApiError, aiohttp.ClientError, TimeoutError, OSError)
