@@ -45,7 +45,7 @@ const CUSTOM = {
     insertNulls: false, showPoints: 'auto', pointSize: 5, stacking: { mode: 'none', group: 'A' }, axisPlacement: 'auto',
     axisLabel: '', axisColorMode: 'text', axisBorderShow: false, axisCenteredZero: false, scaleDistribution: { type: 'linear' },
     thresholdsStyle: { mode: 'off' }, hideFrom: { legend: false, tooltip: false, viz: false }, barAlignment: 0, barWidthFactor: 0.6,
-    lineStyle: { fill: 'solid' },
+    lineStyle: { fill: 'solid' }, axisSoftMin: undefined, axisSoftMax: undefined,
   },
   table: { align: 'auto', cellOptions: { type: 'auto' }, inspect: false, filterable: false, minWidth: 150, width: undefined },
   'state-timeline': { fillOpacity: 70, lineWidth: 0 },
@@ -158,8 +158,9 @@ async function frames(panel) {
 
 const timeRange = { from: dateTime(given.from * 1000), to: dateTime(given.to * 1000), raw: { from: 'now-1h', to: 'now' } };
 
-function Nothing() {
-  return <div style={{ display: 'grid', placeItems: 'center', height: '100%', color: theme.colors.text.secondary }}>No data</div>;
+function Nothing({ panel }) {
+  const style = { display: 'grid', placeItems: 'center', height: '100%', color: theme.colors.text.secondary };
+  return <div style={style}>{panel.fieldConfig.defaults.noValue ?? 'No data'}</div>;
 }
 
 function TimeSeriesPanel({ panel, data, width, height }) {
@@ -266,8 +267,8 @@ function StateTimelinePanel({ panel, data, width, height }) {
   );
 }
 
-function TablePanel({ data, width, height }) {
-  return <Table data={data[0]} width={width} height={height} />;
+function TablePanel({ panel, data, width, height }) {
+  return <Table data={data[0]} width={width} height={height} initialSortBy={panel.options.sortBy} />;
 }
 
 const PANELS = { timeseries: TimeSeriesPanel, stat: StatPanel, 'state-timeline': StateTimelinePanel, table: TablePanel };
@@ -276,11 +277,11 @@ function Panel({ panel, data }) {
   const cell = (given.width - 2 * MARGIN - (COLUMNS - 1) * MARGIN) / COLUMNS;
   const { x, y, w, h } = panel.gridPos;
   const [width, height] = [w * cell + (w - 1) * MARGIN, h * ROW + (h - 1) * MARGIN];
-  const Drawn = PANELS[panel.type];
+  const Drawn = panel.type === 'stat' || data.some((frame) => frame.length) ? PANELS[panel.type] : Nothing;
   return (
     <div style={{ position: 'absolute', left: MARGIN + x * (cell + MARGIN), top: HEAD + y * (ROW + MARGIN), width, height }}>
       <PanelChrome title={panel.title} description={panel.description ?? ''} width={width} height={height}>
-        {(width, height) => (data.some((frame) => frame.length) ? <Drawn {...{ panel, data, width, height }} /> : <Nothing />)}
+        {(width, height) => <Drawn {...{ panel, data, width, height }} />}
       </PanelChrome>
     </div>
   );
