@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 EVERY = 60
 """Seconds between two scrapes."""
 
 BOUNDS = (0.001, 0.01, 0.1, 1.0, 10.0, float("inf"))
+
+
+class Source(Protocol):
+    """What is scraped."""
+
+    def told(self, now: float) -> Iterator[str]:
+        """What it tells at a moment."""
+        ...
 
 
 class Recovery(NamedTuple):
@@ -54,13 +62,14 @@ class Monitor:
             yield f'understudy_recoveries_total{{{labels},result="{result}"}} {len(found)}'
             if result == "Recovered":
                 for part, times in (("detection", [0.5] * len(found)), ("cluster", [r.cluster for r in found])):
-                    yield from _histogram("understudy_recovery_part_seconds", f'{labels},part="{part}"', times)
-                yield from _histogram("understudy_recovery_seconds", labels, [0.5 + r.cluster for r in found])
+                    yield from histogram("understudy_recovery_part_seconds", f'{labels},part="{part}"', times)
+                yield from histogram("understudy_recovery_seconds", labels, [0.5 + r.cluster for r in found])
 
 
-def _histogram(name: str, labels: str, times: Sequence[float]) -> Iterator[str]:
-    for bound in BOUNDS:
-        yield f'{name}_bucket{{{labels},le="{"+Inf" if bound == BOUNDS[-1] else bound}"}} {sum(t <= bound for t in times)}'
+def histogram(name: str, labels: str, times: Sequence[float], bounds: Sequence[float] = BOUNDS) -> Iterator[str]:
+    """All series of one, of these times."""
+    for bound in bounds:
+        yield f'{name}_bucket{{{labels},le="{"+Inf" if bound == bounds[-1] else bound}"}} {sum(t <= bound for t in times)}'
     yield f"{name}_sum{{{labels}}} {sum(times)}"
     yield f"{name}_count{{{labels}}} {len(times)}"
 
@@ -90,11 +99,12 @@ class Operator:
         yield f"understudy_pool_waiting_workloads{{{pool}}} {int(not ready)}"
 
 
-def openmetrics(begin: float, end: float, operator: Operator) -> str:
-    """All that was scraped between two moments."""
-    lines = []
-    for number in range(int((end - begin) / EVERY) + 1):
-        now = begin + number * EVERY
-        for one in (*operator.monitors, operator):
-            lines += [f"{line} {now}" for line in one.told(now)]
+def every(seconds: float, begin: float, end: float) -> Iterator[float]:
+    """Moments from one to another."""
+    yield from (begin + number * seconds for number in range(int((end - begin) / seconds) + 1))
+
+
+def openmetrics(moments: Iterable[float], sources: Sequence[Source]) -> str:
+    """All that was scraped at these moments."""
+    lines = [f"{line} {now}" for now in moments for source in sources for line in source.told(now)]
     return "\n".join([*lines, "# EOF", ""])

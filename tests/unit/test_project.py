@@ -42,7 +42,7 @@ def test_the_chart_is_of_the_package_s_version() -> None:
     assert chart["version"] == chart["appVersion"] == understudy.__version__
 
 
-@pytest.mark.parametrize("script", ["test", "lib.sh", "constraints"])
+@pytest.mark.parametrize("script", ["test", "lib.sh", "constraints", "dashboards"])
 def test_shell_scripts_are_valid(script: str) -> None:
     subprocess.run(["bash", "-n", str(REPOSITORY / "scripts" / script)], check=True)
 

@@ -19,7 +19,7 @@ from understudy.monitor.enforcement import judge
 
 ALERTS = yaml.safe_load((CHART / "files" / "alerts.yaml").read_text())
 DASHBOARDS = {path.name: json.loads(path.read_text()) for path in (CHART / "files" / "dashboards").glob("*.json")}
-OTHERS = {"process_cpu_seconds_total", "process_resident_memory_bytes"}
+OTHERS = {"process_cpu_seconds_total", "process_resident_memory_bytes", "process_start_time_seconds"}
 
 
 def alerts() -> list[Object]:

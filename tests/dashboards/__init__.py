@@ -1,0 +1,1 @@
+"""Pictures of the chart's dashboards: ``scripts/dashboards``."""
