@@ -12,6 +12,7 @@ import pytest
 from tests.e2e.console import REPOSITORY, shell_environment, understudy
 from tests.e2e.kubectl import Kubectl
 from tests.e2e.scenario import Robot
+from tests.e2e.test_strategies import assert_handed_over
 
 LENGTH = 3.0
 WINDOW = 2.0
@@ -43,11 +44,17 @@ def test_failures_are_made_where_they_are_allowed(executing: Robot) -> None:
     assert f"kubectl label namespace {kubectl.namespace} understudy.dev/allow-inject=true" in refused.stderr
     assert executing.has_pod(active)
     kubectl("label", "namespace", kubectl.namespace, "understudy.dev/allow-inject=true")
+    standards = "pod-security.kubernetes.io/enforce"
+    kubectl("label", "namespace", kubectl.namespace, f"{standards}=baseline")
+    refused = understudy(kubectl, "inject", name, "partition", "--yes")
+    assert refused.returncode == 2
+    assert f"kubectl label --overwrite namespace {kubectl.namespace} {standards}=privileged" in refused.stderr
+    kubectl("label", "--overwrite", "namespace", kubectl.namespace, f"{standards}=privileged")
 
     # While it is left alone, what undoes a fault is seen.
     assert understudy(kubectl, "pause", name, "--reason", "a rehearsal").returncode == 0
     time.sleep(2)
-    for fault in (["freeze"], ["slow", "--percent", str(SHARE)]):
+    for fault in (["freeze"], ["slow", "--percent", str(SHARE)], ["partition"]):
         begun = time.time()
         healthy = rate(executing, active, begun - WINDOW)
         done = understudy(kubectl, "inject", name, *fault, "--for", f"{LENGTH:g}s", "--yes")
@@ -55,7 +62,7 @@ def test_failures_are_made_where_they_are_allowed(executing: Robot) -> None:
         ended = time.time()
         lowest = lowest_rate(executing, active, begun, ended)
         assert lowest < healthy / 1.5, f"{fault[0]}: {lowest} Hz instead of {healthy} Hz"
-        assert (lowest == 0) == (fault[0] == "freeze")
+        assert (lowest == 0) == (fault[0] != "slow")
         time.sleep(WINDOW + 0.5)
         assert rate(executing, active, ended) > healthy / 1.5, "it goes on"
     assert understudy(kubectl, "resume", name).returncode == 0
@@ -68,6 +75,27 @@ def test_failures_are_made_where_they_are_allowed(executing: Robot) -> None:
     executing.wait_standby()
     assert understudy(kubectl, "inject", name, "kill", "--yes").returncode == 0
     assert executing.wait_recovered(2).old == first.new
+
+
+def test_a_pod_that_is_cut_off_is_replaced_and_never_drives_beside_its_successor(executing: Robot) -> None:
+    kubectl, name = executing.kubectl, executing.workload
+    kubectl("label", "namespace", kubectl.namespace, "understudy.dev/allow-inject=true")
+    active = executing.wait_protected()
+
+    # From everything; then from the monitor alone, which hears nothing of it while it drives on until the gate is closed to it.
+    for number, whom in ((1, []), (2, ["--from", "monitor"])):
+        executing.wait_standby()
+        done = understudy(kubectl, "inject", name, "partition", *whom, "--for", "10s", "--yes")
+        assert done.returncode == 0, done.stderr
+        recovery = executing.wait_recovered(number)
+        assert (recovery.old, recovery.strategy) == (active, "Fallback/Executing")
+        active = executing.wait_protected()
+        assert active == recovery.new
+        assert_handed_over(executing, recovery)
+        detected = recovery.moments["detected"]
+        driven_on = [c for c in executing.log().of(recovery.old) if detected - 0.3 < c.received < detected]
+        assert bool(driven_on) == bool(whom), "what the robot received while the monitor received nothing"
+    assert len(executing.recoveries()) == 2
 
 
 @pytest.mark.long

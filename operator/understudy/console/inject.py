@@ -1,4 +1,4 @@
-"""``understudy inject NAME kill | freeze | slow``: makes the instance in control fail, for who rehearses it."""
+"""``understudy inject NAME kill | freeze | slow | partition``: makes the instance in control fail, for who rehearses it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 from understudy.api import names
 from understudy.api.base import DURATION_MESSAGE, seconds
-from understudy.console import asking, faults
+from understudy.console import asking, faults, partition
 from understudy.console.kubectl import WORKLOADS, Kubectl, Unusable, add_options
 from understudy.console.robots import status_of
 
@@ -31,10 +31,13 @@ def main(arguments: list[str]) -> int:
         kubectl = Kubectl(given)
         _allowed(kubectl)
         pod = _pod(kubectl, given.name)
+        means = partition.means(kubectl, given.name, given.whom) if given.fault == "partition" else None
         asking.confirm(f"Pod {pod} drives the robot of {given.name}. {given.fault.capitalize()} it?", yes=given.yes)
         if given.fault == "kill":
             kubectl.delete("pod", pod, "--grace-period=0", "--force")
             print(f"{pod} was deleted by force")
+        elif means is not None:
+            partition.cut_off(kubectl, pod, means, length)
         else:
             percent = 100 if given.fault == "freeze" else given.percent
             _stop(kubectl, pod, given.container or _container(kubectl, pod), length, percent)
@@ -104,16 +107,25 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("name", metavar="NAME", help="the RobotWorkload")
     parser.add_argument(
         "fault",
-        choices=["kill", "freeze", "slow"],
+        choices=["kill", "freeze", "slow", "partition"],
         help="kill: its pod is deleted by force. freeze: its processes are stopped, and to Kubernetes they run. slow: the same for a part "
-        "of the time, a tenth of a second after the other",
+        "of the time, a tenth of a second after the other. partition: its pod is cut off from the network",
     )
     parser.add_argument(
-        "--for", metavar="DURATION", dest="length", default="10s", help="how long it is frozen or slow (%(default)s)"
+        "--for",
+        metavar="DURATION",
+        dest="length",
+        default="10s",
+        help="how long it is frozen, slow or cut off (%(default)s)",
     )
     parser.add_argument(
         "--percent", type=int, choices=range(1, 100), metavar="1..99", default=80,
         help="slow: the share of the time for which it is stopped (%(default)s)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--from", metavar="WHOM", dest="whom", action="append", default=[],
+        help=f"partition: from whom alone it is cut off: {partition.MONITOR} (its monitor's pod), an address or a network; may be given "
+        "more than once. Without it, from everything",
     )  # fmt: skip
     parser.add_argument("-c", "--container", help="whose processes; without it, the first one of the application")
     asking.add_option(parser)

@@ -60,6 +60,8 @@ OURS = (
     *_each("", "configmaps", "get", "robot-profile"),
     *_each("", "pods", "get delete", "inject, doctor"),
     *_each("", "pods/exec", "create", "inject, doctor"),
+    *_each("", "pods/ephemeralcontainers", "patch", "inject partition"),
+    *_each("", "pods/log", "get", "inject partition"),
     *_each("", "pods", "create", "doctor"),
     *_each(_POLICIES, "networkpolicies", "create delete", "doctor"),
 )
@@ -109,7 +111,8 @@ def of_this_user(api: Api, namespace: str) -> Finding:
         check,
         "WARN",
         f"you may not in {namespace}: {told}",
-        "where you need these verbs, ask an administrator for the ClusterRole edit (the chart's *-edit adds to it) in this namespace",
+        "where you need these verbs, ask an administrator for the ClusterRole edit (the chart's *-edit adds to it) in this namespace; "
+        "pods/ephemeralcontainers isn't in it and takes a Role",
     )
 
 
