@@ -21,9 +21,6 @@ from understudy.ros.sources import VENDOR
 
 _logger = logging.getLogger(__name__)
 
-WITHIN = 5.0
-"""Most seconds that it stays. The discovery server of a small graph has told everything after half a second."""
-
 AGAIN = 0.5
 """Seconds between two announcements of its own while it stays: one may be lost."""
 
@@ -57,11 +54,12 @@ class Discovery:
 
 
 async def locators(
-    wanted: Collection[bytes], address: str, discovery: Discovery, *, within: float = WITHIN
+    wanted: Collection[bytes], address: str, discovery: Discovery, *, within: float
 ) -> dict[bytes, tuple[Locator, ...]]:
-    """Where the readers with these GUIDs listen; without those of which nothing was heard in time.
+    """Where the readers with these GUIDs listen; without those of which nothing was heard within so many seconds.
 
-    ``address`` is this host's own, at which it can be answered. Raises OSError.
+    It leaves as soon as it knows: the discovery server of a small graph has told everything after half a second. ``address`` is this
+    host's own, at which it can be answered. Raises OSError.
     """
     loop = asyncio.get_running_loop()
     found = await loop.getaddrinfo(discovery.host, discovery.port, family=socket.AF_INET, type=socket.SOCK_DGRAM)

@@ -53,14 +53,14 @@ def test_a_discovery_server_tells_of_every_reader_and_keeps_nothing_of_who_asked
         gids = subscribers(graph, 2)
         discovery = Discovery.of(os.environ)
         asked = time.monotonic()
-        found = asyncio.run(locators(gids, "127.0.0.1", discovery))
+        found = asyncio.run(locators(gids, "127.0.0.1", discovery, within=5.0))
         assert time.monotonic() - asked < 5, "it left as soon as it knew"
         gated = [all(place.port == names.GATE_PORTS[0] for place in found[gid]) for gid in gids]
         assert sorted(gated) == [False, True]
         assert all(
             place.port > names.GATE_RANGE[1] for gid in gids for place in found[gid] if not gated[gids.index(gid)]
         )
-        again = asyncio.run(locators(gids, "127.0.0.1", discovery))
+        again = asyncio.run(locators(gids, "127.0.0.1", discovery, within=5.0))
         assert again == found, "it can be asked again, in another's name"
         assert len(graph.subscribers(CHAT)) == 2
         unknown = bytes(16)
@@ -102,7 +102,7 @@ graph = Graph("monitor")
 print("ready", flush=True)
 while len(readers := graph.subscribers("/chat")) < 2:
     time.sleep(0.05)
-found = asyncio.run(locators([reader.gid for reader in readers], sys.argv[1], Discovery.of(os.environ)))
+found = asyncio.run(locators([reader.gid for reader in readers], sys.argv[1], Discovery.of(os.environ), within=5.0))
 print(json.dumps(sorted([place.address, place.port] for places in found.values() for place in places)), flush=True)
 """
 
