@@ -68,7 +68,8 @@ async def locators(
         listener.setblocking(False)
         listener.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton(address))
         listener.bind(("", 0))
-        visit = _Visit(wanted, Locator(address, listener.getsockname()[1]), found[0][4][:2], discovery.prefix)
+        to = (str(found[0][4][0]), discovery.port)
+        visit = _Visit(wanted, Locator(address, listener.getsockname()[1]), to, discovery.prefix)
         visit.transport, _ = await loop.create_datagram_endpoint(lambda: visit, sock=listener)
         stack.callback(visit.leave)
         with contextlib.suppress(TimeoutError):
