@@ -30,6 +30,11 @@ LEASE = 10.0
 RESPONSE = 0.005
 """Seconds from a heartbeat to the answer: what it tells of is mostly on its way already."""
 
+_PORTS, _OURS = 250, 50
+"""Ports of DDS that a ROS domain has, and how many of them, the last ones, are tried: those that participants take last. Firewalls
+that let a domain's ports through let these through.
+"""
+
 _SERVER = bytes.fromhex("4453005f4550524f53494d41")
 """The prefix of the first discovery server of a list, which is the only one that a robot has."""
 
@@ -42,15 +47,16 @@ class Discovery:
     port: int
     prefix: bytes = b""
     """Of a discovery server; empty for all that hear it."""
+    domain: int = 0
 
     @classmethod
     def of(cls, environment: Mapping[str, str]) -> Discovery:
         """By the variables that ROS goes by. Raises ValueError where they can't be read."""
-        server = environment.get("ROS_DISCOVERY_SERVER", "")
+        server, domain = environment.get("ROS_DISCOVERY_SERVER", ""), int(environment.get("ROS_DOMAIN_ID") or 0)
         if server:
             host, _, port = server.rpartition(":")
-            return cls(host, int(port), _SERVER)
-        return cls("239.255.0.1", 7400 + 250 * int(environment.get("ROS_DOMAIN_ID") or 0))
+            return cls(host, int(port), _SERVER, domain)
+        return cls("239.255.0.1", _first_port(domain), domain=domain)
 
 
 async def locators(
@@ -67,7 +73,7 @@ async def locators(
         listener = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
         listener.setblocking(False)
         listener.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton(address))
-        listener.bind(("", 0))
+        _bind(listener, discovery.domain)
         to = (str(found[0][4][0]), discovery.port)
         visit = _Visit(wanted, Locator(address, listener.getsockname()[1]), to, discovery.prefix)
         visit.transport, _ = await loop.create_datagram_endpoint(lambda: visit, sock=listener)
@@ -80,6 +86,19 @@ async def locators(
                         async with asyncio.timeout(AGAIN):
                             await visit.over.wait()
         return visit.found
+
+
+def _first_port(domain: int) -> int:
+    return 7400 + _PORTS * domain
+
+
+def _bind(listener: socket.socket, domain: int) -> None:
+    """Take a free port of the domain. Raises OSError where there is none."""
+    end = _first_port(domain) + _PORTS
+    for port in range(end - 1, end - _OURS, -1):
+        with contextlib.suppress(OSError):
+            return listener.bind(("", port))
+    raise OSError(f"no UDP port of {end - _OURS} to {end - 1} is free")
 
 
 class _Visit(asyncio.DatagramProtocol):

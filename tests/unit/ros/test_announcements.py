@@ -77,18 +77,19 @@ def test_nobody_answers_and_it_says_what_it_knows() -> None:
         discovery = Discovery("127.0.0.1", silent.getsockname()[1], b"DS\0_EPROSIMA")
         assert asyncio.run(locators([bytes(16)], "127.0.0.1", discovery, within=0.8)) == {}
         silent.setblocking(False)
-        heard = []
+        heard: list[int] = []
         while len(heard) < 4:
             try:
-                heard.append(silent.recv(2000))
+                heard.append(silent.recvfrom(2000)[1][1])
             except BlockingIOError:
                 break
     assert len(heard) == 3, "two announcements, for one may be lost, and a farewell"
+    assert all(7410 < port < 7650 for port in heard), "from a port that the domain's firewalls let through"
 
 
 def test_whom_it_asks_follows_from_the_environment_of_ros() -> None:
     assert Discovery.of({"ROS_DISCOVERY_SERVER": "10.0.0.7:11811"}) == Discovery("10.0.0.7", 11811, b"DS\0_EPROSIMA")
-    assert Discovery.of({"ROS_DOMAIN_ID": "17"}) == Discovery("239.255.0.1", 11650)
+    assert Discovery.of({"ROS_DOMAIN_ID": "17"}) == Discovery("239.255.0.1", 11650, domain=17)
     assert Discovery.of({}).port == 7400
 
 
