@@ -23,7 +23,7 @@ from understudy.controller.desired import Images
 WELL, NOT_WELL, CANT = 0, 1, 2
 """Exit statuses."""
 
-_ENFORCED = "GateEnforced"
+_ENFORCED, _READ = "GateEnforced", "OutputsRead"
 
 
 def main(arguments: list[str]) -> int:
@@ -91,7 +91,7 @@ class _Examination:
         workloads = self._workloads(namespace)
         lost = list(graphs.servers(self._api, namespace, workloads))
         self.found += lost
-        self.found += _enforced(workloads)
+        self.found += said_by_monitors(workloads)
         if not self._given.no_pods:
             failed = {finding.check for finding in lost}
             try:
@@ -137,14 +137,17 @@ class _Examination:
         self.found.append(clocks.judge(told, clocks.of_api_server(self._api)))
 
 
-def _enforced(workloads: Sequence[Object]) -> Iterator[Finding]:
-    """What the monitors see of their gates, from packets too."""
+def said_by_monitors(workloads: Sequence[Object]) -> Iterator[Finding]:
+    """What the monitors see of their gates, from packets too, and of who reads the outputs."""
     for workload in workloads:
         for said in (workload.get("status") or {}).get("conditions") or []:
+            name, told = objects.name(workload), said["message"]
             if (said["type"], said["status"]) == (_ENFORCED, "False"):
-                yield Finding(
-                    f"gate of {objects.name(workload)}", "FAIL", said["message"], "docs/how-to/network-policies.md"
-                )
+                page = "robot-outside-the-cluster" if said["reason"] == "ReaderWithoutProfile" else "network-policies"
+                yield Finding(f"gate of {name}", "FAIL", told, f"docs/how-to/{page}.md")
+            elif said["type"] == _READ and said["status"] != "False" and said["reason"] != "AtGatedPorts":
+                page = "docs/explanation/network-policies.md#who-reads-the-outputs"
+                yield Finding(f"outputs of {name}", "WARN", told, page)
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -467,7 +467,10 @@ def _unprotected(known: Known) -> str:
 
 
 def _not_covered(known: Known) -> Iterator[_Entry]:
-    """What its protection, as it is written, leaves out."""
+    """What its protection, as it is written, leaves out, and what its monitor found of the outputs' readers that may be meant."""
+    read = next((one for one in known.status.conditions or [] if one.type == "OutputsRead"), None)
+    if known.is_watched and read is not None and read.status != "False" and read.reason != "AtGatedPorts":
+        yield _Entry(read.message)
     policy, spec = known.policy, known.spec
     if policy is None or spec is None:
         return

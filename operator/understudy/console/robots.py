@@ -40,6 +40,7 @@ _ABOUT = {
     "DependencyFailed": "held",
     "DependenciesResolved": "dependencies not followed",
     "GateEnforced": "gate not enforced",
+    "OutputsRead": "read past the gate",
     "BroughtUp": "not brought up",
     "Resized": "not resized",
     "Draining": "evictions don't wait",
@@ -201,12 +202,15 @@ def problems(item: Object, conditions: Iterable[Condition], seen: int | None) ->
     """What isn't as it should be by an object's conditions; ``seen`` is the generation of its spec that they are about."""
     found = list(_unseen(item, seen))
     protected = next((c for c in conditions if c.type == "Protected" and c.status == "False"), None)
+    gate = next((c.reason for c in conditions if c.type == "GateEnforced" and c.status == "False"), "")
     for condition in conditions:
         if not _amiss(condition):
             continue
         same = protected is not None and protected.reason == condition.reason
         if condition.type == "Reconciled" and (same or condition.reason == "NotAccepted"):
             continue  # it is told already
+        if condition.type == "OutputsRead" and condition.reason == gate:
+            continue
         if protected is not None and protected.reason == _LIMITED.get(condition.type):
             continue
         found.append(

@@ -1,9 +1,11 @@
-"""Whether the cluster's network enforces the gate, judged from the probes that get through (api.names.PROBE_PORT)."""
+"""Whether the gate is enforced: by the cluster's network, judged from the probes that get through (api.names.PROBE_PORT), and at the
+robot's readers (readership.py).
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Literal
 
 from understudy.cluster.probes import ProbeReceiver
@@ -18,6 +20,9 @@ SILENT = 5.0
 """Seconds without a probe of the instance in control before its way to the robot counts as blocked."""
 
 CONDITION = "GateEnforced"
+
+UNGATED = "ReaderWithoutProfile"
+"""Reason where a reader of the robot listens at a port that no gate closes."""
 
 Judgement = tuple[Literal["True", "False", "Unknown"], str, str]
 
@@ -75,8 +80,11 @@ def judge(
 class Enforcement:
     """Whether the gate of one workload is enforced. Times are unix seconds."""
 
-    def __init__(self, gate: PolicyGate, probes: ProbeReceiver, reporter: Reporter) -> None:
-        self._gate, self._probes, self._reporter = gate, probes, reporter
+    def __init__(
+        self, gate: PolicyGate, probes: ProbeReceiver, reporter: Reporter, ungated: Callable[[], str] = str
+    ) -> None:
+        """``ungated`` tells of readers of the robot that the gate doesn't reach; empty for none."""
+        self._gate, self._probes, self._reporter, self._ungated = gate, probes, reporter, ungated
         self._changed = time.time()
         self._let_through = ("", "")
 
@@ -91,7 +99,7 @@ class Enforcement:
         """How it stands, by what came of these instances."""
         state = self._gate.state
         last = {i.uid: found for i in instances if (found := self._probes.last(i.uid)) is not None}
-        return judge(
+        judged = judge(
             instances,
             state.active_uid,
             last,
@@ -99,6 +107,9 @@ class Enforcement:
             since=self._changed,
             admitted_uid=state.admitted_uid,
         )
+        if judged[0] != "False" and judged[1] != "Settling" and (ungated := self._ungated()):
+            return "False", UNGATED, ungated
+        return judged
 
     def say(self, judged: Judgement) -> None:
         """Say how it stands, unless that can't be told for the moment."""

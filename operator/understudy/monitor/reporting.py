@@ -101,6 +101,7 @@ class Reporter:
             "DependencyFailed",
             "Monitored",
             "GateEnforced",
+            "OutputsRead",
             "Recovering",
             "Degraded",
             "Reflex",

@@ -32,6 +32,7 @@ from understudy.monitor.gating import PolicyGate
 from understudy.monitor.keeping import StateKeeping
 from understudy.monitor.leases import Leases
 from understudy.monitor.metering import Meter
+from understudy.monitor.readership import Readership
 from understudy.monitor.reporting import Reporter
 from understudy.monitor.showing import Showing
 from understudy.monitor.sidecars import Sidecars
@@ -99,12 +100,14 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
         item = view.object
         if item is not None:
             reporter.adopt(item)
-        sidecars = Sidecars(client, view, os.environ.get("UNDERSTUDY_POD_IP", "127.0.0.1"), crash_points)
+        address = os.environ.get("UNDERSTUDY_POD_IP", "127.0.0.1")
+        sidecars = Sidecars(client, view, address, crash_points)
         sight = Sight()
         sight.meter = Meter(client, namespace, workload)
         REGISTRY.register(TopicMetrics(lambda: sight.heard))
         black_box = BlackBox(view, sight, reporter, Archive(state / "kept" / "recordings"))
         await serve(black_box.pages, names.RECORDINGS_PORT, host="127.0.0.1")
+        readership = Readership(view, sight, reporter, address)
         parts = Parts(
             view=view,
             fleet=fleet,
@@ -117,6 +120,7 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
             crash_points=crash_points,
             keeping=StateKeeping(sight.graph, Shelf(state / "kept"), sidecars, reporter),
             black_box=black_box,
+            ungated=lambda: readership.ungated,
         )
         telling = Telling(view, sight, reporter, lambda: parts.keeping.taken)
         showing = Showing(view, sight, reporter, lambda: telling.problems)
@@ -137,6 +141,7 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
         group.create_task(sight.meter.run())
         group.create_task(telling.run())
         group.create_task(black_box.run())
+        group.create_task(readership.run())
         socket = Path(os.environ.get("UNDERSTUDY_TASKS_SOCKET", f"{names.TASKS_DIR}/{names.TASKS_SOCKET}"))
         group.create_task(TaskLink(socket, view, fleet, gate, sidecars, reporter).run())
         alive["ready"] = time.time()

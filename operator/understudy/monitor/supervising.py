@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import logging
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from understudy.api.base import seconds
@@ -75,6 +76,8 @@ class Parts:
     crash_points: CrashPoints
     keeping: StateKeeping
     black_box: BlackBox
+    ungated: Callable[[], str] = str
+    """Tells of readers of the robot that the gate doesn't reach; empty for none."""
 
 
 class Supervisor:
@@ -108,7 +111,7 @@ class Supervisor:
         self._labels = Labels(fleet)
         self._standbys = Standbys(view, fleet, gate, sidecars, keeping, reporter, leftovers, under_way)
         sidecars.role = self._standbys.role
-        self._enforcement = Enforcement(gate, parts.probes, reporter)
+        self._enforcement = Enforcement(gate, parts.probes, reporter, parts.ungated)
         self._reflexes = Reflexes(view, fleet, gate, sidecars, sight, parts.probes, reporter)
         holding = Holding(view, gate, reporter, parts.black_box, limits, under_way, self._save, self._meanwhile)
         aftermath = Aftermath(

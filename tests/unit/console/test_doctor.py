@@ -22,6 +22,7 @@ from understudy.api.crds import definitions
 from understudy.cluster.client import Object
 from understudy.console import clocks, findings, graphs, installed, packets, rights, testpods
 from understudy.console.clocks import Clock
+from understudy.console.doctor import said_by_monitors
 from understudy.console.findings import Finding
 from understudy.console.installed import Installed
 from understudy.console.packets import Seen
@@ -413,3 +414,33 @@ def test_a_server_that_does_not_run_is_told_without_a_packet() -> None:
         "its server doesn't run: pod robot-17-navigation-discovery-x: container discovery (image i) can't start"
         in found.found
     )
+
+
+@pytest.mark.parametrize(
+    ("type_", "status", "reason", "expected"),
+    [
+        ("GateEnforced", "True", "SeenFromPackets", []),
+        ("GateEnforced", "False", "NotEnforced", [("gate of robot-1", "FAIL", "docs/how-to/network-policies.md")]),
+        (
+            "GateEnforced", "False", "ReaderWithoutProfile",
+            [("gate of robot-1", "FAIL", "docs/how-to/robot-outside-the-cluster.md")],
+        ),
+        ("OutputsRead", "True", "AtGatedPorts", []),
+        ("OutputsRead", "False", "ReaderWithoutProfile", []),
+        (
+            "OutputsRead", "Unknown", "NobodyReads",
+            [("outputs of robot-1", "WARN", "docs/explanation/network-policies.md#who-reads-the-outputs")],
+        ),
+        (
+            "OutputsRead", "True", "ReadPastTheGate",
+            [("outputs of robot-1", "WARN", "docs/explanation/network-policies.md#who-reads-the-outputs")],
+        ),
+    ],
+)  # fmt: skip
+def test_what_a_monitor_says_of_gate_and_readers_is_told_once(
+    type_: str, status: Any, reason: str, expected: list[tuple[str, str, str]]
+) -> None:
+    item = fleet.workload(
+        "robot-1", status=fleet.status("robot-1", "x", 1, fleet.said(type_, status, reason, "It is."))
+    )
+    assert [(one.check, one.level, one.cure) for one in said_by_monitors([item])] == expected

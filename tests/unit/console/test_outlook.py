@@ -280,6 +280,25 @@ def test_what_the_protection_leaves_out_as_it_is_written() -> None:
     assert any("no safety commands" in line for line in others)
 
 
+@pytest.mark.parametrize(
+    ("status", "reason", "told_first"),
+    [
+        ("Unknown", "NobodyReads", True),
+        ("True", "ReadPastTheGate", True),
+        ("True", "AtGatedPorts", False),
+        ("False", "ReaderWithoutProfile", False),
+    ],
+)
+def test_what_is_seen_of_the_outputs_readers_and_is_no_fault(status: Any, reason: str, told_first: bool) -> None:
+    name, words = "robot-17-navigation", "Of /cmd_vel it is so."
+    item = fleet.workload(
+        name, status=fleet.status(name, "x8v2m", 41, fleet.said("OutputsRead", status, reason, words))
+    )
+    text = told(known(item))
+    assert (text["Not covered"][0] == words) is told_first
+    assert any(words in line for line in text["Missing"]) is (status == "False")
+
+
 def test_a_pool_that_has_standbys_only_while_degraded_is_left_out_and_told() -> None:
     item = fleet.well()
     warm = {

@@ -54,6 +54,12 @@ def test_the_same_trouble_is_told_once_and_protection_comes_first() -> None:
     assert found.problems[0].since is not None
     both = [said("GateEnforced", "False", "NotEnforced"), said("Protected", "False", "PoolEmpty")]
     assert told(*both) == [("not protected", "PoolEmpty"), ("gate not enforced", "NotEnforced")]
+    gate, read = (said(type_, "False", "ReaderWithoutProfile") for type_ in ("GateEnforced", "OutputsRead"))
+    assert told(gate, read) == [("gate not enforced", "ReaderWithoutProfile")]
+    assert told(said("GateEnforced", "False", "NotEnforced"), read) == [
+        ("gate not enforced", "NotEnforced"),
+        ("read past the gate", "ReaderWithoutProfile"),
+    ]
     assert robot(fleet.workload(name)).problems[0].reason == "NotSeen"
 
 
@@ -65,6 +71,7 @@ def test_a_recovery_is_a_problem_while_it_runs_and_when_it_came_to_nothing() -> 
 
 def test_what_is_only_waited_for_is_none() -> None:
     assert told(said("GateEnforced", "Unknown", "Settling"), said("Degraded", "Unknown", "Starting")) == []
+    assert told(said("OutputsRead", "Unknown", "NobodyReads")) == []
 
 
 def test_a_condition_of_a_later_version_is_told_by_its_name() -> None:

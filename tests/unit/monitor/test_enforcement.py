@@ -99,3 +99,26 @@ def test_it_is_judged_anew_after_the_gate_lets_another_pod_through_and_said_once
     enforced.say(found := enforced.judge([ACTIVE, STANDBY]))
     assert found[1] == "Settling"
     assert told.conditions["GateEnforced"][1] == "NotEnforced", "what was seen before stands"
+
+
+def test_a_reader_that_the_gate_does_not_reach_counts_as_not_enforced_whatever_packets_say(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    gate: Any = SimpleNamespace(state=GateState(epoch=3, active="w-1", active_uid="uid-w-1"))
+    last = {"uid-w-1": NOW + SETTLE}
+    probes: Any = SimpleNamespace(last=last.get)
+    clock = [NOW]
+    monkeypatch.setattr(enforcement, "time", SimpleNamespace(time=lambda: clock[0]))
+    told: Any = Told()
+    ungated = [""]
+    enforced = Enforcement(gate, probes, told, lambda: ungated[0])
+    enforced.look(NOW)
+    clock[0] = NOW + SETTLE + 1
+    assert enforced.judge([ACTIVE, STANDBY])[:2] == ("True", "SeenFromPackets")
+    ungated[0] = "The gate doesn't reach who reads /cmd_vel."
+    assert enforced.judge([ACTIVE, STANDBY]) == ("False", "ReaderWithoutProfile", ungated[0])
+    assert enforced.judge([ACTIVE])[:2] == ("False", "ReaderWithoutProfile"), "where there is no standby too"
+    enforced.say(enforced.judge([ACTIVE, STANDBY]))
+    assert [reason for _, reason, _ in told.events] == ["GateReaderWithoutProfile"]
+    last["uid-w-2"] = clock[0]
+    assert enforced.judge([ACTIVE, STANDBY])[1] == "NotEnforced", "a network that enforces nothing comes first"

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import os
+import socket
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from tests.unit.dds import keep_to_itself
-from tests.unit.ros.processes import Processes
+from tests.unit.ros.processes import PACKAGE, Processes
+
+SERVER = PACKAGE.parent / "docker" / "understudy-discovery-server"
 
 
 @pytest.fixture
@@ -23,6 +30,30 @@ def processes(dds: None) -> Iterator[Processes]:
     started = Processes()
     yield started
     started.end()
+
+
+@pytest.fixture
+def discovery_server(
+    dds: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> Iterator[Callable[[], subprocess.Popen[bytes]]]:
+    """Starts a server, at the same address as any before, that participants made from then on know."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    monkeypatch.delenv("ROS_AUTOMATIC_DISCOVERY_RANGE")
+    started: list[subprocess.Popen[bytes]] = []
+    environment = {**os.environ, "UNDERSTUDY_ENVIRONMENT": sys.prefix, "HOME": str(tmp_path)}
+
+    def server() -> subprocess.Popen[bytes]:
+        process = subprocess.Popen([SERVER, "127.0.0.1", str(port)], env=environment, stdout=subprocess.DEVNULL)
+        started.append(process)
+        return process
+
+    monkeypatch.setenv("ROS_DISCOVERY_SERVER", f"127.0.0.1:{port}")
+    yield server
+    for process in started:
+        process.kill()
+        process.wait()
 
 
 @pytest.fixture

@@ -1,0 +1,158 @@
+"""Looking who reads the outputs costs little, and never disturbs the monitor: it says where it could not tell."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from tests.unit.monitor.test_trying_again import Told as Said
+from understudy.api.conditions import Condition, condition
+from understudy.api.workloads import Output
+from understudy.monitor import readership
+from understudy.monitor.readership import Readership
+from understudy.ros.graph import Endpoint
+
+CMD_VEL = Output(topic="/cmd_vel", type="geometry_msgs/msg/Twist")
+READER = Endpoint("geometry_msgs/msg/Twist", bytes(15) + b"\x04", "/base")
+
+
+class Told(Said):
+    """What is said, and was by an earlier monitor."""
+
+    def __init__(self, *before: Condition) -> None:
+        super().__init__()
+        self._before = {one.type: one for one in before}
+
+    def find(self, type_: str) -> Condition | None:
+        return self._before.get(type_)
+
+    def withdraw(self, type_: str) -> None:
+        self.conditions.pop(type_, None)
+
+
+class Server:
+    """A discovery server that never answers, and readers of which it doesn't tell."""
+
+    def __init__(self) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.bind(("127.0.0.1", 0))
+        self._socket.setblocking(False)
+        self.address = f"127.0.0.1:{self._socket.getsockname()[1]}"
+        self.readers: list[Endpoint] = []
+
+    def asked(self) -> bool:
+        """Whether somebody has since the last time."""
+        found = False
+        with contextlib.suppress(BlockingIOError):
+            while self._socket.recv(2000):
+                found = True
+        return found
+
+    def subscribers(self, topic: str) -> list[Endpoint]:
+        return self.readers
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+@pytest.fixture
+def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
+    made = Server()
+    monkeypatch.setenv("ROS_DISCOVERY_SERVER", made.address)
+    monkeypatch.setattr(readership, "WITHIN", 0.05)
+    monkeypatch.setattr(readership, "SETTLE", 0.0)
+    yield made
+    made.close()
+
+
+def looking(server: Any, told: Told, outputs: list[Output]) -> Readership:
+    spec = SimpleNamespace(outputs=outputs, gate=SimpleNamespace(robots=[]))
+    view: Any = SimpleNamespace(spec=spec, retired=False, workload="robot-17")
+    sight: Any = SimpleNamespace(graph=server, addresses={})
+    reporter: Any = told
+    return Readership(view, sight, reporter, "127.0.0.1")
+
+
+def looks(one: Readership, times: int) -> None:
+    async def look() -> None:
+        for _ in range(times):
+            await one.look()
+
+    asyncio.run(look())
+
+
+def test_dds_is_asked_once_for_a_reader_and_what_it_does_not_tell_is_said(server: Server) -> None:
+    told = Told()
+    one = looking(server, told, [CMD_VEL])
+    looks(one, 2)
+    assert not server.asked(), "where nobody reads there is nothing to ask"
+    assert told.conditions["OutputsRead"][:2] == ("Unknown", "NobodyReads")
+    server.readers = [READER]
+    looks(one, 2)
+    assert server.asked()
+    assert told.conditions["OutputsRead"][:2] == ("Unknown", "NotTold")
+    looks(one, 3)
+    assert not server.asked()
+    server.readers = [READER, Endpoint(READER.type, bytes(14) + b"\x01\x04", "/other")]
+    looks(one, 1)
+    assert server.asked(), "another one is asked for at once"
+
+
+def test_it_is_said_once_it_has_stood_for_a_while(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(readership, "SETTLE", 60.0)
+    told = Told()
+    looks(looking(server, told, [CMD_VEL]), 3)
+    assert told.conditions == {}
+
+
+def test_what_an_earlier_monitor_found_stands_until_it_is_known_anew(server: Server) -> None:
+    told = Told(condition("OutputsRead", False, "ReaderWithoutProfile", "The gate doesn't reach it."))
+    one = looking(server, told, [CMD_VEL])
+    assert one.ungated == "The gate doesn't reach it."
+    looks(one, 2)
+    assert one.ungated == ""
+
+
+def test_a_workload_without_topics_says_nothing_of_them(server: Server) -> None:
+    told = Told()
+    told.conditions["OutputsRead"] = ("Unknown", "NobodyReads", "")
+    looks(looking(server, told, [Output(service="/snap", type="std_srvs/srv/Trigger")]), 2)
+    assert told.conditions == {}
+
+
+def test_a_discovery_server_that_cannot_be_asked_is_no_failure(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROS_DISCOVERY_SERVER", "not a port:eleven")
+    told = Told()
+    server.readers = [READER]
+    looks(looking(server, told, [CMD_VEL]), 2)
+    assert told.conditions["OutputsRead"][:2] == ("Unknown", "NotTold")
+
+
+def test_an_error_does_not_end_it(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(readership, "AGAIN", 0.01)
+    monkeypatch.setattr(readership, "PERIOD", 0.01)
+    looked = 0
+
+    def broken(topic: str) -> list[Endpoint]:
+        nonlocal looked
+        looked += 1
+        raise RuntimeError("the graph is being closed")
+
+    told = Told()
+    one = looking(SimpleNamespace(subscribers=broken), told, [CMD_VEL])
+
+    async def run() -> None:
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(one.run(), 0.5)
+
+    asyncio.run(run())
+    assert looked > 1
+    assert told.conditions["OutputsRead"][:2] == ("Unknown", "NotTold")

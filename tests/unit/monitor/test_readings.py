@@ -1,0 +1,92 @@
+"""A reader that the gate can't reach is told; one that isn't the robot's is no alarm."""
+
+from __future__ import annotations
+
+import pytest
+
+from understudy.api import names
+from understudy.monitor.enforcement import Judgement
+from understudy.monitor.readings import Reading, judge
+from understudy.ros.rtps import Locator
+
+CMD_VEL, ARM = "/cmd_vel", "/arm/command"
+GATED, DEFAULT = names.GATE_PORTS[0], 7411
+
+
+def reading(host: str, port: int = GATED, *, node: str = "/base", topic: str = CMD_VEL) -> Reading:
+    return Reading(topic, node, (Locator(host, port),))
+
+
+def judged(
+    *readings: Reading, topics: tuple[str, ...] = (CMD_VEL,), untold: tuple[str, ...] = (), robots: tuple[str, ...] = ()
+) -> Judgement:
+    return judge("robot-17", topics, readings, untold, robots)
+
+
+def test_a_robot_that_reads_at_gated_ports_is_as_it_should_be() -> None:
+    status, reason, message = judged(reading("10.1.0.7"))
+    assert (status, reason) == ("True", "AtGatedPorts")
+    assert message == "Read at gated ports: /cmd_vel by /base at 10.1.0.7:7950."
+
+
+def test_a_robot_that_was_started_without_the_profile_is_told_with_the_cure() -> None:
+    status, reason, message = judged(reading("10.1.0.7", DEFAULT))
+    assert (status, reason) == ("False", "ReaderWithoutProfile")
+    assert "/cmd_vel by /base at 10.1.0.7:7411" in message
+    assert "understudy robot-profile robot-17" in message
+
+
+def test_each_output_is_judged_by_itself() -> None:
+    topics = (CMD_VEL, ARM)
+    both = judged(reading("10.1.0.7"), reading("10.1.0.7", DEFAULT, node="/arm", topic=ARM), topics=topics)
+    assert both[:2] == ("False", "ReaderWithoutProfile")
+    assert "/arm/command by /arm" in both[2]
+    assert "/cmd_vel by" not in both[2]
+    assert judged(reading("10.1.0.7"), topics=topics)[:2] == ("Unknown", "NobodyReads")
+
+
+def test_an_output_that_nobody_reads_is_told() -> None:
+    status, reason, message = judged()
+    assert (status, reason) == ("Unknown", "NobodyReads")
+    assert message.startswith("Nobody on the robot's side reads /cmd_vel.")
+
+
+@pytest.mark.parametrize(
+    "node", ["/_ros2cli_4711", "/rosbag2_recorder", "/fleet/rosbag2_recorder", "/understudy_watch_12"]
+)
+def test_a_tool_is_no_robot(node: str) -> None:
+    alone = judged(reading("10.1.0.9", DEFAULT, node=node))
+    assert alone[:2] == ("Unknown", "NobodyReads")
+    assert node in alone[2]
+    beside = judged(reading("10.1.0.7"), reading("10.1.0.9", DEFAULT, node=node))
+    assert beside[:2] == ("True", "ReadPastTheGate")
+
+
+def test_where_the_robot_is_behind_the_gate_another_reader_is_told_as_a_fact() -> None:
+    status, reason, message = judged(reading("10.1.0.7"), reading("10.1.0.9", DEFAULT, node="/display"))
+    assert (status, reason) == ("True", "ReadPastTheGate")
+    assert "/cmd_vel by /display at 10.1.0.9:7411" in message
+
+
+def test_on_a_robot_outside_the_cluster_only_a_gated_reader_of_the_same_host_makes_another_one_harmless() -> None:
+    robots = ("10.20.17.4/32", "10.20.17.5/32")
+    display = reading("10.20.17.4", DEFAULT, node="/display")
+    assert judged(reading("10.20.17.4"), display, robots=robots)[1] == "ReadPastTheGate"
+    assert judged(reading("10.20.17.5"), display, robots=robots)[:2] == ("False", "ReaderWithoutProfile")
+    assert judged(reading("10.20.17.5"), display)[1] == "ReadPastTheGate", "where nobody said whose address it is"
+
+
+def test_one_port_among_several_that_no_gate_closes_is_enough() -> None:
+    group = Reading(CMD_VEL, "/base", (Locator("10.1.0.7", GATED), Locator("239.255.0.1", 7401)))
+    assert judged(group)[:2] == ("False", "ReaderWithoutProfile")
+
+
+def test_what_dds_did_not_tell_is_said_and_nothing_concluded_from_it() -> None:
+    assert judged(untold=(CMD_VEL,))[:2] == ("Unknown", "NotTold")
+    assert judged(reading("10.1.0.7"), untold=(CMD_VEL,))[:2] == ("Unknown", "NotTold")
+    assert judged(reading("10.1.0.7", DEFAULT), untold=(CMD_VEL,))[:2] == ("False", "ReaderWithoutProfile")
+    assert judged(topics=(CMD_VEL, ARM), untold=(CMD_VEL,))[:2] == ("Unknown", "NobodyReads")
+
+
+def test_a_node_that_has_not_told_its_name_is_told_of_by_its_address() -> None:
+    assert "/cmd_vel by an unnamed node at 10.1.0.7:7411" in judged(reading("10.1.0.7", DEFAULT, node=""))[2]

@@ -1,0 +1,123 @@
+"""DDS tells where readers listen, whoever has them: asked of real Fast DDS, as a discovery server has it and without one."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import socket
+import time
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from tests.unit.ros.network import network
+from understudy.api import names
+from understudy.api.workloads import Output
+from understudy.ros.announcements import Discovery, locators
+from understudy.ros.profiles import profiles_xml
+from understudy.ros.rtps import Locator
+
+pytestmark = pytest.mark.ros
+
+CHAT = "/chat"
+
+
+@pytest.fixture
+def profiles(dds, tmp_path):
+    """What makes a process one whose reader has a gated port."""
+    file = tmp_path / "profiles.xml"
+    file.write_text(profiles_xml([Output(topic=CHAT, type="std_msgs/msg/String")]))
+    return {"FASTRTPS_DEFAULT_PROFILES_FILE": str(file)}
+
+
+def subscribers(graph, count: int) -> list[bytes]:
+    end = time.monotonic() + 20
+    while len(found := graph.subscribers(CHAT)) != count:
+        assert time.monotonic() < end, f"{found} aren't {count}"
+        time.sleep(0.05)
+    return [reader.gid for reader in found]
+
+
+def test_a_discovery_server_tells_of_every_reader_and_keeps_nothing_of_who_asked(
+    discovery_server, processes, profiles
+) -> None:
+    from understudy.ros.graph import Graph
+
+    discovery_server()
+    processes.node("obey", CHAT, "{}")
+    processes.node("obey", CHAT, "{}", **profiles)
+    graph = Graph("monitor")
+    try:
+        gids = subscribers(graph, 2)
+        discovery = Discovery.of(os.environ)
+        asked = time.monotonic()
+        found = asyncio.run(locators(gids, "127.0.0.1", discovery, within=5.0))
+        assert time.monotonic() - asked < 5, "it left as soon as it knew"
+        gated = [all(place.port == names.GATE_PORTS[0] for place in found[gid]) for gid in gids]
+        assert sorted(gated) == [False, True]
+        assert all(
+            place.port > names.GATE_RANGE[1] for gid in gids for place in found[gid] if not gated[gids.index(gid)]
+        )
+        again = asyncio.run(locators(gids, "127.0.0.1", discovery, within=5.0))
+        assert again == found, "it can be asked again, in another's name"
+        assert len(graph.subscribers(CHAT)) == 2
+        unknown = bytes(16)
+        assert asyncio.run(locators([gids[0], unknown], "127.0.0.1", discovery, within=1.5)) == {
+            gids[0]: found[gids[0]]
+        }
+    finally:
+        graph.close()
+
+
+def test_nobody_answers_and_it_says_what_it_knows() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
+        silent.bind(("127.0.0.1", 0))
+        discovery = Discovery("127.0.0.1", silent.getsockname()[1], b"DS\0_EPROSIMA")
+        assert asyncio.run(locators([bytes(16)], "127.0.0.1", discovery, within=0.8)) == {}
+        silent.setblocking(False)
+        heard: list[int] = []
+        while len(heard) < 4:
+            try:
+                heard.append(silent.recvfrom(2000)[1][1])
+            except BlockingIOError:
+                break
+    assert len(heard) == 3, "two announcements, for one may be lost, and a farewell"
+    assert all(7410 < port < 7650 for port in heard), "from a port that the domain's firewalls let through"
+
+
+def test_whom_it_asks_follows_from_the_environment_of_ros() -> None:
+    assert Discovery.of({"ROS_DISCOVERY_SERVER": "10.0.0.7:11811"}) == Discovery("10.0.0.7", 11811, b"DS\0_EPROSIMA")
+    assert Discovery.of({"ROS_DOMAIN_ID": "17"}) == Discovery("239.255.0.1", 11650, domain=17)
+    assert Discovery.of({}).port == 7400
+
+
+needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="network namespaces need root")
+
+ASK = """
+import asyncio, json, os, sys, time
+from understudy.ros.announcements import Discovery, locators
+from understudy.ros.graph import Graph
+graph = Graph("monitor")
+print("ready", flush=True)
+while len(readers := graph.subscribers("/chat")) < 2:
+    time.sleep(0.05)
+found = asyncio.run(locators([reader.gid for reader in readers], sys.argv[1], Discovery.of(os.environ), within=5.0))
+print(json.dumps(sorted([place.address, place.port] for places in found.values() for place in places)), flush=True)
+"""
+
+
+@needs_root
+def test_without_a_server_every_participant_tells_of_its_own(processes, profiles, monkeypatch, tmp_path) -> None:
+    monkeypatch.delenv("ROS_AUTOMATIC_DISCOVERY_RANGE")
+    script = tmp_path / "ask.py"
+    script.write_text(ASK)
+    with network() as lan:
+        processes.node("obey", CHAT, "{}", inside=lan.host("10.77.0.2"))
+        processes.node("obey", CHAT, "{}", inside=lan.host("10.77.0.3"), **profiles)
+        asker = processes.node("10.77.0.4", inside=lan.host("10.77.0.4"), script=str(script))
+        plain, gated = (Locator(*place) for place in json.loads(processes.line(asker, 30)))
+    assert plain.address == "10.77.0.2"
+    assert plain.port > names.GATE_RANGE[1]
+    assert gated == Locator("10.77.0.3", names.GATE_PORTS[0])
