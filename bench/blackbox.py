@@ -33,6 +33,7 @@ STREAMS = (
 )
 IMAGES = Stream("/camera/image/compressed", "sensor_msgs/msg/CompressedImage", 5)
 ALL = (*STREAMS, IMAGES)
+OUTPUTS = ({"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist"},)
 
 WATCHED = {"watching": STREAMS, "recording": STREAMS, "watching_images": ALL, "recording_images": ALL}
 """What each monitor judges."""
@@ -97,7 +98,7 @@ def _run(role: str) -> None:
     streams = WATCHED[role]
     leaves = [{"topic": {"name": one.topic, "type": one.type, "gap": "1s"}} for one in streams]
     black_box = {} if role.startswith("recording") else None
-    judge({"yaml": {"parallel": leaves}}, [one.topic for one in streams], black_box=black_box)
+    judge({"yaml": {"parallel": leaves}}, [one.topic for one in streams], outputs=OUTPUTS, black_box=black_box)
 
 
 if __name__ == "__main__":
