@@ -171,6 +171,8 @@ def _fetch(port: int, recording: Recording, path: Path) -> None:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="understudy blackbox",
+        # By itself it would say the options first, and a name after --fetch is taken for an id.
+        usage="%(prog)s NAME [options]",
         description="Lists what the monitor of a RobotWorkload has recorded around its failures, or fetches a recording: an MCAP file as "
         "rosbag2 writes them. The policy asks for it (spec.blackBox). Needs kubectl and the right to forward ports to pods.",
         epilog="Exit status: 0 where there are recordings, or it is fetched, 1 where there are none, 2 where it can't be told or fetched.",
