@@ -33,7 +33,7 @@ def judge(
     ip: str = "192.0.2.10",
     leaves: Mapping[str, str] | None = None,
 ) -> None:
-    """Judge until killed, tell of failures, and answer ``received`` and ``seen``.
+    """Judge until killed, tell of failures, and answer ``received`` and ``seen``; ``record`` turns the black box on and off.
 
     Args:
         monitoring: as of a FailurePolicy.
@@ -87,8 +87,8 @@ class _Judge:
         self.sight = Sight()
         self._folder = tempfile.TemporaryDirectory()
         self.keeping = StateKeeping(self.sight.graph, Shelf(Path(self._folder.name)), _Nobody(), _Nobody())
-        view: Any = SimpleNamespace(policy=self.policy, workload="bench", namespace="bench")
-        self.box = BlackBox(view, self.sight, _Nobody(), Archive(Path(self._folder.name) / "recordings"))
+        self._view: Any = SimpleNamespace(policy=self.policy, workload="bench", namespace="bench")
+        self.box = BlackBox(self._view, self.sight, _Nobody(), Archive(Path(self._folder.name) / "recordings"))
         self.topics, self.leaves = topics, leaves
         self.verdicts = self.failed = self.doubted = 0
         self.late = self.waited = 0.0
@@ -105,7 +105,7 @@ class _Judge:
         from understudy.monitor.supervising import SLOW
         from understudy.trees.debounce import Debounce
 
-        answers = {"received": self._received, "seen": self._seen}
+        answers = {"received": self._received, "seen": self._seen, "record": self._record}
         asyncio.get_running_loop().add_reader(sys.stdin, lambda: answer(sys.stdin.readline(), answers))
         self._recording = asyncio.create_task(self.box.run())
         looks, debounce = Looks(self.sight.coming), Debounce()
@@ -170,6 +170,14 @@ class _Judge:
     def _received(self, asked: Mapping[str, Any]) -> dict[str, Any]:
         records = [self.sight.observations.topic(topic) for topic in self.topics]
         return {"received": sum(record.count for record in records if record is not None)}
+
+    def _record(self, asked: Mapping[str, Any]) -> dict[str, Any]:
+        """``black_box`` is as of a FailurePolicy."""
+        from understudy.api.recordings import BlackBox
+
+        settings = BlackBox.model_validate(asked["black_box"]) if asked["black_box"] is not None else None
+        self._view.policy = self.policy.model_copy(update={"black_box": settings})
+        return {}
 
     def _seen(self, asked: Mapping[str, Any]) -> dict[str, Any]:
         """What there was since the last such question: the worst gap of each topic, the fewest and most messages in a window.

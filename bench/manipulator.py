@@ -94,7 +94,7 @@ def main() -> None:
     cost.told(report, found, cpu=30.0, memory=110.0, baseline=BASELINE)
     cost.more(report, found, "recording", "recorded", cpu=30.0, memory=130.0)
     rates = ", ".join(
-        f"{one.topic} {one.hertz:g} Hz, {size} bytes" for one, size in zip(STREAMS, _sizes(), strict=True)
+        f"{one.topic} {one.hertz:g} Hz, {size} bytes" for one, size in zip(STREAMS, robot.sizes(STREAMS), strict=True)
     )
     report.note(
         "traffic", f"{len(STREAMS)} topics, UDPv4 only, {len(OUTPUTS)} of them gated, serialized sizes: {rates}"
@@ -125,18 +125,6 @@ def _watchers() -> Iterator[Sequence[Role]]:
         yield watchers
         for name in JUDGES:
             DISTURBED.extend(f"{name}: {told}" for told in roles[name].told_so_far())
-
-
-def _sizes() -> list[int]:
-    """Bytes of each stream's messages, serialized."""
-    from rclpy.serialization import serialize_message
-
-    found = []
-    for stream in STREAMS:
-        message = robot.message_class(stream.type)()
-        robot.fill(message, stream, "")
-        found.append(len(serialize_message(message)))
-    return found
 
 
 # -- the processes of a run --------------------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ import threading
 import time
 from array import array
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -173,6 +173,18 @@ def fill(message: Any, stream: Stream, spoil: str) -> None:
         filler(message, stream, spoil)
 
 
+def sizes(streams: Iterable[Stream]) -> list[int]:
+    """Bytes of each stream's messages, serialized."""
+    from rclpy.serialization import serialize_message
+
+    found = []
+    for stream in streams:
+        message = message_class(stream.type)()
+        fill(message, stream, "")
+        found.append(len(serialize_message(message)))
+    return found
+
+
 def _stamp(message: Any, moment: float) -> None:
     """Set its stamps, where it has any."""
     headers = [message.header] if hasattr(message, "header") else []
@@ -192,6 +204,12 @@ def _image(message: Any, stream: Stream, spoil: str) -> None:
         message.header.frame_id, message.encoding = "camera", "rgb8"
         message.width, message.height, message.step = 64, 48, 3 * 64
         message.data = array("B", bytes(3 * 64 * 48))
+
+
+def _compressed(message: Any, stream: Stream, spoil: str) -> None:
+    if not message.data:
+        message.header.frame_id, message.format = "camera", "jpeg"
+        message.data = array("B", bytes(40_000))  # about what 640 x 480 pixels of a room take
 
 
 def _camera(message: Any, stream: Stream, spoil: str) -> None:
@@ -244,6 +262,7 @@ _FILLERS: Mapping[str, Callable[[Any, Stream, str], None]] = {
     "sensor_msgs/msg/LaserScan": _scan,
     "sensor_msgs/msg/Image": _image,
     "sensor_msgs/msg/CameraInfo": _camera,
+    "sensor_msgs/msg/CompressedImage": _compressed,
     "sensor_msgs/msg/JointState": _joints,
     "sensor_msgs/msg/BatteryState": _battery,
     "sensor_msgs/msg/Temperature": _temperature,

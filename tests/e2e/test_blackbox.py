@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 from mcap.reader import make_reader
 
 from tests.e2e.console import offline, understudy
@@ -72,5 +73,9 @@ def test_a_failure_is_kept_with_what_led_to_it(executing: Robot, tmp_path: Path)
     found = [datetime.fromisoformat(one["detectedWall"]) for one in json.loads(simulated.stdout)["detections"]]
     assert min(abs(one.timestamp() - detected) for one in found) < 0.1, "as its monitor did"
     with path.open("rb") as file:
-        (metadata,) = make_reader(file, validate_crcs=True).iter_metadata()
+        reader = make_reader(file, validate_crcs=True)
+        (metadata,), summary = reader.iter_metadata(), reader.get_summary()
+    assert summary is not None
+    offered = {one.topic: yaml.safe_load(one.metadata["offered_qos_profiles"]) for one in summary.channels.values()}
+    assert {one["reliability"] for one in offered[COMMANDS]} == {"reliable"}
     assert metadata.metadata["workload"] == executing.workload

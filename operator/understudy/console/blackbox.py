@@ -33,7 +33,10 @@ _PIECE = 1 << 16
 
 def main(arguments: list[str]) -> int:
     """Run the command."""
-    given = _parser().parse_args(arguments)
+    parser = _parser()
+    given = parser.parse_args(arguments)
+    if given.to is not None and given.fetch is None:
+        parser.error("--to says where a recording is fetched into: give --fetch too")
     try:
         kubectl = Kubectl(given)
         with kubectl.forwarded(monitor_pod(kubectl, given.name), names.RECORDINGS_PORT) as port:
@@ -119,15 +122,21 @@ def _what(one: Recording) -> str:
 
 
 def _wanted(found: Recordings, wanted: str) -> Recording:
-    """The recording that is meant: by its id, or the beginning of it, or its number. Raises Unusable."""
+    """The recording that is meant: by its number, or its id or the beginning of it. Raises Unusable."""
     if not found.recordings:
         raise Unusable(f"there is no recording of {found.workload}")
     if wanted == LATEST:
         return found.recordings[0]
+    # An id may begin with any digit.
     for one in found.recordings:
-        if one.id.startswith(wanted) or str(one.number) == wanted:
+        if str(one.number) == wanted:
             return one
-    there = ", ".join(f"{one.id} (failure {one.number})" for one in found.recordings)
+    begun = [one for one in found.recordings if one.id.startswith(wanted)]
+    if len(begun) == 1:
+        return begun[0]
+    there = ", ".join(f"{one.id} (failure {one.number})" for one in begun or found.recordings)
+    if begun:
+        raise Unusable(f"several recordings of {found.workload} begin with {wanted}: {there}")
     raise Unusable(f"there is no recording {wanted} of {found.workload}, but {there}")
 
 
@@ -162,6 +171,8 @@ def _fetch(port: int, recording: Recording, path: Path) -> None:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="understudy blackbox",
+        # By itself it would say the options first, and a name after --fetch is taken for an id.
+        usage="%(prog)s NAME [options]",
         description="Lists what the monitor of a RobotWorkload has recorded around its failures, or fetches a recording: an MCAP file as "
         "rosbag2 writes them. The policy asks for it (spec.blackBox). Needs kubectl and the right to forward ports to pods.",
         epilog="Exit status: 0 where there are recordings, or it is fetched, 1 where there are none, 2 where it can't be told or fetched.",
@@ -172,7 +183,8 @@ def _parser() -> argparse.ArgumentParser:
         metavar="ID",
         nargs="?",
         const=LATEST,
-        help=f"fetch a recording, by its id, the number of the failure, or {LATEST} (which is meant where nothing is said)",
+        help=f"fetch a recording, by the number of the failure, its id or the beginning of it, or {LATEST} (which is meant where "
+        "nothing is said)",
     )
     parser.add_argument("--to", metavar="FILE", help="the file that it is fetched into (NAME-NUMBER.mcap)")
     parser.add_argument(

@@ -169,7 +169,8 @@ class BlackBox:
         if problem:
             notes["events"] = problem
         view = self._view
-        content = Content(view.namespace, view.workload, recovery, tracks, events, since, notes)
+        offers = {track.topic: self._sight.offered(track.topic) for track in tracks}
+        content = Content(view.namespace, view.workload, recovery, tracks, events, offers, since, notes)
         recording = Recording(
             id=progress.id,
             number=recovery.number,

@@ -18,6 +18,7 @@ from understudy.monitor.situating import Seen, Situating
 from understudy.monitor.wellness import Busy, Wellness
 from understudy.ros.arrivals import Arrivals
 from understudy.ros.graph import Graph
+from understudy.ros.offers import offers
 from understudy.ros.rings import Ring
 from understudy.ros.types import TypeNotInstalled, interface_class, message_fields
 from understudy.ros.watching import Watching
@@ -155,6 +156,10 @@ class Sight:
     def record(self, ring: Ring | None) -> None:
         """Keep the messages themselves in a ring from now on, or no longer."""
         self._watching.record(ring)
+
+    def offered(self, topic: str) -> str:
+        """What the publishers of a topic offer now, as a recording has it."""
+        return offers(self.graph.offered(topic))
 
     @property
     def gated(self) -> list[str]:

@@ -21,6 +21,7 @@ from understudy.api.base import Model
 from understudy.api.workloads import Recovery
 from understudy.cluster.client import Object
 from understudy.ros.definitions import definition
+from understudy.ros.offers import offers
 from understudy.ros.rings import Message, Taken
 from understudy.ros.types import TypeNotInstalled, message_class
 from understudy.trees.snapshots import Shown
@@ -76,6 +77,8 @@ class Content:
     tracks: Sequence[Taken]
     events: Sequence[Object]
     """Of Kubernetes, of the objects concerned."""
+    offers: Mapping[str, str]
+    """What the publishers of the topics offer, by topic, as understudy.ros.offers has it."""
     since: float
     """Unix seconds."""
     notes: Mapping[str, str]
@@ -98,7 +101,9 @@ def write(file: IO[bytes], content: Content) -> int:
             except TypeNotInstalled:  # it was, when it was received
                 text = ""
             schemas[track.type] = writer.register_schema(track.type, "ros2msg", text.encode())
-        channels[track.topic] = writer.register_channel(track.topic, "cdr", schemas[track.type])
+        # The profile requires it of every channel; of a topic of which it isn't known, players offer what is usual.
+        offered = {"offered_qos_profiles": content.offers.get(track.topic) or offers([])}
+        channels[track.topic] = writer.register_channel(track.topic, "cdr", schemas[track.type], offered)
     count = 0
     for count, (channel, (received, sent, sequence, data)) in enumerate(_in_order(tracks, channels), 1):
         at = _nanoseconds(received)

@@ -84,6 +84,10 @@ class Graph:
         """The publishers of a topic."""
         return _endpoints(self.node.get_publishers_info_by_topic(topic))
 
+    def offered(self, topic: str) -> list[QoSProfile]:
+        """What each publisher of a topic offers."""
+        return [info.qos_profile for info in self.node.get_publishers_info_by_topic(topic)]
+
     def publisher_count(self, topic: str) -> int:
         """How many publishers a topic has: a hundredth of the work of looking at them."""
         return int(self.node.count_publishers(topic))

@@ -138,6 +138,27 @@ def test_a_recording_that_is_not_there(monitor: Monitor, capsys: pytest.CaptureF
     assert "there is no recording of robot-1" in capsys.readouterr().err
 
 
+def test_a_number_is_one_whatever_the_ids_begin_with(monitor: Monitor) -> None:
+    newest = recording(3).model_copy(update={"id": "2fe3"})
+    monitor.told = Recordings(workload="robot-1", on=True, recordings=[newest, recording(2)])
+    assert main(["robot-1", "--fetch", "2"]) == 0
+    assert here() == ["robot-1-2.mcap"]
+
+
+def test_the_beginning_of_several_ids_means_none_of_them(monitor: Monitor, capsys: pytest.CaptureFixture[str]) -> None:
+    both = [recording(number).model_copy(update={"id": f"e{number}"}) for number in (3, 2)]
+    monitor.told = Recordings(workload="robot-1", on=True, recordings=both)
+    assert main(["robot-1", "--fetch", "e"]) == 2
+    assert "several recordings of robot-1 begin with e: e3 (failure 3), e2 (failure 2)" in capsys.readouterr().err
+    assert here() == []
+
+
+def test_where_to_without_what_is_a_mistake(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        main(["robot-1", "--to", "failure.mcap"])
+    assert "give --fetch too" in capsys.readouterr().err
+
+
 def test_one_that_is_damaged_is_not_taken_for_whole(monitor: Monitor, capsys: pytest.CaptureFixture[str]) -> None:
     Path("robot-1-3.mcap").write_bytes(b"an earlier one")
     monitor.file.write_bytes(FILE[:-1] + b"?")

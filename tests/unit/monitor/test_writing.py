@@ -7,15 +7,18 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 pytest.importorskip("rclpy")
 
 from mcap.reader import make_reader
+from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 
 from understudy.api.workloads import Attempt, Moments, Recovery
 from understudy.monitor import writing
 from understudy.monitor.writing import Content, Trace
+from understudy.ros.offers import offers
 from understudy.ros.rings import Ring
 from understudy.ros.types import message_class
 from understudy.trying.bags import Bag
@@ -81,7 +84,8 @@ def file(ring: Ring, tmp_path: Path) -> Path:
         event("Recovered", "2026-05-28T20:27:11Z"),
     ]  # fmt: skip
     notes = {"leftOut": '{"/image": "too much"}'}
-    content = Content("fleet", "robot-1-drive", recovery(), list(ring.taken(0.0)), events, FAILED - 30, notes)
+    offered = {"/cmd_vel": offers([QoSProfile(depth=7)]), "/scan": offers([])}
+    content = Content("fleet", "robot-1-drive", recovery(), list(ring.taken(0.0)), events, offered, FAILED - 30, notes)
     path = tmp_path / "recording.mcap"
     with path.open("wb") as out:
         assert writing.write(out, content) == 101 + 2 + 2
@@ -115,6 +119,15 @@ def test_it_opens_as_a_bag_of_rosbag2(file: Path) -> None:
         commands = list(bag.messages({"/cmd_vel": "geometry_msgs/msg/Twist"}))
         read: Any = bag.definitions.read(commands[7].data, "geometry_msgs/msg/Twist")
         assert (len(commands), read.linear.x) == (50, 0.7)
+
+
+def test_each_topic_says_what_its_publishers_offered(file: Path) -> None:
+    with file.open("rb") as opened:
+        summary = make_reader(opened).get_summary()
+    assert summary is not None
+    told = {one.topic: yaml.safe_load(one.metadata["offered_qos_profiles"]) for one in summary.channels.values()}
+    assert [one["depth"] for one in told.pop("/cmd_vel")] == [7]
+    assert told == {"/scan": [], writing.TREE: [], writing.EVENTS: []}, "players offer what is usual"
 
 
 def logged(file: Path) -> list[tuple[float, int, str, str]]:

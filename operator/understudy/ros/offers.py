@@ -1,0 +1,45 @@
+"""What publishers offer of the delivery of a topic's messages (their QoS), as rosbag2 writes it with the topic.
+
+`ros2 bag play` offers the same again: without it a topic that latches its last message would reach nobody who asks for that.
+Policies are named as by rosbag2 of Jazzy and later; where a file doesn't say the version of its metadata, these take it for their own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import yaml
+from rclpy.duration import Duration
+from rclpy.qos import QoSProfile
+
+_SECOND = 1_000_000_000
+
+
+def offers(profiles: Iterable[QoSProfile]) -> str:
+    """Profiles as they stand in a recording, each kind once."""
+    found: list[dict[str, Any]] = []
+    for profile in profiles:
+        told = _told(profile)
+        if told not in found:
+            found.append(told)
+    return str(yaml.safe_dump(found, sort_keys=False))
+
+
+def _told(profile: QoSProfile) -> dict[str, Any]:
+    return {
+        "history": profile.history.name.lower(),
+        "depth": profile.depth,
+        "reliability": profile.reliability.name.lower(),
+        "durability": profile.durability.name.lower(),
+        "deadline": _length(profile.deadline),
+        "lifespan": _length(profile.lifespan),
+        "liveliness": profile.liveliness.name.lower(),
+        "liveliness_lease_duration": _length(profile.liveliness_lease_duration),
+        "avoid_ros_namespace_conventions": profile.avoid_ros_namespace_conventions,
+    }
+
+
+def _length(duration: Duration) -> dict[str, int]:
+    seconds, rest = divmod(duration.nanoseconds, _SECOND)
+    return {"sec": seconds, "nsec": rest}
