@@ -91,6 +91,10 @@ class Agent:
     """Since when what it sends reaches its robot; None while it doesn't."""
     gave_way: int | None = None
     """The process that ran when the agent was told to give way."""
+    believed: bool = False
+    """Whether it was let go on last before the gate had shut it out, or before its monitor knew that."""
+    unfenced: bool = False
+    """Whether it was cut off last before its agent had been told by a monitor who may answer."""
     left: bool = False
     """Whether its processes were told to end, so that readers know."""
     asking: bool = False

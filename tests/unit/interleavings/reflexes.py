@@ -5,14 +5,16 @@ model of readers with exclusive ownership (ownership.py), of pods (agents.py), a
 off: from everybody, or from some. A node enforces the gate as it was told last, and one that comes back is told after a
 while. What must hold, beside what always must (invariants.py):
 
-- Whom a gate doesn't let through any more, the robot doesn't take any more. The network has a moment to follow, and one
-  that was cut off from everybody is held until it's told. Not so a node that was back before that could be noticed: there it
-  lasts until the node has been told; nor a pod whose object is gone, which no policy holds back.
+- Whom a gate doesn't let through any more, the robot doesn't take any more. The network has a moment to follow, and a pod
+  that was cut off from everybody is held. It may go on until its node has been told where the node was back before it could be
+  noticed, where its agent had never heard from a monitor, and where a monitor has let it go on before it was shut out, or
+  before that one could know. A pod whose object is gone no policy holds back.
 - A process that starts after its agent was asked to give way is never taken, whoever is late.
 - A gate lets the pod in control through and at most one standby, which is weaker at that moment. Letting one through, or no
   longer, is no commit: neither epoch nor control change. Each commit is of the next epoch, and lets one through alone.
 - A robot whose gate lets a standby through that works and is reached is without commands for the deadline, a period and a moment at
   most, whatever becomes of the pod in control, the monitor and the API server.
+- A recovery that began with the reflex leaves the robot to the standby that took over, for as long as that works.
 - Where the network is well and the monitor works, no robot is without commands for long while a standby works.
 
 And in the end: each robot takes the commands of the pod that its gate names, every monitor hears the same, nobody who is
@@ -86,9 +88,9 @@ LOOK = 0.2
 SKEW = 0.2
 """Most seconds by which nodes' clocks differ."""
 
-STARVED = 12.0
-"""Seconds within which a monitor that works has a standby that works drive: the grace of an instance that was never heard, and the time
-that one strategy gets.
+STARVED = 30.0
+"""Seconds within which a monitor that works has a standby that works drive: the times that two strategies get, and the grace of an
+instance that was never heard.
 """
 
 SCENES = (
@@ -133,6 +135,8 @@ class ReflexRobots(Robots):
     prepared_at: float = 0.0
     """When the pod that was prepared last was, by its node's clock."""
     _enforced: dict[tuple[str, str], tuple[str, ...]] = field(default_factory=dict)
+    _stale: set[str] = field(default_factory=set)
+    """Nodes whose policy engines haven't heard from the API server since they are back."""
     _put_off: dict[str, list[Callable[[], None]]] = field(default_factory=dict)
     _clocks: dict[str, float] = field(default_factory=dict)
 
@@ -208,6 +212,7 @@ class ReflexRobots(Robots):
         self.noted(f"node {node} is back")
         self.back_at[node] = self.now
         if "API server" in parties:
+            self._stale.add(node)
             self.later(self.between(0.1, TOLD_AGAIN - 0.05), self._catch_up, node)
             for work in self._put_off.pop(node, []):
                 self.later(self.between(0.02, 0.4), work)
@@ -222,7 +227,10 @@ class ReflexRobots(Robots):
     def _ask(self, found: Running) -> None:
         """Its agent's fence has something to do. Until now everybody has answered it."""
         agent = self.agents.get(found.uid)
-        if agent is None or agent.asking or agent.fence._monitor is None:
+        if agent is None or agent.asking:
+            return
+        agent.unfenced = agent.fence._monitor is None
+        if agent.unfenced:
             return
         agent.asking = True
         agent.fence._lease.answered(self.loop.time())
@@ -357,12 +365,15 @@ class ReflexRobots(Robots):
             self.later(self.between(0.0, 0.02), self._enforce_at, node, workload)
 
     def _enforce_at(self, node: str, workload: str) -> None:
-        if self.reaches(node, "API server"):
+        if self.reaches(node, "API server") and node not in self._stale:
             policy = self.server.get("networkpolicies", (NAMESPACE, names.gate(workload)))
             self._enforced[node, workload] = gates.selected(policy) if policy is not None else ()
             self._route(workload)
 
     def _catch_up(self, node: str) -> None:
+        if not self.reaches(node, "API server"):
+            return  # it is cut off again
+        self._stale.discard(node)
         for workload in sorted(self.let_through):
             self._enforce_at(node, workload)
 
@@ -458,7 +469,13 @@ class ReflexProbes(Probes):
 class ReflexSidecars(Sidecars):
     """Agents that say how strong their instances are, and are told who may let them go on."""
 
-    _said: dict[str, tuple[AgentStatus, float]]
+    def __init__(self, *given: Any, **more: Any) -> None:
+        super().__init__(*given, **more)
+        self._said: dict[str, tuple[AgentStatus, float]] = {}
+        self.believed: Callable[[str], bool] = lambda uid: False
+        """Whether its monitor takes a pod for one that the gate names."""
+        self.shut_out: Callable[[str], bool] = lambda uid: False
+        """Whether the gate has shut a pod out, whoever knows."""
 
     @property
     def _world(self) -> ReflexRobots:
@@ -495,6 +512,8 @@ class ReflexSidecars(Sidecars):
         if agent is None or self._found(instance) is None:
             await asyncio.sleep(ANSWER_LATE)
             raise AgentGone(f"{instance.name}: its agent isn't connected")
+        if body.get("word") == "Go":
+            agent.believed = self.believed(instance.uid) or not self.shut_out(instance.uid)
         await asyncio.sleep(self._robots.network.delay())
         await agent.fence.lease(body, Peer(self._workload, instance.claim, self._workload))
 
@@ -512,9 +531,7 @@ class ReflexMonitor(Monitor):
         super().__init__(process, network, robots, workload, *rest, **more)
 
     def _make_sidecars(self, *, initializes: bool) -> Sidecars:
-        made = ReflexSidecars(self._robots, self.workload, self.fuse.step, initializes=initializes)
-        made._said = {}
-        return made
+        return ReflexSidecars(self._robots, self.workload, self.fuse.step, initializes=initializes)
 
     def _make_sight(self) -> Sight:
         return ReflexSight(cast(ReflexRobots, self._robots), self.workload, self._look_at_gate, self.reader)
@@ -527,6 +544,13 @@ class ReflexMonitor(Monitor):
         sight = cast(Any, SimpleNamespace(graph=graph))
         leases = Leases(client, parts.view, parts.fleet, parts.gate, parts.sidecars, sight, parts.reporter)
         leases.recovering = lambda: self.supervisor.recovering if self.supervisor is not None else None
+
+        def believed(uid: str) -> bool:
+            state, recovering = parts.gate.state, leases.recovering()
+            lost = recovering is not None and recovering.taken_over is not None and recovering.has_failed(uid)
+            return uid in (state.active_uid, state.admitted_uid) and not lost
+
+        cast(ReflexSidecars, self.sidecars).believed = believed
 
         def on_status() -> None:
             self.wake()
@@ -596,9 +620,20 @@ class ReflexInvariants(Invariants):
             self._let[workload], self._let_since[workload] = (record.active_uid, record.admitted_uid), now
         self.robots.later(ENFORCED + 0.001, self.routed, workload)
         if record.recovery and (before is None or before.epoch != record.epoch):
-            progress = Progress.model_validate_json(record.recovery)
-            if progress.taken_over is not None and progress.taken_over.uid == record.active_uid:
-                self.robots.seen["fell over"] += 1
+            self._recovering(workload, record)
+
+    def _recovering(self, workload: str, record: gates.GateRecord) -> None:
+        """A recovery has committed: what the reflex did is built upon."""
+        taken = Progress.model_validate_json(record.recovery).taken_over
+        if taken is None:
+            return
+        self.robots.seen["fell over"] += taken.uid == record.active_uid
+        found = self.robots.running.get(taken.uid)
+        if found is None or record.active_uid == taken.uid or not self._works(found):
+            return
+        watching = [w.reader for w in self.robots.watching[workload] if w.process.alive]
+        if all(reader.driver == taken.uid for reader in (self.robots.reader_of(workload), *watching)):
+            self._broken(f"{workload} took {taken.name} by the reflex, and its gate names {record.active or 'nobody'}")
 
     def _admitted(self, record: gates.GateRecord) -> None:
         """A standby is let through: its process is weaker than the one in control, unless that one was restarted just now."""
@@ -608,6 +643,10 @@ class ReflexInvariants(Invariants):
             return
         if active.process == 1 and standby.writer.strength >= active.writer.strength:
             self._broken(f"{record.admitted} is let through beside {record.active}, which is no stronger")
+
+    def shut_out(self, workload: str, uid: str) -> bool:
+        """Whether a workload's gate has shut a pod out."""
+        return uid in self._shut_out.get(workload, {})
 
     # -- robots -----------------------------------------------------------------------------------------------------
 
@@ -629,10 +668,13 @@ class ReflexInvariants(Invariants):
             self._broken(f"{robot} takes a process of {found.name} that started after it gave way")
 
     def _unnoticed(self, found: Running, shut: float) -> bool:
-        """Whether its node was cut off so shortly that nobody could notice, and may know only an old gate."""
+        """Whether its node may know only an old gate, and nobody could have held the pod: it was cut off so shortly, or before its
+        agent was told who may answer, or was let go on before the commit was made or known.
+        """
         cut, back = self.robots.cut_at.get(found.node, 0.0), self.robots.back_at.get(found.node, 0.0)
-        short = back - cut < UNNOTICED or self.robots.agents[found.uid].fence._monitor is None
-        return short and back > shut - TOLD_AGAIN and self.robots.now - back < TOLD_AGAIN + ENFORCED
+        agent = self.robots.agents[found.uid]
+        unheld = back - cut < UNNOTICED or agent.unfenced or agent.believed
+        return unheld and back > shut - TOLD_AGAIN and self.robots.now - back < TOLD_AGAIN + ENFORCED
 
     def look(self) -> None:
         """Now and then: nobody waits in vain for commands."""
@@ -746,9 +788,12 @@ class Reflexive(Simulation):
         )
 
     def _make_monitor(self, process: Process, workload: str, journal: Path) -> Monitor:
-        return ReflexMonitor(
+        made = ReflexMonitor(
             process, self.network, self.mine, workload, journal, self.kill, self._broken, initializes=False
         )
+        invariants = cast(ReflexInvariants, self.invariants)
+        cast(ReflexSidecars, made.sidecars).shut_out = functools.partial(invariants.shut_out, workload)
+        return made
 
     def patches(self) -> Iterator[tuple[Any, str, Any]]:
         yield strengths, "BEGIN", EPOCH - 3600.0
@@ -832,18 +877,21 @@ class Reflexive(Simulation):
     def _api_server_is_away(self) -> None:
         """It refuses everything, or nothing arrives there; and mostly something else happens meanwhile."""
         lasts = 0.5 + 9 * self.choices.random()
-        if self.choices.random() < 0.5:
-            self.note(f"the API server refuses everything for {lasts:.1f} s")
-            weather, self.network.weather = self.network.weather, Weather(refused=1.0)
-            self.later(lasts, self._is_back, weather)
-        else:
-            self.note(f"nobody reaches the API server for {lasts:.1f} s")
-            self._away += 1
-            self.network.cut_off |= {actor.process for actor in (*self.monitors, *self.operators)}
-            self.later(lasts, self._is_reached)
+        self.choices.choice([self._refuses, self._is_away])(lasts)
         meanwhile = [self._one_fails, self._active_hangs, self._node_is_cut_off, self._standby_hangs, self._monitor_dies]
         for _ in range(self.choices.randint(0, 2)):
             self.later(lasts * self.choices.random(), self.choices.choice(meanwhile))
+
+    def _refuses(self, lasts: float) -> None:
+        self.note(f"the API server refuses everything for {lasts:.1f} s")
+        weather, self.network.weather = self.network.weather, Weather(refused=1.0)
+        self.later(lasts, self._is_back, weather)
+
+    def _is_away(self, lasts: float) -> None:
+        self.note(f"nobody reaches the API server for {lasts:.1f} s")
+        self._away += 1
+        self.network.cut_off |= {actor.process for actor in (*self.monitors, *self.operators)}
+        self.later(lasts, self._is_reached)
 
     def _is_back(self, weather: Weather) -> None:
         if not self._calm:
@@ -886,12 +934,14 @@ class Reflexive(Simulation):
         super()._end_of_trouble()
 
 
-def run(seed: int, *, tracing: bool = False, scene: Scene | None = None) -> Outcome:
+def run(
+    seed: int, *, tracing: bool = False, scene: Scene | None = None, kind: type[Reflexive] = Reflexive
+) -> Outcome:
     """The run of a seed. What doesn't hold is in its outcome; with ``tracing`` it also tells all that happened."""
     scene = scene or SCENES[seed % len(SCENES)]
     base = simulation.prepared(scene, Reflexive)
     with tempfile.TemporaryDirectory() as folder:
-        made = Reflexive(scene, seed, base, Path(folder), tracing=tracing)
+        made = kind(scene, seed, base, Path(folder), tracing=tracing)
         try:
             return made.run()
         finally:
