@@ -97,7 +97,9 @@ def told(chunks: Sequence[Chunk]) -> Report:
         counted("instances held", "held", unit="per run with a reflex", of=reflexive)
     runs, steps = sum(c.runs for c in chunks), sum(c.counts["steps"] for c in chunks)
     with_it = sum(c.runs for c in reflexive)
-    return report.note("runs", f"{runs}, {with_it} with a reflex, of {steps} steps together; a value of each figure is of {CHUNK} runs")
+    return report.note(
+        "runs", f"{runs}, {with_it} with a reflex, of {steps} steps together; a value of each figure is of {CHUNK} runs"
+    )
 
 
 def main() -> None:

@@ -199,9 +199,7 @@ class Simulation:
     # -- what it consists of ----------------------------------------------------------------------------------------
 
     def _make_robots(self) -> Robots:
-        return Robots(
-            self.loop, self.server, self.network, self.choices, self.world, activated=self.scene.activates
-        )
+        return Robots(self.loop, self.server, self.network, self.choices, self.world, activated=self.scene.activates)
 
     def _make_invariants(self) -> Invariants:
         return Invariants(self.server, self.robots, broken=self._broken, leads=self._leads)

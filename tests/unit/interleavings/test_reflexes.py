@@ -1,7 +1,7 @@
 """The reflex holds under whatever order failures, cuts, commits, restarts and words to agents come in.
 
 A run that fails says its seed; ``scripts/bench interleavings --seed SEED`` tells all that happened in it. What must hold is
-said in reflexes.py.
+said in reflexinvariants.py.
 """
 
 from __future__ import annotations
@@ -175,12 +175,12 @@ def found(
 
 
 def test_a_replaced_instance_that_is_told_to_go_on_is_found() -> None:
-    with mock.patch.object(leases, "word", lambda *given: "Go"):
+    with mock.patch.object(leases, "word", return_value="Go"):
         assert found("which its gate shut out", ALONE, "node_is_cut_off")
 
 
 def test_an_instance_that_is_cut_off_and_not_held_is_found() -> None:
-    with mock.patch.object(Lease, "look", lambda self, now: None):
+    with mock.patch.object(Lease, "look"):
         assert found("which its gate shut out", ALONE, "node_is_cut_off")
 
 
@@ -218,7 +218,7 @@ class Crashing(Reflexive):
 
 
 def test_a_container_of_the_loser_that_is_heard_again_is_found() -> None:
-    with mock.patch.object(Strengths, "give_way", lambda self: None):
+    with mock.patch.object(Strengths, "give_way"):
         assert found("after it gave way", ALONE, "crash", kind=Crashing)
 
 
