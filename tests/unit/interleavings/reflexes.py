@@ -132,6 +132,7 @@ class Reflexive(Simulation):
         return not well or "NothingVerified" in cast(ReflexMonitor, monitors[0]).says("Recovering")
 
     def _take_up(self) -> None:
+        cast(ReflexInvariants, self.invariants).take_up()
         self.mine.take_up()
         self._look_at_robots()
 

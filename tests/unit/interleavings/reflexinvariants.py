@@ -88,18 +88,26 @@ class ReflexInvariants(Invariants):
             self._broken(f"the commit of {record.active} lets {record.admitted} through too")
         if record.admitted_uid and (before is None or before.admitted_uid != record.admitted_uid):
             self._admitted(record)
-        now = self.robots.now
-        let = {uid for uid in (record.active_uid, record.admitted_uid) if uid}
-        shut = self._shut_out.setdefault(workload, {})
-        for uid in {before.active_uid, before.admitted_uid} - let if before is not None else ():
-            shut[uid] = now
-        for uid in let:
-            shut.pop(uid, None)
-        if self._let.get(workload) != (record.active_uid, record.admitted_uid):
-            self._let[workload], self._let_since[workload] = (record.active_uid, record.admitted_uid), now
+        self._note(workload, record)
         self.robots.later(ENFORCED + 0.001, self.routed, workload)
         if record.recovery and (before is None or before.epoch != record.epoch):
             self._recovering(workload, record)
+
+    def take_up(self) -> None:
+        """Note how gates are when a run begins."""
+        for (_, name), gate in self._server.items["networkpolicies"].items():
+            if name.endswith("-gate"):
+                self._note(name.removesuffix("-gate"), gates.read(gate))
+
+    def _note(self, workload: str, record: gates.GateRecord) -> None:
+        """Who is let through from now on, and who no more."""
+        before, let = self._let.get(workload, ("", "")), (record.active_uid, record.admitted_uid)
+        shut = self._shut_out.setdefault(workload, {})
+        shut |= {uid: self.robots.now for uid in before if uid not in let}
+        for uid in let:
+            shut.pop(uid, None)
+        if before != let:
+            self._let[workload], self._let_since[workload] = let, self.robots.now
 
     def _recovering(self, workload: str, record: gates.GateRecord) -> None:
         """A recovery has committed: what the reflex did is built upon."""
@@ -141,6 +149,8 @@ class ReflexInvariants(Invariants):
             return
         found, agent = robots.running[driver], robots.agents[driver]
         shut = self._shut_out.get(robot, {}).get(driver)
+        if shut is None and found.exists and driver not in self._let[robot]:
+            self._broken(f"{robot} takes {found.name}, which its gate has never let through")
         if shut is not None and now - shut > ENFORCED and found.exists and not self._unnoticed(found, shut):
             self._broken(f"{robot} takes {found.name}, which its gate shut out {now - shut:.3f} s ago")
         if agent.gave_way is not None and agent.process > agent.gave_way:
