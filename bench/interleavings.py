@@ -4,7 +4,8 @@
     scripts/bench interleavings --seed SEED
 
 Each run is the real code of monitors and operator over a modelled API server, network and cluster, in virtual time
-(tests/unit/interleavings); all of it follows from its seed. With --seed that one run is made, and all that happened is told.
+(tests/unit/interleavings); all of it follows from its seed. To each three runs comes one with a reflex, whose robots' readers are
+modelled too: of seeds from 1,000,000 on. With --seed that one run is made, and all that happened is told.
 """
 
 from __future__ import annotations
@@ -19,13 +20,17 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 
 from bench.results import Report
-from tests.unit.interleavings.simulation import run
+from tests.unit.interleavings import reflexes, simulation
+from tests.unit.interleavings.simulation import Outcome
 
 CHUNK = 100
 """Runs of which the figures are taken together."""
 
 SHOWN = 10
 """Failed runs that are named."""
+
+SHARE = 3
+"""Runs without a reflex to each one with it."""
 
 UNANSWERED = ("lost", "unanswered", "unheard", "late", "gateway")
 """What becomes of requests of which their sender doesn't know whether they were carried out."""
@@ -40,16 +45,22 @@ class Chunk:
     """By seed."""
     counts: Counter[str] = field(default_factory=Counter)
     processor: float = 0.0
+    reflex: bool = False
+
+
+def run(seed: int, *, tracing: bool = False) -> Outcome:
+    """The run of a seed."""
+    return (reflexes if seed >= reflexes.FIRST else simulation).run(seed, tracing=tracing)
 
 
 def chunk(seeds: range) -> Chunk:
     """Make the runs of some seeds."""
-    found, begun = Chunk(len(seeds)), time.process_time()
+    found, begun = Chunk(len(seeds), reflex=seeds.start >= reflexes.FIRST), time.process_time()
     for seed in seeds:
         outcome = run(seed)
         if outcome.faults:
             found.faults[seed] = outcome.faults[0]
-        found.counts += Counter(outcome.requests)
+        found.counts += Counter(outcome.requests) + Counter(outcome.reflex)
         found.counts += Counter(
             steps=outcome.steps,
             claims=outcome.claims,
@@ -64,9 +75,10 @@ def chunk(seeds: range) -> Chunk:
 def told(chunks: Sequence[Chunk]) -> Report:
     """The figures of all runs."""
     report = Report("interleavings")
+    reflexive = [c for c in chunks if c.reflex]
 
-    def counted(name: str, *outcomes: str, unit: str) -> None:
-        report.figure(name, [sum(c.counts[o] for o in outcomes) / c.runs for c in chunks], unit=unit)
+    def counted(name: str, *outcomes: str, unit: str, of: Sequence[Chunk] = chunks) -> None:
+        report.figure(name, [sum(c.counts[o] for o in outcomes) / c.runs for c in of], unit=unit)
 
     report.figure("runs in which something didn't hold", [len(c.faults) for c in chunks], unit="", must={"max": 0})
     counted("steps of a process", "steps", unit="per run")
@@ -78,13 +90,21 @@ def told(chunks: Sequence[Chunk]) -> Report:
     counted("requests refused or turned away", "refused", "busy", unit="per run")
     counted("virtual time", "seconds", unit="s per run")
     report.figure("processor time", [1000 * c.processor / c.runs for c in chunks], unit="ms per run")
+    if reflexive:
+        counted("standbys let through", "let through", unit="per run with a reflex", of=reflexive)
+        counted("robots' readers that took another instance", "taken", unit="per run with a reflex", of=reflexive)
+        counted("recoveries that began with it", "fell over", unit="per run with a reflex", of=reflexive)
+        counted("instances held", "held", unit="per run with a reflex", of=reflexive)
     runs, steps = sum(c.runs for c in chunks), sum(c.counts["steps"] for c in chunks)
-    return report.note("runs", f"{runs}, of {steps} steps together; a value of each figure is of {CHUNK} runs")
+    with_it = sum(c.runs for c in reflexive)
+    return report.note(
+        "runs", f"{runs}, {with_it} with a reflex, of {steps} steps together; a value of each figure is of {CHUNK} runs"
+    )
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("runs", type=int, nargs="?", default=10_000)
+    parser.add_argument("runs", type=int, nargs="?", default=10_000, help="without a reflex")
     parser.add_argument("--first", type=int, default=0, metavar="SEED", help="the seed of the first run")
     parser.add_argument("--processes", type=int, default=os.cpu_count(), metavar="N")
     parser.add_argument("--seed", type=int, help="make this run alone, and tell all that happens")
@@ -93,8 +113,15 @@ def main() -> None:
         outcome = run(options.seed, tracing=True)
         print(outcome)
         sys.exit(1 if outcome.faults else 0)
-    end = options.first + options.runs
-    ranges = [range(first, min(end, first + CHUNK)) for first in range(options.first, end, CHUNK)]
+    of_the_reflex = reflexes.FIRST + options.first // SHARE
+    ranges = [
+        range(first, min(end, first + CHUNK))
+        for begin, end in (
+            (options.first, options.first + options.runs),
+            (of_the_reflex, of_the_reflex + options.runs // SHARE),
+        )
+        for first in range(begin, end, CHUNK)
+    ]
     chunks = []
     with ProcessPoolExecutor(options.processes) as pool:
         for found in pool.map(chunk, ranges):

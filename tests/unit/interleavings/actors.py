@@ -19,7 +19,7 @@ from tests.unit.interleavings.scheduling import Killed, Process
 from tests.unit.interleavings.senses import Probes, Sidecars, Sight
 from understudy.api import names
 from understudy.cluster import gates
-from understudy.cluster.client import NETWORK_POLICIES, NODES, PODS, ApiError, Expired, Object, Resource
+from understudy.cluster.client import NETWORK_POLICIES, NODES, PODS, ApiError, Client, Expired, Object, Resource
 from understudy.cluster.events import Recorder
 from understudy.cluster.leases import LeadershipLost, Lease, Timing
 from understudy.controller import affected, following, handlers, running
@@ -101,7 +101,20 @@ class Monitor:
         self.supervisor: Supervisor | None = None
         self._view: View | None = None
         self._reporter: Reporter | None = None
-        self.sidecars = Sidecars(robots, workload, self.fuse.step, initializes=initializes)
+        self.sidecars = self._make_sidecars(initializes=initializes)
+
+    def _make_sidecars(self, *, initializes: bool) -> Sidecars:
+        return Sidecars(self._robots, self.workload, self.fuse.step, initializes=initializes)
+
+    def _make_sight(self) -> Sight:
+        return Sight(self._robots, self.workload, self._look_at_gate)
+
+    def _make_probes(self) -> Probes:
+        return Probes(self._robots, self.workload)
+
+    def _beside(self, client: Client, parts: Parts, group: asyncio.TaskGroup) -> None:
+        """Have run beside the supervisor what else there is."""
+        return
 
     async def run(self) -> None:
         """As ``understudy.monitor.running`` puts it together."""
@@ -110,7 +123,7 @@ class Monitor:
             view = self._view = View(client, NAMESPACE, self.workload, on_pod=self.wake)
             await view.run(group)
             fleet = Fleet(client, view, self.fuse)
-            probes: Any = Probes(self._robots, self.workload)
+            probes: Any = self._make_probes()
             gate = PolicyGate(client, view, fleet, probes, self.fuse)
             reporter = self._reporter = Reporter(client, NAMESPACE, self.workload, Silent())
             if (item := view.object) is not None:
@@ -120,7 +133,7 @@ class Monitor:
                 fleet=fleet,
                 gate=gate,
                 sidecars=cast(Any, self.sidecars),
-                sight=cast(Any, Sight(self._robots, self.workload, self._look_at_gate)),
+                sight=cast(Any, self._make_sight()),
                 probes=probes,
                 reporter=reporter,
                 journal=Journal(self._journal),
@@ -129,6 +142,7 @@ class Monitor:
                 black_box=cast(Any, BlackBox()),
             )
             self.supervisor = Supervisor(parts)
+            self._beside(client, parts, group)
             group.create_task(reporter.run())
             await self.supervisor.run()
 

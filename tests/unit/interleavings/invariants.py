@@ -21,6 +21,9 @@ KNOWN = 70.0
 class Invariants:
     """Looks at everything; what doesn't hold is told."""
 
+    most_through = 1
+    """Instances that a gate may let through at once."""
+
     def __init__(
         self, server: ApiServer, robots: Robots, *, broken: Callable[[str], None], leads: Callable[[str], bool]
     ) -> None:
@@ -80,11 +83,11 @@ class Invariants:
         """Each commit is of the next epoch, and lets exactly the pod through that it names."""
         after = gates.read(new)
         through = gates.selected(new)
-        if through != ((after.active,) if after.active else ()):
+        if through != self._named(after):
             self._broken(f"{_name(new)} lets {through} through and names {after.active!r}")
         if old is not None:
             before = gates.read(old)
-            changed = (before.active_uid, gates.selected(old)) != (after.active_uid, through)
+            changed = self._control(old) != self._control(new)
             if after.epoch != before.epoch + changed and (changed or after.epoch != before.epoch + 1):
                 self._broken(f"{_name(new)} went from epoch {before.epoch} to {after.epoch}")
             self.commits += changed
@@ -93,8 +96,16 @@ class Invariants:
             if before.active_uid != after.active_uid and not noticed:
                 del self.failed[before.active_uid]  # control went elsewhere before anybody could know
         routed = self._routed(_name(new).removesuffix("-gate"), through)
-        if len(routed) > 1:
+        if len(routed) > self.most_through:
             self._broken(f"{_name(new)} lets several through at once: {', '.join(routed)}")
+
+    def _named(self, record: gates.GateRecord) -> tuple[str, ...]:
+        """The instances that a gate names."""
+        return (record.active,) if record.active else ()
+
+    def _control(self, gate: Object) -> object:
+        """What another epoch is needed for to change."""
+        return gates.read(gate).active_uid, gates.selected(gate)
 
     def _routed(self, workload: str, through: tuple[str, ...]) -> list[str]:
         found = []

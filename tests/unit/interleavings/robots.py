@@ -374,8 +374,12 @@ class Robots:
         self._route(workload)
 
     def _route(self, robot: str) -> None:
-        if not robot:
-            return
+        if robot:
+            self._let_flow(robot)
+            self._tell(robot)
+
+    def _let_flow(self, robot: str) -> None:
+        """What reaches a robot, as pods and gates are by now."""
         allowed = self.let_through.get(robot, ())
         for found in self.running.values():
             if found.robot != robot:
@@ -388,6 +392,9 @@ class Robots:
             elif found.through and not through:
                 found.through_last = self.now
             found.through = through
+
+    def _tell(self, robot: str) -> None:
+        """What reaches a robot may have changed."""
         self.changed(robot)
         for future in self._waiting.pop(robot, []):
             if not future.done():

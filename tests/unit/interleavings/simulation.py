@@ -11,11 +11,12 @@ import random
 import tempfile
 import time
 import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 from unittest import mock
 
 from tests.unit.controller import world
@@ -27,6 +28,7 @@ from tests.unit.interleavings.network import Network, Weather
 from tests.unit.interleavings.robots import NODES, REFERRED, Luck, Robots, Running
 from tests.unit.interleavings.scheduling import Killed, Process, VirtualLoop, current
 from understudy.api import conditions, names
+from understudy.api.switchovers import request
 from understudy.cluster import applying, gates, leases
 from understudy.cluster.client import Object
 from understudy.controller import objects
@@ -47,6 +49,9 @@ LOOK = 1.0
 
 NOTICES = 0.1
 """Seconds in which an operator that gets a processor again notices that another one leads."""
+
+ROBOTS = "192.0.2.1/32"
+"""Where robots with a reflex are: outside of the cluster."""
 
 TICK = 1.0
 """Seconds between a monitor's looks while nothing wakes it. The simulated senses wake it whenever what they say changes."""
@@ -75,6 +80,8 @@ class Scene:
     """All that goes wrong with processes and pods; everything, where nothing is named."""
     weather: tuple[float, ...] = (0.0, 0.5, 1.0, 2.0, 3.0)
     """How bad the network may be."""
+    reflex: str = ""
+    """The deadline of the robots' readers; no reflex where it is empty."""
 
 
 SCENES = (
@@ -134,6 +141,8 @@ class Outcome:
     commits: int = 0
     creations: int = 0
     requests: dict[str, int] = field(default_factory=dict)
+    reflex: dict[str, int] = field(default_factory=dict)
+    """What came of it, where there is one."""
 
     def __str__(self) -> str:
         told = "\n".join([*self.trace, *(f"DOES NOT HOLD: {fault}" for fault in self.faults)])
@@ -153,6 +162,9 @@ class Base:
 class Simulation:
     """A run under way."""
 
+    causes: Mapping[str, int] = TROUBLES
+    """What may go wrong, and how often in comparison."""
+
     def __init__(self, scene: Scene, seed: int, base: Base | None, folder: Path, *, tracing: bool = False) -> None:
         self.scene, self.choices = scene, random.Random(f"{scene.name}/{seed}")
         self.outcome = Outcome(seed, scene.name)
@@ -163,14 +175,14 @@ class Simulation:
         clock: Callable[[], float] = lambda: EPOCH + self.loop.time()  # noqa: E731
         self.server = base.server.restored(clock) if base else ApiServer(clock)
         self.network = Network(self.loop, self.server, self.choices, self.world)
-        self.robots = Robots(self.loop, self.server, self.network, self.choices, self.world, activated=scene.activates)
+        self.robots = self._make_robots()
         if base is not None:
             self.loop._now = base.time
             self.robots.running = {uid: dataclasses.replace(found) for uid, found in base.running.items()}
             self.robots.let_through = dict(base.let_through)
             self.robots._addresses = len(base.running) * 10
         self.robots.changed = self._heard
-        self.invariants = Invariants(self.server, self.robots, broken=self._broken, leads=self._leads)
+        self.invariants = self._make_invariants()
         self.server.changed = self._written
         self.network.noted = self.robots.noted = self.note
         self.network.sending = self._sends
@@ -185,6 +197,28 @@ class Simulation:
         self._ids = itertools.count(1)
 
     # -- what it consists of ----------------------------------------------------------------------------------------
+
+    def _make_robots(self) -> Robots:
+        return Robots(self.loop, self.server, self.network, self.choices, self.world, activated=self.scene.activates)
+
+    def _make_invariants(self) -> Invariants:
+        return Invariants(self.server, self.robots, broken=self._broken, leads=self._leads)
+
+    def _make_monitor(self, process: Process, workload: str, journal: Path) -> Monitor:
+        return Monitor(
+            process,
+            self.network,
+            self.robots,
+            workload,
+            journal,
+            self.kill,
+            self._broken,
+            initializes=self.scene.initializes,
+        )
+
+    def patches(self) -> Iterator[tuple[Any, str, Any]]:
+        """What else has to be so for the time of the run: targets, attributes and their values."""
+        yield from ()
 
     @property
     def workloads(self) -> list[str]:
@@ -252,16 +286,7 @@ class Simulation:
         """A new monitor; the journal is of the node where it runs."""
         process = self.loop.process(f"monitor-{next(self._incarnations)} of {workload}")
         file = self._folder / f"{self.outcome.seed}-{workload}-{journal}.json"
-        monitor = Monitor(
-            process,
-            self.network,
-            self.robots,
-            workload,
-            file,
-            self.kill,
-            self._broken,
-            initializes=self.scene.initializes,
-        )
+        monitor = self._make_monitor(process, workload, file)
         monitor.sidecars.started = lambda instance: self.invariants.started(
             workload, instance.uid, (NAMESPACE, instance.name)
         )
@@ -320,7 +345,8 @@ class Simulation:
         self.robots.luck = Luck(broken=choices.choice([0.0, 0.0, 0.1, 0.3]), failing=failing)
         self.note(f"weather {bad}, {self.robots.luck}")
         lasts = TROUBLE[0] + (TROUBLE[1] - TROUBLE[0]) * choices.random()
-        troubles = {name: weight for name, weight in TROUBLES.items() if name in (self.scene.troubles or TROUBLES)}
+        causes = self.causes
+        troubles = {name: weight for name, weight in causes.items() if name in (self.scene.troubles or causes)}
         for name in choices.choices(list(troubles), list(troubles.values()), k=choices.randint(2, 9)):
             self.later(1 + choices.random() * lasts, getattr(self, f"_{name}"))
         return lasts
@@ -417,6 +443,16 @@ class Simulation:
             self.note(f"{operator.process}: the watch of {plural} falls silent")
             operator.silent.add(plural)
 
+    def _somebody_asks(self) -> None:
+        """For a switchover."""
+        workload = self.choices.choice(self.workloads)
+        asked = request(self.choices.choice(["failover", "failover", "failback"]), EPOCH + self.loop.time())
+        self.note(f"somebody asks for a {asked.split()[0]} of {workload}")
+        body = {"metadata": {"annotations": {names.SWITCHOVER: asked}}}
+        self.server.update(
+            "robotworkloads", (NAMESPACE, workload), lambda item: apiserver.merged(item, body), "somebody"
+        )
+
     def _kubelets_write(self) -> None:
         for uid in sorted(self.robots.running):
             self.later(self.choices.random(), self.robots.heartbeat, uid)
@@ -502,6 +538,7 @@ class Simulation:
         with _in_virtual_time(self):
             if self.loop.time() == 0.0:
                 self._create()
+            self._take_up()
             for replica in REPLICAS:
                 self.start_operator(replica)
             for workload in self.workloads:
@@ -519,6 +556,10 @@ class Simulation:
         )
         outcome.requests = self.network.outcomes
         return outcome
+
+    def _take_up(self) -> None:
+        """Go on with what there is when a run begins."""
+        return
 
     def _look(self, well: int, calm_since: float | None) -> None:
         """Once it's calm, see whether all is well, and stays so."""
@@ -561,6 +602,8 @@ class Simulation:
             items.append(world.hot(per_workload=scene.standbys, **more))
         for name in self.workloads:
             more = {"workloadRef": {"kind": scene.refers, "name": f"app-{name}"}} if scene.refers else {}
+            if scene.reflex:
+                more["gate"] = {"reflex": {"deadline": scene.reflex}, "robots": [ROBOTS]}
             if scene.activates:
                 more["bringUp"] = {"yaml": {"wait_for": {"node": "/controller"}}}
             items.append(world.workload(name, ros={"discovery": {"mode": "Multicast"}}, **more))
@@ -627,6 +670,7 @@ def _in_virtual_time(simulation: Simulation) -> Iterator[None]:
             ),
             (leases, "_now", lambda: f"{loop.time():.6f}"),
             (supervising, "TICK", TICK),
+            *simulation.patches(),
         ):
             stack.enter_context(mock.patch.object(target, attribute, value))
         stack.enter_context(_logging(simulation))
@@ -655,15 +699,15 @@ def _logging(simulation: Simulation) -> Iterator[None]:
         logger.setLevel(level)
 
 
-def prepared(scene: Scene) -> Base:
+def prepared(scene: Scene, kind: type[Simulation] = Simulation) -> Base:
     """The cluster of a scene at rest. It is made once, and many runs begin from it."""
-    return _prepared(dataclasses.replace(scene, troubles=(), weather=()))
+    return _prepared(dataclasses.replace(scene, troubles=(), weather=()), kind)
 
 
 @functools.cache
-def _prepared(scene: Scene) -> Base:
+def _prepared(scene: Scene, kind: type[Simulation]) -> Base:
     with tempfile.TemporaryDirectory() as folder:
-        simulation = Simulation(scene, 0, None, Path(folder))
+        simulation = kind(scene, 0, None, Path(folder))
         try:
             outcome = simulation.run()
             assert not outcome.faults, str(outcome)

@@ -10,13 +10,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from tests.unit.interleavings import apiserver, simulation
+from tests.unit.interleavings import simulation
 from tests.unit.interleavings.actors import NAMESPACE
-from tests.unit.interleavings.apiserver import EPOCH
 from tests.unit.interleavings.robots import NODES
 from tests.unit.interleavings.simulation import SCENES, Outcome, Simulation
 from understudy.api import names
-from understudy.api.switchovers import request
 from understudy.cluster import gates
 from understudy.cluster.client import Object
 from understudy.mitigation.progress import Progress
@@ -50,15 +48,6 @@ class Asked(Simulation):
         self.note(f"node {node} is {'cordoned' if so else 'as it was'}")
         metadata = {"name": node, "uid": f"uid-{node}", "generation": 1}
         self.server.write("nodes", ("", node), {"metadata": metadata, "spec": {"unschedulable": so}}, "somebody")
-
-    def _somebody_asks(self) -> None:
-        workload = self.choices.choice(self.workloads)
-        asked = request(self.choices.choice(["failover", "failover", "failback"]), EPOCH + self.loop.time())
-        self.note(f"somebody asks for a {asked.split()[0]} of {workload}")
-        body = {"metadata": {"annotations": {names.SWITCHOVER: asked}}}
-        self.server.update(
-            "robotworkloads", (NAMESPACE, workload), lambda item: apiserver.merged(item, body), "somebody"
-        )
 
     def _written(self, plural: str, old: Object | None, new: Object | None, by: str) -> None:
         super()._written(plural, old, new, by)

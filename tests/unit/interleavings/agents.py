@@ -1,0 +1,131 @@
+"""What the reflex needs in the pods: the profile that says how strong a process is, and the fence that holds one which is cut off.
+
+Both are the agent's own code, over a folder for the pod's shared volume. Stand-ins are the connections by which the fence
+asks whether anybody is there, and the application, which does at once as the shared volume says.
+"""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from tests.unit.interleavings.ownership import PERIOD, Writer
+from understudy.agent import preparing
+from understudy.agent.fencing import ANSWER, Address, Fence
+from understudy.agent.strengths import Strengths
+from understudy.api import names
+
+ANSWERS = 0.002
+"""Seconds until a connection is accepted or refused."""
+
+_STRENGTH = re.compile(r"<ownershipStrength><value>(\d+)</value>")
+
+
+class Questions:
+    """Connections to whoever may answer."""
+
+    def __init__(self, reaches: Callable[[str], bool]) -> None:
+        """``reaches`` tells whether an address is reached now."""
+        self._reaches = reaches
+        self._open: list[tuple[Address, float, bool]] = []
+
+    def ask(self, address: Address, now: float) -> None:
+        """Begin to connect."""
+        self._open.append((address, now, self._reaches(address.host)))
+
+    def answers(self, now: float) -> list[tuple[Address, float, bool]]:
+        """What became of those that have ended."""
+        ended = [one for one in self._open if now - one[1] >= (ANSWERS if one[2] else ANSWER)]
+        self._open = [one for one in self._open if one not in ended]
+        return ended
+
+    def close(self) -> None:
+        """Give them all up."""
+        self._open.clear()
+
+
+@dataclass
+class Sessions:
+    """The connections with monitors."""
+
+    there: Callable[[], bool]
+    """Whether a monitor is reached."""
+    number: int = 0
+    """Another one for every connection."""
+
+    @property
+    def count(self) -> int:
+        return int(self.there())
+
+    def taken_in(self) -> bool:
+        return self.there()
+
+    def abort(self) -> None:
+        self.number += 1
+
+
+@dataclass
+class Agent:
+    """What belongs to one pod, from when its processes are prepared."""
+
+    pod: str
+    """Its UID."""
+    folder: Path
+    strengths: Strengths
+    fence: Fence
+    sessions: Sessions
+    phases: Callable[[], float]
+    processes: itertools.count[int] = field(default_factory=lambda: itertools.count(1))
+    process: int = 0
+    """Which one runs, or did last."""
+    writer: Writer | None = None
+    """Of the process that runs; None where no reader accepts it."""
+    hangs: bool = False
+    """Whether the application stands still, and goes on later."""
+    silent_since: float = 0.0
+    """When it stood still or froze."""
+    reaches_since: float | None = None
+    """Since when what it sends reaches its robot; None while it doesn't."""
+    gave_way: int | None = None
+    """The process that ran when the agent was told to give way."""
+    believed: bool = False
+    """Whether it was let go on last before the gate had shut it out, or before its monitor knew that."""
+    unfenced: bool = False
+    """Whether it was cut off last before its agent had been told by a monitor who may answer."""
+    left: bool = False
+    """Whether its processes were told to end, so that readers know."""
+    asking: bool = False
+    """Whether its fence runs: while everybody answers there is nothing to decide."""
+
+    def prepare(self, profile: str) -> None:
+        """As the init container does."""
+        preparing.write(profile, self.folder, self.pod)
+
+    def begin(self) -> None:
+        """A process of the application starts: it reads its profile."""
+        self.process, self.writer = next(self.processes), None
+        text = (self.folder / names.PROFILES_KEY).read_text()
+        found = _STRENGTH.search(text)
+        assert found is not None
+        # A reader that has a deadline takes nobody who offers none.
+        if "<deadline>" in text:
+            self.writer = Writer(self.pod, int(found[1]), self.phases() * PERIOD)
+
+    def seen(self) -> None:
+        """The agent sees the writers of the process that runs."""
+        if self.process:
+            self.strengths.saw([f"{self.pod[-8:]:>8}{self.process:04}".encode()])
+
+    def give_way(self) -> None:
+        """A monitor has asked for it."""
+        self.strengths.give_way()
+        if self.gave_way is None:
+            self.gave_way = self.process
+
+    @property
+    def holds(self) -> bool:
+        """Whether the application is stopped."""
+        return self.fence.since is not None

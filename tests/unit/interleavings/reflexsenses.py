@@ -1,0 +1,184 @@
+"""What a monitor knows of a robot with a reflex: what its own reader takes, and what the agents of instances say that it reaches."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, cast
+
+from tests.unit.interleavings.actors import Monitor
+from tests.unit.interleavings.ownership import PERIOD, Reader
+from tests.unit.interleavings.reflexrobots import ReflexRobots
+from tests.unit.interleavings.robots import Robots, Running
+from tests.unit.interleavings.scheduling import Process
+from tests.unit.interleavings.senses import GAP, Outputs, Probes, Sidecars, Sight
+from understudy.agent.sessions import Peer
+from understudy.api.agents import SILENCE, AgentStatus
+from understudy.cluster.agents import AgentGone
+from understudy.cluster.client import Client
+from understudy.mitigation.interfaces import Instance
+from understudy.monitor.leases import Leases
+from understudy.monitor.sidecars import ANSWER_LATE
+from understudy.monitor.supervising import Parts
+
+
+class ReflexSight(Sight):
+    """What a monitor's reader takes."""
+
+    def __init__(self, robots: ReflexRobots, workload: str, looked: Callable[[], None], reader: Reader) -> None:
+        super().__init__(robots, workload, looked)
+        self._reader = reader
+
+    def _last(self, found: Running | None) -> float | None:
+        return self._reader.last(found.uid) if found is not None else None
+
+    def arrivals(self, topic: str, pod: str) -> list[float]:
+        found = self._named(pod)
+        return self._reader.arrivals(found.uid) if found is not None else []
+
+    def ambiguous(self, pod: str) -> bool:
+        return False
+
+    def outputs(self, fleet: Any, gate: Any) -> Outputs:
+        return ReflexOutputs(self._robots, self._workload, self._reader)
+
+
+class ReflexOutputs(Outputs):
+    """What the failover protocol sees of it."""
+
+    def __init__(self, robots: Robots, workload: str, reader: Reader) -> None:
+        super().__init__(robots, workload)
+        self._reader = reader
+
+    async def first_from(self, instance: Instance, *, since: float) -> float | None:
+        while (first := self._reader.first(instance.uid, since)) is None:
+            if self._reader.driver == instance.uid:
+                await asyncio.sleep(PERIOD)
+            else:
+                await self._robots.wait(self._workload)
+        return first
+
+    def last_from_others(self, instance: Instance) -> tuple[float, str]:
+        others = [r for r in self._robots.running.values() if r.robot == self._workload and r.uid != instance.uid]
+        lasts = [(last, r.name) for r in others if (last := self._reader.last(r.uid)) is not None]
+        return max(lasts, default=(0.0, ""))
+
+
+class ReflexProbes(Probes):
+    """What gets through the gate to a monitor that is reached."""
+
+    def _reached(self, uid: str) -> bool:
+        robots = cast(ReflexRobots, self._robots)
+        found = robots.running.get(uid)
+        return found is not None and robots.reaches(found.node, "monitor", self._workload)
+
+    async def wait(self, uid: str, after: float, within: float | None = None) -> float:
+        while True:
+            found = await super().wait(uid, after, within)
+            if self._reached(uid):
+                return found
+            await self._robots.wait(self._workload)
+
+    def last(self, uid: str) -> float | None:
+        return super().last(uid) if self._reached(uid) else None
+
+
+class ReflexSidecars(Sidecars):
+    """Agents that say how strong their instances are, and are told who may let them go on."""
+
+    def __init__(self, *given: Any, **more: Any) -> None:
+        super().__init__(*given, **more)
+        self._said: dict[str, tuple[AgentStatus, float]] = {}
+        self.believed: Callable[[str], bool] = lambda uid: False
+        """Whether its monitor takes a pod for one that the gate names."""
+        self.shut_out: Callable[[str], bool] = lambda uid: False
+        """Whether the gate has shut a pod out, whoever knows."""
+
+    @property
+    def _world(self) -> ReflexRobots:
+        return cast(ReflexRobots, self._robots)
+
+    def _found(self, instance: Instance) -> Running | None:
+        found = super()._found(instance)
+        return found if found is not None and self._world.reaches(found.node, "monitor", self._workload) else None
+
+    def status(self, instance: Instance) -> AgentStatus | None:
+        robots, agent = self._world, self._world.agents.get(instance.uid)
+        found, status = self._found(instance), super().status(instance)
+        if found is None:
+            # A connection that says nothing is given up after a while.
+            said, at = self._said.get(instance.uid, (None, 0.0))
+            return said if robots.now - at < SILENCE else None
+        if status is not None and agent is not None:
+            # Only with the policy's gap is silence noticed.
+            works = (found.sends and not agent.hangs) or robots.now - agent.silent_since < GAP
+            strength = agent.strengths.range if agent.process else None
+            status = replace(status, ready=works and not agent.holds, strength=strength, cut_off=agent.fence.since)
+        if status is not None:
+            self._said[instance.uid] = (status, robots.now)
+        return status
+
+    def session(self, instance: Instance) -> tuple[int, int]:
+        agent = self._world.agents.get(instance.uid)
+        return (0, 0) if agent is None else (1, agent.sessions.number)
+
+    async def lease(self, instance: Instance, body: Mapping[str, Any]) -> None:
+        agent = self._world.agents.get(instance.uid)
+        if agent is None or self._found(instance) is None:
+            await asyncio.sleep(ANSWER_LATE)
+            raise AgentGone(f"{instance.name}: its agent isn't connected")
+        if body.get("word") == "Go":
+            agent.believed = self.believed(instance.uid) or not self.shut_out(instance.uid)
+        await asyncio.sleep(self._robots.network.delay())
+        await agent.fence.lease(body, Peer(self._workload, instance.claim, self._workload))
+
+    async def give_way(self, instance: Instance) -> None:
+        agent = self._world.agents.get(instance.uid)
+        if agent is not None and self._found(instance) is not None:
+            self._robots.later(self._robots.network.delay(), agent.give_way)
+
+
+class ReflexMonitor(Monitor):
+    """One whose reader is like the robot's."""
+
+    def __init__(
+        self, process: Process, network: Any, robots: ReflexRobots, workload: str, *rest: Any, **more: Any
+    ) -> None:
+        self.reader = robots.watch(process, workload)
+        super().__init__(process, network, robots, workload, *rest, **more)
+
+    def _make_sidecars(self, *, initializes: bool) -> Sidecars:
+        return ReflexSidecars(self._robots, self.workload, self.fuse.step, initializes=initializes)
+
+    def _make_sight(self) -> Sight:
+        return ReflexSight(cast(ReflexRobots, self._robots), self.workload, self._look_at_gate, self.reader)
+
+    def _make_probes(self) -> Probes:
+        return ReflexProbes(self._robots, self.workload)
+
+    def _beside(self, client: Client, parts: Parts, group: asyncio.TaskGroup) -> None:
+        graph = SimpleNamespace(subscribers=lambda topic: ())  # the robot is told of by its address
+        sight = cast(Any, SimpleNamespace(graph=graph))
+        leases = Leases(client, parts.view, parts.fleet, parts.gate, parts.sidecars, sight, parts.reporter)
+        leases.recovering = lambda: self.supervisor.recovering if self.supervisor is not None else None
+
+        def believed(uid: str) -> bool:
+            state, recovering = parts.gate.state, leases.recovering()
+            lost = recovering is not None and recovering.taken_over is not None and recovering.has_failed(uid)
+            return uid in (state.active_uid, state.admitted_uid) and not lost
+
+        cast(ReflexSidecars, self.sidecars).believed = believed
+
+        def on_status() -> None:
+            self.wake()
+            leases.wake.set()
+
+        self.sidecars.on_status = on_status
+        group.create_task(leases.run())
+
+    def says(self, condition: str) -> str:
+        """Why it says that a condition is as it is."""
+        said = self._reporter._body()["status"]["conditions"] if self._reporter is not None else []
+        return next((f"{c['reason']}: {c['message']}" for c in said if c["type"] == condition), "")

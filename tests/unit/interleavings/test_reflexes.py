@@ -1,0 +1,230 @@
+"""The reflex holds under whatever order failures, cuts, commits, restarts and words to agents come in.
+
+A run that fails says its seed; ``scripts/bench interleavings --seed SEED`` tells all that happened in it. What must hold is
+said in reflexinvariants.py.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import pytest
+
+from tests.unit.interleavings import reflexes, simulation
+from tests.unit.interleavings.ownership import PERIOD, Reader, Writer
+from tests.unit.interleavings.reflexes import SCENES, Reflexive
+from tests.unit.interleavings.simulation import Outcome, Scene
+from tests.unit.interleavings.test_interleavings import without
+from understudy.agent.leases import Lease
+from understudy.agent.strengths import Strengths
+from understudy.api.strengths import STRONGEST
+from understudy.cluster import gates
+from understudy.cluster.client import Client, Object
+from understudy.mitigation import reflex
+from understudy.mitigation.interfaces import Instance
+from understudy.monitor import leases
+from understudy.monitor.reflexes import Reflexes
+
+REPOSITORY = Path(__file__).parents[3]
+FIRST, RUNS, CHUNK = 1_100_000, 80, 16
+"""Seeds that scripts/bench doesn't run by itself."""
+
+ALONE, _, TWO = SCENES
+
+
+@pytest.fixture(autouse=True)
+def _prepared() -> None:
+    """What runs begin from is made by code without faults."""
+    for scene in SCENES:
+        simulation.prepared(scene, Reflexive)
+
+
+@pytest.mark.parametrize("first", range(FIRST, FIRST + RUNS, CHUNK))
+def test_whatever_the_order_the_reflex_holds(first: int) -> None:
+    seen: Counter[str] = Counter()
+    for seed in range(first, first + CHUNK):
+        outcome = reflexes.run(seed)
+        assert not outcome.faults, str(reflexes.run(seed, tracing=True))
+        seen += Counter(outcome.reflex)
+    assert seen["taken"] > CHUNK, "it isn't about nothing"
+    assert seen["let through"]
+    assert seen["held"]
+    assert seen["fell over"]
+
+
+def test_a_seed_says_all_that_happens() -> None:
+    """Also in another process, where sets have another order, and whatever was run in it before."""
+    text = "from tests.unit.interleavings.reflexes import run; {before}; print(run(1_100_003, tracing=True))"
+    told = {
+        subprocess.run(
+            [sys.executable, "-c", text.format(before=before)],
+            cwd=REPOSITORY,
+            env={**os.environ, "PYTHONPATH": f"{REPOSITORY}:{REPOSITORY / 'operator'}", "PYTHONHASHSEED": order},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for order, before in (("1", "pass"), ("2", "[run(seed) for seed in range(1_000_000, 1_000_004)]"))
+    }
+    assert len(told) == 1
+    assert "takes" in told.pop()
+
+
+# -- the reader is one with exclusive ownership ---------------------------------------------------------------------
+
+
+class Clock:
+    """Time that a test lets pass."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+        self._later: list[tuple[float, int, Any, tuple[Any, ...]]] = []
+
+    def later(self, seconds: float, work: Any, *args: Any) -> None:
+        self._later.append((self.now + seconds, len(self._later), work, args))
+
+    def until(self, end: float) -> None:
+        while due := sorted(one[:2] for one in self._later if one[0] <= end):
+            found = next(one for one in self._later if one[:2] == due[0])
+            self._later[found[1]] = (float("inf"), found[1], None, ())
+            self.now = max(self.now, found[0])
+            found[2](*found[3])
+        self.now = end
+
+
+STRONG, WEAK = Writer("strong", 20, 0.0), Writer("weak", 10, 0.01)
+DEADLINE = 0.3
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def reader(clock: Clock) -> Reader:
+    """One that takes the stronger of two."""
+    made = Reader(DEADLINE, lambda: clock.now, clock.later, lambda: None)
+    made.hear("weak", WEAK)
+    made.hear("strong", STRONG)
+    clock.until(101.02)
+    assert made.driver == "strong"
+    return made
+
+
+def test_a_reader_takes_the_next_one_after_the_deadline(clock: Clock, reader: Reader) -> None:
+    reader.hear("strong", None)
+    clock.until(101.29)
+    assert reader.driver == ""
+    clock.until(101.3 + PERIOD)
+    assert reader.driver == "weak"
+    assert reader.last("strong") == pytest.approx(101.0)
+    assert reader.arrivals("weak")[-1] == pytest.approx(101.31)
+    assert reader.first("weak", 101.0) == pytest.approx(101.31)
+
+
+def test_a_reader_takes_the_stronger_one_back_at_once(clock: Clock, reader: Reader) -> None:
+    reader.hear("strong", None)
+    clock.until(102.02)
+    reader.hear("strong", STRONG)
+    clock.until(102.06)
+    assert reader.driver == "strong"
+    assert reader.last("weak") == pytest.approx(102.01)
+
+
+def test_a_reader_that_waited_for_less_than_the_deadline_takes_nobody_else(clock: Clock, reader: Reader) -> None:
+    reader.hear("strong", None)
+    clock.until(101.21)
+    reader.hear("strong", STRONG)
+    clock.until(102.0)
+    assert reader.driver == "strong"
+    assert not [at for at in reader.arrivals("weak") if at > 101.0]
+
+
+def test_a_writer_that_says_that_it_ends_is_waited_for_no_longer(clock: Clock, reader: Reader) -> None:
+    reader.hear("strong", None, left=True)
+    clock.until(101.02 + PERIOD)
+    assert reader.driver == "weak"
+
+
+# -- the simulation finds faults ------------------------------------------------------------------------------------
+
+
+def found(
+    words: str,
+    scene: Scene,
+    *troubles: str,
+    weather: float = 1.0,
+    within: int = 100,
+    kind: type[Reflexive] = Reflexive,
+) -> Outcome:
+    """The first run of a scene, with only these troubles, in which something of these words doesn't hold."""
+    only = replace(scene, troubles=troubles, weather=(weather,))
+    for seed in range(within):
+        outcome = reflexes.run(seed, scene=only, kind=kind)
+        if any(words in fault for fault in outcome.faults):
+            return outcome
+    pytest.fail(f"no {words!r} in {within} runs")
+
+
+def test_a_replaced_instance_that_is_told_to_go_on_is_found() -> None:
+    with mock.patch.object(leases, "word", return_value="Go"):
+        assert found("which its gate shut out", ALONE, "node_is_cut_off")
+
+
+def test_an_instance_that_is_cut_off_and_not_held_is_found() -> None:
+    with mock.patch.object(Lease, "look"):
+        assert found("which its gate shut out", ALONE, "node_is_cut_off")
+
+
+def test_a_standby_that_is_stronger_than_who_drives_is_found() -> None:
+    def strength(self: Reflexes, instance: Instance) -> tuple[int, int]:
+        at = STRONGEST if instance.uid == self._gate.state.active_uid else 0
+        return at, at
+
+    with mock.patch.object(Reflexes, "_strength", strength):
+        assert found("which is no stronger", ALONE, "understudy_fails", "one_fails", "all_fail", within=200)
+
+
+def test_a_standby_that_is_let_through_over_another_write_is_found() -> None:
+    admit = gates.admit
+
+    async def careless(client: Client, *rest: Any, **more: Any) -> Object:
+        with mock.patch.object(client, "patch", without("resourceVersion").__get__(client)):
+            return await admit(client, *rest, **more)
+
+    with mock.patch.object(gates, "admit", careless):
+        assert found("lets ", ALONE, "active_hangs", "standby_hangs", "second_monitor", weather=3.0, within=200)
+
+
+class Crashing(Reflexive):
+    """Nobody reaches the API server, a container of the instance in control ends, and its standby is late when it is back."""
+
+    causes = {"crash": 1}  # noqa: RUF012
+
+    def _crash(self) -> None:
+        workload = self.choices.choice(self.workloads)
+        active, standby = self._active(workload), self._standby(workload)
+        self._is_away(8.0)
+        self._break(active, "crashes")
+        self.later(4.0, self.mine.hang, standby, 1.0)
+
+
+def test_a_container_of_the_loser_that_is_heard_again_is_found() -> None:
+    with mock.patch.object(Strengths, "give_way"):
+        assert found("after it gave way", ALONE, "crash", kind=Crashing)
+
+
+def test_a_reflex_that_isnt_committed_is_found() -> None:
+    async def careless(progress: Any, means: Any) -> None:
+        return
+
+    with mock.patch.object(reflex, "commit", careless):
+        assert found("took", TWO, "active_hangs", within=200)
