@@ -43,6 +43,11 @@ PERIOD = 1.0
 SAY_AGAIN = 0.5
 """Seconds after which a word that wasn't followed is said again."""
 
+CATCH_UP = 1.0
+"""Seconds that the node of an instance that is connected again has to learn of the policies of now. One that isn't in control hears what
+becomes of it only then: by an old policy it might be let through, and be the robot's choice.
+"""
+
 MOST_OTHERS = 3
 """Pods beside the robots that an agent is told of; each is on another node than the instance."""
 
@@ -132,6 +137,8 @@ class Leases:
         self._refreshing: asyncio.Task[None] | None = None
         self._refresh_at = 0.0
         self._replaced: set[str] = set()
+        self._back: dict[str, float] = {}
+        """When those were heard of first, by UID, that are held since they were cut off."""
         self._sent: dict[str, tuple[Any, float]] = {}
         self._telling: dict[str, asyncio.Task[None]] = {}
         self._told: set[tuple[str, float, Word]] = set()
@@ -145,7 +152,7 @@ class Leases:
                 self._refresh(spec)
                 self._tell(spec)
             with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(PERIOD):
+                async with asyncio.timeout(SAY_AGAIN if self._back else PERIOD):
                     await self.wake.wait()
 
     def _refresh(self, spec: RobotWorkloadSpec) -> None:
@@ -175,13 +182,19 @@ class Leases:
                 self._replaced |= {pod.uid for pod in progress.replaced}
         instances = {i.uid: i for i in self._fleet.of_workload() if i.has_agent and not i.held}
         self._sent = {uid: sent for uid, sent in self._sent.items() if uid in instances}
+        self._back = {uid: since for uid, since in self._back.items() if uid in instances}
         for uid, instance in instances.items():
-            if uid in self._telling or (status := self._sidecars.status(instance)) is None:
+            if (status := self._sidecars.status(instance)) is None:
+                self._back.pop(uid, None)
+                continue
+            if uid in self._telling:
                 continue
             body: dict[str, Any] = {"witnesses": self._witnesses_of(instance, spec)}
-            if status.cut_off is not None:
-                body["word"] = word(instance, state, self._replaced, recovering)
-                self._say(instance, status.cut_off, body["word"])
+            if status.cut_off is None:
+                self._back.pop(uid, None)
+            elif (said := self._word_for(instance, state, recovering)) is not None:
+                body["word"] = said
+                self._say(instance, status.cut_off, said)
             wanted = (self._sidecars.session(instance), body)
             sent, at = self._sent.get(uid, (None, 0.0))
             if sent != wanted or ("word" in body and time.monotonic() - at >= SAY_AGAIN):
@@ -189,6 +202,13 @@ class Leases:
                 # Each by itself: one that doesn't answer mustn't hold up the others.
                 self._telling[uid] = task = asyncio.create_task(self._request(instance, body))
                 task.add_done_callback(partial(self._done, uid))
+
+    def _word_for(self, instance: Instance, state: GateState, recovering: Progress | None) -> Word | None:
+        """What a held instance that is connected again is told now; None while its node may still go by old policies."""
+        now = time.monotonic()
+        caught_up = now - self._back.setdefault(instance.uid, now) >= CATCH_UP
+        found = word(instance, state, self._replaced, recovering)
+        return found if found == "Stay" or caught_up or instance.uid == state.active_uid else None
 
     def _done(self, uid: str, task: asyncio.Task[None]) -> None:
         self._telling.pop(uid, None)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
@@ -15,6 +16,7 @@ from understudy.api.workloads import RobotWorkloadSpec
 from understudy.cluster.client import Object
 from understudy.mitigation.interfaces import GateState, Instance
 from understudy.mitigation.progress import PodIdentity, Progress
+from understudy.monitor import leases as module
 from understudy.monitor.leases import Leases, Word, witnesses, word
 from understudy.ros.sources import VENDOR, host_id
 
@@ -214,6 +216,33 @@ async def test_a_word_is_held_up_neither_by_an_api_server_that_is_away_nor_by_an
     await eventually(lambda: len(agents.words("uid-s")) > 1)  # again, until it is followed
     agents.statuses["uid-s"] = running()
     assert len([event for event in events if "s was cut off at 22:13:20 UTC" in event and "it goes on" in event]) == 1
+    task.cancel()
+
+
+async def test_who_is_not_in_control_goes_on_only_once_its_node_has_had_time_to_learn_of_the_gate(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(module, "CATCH_UP", 0.3)
+    agents = Agents({"uid-a": running(), "uid-s": running()})
+    leases = monitored(agents, Cluster(), [])
+    task = asyncio.create_task(leases.run())
+    await eventually(lambda: agents.told)
+    agents.statuses |= {"uid-a": cut_off(), "uid-s": cut_off()}
+    begun = time.monotonic()
+    leases.wake.set()
+    await eventually(lambda: agents.words("uid-a"))
+    assert agents.words("uid-s") == []
+    assert time.monotonic() - begun < 0.3
+    await eventually(lambda: agents.words("uid-s"))
+    assert time.monotonic() - begun >= 0.3
+
+    agents.statuses["uid-s"] = running()
+    await eventually(lambda: not leases._back.get("uid-s"))
+    agents.statuses["uid-s"] = cut_off()
+    told = len(agents.words("uid-s"))
+    leases.wake.set()
+    await asyncio.sleep(0.15)
+    assert len(agents.words("uid-s")) == told, "each time anew"
     task.cancel()
 
 
