@@ -155,8 +155,11 @@ class Reflexes:
         active = self._fleet.find(state.active_uid)
         if state.closed or active is None:
             return None, ("False", "NoneInControl", "No pod is in control.")
+        # One that was claimed and isn't in control was left behind by a recovery, or another monitor brings it up: it won't stay.
         others = [
-            i for i in self._fleet.of_workload() if i.usable and i.has_agent and not i.held and i.uid != active.uid
+            i
+            for i in self._fleet.of_workload()
+            if i.usable and i.has_agent and not i.held and not i.claim and i.uid != active.uid
         ]
         current = next((i for i in others if i.uid == state.admitted_uid), None)
         ready = [i for i in others if self._sidecars.is_ready(i)[0]]

@@ -132,6 +132,13 @@ async def test_of_several_the_strongest_is_let_through(world: World) -> None:
     assert world.writes == ["w-3"]
 
 
+async def test_one_that_a_recovery_claimed_and_left_behind_is_not_let_through(world: World) -> None:
+    world.add("spare-1", 150)
+    world.pods["spare-1"] = replace(world.pods["spare-1"], claim="recovery-1")
+    await world.keep()
+    assert world.writes == ["w-2"], "the other is about to be deleted"
+
+
 async def test_a_standby_that_is_no_longer_healthy_is_shut_out_at_once(world: World) -> None:
     await world.keep()
     world.reflexes.guard()
