@@ -116,7 +116,7 @@ class ReflexInvariants(Invariants):
             return
         self.robots.seen["fell over"] += taken.uid == record.active_uid
         found = self.robots.running.get(taken.uid)
-        if found is None or record.active_uid == taken.uid or not self._works(found):
+        if found is None or record.active_uid == taken.uid or not self._works(found) or self._leaves(taken.uid):
             return
         watching = [w.reader for w in self.robots.watching[workload] if w.process.alive]
         if all(reader.driver == taken.uid for reader in (self.robots.reader_of(workload), *watching)):
@@ -198,6 +198,11 @@ class ReflexInvariants(Invariants):
             and not agent.holds
             and not self.robots.cuts.get(found.node)
         )
+
+    def _leaves(self, uid: str) -> bool:
+        """Whether somebody has deleted a pod, that works until it ends."""
+        pods = self._server.items["pods"].values()
+        return any(pod["metadata"]["uid"] == uid and pod["metadata"].get("deletionTimestamp") for pod in pods)
 
     def _reaches_since(self, uid: str) -> float:
         agent = self.robots.agents.get(uid)

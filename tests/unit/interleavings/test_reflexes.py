@@ -175,7 +175,8 @@ def found(
 
 
 def test_a_replaced_instance_that_is_told_to_go_on_is_found() -> None:
-    with mock.patch.object(leases, "word", return_value="Go"):
+    # And at once: a second later its node knows the gate of now.
+    with mock.patch.object(leases, "word", return_value="Go"), mock.patch.object(leases, "CATCH_UP", 0.0):
         assert found("which its gate shut out", ALONE, "node_is_cut_off")
 
 
