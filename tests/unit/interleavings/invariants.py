@@ -218,7 +218,7 @@ class Invariants:
         in_control = self._in_control()
         for _, pod in sorted(self._server.items["pods"].items()):
             owner = controller_of(pod)
-            if _leaving(pod):
+            if leaving(pod):
                 yield f"pod {_name(pod)} is on its way out"
             elif pod["metadata"]["uid"] in in_control or names.HELD in _labels(pod):
                 continue
@@ -265,13 +265,14 @@ def _claimed(pod: Object) -> bool:
     return names.CLAIM in (pod["metadata"].get("annotations") or {})
 
 
-def _leaving(pod: Object) -> bool:
+def leaving(pod: Object) -> bool:
+    """Whether somebody has deleted a pod that is there still."""
     return "deletionTimestamp" in pod["metadata"]
 
 
 def _deleted(old: Object, new: Object | None) -> bool:
-    return not _leaving(old) and (new is None or _leaving(new))
+    return not leaving(old) and (new is None or leaving(new))
 
 
 def _living(pod: Object) -> bool:
-    return not _leaving(pod) and (pod.get("status") or {}).get("phase") not in ("Failed", "Succeeded")
+    return not leaving(pod) and (pod.get("status") or {}).get("phase") not in ("Failed", "Succeeded")

@@ -21,7 +21,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Any, cast
 
-from tests.unit.interleavings.invariants import Invariants
+from tests.unit.interleavings.invariants import Invariants, leaving
 from tests.unit.interleavings.ownership import PERIOD
 from tests.unit.interleavings.reflexrobots import TOLD_AGAIN, ReflexRobots
 from tests.unit.interleavings.robots import Running
@@ -202,7 +202,7 @@ class ReflexInvariants(Invariants):
     def _leaves(self, uid: str) -> bool:
         """Whether somebody has deleted a pod, that works until it ends."""
         pods = self._server.items["pods"].values()
-        return any(pod["metadata"]["uid"] == uid and pod["metadata"].get("deletionTimestamp") for pod in pods)
+        return any(pod["metadata"]["uid"] == uid and leaving(pod) for pod in pods)
 
     def _reaches_since(self, uid: str) -> float:
         agent = self.robots.agents.get(uid)

@@ -42,9 +42,9 @@ def test_whatever_the_order_everything_holds(first: int) -> None:
         assert not outcome.faults, str(simulation.run(seed, tracing=True))
 
 
-def test_a_seed_says_all_that_happens() -> None:
-    """Also in another process, where sets have another order, and whatever was run in it before."""
-    text = "from tests.unit.interleavings.simulation import run; {before}; print(run(100_003, tracing=True))"
+def told_alike(module: str, seed: int, others: range) -> str:
+    """All that happens by a seed: the same in another process, where sets have another order, and whatever was run in it before."""
+    text = f"from tests.unit.interleavings.{module} import run; {{before}}; print(run({seed}, tracing=True))"
     told = {
         subprocess.run(
             [sys.executable, "-c", text.format(before=before)],
@@ -54,10 +54,14 @@ def test_a_seed_says_all_that_happens() -> None:
             text=True,
             check=True,
         ).stdout
-        for order, before in (("1", "pass"), ("2", "[run(seed) for seed in range(6)]"))
+        for order, before in (("1", "pass"), ("2", f"[run(seed) for seed in {others}]"))
     }
     assert len(told) == 1
-    assert "monitor" in told.pop()
+    return told.pop()
+
+
+def test_a_seed_says_all_that_happens() -> None:
+    assert "monitor" in told_alike("simulation", 100_003, range(6))
 
 
 # -- the simulation finds faults ------------------------------------------------------------------------------------

@@ -6,12 +6,8 @@ said in reflexinvariants.py.
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from collections import Counter
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 from unittest import mock
 
@@ -21,7 +17,7 @@ from tests.unit.interleavings import reflexes, simulation
 from tests.unit.interleavings.ownership import PERIOD, Reader, Writer
 from tests.unit.interleavings.reflexes import SCENES, Reflexive
 from tests.unit.interleavings.simulation import Outcome, Scene
-from tests.unit.interleavings.test_interleavings import without
+from tests.unit.interleavings.test_interleavings import told_alike, without
 from understudy.agent.leases import Lease
 from understudy.agent.strengths import Strengths
 from understudy.api.strengths import STRONGEST
@@ -32,7 +28,6 @@ from understudy.mitigation.interfaces import Instance
 from understudy.monitor import leases
 from understudy.monitor.reflexes import Reflexes
 
-REPOSITORY = Path(__file__).parents[3]
 FIRST, RUNS, CHUNK = 1_100_000, 80, 16
 """Seeds that scripts/bench doesn't run by itself."""
 
@@ -60,21 +55,7 @@ def test_whatever_the_order_the_reflex_holds(first: int) -> None:
 
 
 def test_a_seed_says_all_that_happens() -> None:
-    """Also in another process, where sets have another order, and whatever was run in it before."""
-    text = "from tests.unit.interleavings.reflexes import run; {before}; print(run(1_100_003, tracing=True))"
-    told = {
-        subprocess.run(
-            [sys.executable, "-c", text.format(before=before)],
-            cwd=REPOSITORY,
-            env={**os.environ, "PYTHONPATH": f"{REPOSITORY}:{REPOSITORY / 'operator'}", "PYTHONHASHSEED": order},
-            capture_output=True,
-            text=True,
-            check=True,
-        ).stdout
-        for order, before in (("1", "pass"), ("2", "[run(seed) for seed in range(1_000_000, 1_000_004)]"))
-    }
-    assert len(told) == 1
-    assert "takes" in told.pop()
+    assert "takes" in told_alike("reflexes", 1_100_003, range(1_000_000, 1_000_004))
 
 
 # -- the reader is one with exclusive ownership ---------------------------------------------------------------------
