@@ -202,10 +202,12 @@ def plan(observed: Observed, understanding: Understanding, fresh: Fresh) -> Plan
     )
     _hold(made, observed, living, built, want)
     namespace = pool["metadata"]["namespace"]
-    wait = _until_driving(observed)
-    if change.create and wait > 0:
-        made.later(wait)
-    for _ in range(0 if wait > 0 else change.create):
+    waits = _until_driving(observed)
+    # Each claim holds back the one in its own place: where claims keep coming, the pool fills up behind them all the same.
+    due = max(0, change.create - len(waits))
+    if change.create > due:
+        made.later(min(waits))
+    for _ in range(due):
         body = instances.pod(built, name=fresh.name(name), namespace=namespace, owner=owner)
         made.writes.append(Create(PODS, body, counted=True))
     made.writes += [Delete(PODS, pod) for pod in change.delete]
@@ -256,12 +258,12 @@ def _update(spec: FallbackPoolSpec, want: int) -> fleets.Update:
     return fleets.Update(stay=found.type == "OnReplenish", min_ready=least)
 
 
-def _until_driving(observed: Observed) -> float:
-    """Seconds to wait for the pods that were claimed just now; 0 when all of them drive, have ended or had their time, and
+def _until_driving(observed: Observed) -> list[float]:
+    """Seconds to wait for each of the pods that were claimed just now; nothing of those that drive, have ended or had their time, and
     where another robot waits for the one that is to be started.
     """
     if observed.waiting:
-        return 0.0
+        return []
     waits = [
         float(claimed) + FIRST_THE_CLAIMED - observed.now
         for pod in observed.pods
@@ -270,7 +272,7 @@ def _until_driving(observed: Observed) -> float:
         and objects.uid(pod) not in observed.active
     ]
     # By another machine's clock a claim may seem to be of the future: no wait is longer than it can be.
-    return min(FIRST_THE_CLAIMED, max([0.0, *waits]))
+    return [min(FIRST_THE_CLAIMED, wait) for wait in waits if wait > 0]
 
 
 @dataclass(frozen=True)

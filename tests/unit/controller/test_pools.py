@@ -137,6 +137,32 @@ def test_a_claimed_pod_gets_into_control_before_another_is_started_in_its_place(
         assert 0 < found.again_after <= pools.FIRST_THE_CLAIMED
 
 
+def claimed_ago(pool: Object, name: str, ago: float) -> Object:
+    claimed = claimed_pod(name, of=pool, by=workload())
+    claimed["metadata"].setdefault("annotations", {})[names.CLAIMED_AT] = str(int(NOW - ago))
+    return claimed
+
+
+def test_where_claims_keep_coming_the_pool_fills_up_behind_them() -> None:
+    """A claim holds back the pod in its own place, and no other: or a pool would be filled only when it is dry."""
+    pool = spare(replicas=4)
+    left = held_pod("spare-0", of=pool, template_hash=present(pool))
+    claims = [claimed_ago(pool, f"robot-{ago}-claimed", ago) for ago in (1, 3, 60)]
+    found = plan(observe(pool, [left, *claims]))
+    assert len(created(found, "pods")) == 1, "in the place of the one that was claimed a minute ago"
+    assert found.again_after == pytest.approx(pools.FIRST_THE_CLAIMED - 3, abs=1), "when the next one is due"
+
+
+def test_claims_of_which_the_pods_are_all_there_hold_nothing_back() -> None:
+    pool = spare(replicas=2)
+    left = held_pod("spare-0", of=pool, template_hash=present(pool))
+    found = plan(
+        observe(pool, [left, held_pod("spare-1", of=pool, template_hash=present(pool)), claimed_ago(pool, "c", 1)])
+    )
+    assert not created(found, "pods")
+    assert found.again_after is None
+
+
 def test_a_pod_that_somebody_labelled_as_held_is_not_taken_for_ours() -> None:
     pool = spare(replicas=1)
     foreign = held_pod("spare-x", of=pool)
