@@ -34,7 +34,7 @@ _MOST_NAMED = 3
 MOVING = "Moving"
 """The condition that is there while pods are replaced elsewhere."""
 
-FIRST_THE_CLAIMED = 5.0
+FIRST_THE_CLAIMED = 10.0
 """Seconds that a claimed pod has to get into control before the one in its place is started, which may be on its node: a
 robot waits for the one, nobody for the other.
 """

@@ -50,7 +50,7 @@ REST, REST_MOST = 4.0, 0.25
 1000 robots is 86 MB, and while the API server writes it as fast as it can, others wait.
 """
 
-PATIENCE, QUIET = 10.0, 0.5
+PATIENCE, QUIET = 30.0, 0.5
 """Seconds that such a list stands back in all while watches bring something, and after which they bring nothing. As long as they do they
 aren't silent, and those who make the changes, in a burst of failures, wait for the API server too.
 """
