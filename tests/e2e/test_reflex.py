@@ -49,13 +49,14 @@ def reflexive(kubectl: Kubectl) -> Robot:
 
 @pytest.fixture
 def apart(kubectl: Kubectl, stage: Stage) -> Robot:
-    """The same, its instances on nodes where nothing else is."""
+    """The same, its instances on two nodes where nothing else is."""
     robot = Robot(kubectl)
     kubectl.apply(manifest("strategies/executing.yaml"))
     objects = staying(robot.objects(policy="quickstart-executing", edit=with_reflex))
     stage.place(objects)
     kubectl.apply(objects)
-    robot.wait_protected()
+    wait_armed(robot)
+    assert len({stage.node_of(name) for name in instances(robot)}) == 2, "understudies are kept apart"
     return robot
 
 
@@ -193,7 +194,6 @@ def wait_held(uid: str) -> None:
 def test_a_pod_whose_node_was_cut_off_is_held_and_never_drives_again(apart: Robot, stage: Stage) -> None:
     old = wait_armed(apart)
     uid, node = instances(apart)[old], stage.node_of(old)
-    assert len({stage.node_of(name) for name in instances(apart)}) == 2, "understudies are kept apart"
     stage.lose(node, "cut")
     cut = time.time()
     wait_held(uid)

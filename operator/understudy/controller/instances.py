@@ -37,6 +37,7 @@ DEFAULT_CONTAINER = "kubectl.kubernetes.io/default-container"
 """Annotation of a pod: whose logs kubectl shows unless it is told otherwise."""
 
 _TOKEN_VOLUME = "understudy-agent-token"
+_HOSTNAME = "kubernetes.io/hostname"
 _DISTANCE = 100  # the greatest weight: an understudy on the node of the active pod dies with it
 _DISTANCE_OF_MONITOR = 50  # a monitor that dies with the active pod is started elsewhere first, which takes seconds
 
@@ -386,11 +387,31 @@ def _keep_apart(spec: Object, recipe: Recipe) -> None:
     key = "preferredDuringSchedulingIgnoredDuringExecution"
     apart[key] = [*(apart.get(key) or []), *terms]
     spec["affinity"] = {**affinity, "podAntiAffinity": apart}
+    _spread(spec, labels)
+
+
+def _spread(spec: Object, labels: Mapping[str, str]) -> None:
+    """Have the scheduler count the others on each node, without those that are on their way out.
+
+    For an affinity they are as good as there: with two nodes, of which one has the pod that failed, the next understudy would as soon be
+    beside the one in control. The API server takes one constraint for each pair of these two fields.
+    """
+    ours = {
+        "maxSkew": 1,
+        "topologyKey": _HOSTNAME,
+        "whenUnsatisfiable": "ScheduleAnyway",
+        "labelSelector": {"matchLabels": dict(labels)},
+    }
+    given = spec.get("topologySpreadConstraints") or []
+    if not any(
+        (one.get("topologyKey"), one.get("whenUnsatisfiable")) == (_HOSTNAME, "ScheduleAnyway") for one in given
+    ):
+        spec["topologySpreadConstraints"] = [*given, ours]
 
 
 def away_from(labels: Mapping[str, str], weight: int) -> Object:
     """A preference for nodes without such pods, as strong as its weight (1 to 100) beside other preferences."""
-    term = {"topologyKey": "kubernetes.io/hostname", "labelSelector": {"matchLabels": dict(labels)}}
+    term = {"topologyKey": _HOSTNAME, "labelSelector": {"matchLabels": dict(labels)}}
     return {"weight": weight, "podAffinityTerm": term}
 
 

@@ -9,6 +9,7 @@ import pytest
 
 from tests.unit.controller.test_pools import condition, created, deleted, observe, plan, present, status
 from tests.unit.controller.world import (
+    IMAGES,
     NOW,
     World,
     applied,
@@ -288,6 +289,30 @@ class TestSpreading:
         assert term["weight"] == 100
         assert term["podAffinityTerm"]["topologyKey"] == "kubernetes.io/hostname"
         assert term["podAffinityTerm"]["labelSelector"]["matchLabels"] == {names.POOL: "spare"}
+
+    def test_those_on_their_way_out_are_not_counted_where_the_next_one_is_placed(self) -> None:
+        """For an affinity they are there, and a new pod would as soon be beside the one in control as where one has failed."""
+        (constraint,) = self.pod()["spec"]["topologySpreadConstraints"]
+        assert constraint == {
+            "maxSkew": 1,
+            "topologyKey": "kubernetes.io/hostname",
+            "whenUnsatisfiable": "ScheduleAnyway",
+            "labelSelector": {"matchLabels": {names.POOL: "spare"}},
+        }
+
+    @pytest.mark.parametrize(("when", "ours"), [("ScheduleAnyway", 0), ("DoNotSchedule", 1)])
+    def test_a_workload_s_own_constraint_is_kept_and_none_of_its_kind_put_beside_it(self, when: str, ours: int) -> None:
+        given = {"maxSkew": 3, "topologyKey": "kubernetes.io/hostname", "whenUnsatisfiable": when}
+        recipe = instances.Recipe(workload="w", namespace="robots", images=IMAGES, secret="w-agent")
+        template = {
+            "spec": {
+                "containers": [{"name": "app", "image": "app", "command": ["app"]}],
+                "topologySpreadConstraints": [given],
+            }
+        }
+        found = instances.build(template, recipe)["spec"]["topologySpreadConstraints"]
+        assert found[0] == given
+        assert [one["labelSelector"]["matchLabels"] for one in found[1:]] == [{names.WORKLOAD: "w"}] * ours
 
     def test_where_the_template_says_otherwise_it_counts_alone(self) -> None:
         spread = [{"maxSkew": 1, "topologyKey": "zone", "whenUnsatisfiable": "DoNotSchedule"}]
