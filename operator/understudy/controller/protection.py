@@ -9,7 +9,7 @@ from understudy.api import names
 from understudy.api.conditions import Condition, condition
 from understudy.api.policies import Strategy
 from understudy.cluster.client import Object
-from understudy.controller import inforce, levels, objects, policies, pools, poolsizes, standbys, troubles
+from understudy.controller import inforce, levels, nodes, objects, policies, pools, poolsizes, standbys, troubles
 from understudy.controller.observed import WAITING, Observed
 from understudy.controller.understanding import Understanding
 
@@ -234,13 +234,21 @@ def _standing(observed: Observed, label: str, pool: Object) -> Means:
     found = waiting(observed, pool)
     ready = [pod for pod in found if objects.ready(pod)]
     if ready:
-        return Means(label, True, message=f"pod {objects.name(ready[0])} ({policies.readiness(pool)})")
+        near = ", on the same node as the pod in control" if _beside_active(observed, ready) else ""
+        return Means(label, True, message=f"pod {objects.name(ready[0])} ({policies.readiness(pool)}){near}")
     if (refused := observed.refused(name)) is not None:
         words = f"FallbackPool {name} is not accepted, so no standby is made: {refused.message}"
         return Means(label, False, "PoolNotAccepted", words)
     if bad := troubles.first(found):
         return Means(label, False, bad.reason, bad.message)
     return Means(label, False, "StandbyNotReady", f"no standby of FallbackPool {name} is ready (see BroughtUp)")
+
+
+def _beside_active(observed: Observed, found: Sequence[Object]) -> bool:
+    """Whether all of these would be lost with the node of the pod in control."""
+    active = objects.active(observed.gate)[1]
+    its = next((nodes.of(pod) for pod in observed.instances if objects.uid(pod) == active), "")
+    return its != "" and all(nodes.of(pod) == its for pod in found)
 
 
 def _uninitialized(observed: Observed, label: str, pool: Object, priority: int) -> Means:

@@ -40,6 +40,19 @@ def test_protected_by_a_ready_standby() -> None:
     assert found.status()["standby"] == "Executing (1/1)"
 
 
+@pytest.mark.parametrize(
+    ("standby_on", "told"), [("one", ", on the same node as the pod in control"), ("another", ""), ("", "")]
+)
+def test_a_standby_that_would_be_lost_with_the_node_of_the_pod_in_control_is_told_of(
+    standby_on: str, told: str
+) -> None:
+    found = world(policy("hot"), hot(), standby=standby_pod("w-s", of=workload()))
+    active, standby = found.pods
+    active["spec"], standby["spec"] = {"nodeName": "one"}, {"nodeName": standby_on}
+    message = found.condition("Protected")["message"]
+    assert message == f"If it failed now, Fallback from pool hot would be used: pod w-s (Executing){told}."
+
+
 def test_not_protected_while_the_standby_is_not_ready_but_the_next_strategy_is_told() -> None:
     found = world(policy("hot", "Restart"), hot(), standby=standby_pod("w-s", of=workload(), ready=False))
     protected = found.condition("Protected")
