@@ -169,6 +169,7 @@ def refused(write: Write, error: ApiError) -> Problem:
     """What the API server says of a write that it won't take."""
     item = write.item if isinstance(write, Patch | Delete) else write.body
     made_of_template = write.resource.plural in (PODS.plural, REPLICA_SETS.plural)
-    reason = "TemplateInvalid" if made_of_template and error.status in (400, 422) else error.reason or "Refused"
+    invalid = made_of_template and (error.status in (400, 422) or error.malformed)
+    reason = "TemplateInvalid" if invalid else error.reason or "Refused"
     kind = item.get("kind") or write.resource.plural
     return Problem(reason, f"{kind} {objects.name(item)}: {error.message}")

@@ -4,7 +4,7 @@ import copy
 from typing import Any
 
 from tests.unit.cluster.memory import MemoryClient
-from understudy.cluster.client import CONFIG_MAPS, WORKLOADS, Object
+from understudy.cluster.client import CONFIG_MAPS, REPLICA_SETS, WORKLOADS, ApiError, Object
 from understudy.controller.affected import Key
 from understudy.controller.desired import Apply
 from understudy.controller.executing import Executor
@@ -53,3 +53,22 @@ async def test_an_object_that_really_is_somebody_elses_is_left_alone() -> None:
     (problem,) = await executor(client, store).run(KEY, [Apply(CONFIG_MAPS, config_map("workload"))])
     assert problem.reason == "NameTaken"
     assert [method for method, _, _ in client.requests] == ["GET"]
+
+
+async def test_a_template_that_can_not_be_applied_is_told_and_keeps_nothing_else_from_being_made() -> None:
+    # As Kubernetes answers to a field that it doesn't know: with 500, as though it might be otherwise the next time.
+    words = "failed to create typed patch object (fleet/w; apps/v1, Kind=ReplicaSet): .spec.nodeNane: field not declared in schema"
+
+    class Strict(Applying):
+        async def request(self, method: str, path: str, *, body: Any = None, **more: Any) -> Any:
+            if "/replicasets/" in path:
+                raise ApiError(500, "Error", words)
+            return await super().request(method, path, body=body, **more)
+
+    client = Strict()
+    replica_set = {**config_map("workload"), "kind": "ReplicaSet", "metadata": {"name": "w", "namespace": "fleet"}}
+    writes = [Apply(REPLICA_SETS, replica_set), Apply(CONFIG_MAPS, config_map("workload"))]
+    (problem,) = await executor(client, Store()).run(KEY, writes)
+    assert problem.reason == "TemplateInvalid"
+    assert ".spec.nodeNane: field not declared" in problem.message
+    assert (CONFIG_MAPS.plural, "fleet", "w-robot-env") in client.items
