@@ -51,8 +51,11 @@ class Executor:
         """
         problems: list[Problem] = []
         stale: ApiError | None = None
+        refused_alike: set[str] = set()
         for write in writes:
             self.check()
+            if (alike := _alike(write)) in refused_alike:
+                continue
             try:
                 await self._one(key, write)
             except Taken as taken:
@@ -66,6 +69,8 @@ class Executor:
                 if error.passing:
                     raise
                 problems.append(refused(write, error))
+                if alike is not None:
+                    refused_alike.add(alike)
         if stale is not None:
             raise Stale(str(stale)) from stale
         return problems
@@ -160,6 +165,11 @@ class Executor:
         _logger.info("patched %s %s/%s", resource.plural, metadata["namespace"], metadata["name"])
 
 
+def _alike(write: Write) -> str | None:
+    """The pool of which a write makes one of many pods: what is said of one holds for the others too. None for any other write."""
+    return objects.labels(write.body).get(names.POOL, "") if isinstance(write, Create) and write.counted else None
+
+
 def _gone(write: Write) -> bool:
     """Whether what isn't found is the object: an older API server may lack the subresource, for good."""
     return isinstance(write, Patch) and write.subresource != RESIZE
@@ -171,5 +181,9 @@ def refused(write: Write, error: ApiError) -> Problem:
     made_of_template = write.resource.plural in (PODS.plural, REPLICA_SETS.plural)
     invalid = made_of_template and (error.status in (400, 422) or error.malformed)
     reason = "TemplateInvalid" if invalid else error.reason or "Refused"
-    kind = item.get("kind") or write.resource.plural
-    return Problem(reason, f"{kind} {objects.name(item)}: {error.message}")
+    kind, name, words = item.get("kind") or write.resource.plural, objects.name(item), error.message
+    if _alike(write) is not None:
+        # Each try has another name. Told with it, every try would be news, and that news is looked at by trying again.
+        stem = f"{name.rpartition('-')[0]}-*"
+        name, words = stem, words.replace(name, stem)
+    return Problem(reason, f"{kind} {name}: {words}")

@@ -4,9 +4,10 @@ import copy
 from typing import Any
 
 from tests.unit.cluster.memory import MemoryClient
-from understudy.cluster.client import CONFIG_MAPS, REPLICA_SETS, WORKLOADS, ApiError, Object
+from understudy.api import names
+from understudy.cluster.client import CONFIG_MAPS, PODS, REPLICA_SETS, WORKLOADS, ApiError, Object
 from understudy.controller.affected import Key
-from understudy.controller.desired import Apply
+from understudy.controller.desired import Apply, Create
 from understudy.controller.executing import Executor
 from understudy.controller.expectations import Expectations
 from understudy.controller.stores import Store
@@ -72,3 +73,26 @@ async def test_a_template_that_can_not_be_applied_is_told_and_keeps_nothing_else
     assert problem.reason == "TemplateInvalid"
     assert ".spec.nodeNane: field not declared" in problem.message
     assert (CONFIG_MAPS.plural, "fleet", "w-robot-env") in client.items
+
+
+def standby(name: str, pool: str) -> Create:
+    metadata = {"name": name, "namespace": "fleet", "labels": {names.POOL: pool}}
+    return Create(PODS, {"apiVersion": "v1", "kind": "Pod", "metadata": metadata}, counted=True)
+
+
+async def test_a_quota_that_is_used_up_is_asked_once_for_each_pool_and_told_in_the_same_words_each_time() -> None:
+    # Words with the names of pods that were never made would be another status each time, and each is looked at again at once.
+    client = MemoryClient()
+    client.failing = lambda method, name: ApiError(
+        403,
+        "Forbidden",
+        f'pods "{name}" is forbidden: exceeded quota: fleet, requested: pods=1, used: pods=9, limited: pods=9',
+    )
+    expectations = Expectations()
+    tried = Executor(client, Store(), expectations, may_write=lambda: True)
+    first = await tried.run(KEY, [standby(f"w-{n}{n}{n}", pool) for pool in ("hot", "warm") for n in range(100)])
+    assert len(first) == len(client.requests) == 2
+    again = await tried.run(KEY, [standby(f"w-{n}{n}x", pool) for pool in ("hot", "warm") for n in range(100)])
+    assert again == first
+    assert "exceeded quota: fleet" in first[0].message
+    assert expectations.count(KEY, "hot") == 0
