@@ -8,10 +8,11 @@ from collections.abc import Callable, Sequence
 from understudy.api import names
 from understudy.cluster import applying
 from understudy.cluster.applying import Taken
-from understudy.cluster.client import PODS, REPLICA_SETS, ApiError, Client, Object, Resource
+from understudy.cluster.client import NETWORK_POLICIES, PODS, REPLICA_SETS, ApiError, Client, Object, Resource
 from understudy.cluster.leases import LeadershipLost
 from understudy.controller import metrics, objects
 from understudy.controller.affected import Key
+from understudy.controller.contention import EVERY, Contention
 from understudy.controller.desired import Apply, Create, Delete, Patch, Problem, Write
 from understudy.controller.expectations import Expectations
 from understudy.controller.stores import Store
@@ -20,12 +21,18 @@ _logger = logging.getLogger(__name__)
 
 MANAGER = "understudy-operator"
 
+_MOST_NAMED = 3
+
 RESIZE = "resize"
 """The subresource of pods by which they are resized in place (KEP-1287)."""
 
 
 class Stale(Exception):
     """Something has changed since it was read: look again."""
+
+
+class Contended(Exception):
+    """Somebody else changes an object back each time that it is put right."""
 
 
 class Ending(Exception):
@@ -42,6 +49,7 @@ class Executor:
         self._settled: dict[tuple[str, str, str], tuple[str, frozenset[str]]] = {}
         self._compared: dict[tuple[str, str, str], int] = {}
         """Which version of an object was found to be as wanted, and as what: hashes, since a fleet has many objects."""
+        self._contention = Contention()
 
     async def run(self, key: Key, writes: Sequence[Write]) -> list[Problem]:
         """Make the writes; what the API server refuses for good is returned, and the others are still made.
@@ -60,6 +68,8 @@ class Executor:
                 await self._one(key, write)
             except Taken as taken:
                 problems.append(Problem("NameTaken", str(taken)))
+            except Contended as contended:
+                problems.append(Problem("Contended", str(contended)))
             except ApiError as error:
                 if error.status == 403 and "being terminated" in error.message:
                     raise Ending from error
@@ -101,6 +111,12 @@ class Executor:
             live = None  # a namespace that was made anew has the same names: establish() looks at what is there now
         if live is not None and self._is_so(place, live, wanted):
             return
+        stamp = wanted["metadata"]["annotations"][applying.APPLIED]
+        contended = live is not None and self._contention.wait(place, stamp)
+        if (
+            contended and resource.plural != NETWORK_POLICIES.plural
+        ):  # by which standbys are held back: never left as it is
+            raise Contended(_told(wanted, applying.differences(live, wanted)))
         metrics.WRITES.labels(resource.plural, "apply").inc()
         try:
             if live is None:
@@ -116,7 +132,11 @@ class Executor:
         self._store.put(resource, made)
         # what the server wrote differently (100m for 0.1) isn't a difference to be repaired for ever
         self._settled[place] = (made["metadata"]["uid"], frozenset(applying.differences(made, wanted)))
+        if live is not None:
+            self._contention.written(place, stamp)
         _logger.info("applied %s %s/%s", resource.plural, key.namespace, objects.name(body))
+        if contended:
+            raise Contended(_told(wanted, applying.differences(live, wanted)))
 
     def _is_so(self, place: tuple[str, str, str], live: Object, wanted: Object) -> bool:
         stamp = wanted["metadata"]["annotations"][applying.APPLIED]
@@ -163,6 +183,14 @@ class Executor:
         if subresource is None:
             self._store.put(resource, made)
         _logger.info("patched %s %s/%s", resource.plural, metadata["namespace"], metadata["name"])
+
+
+def _told(wanted: Object, found: Sequence[str]) -> str:
+    places = f" ({', '.join(path.lstrip('.') for path in found[:_MOST_NAMED])})" if found else ""
+    return (
+        f"{wanted['kind']} {objects.name(wanted)} is changed again and again by somebody else{places}, and put right every {EVERY:.0f} s: "
+        f"find who else writes it (kubectl get --show-managed-fields), such as another installation of Understudy"
+    )
 
 
 def _alike(write: Write) -> str | None:

@@ -5,8 +5,18 @@ from typing import Any
 
 from tests.unit.cluster.memory import MemoryClient
 from understudy.api import names
-from understudy.cluster.client import CONFIG_MAPS, PODS, REPLICA_SETS, WORKLOADS, ApiError, Object
+from understudy.cluster.client import (
+    CONFIG_MAPS,
+    NETWORK_POLICIES,
+    PODS,
+    REPLICA_SETS,
+    WORKLOADS,
+    ApiError,
+    Object,
+    Resource,
+)
 from understudy.controller.affected import Key
+from understudy.controller.contention import AT_ONCE
 from understudy.controller.desired import Apply, Create
 from understudy.controller.executing import Executor
 from understudy.controller.expectations import Expectations
@@ -96,3 +106,50 @@ async def test_a_quota_that_is_used_up_is_asked_once_for_each_pool_and_told_in_t
     assert again == first
     assert "exceeded quota: fleet" in first[0].message
     assert expectations.count(KEY, "hot") == 0
+
+
+class Fought(MemoryClient):
+    """Takes server-side apply for a write of the whole object; somebody else changes each back at once."""
+
+    def __init__(self, store: Store, resource: Resource) -> None:
+        super().__init__()
+        self.store, self.resource, self.applies, self.version = store, resource, 0, 10
+
+    async def request(self, method: str, path: str, *, body: Any = None, **_: Any) -> Any:
+        self.applies += 1
+        return self._next(copy.deepcopy(body))
+
+    def change_back(self) -> None:
+        changed = self._next({**copy.deepcopy(config_map("workload")), "data": {"A": "theirs"}})
+        self.store.put(self.resource, changed)
+
+    def _next(self, item: Object) -> Object:
+        self.version += 1
+        item["metadata"] |= {"uid": "one", "resourceVersion": str(self.version)}
+        return item
+
+
+async def fight(resource: Resource) -> tuple[Fought, list[list[str]]]:
+    store = Store()
+    client = Fought(store, resource)
+    ours = {**config_map("workload"), "data": {"A": "ours"}}
+    working, told = executor(client, store), []
+    for _ in range(20):
+        client.change_back()
+        told.append([problem.message for problem in await working.run(KEY, [Apply(resource, ours)])])
+    return client, told
+
+
+async def test_who_changes_an_object_back_each_time_is_told_of_and_not_fought_for_ever() -> None:
+    client, told = await fight(CONFIG_MAPS)
+    assert client.applies == 1 + AT_ONCE
+    assert told[: 1 + AT_ONCE] == [[]] * (1 + AT_ONCE)
+    (message,) = told[-1]
+    assert "ConfigMap w-robot-env is changed again and again by somebody else (" in message
+    assert "data.A" in message
+
+
+async def test_a_policy_that_holds_standbys_back_is_put_right_each_time_and_that_is_told_as_well() -> None:
+    client, told = await fight(NETWORK_POLICIES)
+    assert client.applies == 20
+    assert "again and again" in told[-1][0]
