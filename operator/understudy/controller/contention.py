@@ -48,3 +48,7 @@ class Contention:
             return
         known.left = max(0.0, min(AT_ONCE, known.left + (now - known.at) / EVERY) - 1)
         known.at = now
+
+    def forget(self, gone: Callable[[Place], bool]) -> None:
+        """Forget objects that aren't there any more."""
+        self._known = {place: known for place, known in self._known.items() if not gone(place)}

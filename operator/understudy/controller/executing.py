@@ -85,6 +85,18 @@ class Executor:
             raise Stale(str(stale)) from stale
         return problems
 
+    def forget(self, key: Key) -> None:
+        """Forget what is known of the objects of one that is gone. Of others whose names begin alike it is found out again."""
+
+        def of_it(place: tuple[str, str, str]) -> bool:
+            return place[1] == key.namespace and (place[2] == key.name or place[2].startswith(f"{key.name}-"))
+
+        for known in (self._settled, self._compared):
+            for place in [place for place in known if of_it(place)]:
+                del known[place]
+        self._contention.forget(of_it)
+        self._expectations.forget(key)
+
     def check(self) -> None:
         """Raise LeadershipLost unless this replica may write now."""
         if not self._may_write():

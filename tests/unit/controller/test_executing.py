@@ -85,6 +85,22 @@ async def test_a_template_that_can_not_be_applied_is_told_and_keeps_nothing_else
     assert (CONFIG_MAPS.plural, "fleet", "w-robot-env") in client.items
 
 
+async def test_of_a_workload_that_is_gone_nothing_is_kept() -> None:
+    # Else an operator that has seen many come and go needs more and more memory.
+    client, store = Applying(), Store()
+    working = executor(client, store)
+    here: list[Any] = []
+    for _ in range(2):
+        await working.run(KEY, [Apply(CONFIG_MAPS, config_map("workload"))])
+        here.append([len(working._settled), len(working._compared)])
+    assert here == [[1, 0], [1, 1]]
+    working.forget(Key(WORKLOADS.plural, "fleet", "another"))
+    working.forget(Key(WORKLOADS.plural, "elsewhere", "w"))
+    assert [len(working._settled), len(working._compared)] == [1, 1]
+    working.forget(KEY)
+    assert [len(working._settled), len(working._compared)] == [0, 0]
+
+
 def standby(name: str, pool: str) -> Create:
     metadata = {"name": name, "namespace": "fleet", "labels": {names.POOL: pool}}
     return Create(PODS, {"apiVersion": "v1", "kind": "Pod", "metadata": metadata}, counted=True)
