@@ -10,6 +10,9 @@ from pydantic import Field
 
 from understudy.api.base import Model
 
+MESSAGE_MOST = 32768
+"""Longest message of a condition, in characters."""
+
 Status = Literal["True", "False", "Unknown"]
 
 Time = Annotated[str, Field(json_schema_extra={"format": "date-time"})]
@@ -27,7 +30,9 @@ class Condition(Model):
         pattern=r"^[A-Za-z]([A-Za-z0-9_,:]*[A-Za-z0-9_])?$",
         description="Reason, one word.",
     )
-    message: str = Field(default="", max_length=32768, description="What was found, and what would put it right.")
+    message: str = Field(
+        default="", max_length=MESSAGE_MOST, description="What was found, and what would put it right."
+    )
     last_transition_time: Time = Field(description="When the status last changed, RFC 3339.")
     observed_generation: int | None = Field(
         default=None, ge=0, description="Generation of the spec that this is about."
@@ -42,13 +47,16 @@ def now() -> str:
 def condition(
     type_: str, status: Status | bool, reason: str, message: str = "", *, generation: int | None = None
 ) -> Condition:
-    """A condition as of now; :func:`merged` keeps the older transition time where the status is the same."""
+    """A condition as of now; :func:`merged` keeps the older transition time where the status is the same.
+
+    The message may be of any length, such as what the API server says of each of a template's fields: its beginning is told.
+    """
     text: Status = status if isinstance(status, str) else ("True" if status else "False")
     return Condition(
         type=type_,
         status=text,
         reason=reason,
-        message=message,
+        message=message if len(message) <= MESSAGE_MOST else f"{message[: MESSAGE_MOST - 1]}…",
         last_transition_time=now(),
         observed_generation=generation,
     )

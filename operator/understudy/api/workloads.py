@@ -26,6 +26,9 @@ from understudy.api.switchovers import Draining, Kind, SwitchoverStatus
 from understudy.api.tasks import Task, TaskStatus
 from understudy.api.templates import pod_template
 
+STOCKED_MOST = 8
+"""Most shared pools that a status names as having a pod for a workload."""
+
 Health = Literal["Unknown", "Starting", "Healthy", "Degraded", "Failed", "Recovering"]
 
 _BYTE = r"(25[0-5]|2[0-4][0-9]|1[0-9][0-9]|[1-9]?[0-9])"
@@ -458,7 +461,7 @@ class RobotWorkloadStatus(Model):
     strategy: str | None = Field(default=None, description="The strategy that would be used if it failed now.")
     stocked: list[str] | None = Field(
         default=None,
-        max_length=8,
+        max_length=STOCKED_MOST,
         description="The shared pools of its policy (Uninitialized) that have a pod which it could claim.",
         json_schema_extra={"x-kubernetes-list-type": "atomic"},
     )

@@ -53,7 +53,15 @@ class ApiError(Exception):
     @property
     def passing(self) -> bool:
         """Whether it says nothing of the request: the server was busy or failed, and may even have carried it out."""
-        return self.status == 429 or self.status >= 500
+        return self.status == 429 or (self.status >= 500 and not self.malformed)
+
+    @property
+    def malformed(self) -> bool:
+        """Whether it refuses to apply an object that isn't of its schema: with a field that isn't known or an entry that is there twice.
+
+        The API server says 500 to that (kubernetes/kubernetes#122480), and will say so for ever.
+        """
+        return self.status == 500 and self.message.startswith("failed to create typed patch object")
 
 
 class Expired(Exception):

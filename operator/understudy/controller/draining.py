@@ -28,7 +28,7 @@ def seen(observed: Observed) -> Drain | None:
         return None
     told, uid, now = observed.told, objects.uid(active), round(observed.now, 3)
     present = told.drain if told is not None else None
-    since = present.since if present is not None and (present.uid, present.node) == (uid, node) else now
+    since = min(present.since, now) if present is not None and (present.uid, present.node) == (uid, node) else now
     return Drain(uid=uid, node=node, since=since, cordoned=sorted(cordoned))
 
 

@@ -8,10 +8,11 @@ from collections.abc import Callable, Sequence
 from understudy.api import names
 from understudy.cluster import applying
 from understudy.cluster.applying import Taken
-from understudy.cluster.client import PODS, REPLICA_SETS, ApiError, Client, Object, Resource
+from understudy.cluster.client import NETWORK_POLICIES, PODS, REPLICA_SETS, ApiError, Client, Object, Resource
 from understudy.cluster.leases import LeadershipLost
 from understudy.controller import metrics, objects
 from understudy.controller.affected import Key
+from understudy.controller.contention import EVERY, Contention
 from understudy.controller.desired import Apply, Create, Delete, Patch, Problem, Write
 from understudy.controller.expectations import Expectations
 from understudy.controller.stores import Store
@@ -20,12 +21,18 @@ _logger = logging.getLogger(__name__)
 
 MANAGER = "understudy-operator"
 
+_MOST_NAMED = 3
+
 RESIZE = "resize"
 """The subresource of pods by which they are resized in place (KEP-1287)."""
 
 
 class Stale(Exception):
     """Something has changed since it was read: look again."""
+
+
+class Contended(Exception):
+    """Somebody else changes an object back each time that it is put right."""
 
 
 class Ending(Exception):
@@ -42,6 +49,7 @@ class Executor:
         self._settled: dict[tuple[str, str, str], tuple[str, frozenset[str]]] = {}
         self._compared: dict[tuple[str, str, str], int] = {}
         """Which version of an object was found to be as wanted, and as what: hashes, since a fleet has many objects."""
+        self._contention = Contention()
 
     async def run(self, key: Key, writes: Sequence[Write]) -> list[Problem]:
         """Make the writes; what the API server refuses for good is returned, and the others are still made.
@@ -51,12 +59,17 @@ class Executor:
         """
         problems: list[Problem] = []
         stale: ApiError | None = None
+        refused_alike: set[str] = set()
         for write in writes:
             self.check()
+            if (alike := _alike(write)) in refused_alike:
+                continue
             try:
                 await self._one(key, write)
             except Taken as taken:
                 problems.append(Problem("NameTaken", str(taken)))
+            except Contended as contended:
+                problems.append(Problem("Contended", str(contended)))
             except ApiError as error:
                 if error.status == 403 and "being terminated" in error.message:
                     raise Ending from error
@@ -66,9 +79,23 @@ class Executor:
                 if error.passing:
                     raise
                 problems.append(refused(write, error))
+                if alike is not None:
+                    refused_alike.add(alike)
         if stale is not None:
             raise Stale(str(stale)) from stale
         return problems
+
+    def forget(self, key: Key) -> None:
+        """Forget what is known of the objects of one that is gone. Of others whose names begin alike it is found out again."""
+
+        def of_it(place: tuple[str, str, str]) -> bool:
+            return place[1] == key.namespace and (place[2] == key.name or place[2].startswith(f"{key.name}-"))
+
+        for known in (self._settled, self._compared):
+            for place in [place for place in known if of_it(place)]:
+                del known[place]
+        self._contention.forget(of_it)
+        self._expectations.forget(key)
 
     def check(self) -> None:
         """Raise LeadershipLost unless this replica may write now."""
@@ -96,6 +123,12 @@ class Executor:
             live = None  # a namespace that was made anew has the same names: establish() looks at what is there now
         if live is not None and self._is_so(place, live, wanted):
             return
+        stamp = wanted["metadata"]["annotations"][applying.APPLIED]
+        contended = live is not None and self._contention.wait(place, stamp)
+        if (
+            contended and resource.plural != NETWORK_POLICIES.plural
+        ):  # by which standbys are held back: never left as it is
+            raise Contended(_told(wanted, applying.differences(live, wanted)))
         metrics.WRITES.labels(resource.plural, "apply").inc()
         try:
             if live is None:
@@ -111,7 +144,11 @@ class Executor:
         self._store.put(resource, made)
         # what the server wrote differently (100m for 0.1) isn't a difference to be repaired for ever
         self._settled[place] = (made["metadata"]["uid"], frozenset(applying.differences(made, wanted)))
+        if live is not None:
+            self._contention.written(place, stamp)
         _logger.info("applied %s %s/%s", resource.plural, key.namespace, objects.name(body))
+        if contended:
+            raise Contended(_told(wanted, applying.differences(live, wanted)))
 
     def _is_so(self, place: tuple[str, str, str], live: Object, wanted: Object) -> bool:
         stamp = wanted["metadata"]["annotations"][applying.APPLIED]
@@ -160,6 +197,19 @@ class Executor:
         _logger.info("patched %s %s/%s", resource.plural, metadata["namespace"], metadata["name"])
 
 
+def _told(wanted: Object, found: Sequence[str]) -> str:
+    places = f" ({', '.join(path.lstrip('.') for path in found[:_MOST_NAMED])})" if found else ""
+    return (
+        f"{wanted['kind']} {objects.name(wanted)} is changed again and again by somebody else{places}, and put right every {EVERY:.0f} s: "
+        f"find who else writes it (kubectl get --show-managed-fields), such as another installation of Understudy"
+    )
+
+
+def _alike(write: Write) -> str | None:
+    """The pool of which a write makes one of many pods: what is said of one holds for the others too. None for any other write."""
+    return objects.labels(write.body).get(names.POOL, "") if isinstance(write, Create) and write.counted else None
+
+
 def _gone(write: Write) -> bool:
     """Whether what isn't found is the object: an older API server may lack the subresource, for good."""
     return isinstance(write, Patch) and write.subresource != RESIZE
@@ -169,6 +219,11 @@ def refused(write: Write, error: ApiError) -> Problem:
     """What the API server says of a write that it won't take."""
     item = write.item if isinstance(write, Patch | Delete) else write.body
     made_of_template = write.resource.plural in (PODS.plural, REPLICA_SETS.plural)
-    reason = "TemplateInvalid" if made_of_template and error.status in (400, 422) else error.reason or "Refused"
-    kind = item.get("kind") or write.resource.plural
-    return Problem(reason, f"{kind} {objects.name(item)}: {error.message}")
+    invalid = made_of_template and (error.status in (400, 422) or error.malformed)
+    reason = "TemplateInvalid" if invalid else error.reason or "Refused"
+    kind, name, words = item.get("kind") or write.resource.plural, objects.name(item), error.message
+    if _alike(write) is not None:
+        # Each try has another name. Told with it, every try would be news, and that news is looked at by trying again.
+        stem = f"{name.rpartition('-')[0]}-*"
+        name, words = stem, words.replace(name, stem)
+    return Problem(reason, f"{kind} {name}: {words}")

@@ -38,3 +38,7 @@ class Expectations:
         for name in [name for name, since in known.items() if now - since >= LASTS or observed(name)]:
             del known[name]
         return len(known)
+
+    def forget(self, key: Key) -> None:
+        """Nothing is expected any more of one that is gone."""
+        self._names = defaultdict(dict, {place: known for place, known in self._names.items() if place[0] != key})

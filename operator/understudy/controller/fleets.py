@@ -52,7 +52,7 @@ def change(
     ``kept`` pods (the active one) count at any template and are never deleted. Pods of an old template go only as
     far as ready ones of the present one have come, which is make before break, unless ``update`` says otherwise. So do
     those that are ``moving``, since their node is about to go: they are replaced elsewhere first. With
-    ``hold`` (a recovery is under way, which may be about to use any of them) nothing is deleted.
+    ``hold`` (a recovery is under way, which may be about to use any of them) none is deleted that may still run.
     """
     ended = [pod for pod in pods if objects.ended(pod) and not kept(pod)]
     resting = [pod for pod in ended if now - objects.created(pod) < REST_SECONDS]
@@ -68,7 +68,8 @@ def change(
     surplus = max(0, len(leaving) - want)
     create = max(0, want - surplus - len(present) - len(resting) - expected)
     if hold:
-        return Change(create=create, again_after=again)
+        # Only the last one that ended may mean something to it. The others' places are filled, so that they'd be more and more.
+        return Change(create=create, delete=sorted(over, key=objects.sort_key)[:-1], again_after=again)
     delete = over
     free = sorted(
         (pod for pod in present if not kept(pod)),

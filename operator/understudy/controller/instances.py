@@ -15,7 +15,7 @@ from understudy.api import fencing, holding, names
 from understudy.cluster import claims
 from understudy.cluster.applying import digest
 from understudy.cluster.client import Object
-from understudy.controller import objects, robots
+from understudy.controller import objects, robots, shapes
 from understudy.controller.desired import Images, pull_secrets
 
 AGENT_REQUESTS = {"cpu": "20m", "memory": "64Mi"}
@@ -92,6 +92,8 @@ def problem(template: Mapping[str, Any], *, held: bool, path: str) -> str | None
 
     ``path`` is where the template stands, such as ``spec.template``.
     """
+    if words := shapes.problem(template, path):
+        return words
     spec = template.get("spec") or {}
     if spec.get("hostNetwork"):
         return (
@@ -244,9 +246,9 @@ def literal_environment(template: Mapping[str, Any], ros: Mapping[str, str]) -> 
         container["name"]: {
             **ros,
             **{
-                entry["name"]: entry.get("value", "")
+                entry["name"]: entry.get("value") or ""
                 for entry in container.get("env") or []
-                if "valueFrom" not in entry and "$(" not in entry.get("value", "")
+                if not entry.get("valueFrom") and "$(" not in (entry.get("value") or "")
             },
         }
         for container in (template.get("spec") or {}).get("containers") or []

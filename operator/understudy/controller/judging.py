@@ -14,6 +14,8 @@ from understudy.controller.executing import Ending
 FORGET_REFUSAL = 30.0
 """Seconds after which a refusal is asked about again: a quota, an account or an admission rule may have changed."""
 _REMEMBERED_MOST = 2048
+_NO_ROOM = "exceeded quota"
+"""What is said of a pod for which a ResourceQuota has no room left. That says nothing of its template."""
 _POD_SECURITY = "violates PodSecurity"
 _ADVICE = (
     ". Set that in it, or have another level enforced in the namespace: Understudy's own containers are within any. "
@@ -44,8 +46,8 @@ class Judge:
         except ApiError as error:
             if error.status == 403 and "being terminated" in error.message:
                 raise Ending from error
-            if error.status == 409:  # there is a pod of that name: it passed
-                found = None
+            if error.status == 409 or (error.status == 403 and _NO_ROOM in error.message):
+                found = None  # There is a pod of that name, or no room for another now, which is asked last: it passed.
             elif error.status in (400, 403, 422):
                 advice = _ADVICE if _POD_SECURITY in error.message else ""
                 words = f"{path}: the API server refuses a pod made from it: {error.message}{advice}"

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from understudy.api import names
 from understudy.api.conditions import Condition, condition
 from understudy.api.policies import Strategy
+from understudy.api.workloads import STOCKED_MOST
 from understudy.cluster.client import Object
 from understudy.controller import inforce, levels, nodes, objects, policies, pools, poolsizes, standbys, troubles
 from understudy.controller.observed import WAITING, Observed
@@ -73,7 +74,9 @@ def considered(observed: Observed, understanding: Understanding) -> list[tuple[S
 
 
 def stocked(observed: Observed, understanding: Understanding) -> Object:
-    """The shared pools that it could claim from. Its monitor goes by this until it needs a pod, and asks only then."""
+    """The shared pools that it could claim from, the first ones of an order that was chosen among many. Its monitor goes by this until it
+    needs a pod, and asks only then.
+    """
     shared = [p for p in observed.pools if policies.readiness(observed.pools[p]) == "Uninitialized"]
     found = [
         strategy.pool_ref.name
@@ -81,7 +84,7 @@ def stocked(observed: Observed, understanding: Understanding) -> Object:
         if strategy.pool_ref is not None and strategy.pool_ref.name in shared
         if _means(observed, understanding, strategy).available
     ]
-    return {"stocked": found} if found else {}
+    return {"stocked": found[:STOCKED_MOST]} if found else {}
 
 
 def standby(observed: Observed, understanding: Understanding) -> str:

@@ -116,6 +116,8 @@ class Reconciler:
             if key.plural == POOLS.plural:
                 self._measure(key, None)
                 self._counted.pop(key, None)
+                if item is None:
+                    self._executor.forget(key)
             if key.plural == POLICIES.plural:
                 metrics.storm(key.namespace, key.name, None)
             return None
@@ -127,6 +129,8 @@ class Reconciler:
         if item is None or objects.deleted(item):
             pods = self._store.labelled(PODS, key.namespace, names.WORKLOAD, key.name)
             await self._executor.run(key, workloads.abandoned(key.name, pods).writes)
+            if item is None:
+                self._executor.forget(key)
             return None
         observed = await self._observer.workload(item)
         understanding = understand(observed, self._images)

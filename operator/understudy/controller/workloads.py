@@ -58,7 +58,9 @@ def plan(observed: Observed, understanding: Understanding, images: Images, fresh
     workload, spec = observed.workload, understanding.spec
     if objects.deleted(workload):
         return made
-    made.writes += references.labelling(objects.name(workload), observed.pods, observed.reference)
+    if not observed.rivals:
+        # Else both would put their labels on the same pods, by turns, and shut out who drives each time.
+        made.writes += references.labelling(objects.name(workload), observed.pods, observed.reference)
     if understanding.problem is not None or spec is None:
         return made
     _discover(made, observed, spec, images)

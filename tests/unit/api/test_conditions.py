@@ -7,7 +7,7 @@ import re
 import pytest
 from pydantic import ValidationError
 
-from understudy.api.conditions import Condition, condition, merged, now
+from understudy.api.conditions import MESSAGE_MOST, Condition, condition, merged, now
 
 LONG_AGO = "2020-01-01T00:00:00Z"
 
@@ -68,3 +68,10 @@ def test_on_the_wire() -> None:
         "lastTransitionTime": LONG_AGO,
         "observedGeneration": 1,
     }
+
+
+def test_of_words_that_are_too_long_the_beginning_is_told() -> None:
+    found = condition("Reconciled", False, "Refused", "It is refused: " + "x" * 100_000)
+    assert len(found.message) == MESSAGE_MOST
+    assert found.message.startswith("It is refused: x")
+    assert found.message.endswith("…")

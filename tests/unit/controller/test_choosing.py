@@ -23,6 +23,7 @@ from tests.unit.controller.world import (
 )
 from understudy.api import names
 from understudy.api.settings import WorkloadSettings
+from understudy.api.workloads import RobotWorkloadStatus
 from understudy.cluster.client import PODS, POLICIES, POOLS, WORKLOADS, Object
 from understudy.controller import affected, policies, pools
 from understudy.controller.desired import Plan
@@ -250,3 +251,14 @@ def test_another_order_may_mean_other_numbers_for_each_pool() -> None:
     for old, new, expected in ((before, after, {"hot", "warm", "spare"}), (before, before, set())):
         found = affected.keys(Sight(WORKLOADS, old, new), store)
         assert {key.name for key in found if key.plural == "fallbackpools"} == expected
+
+
+def test_of_many_pools_that_could_give_a_pod_the_first_are_told() -> None:
+    # More of them than a status may have would be refused, and with them all that it says.
+    many = [spare(f"spare-{n:02}") for n in range(12)]
+    world = World(workload(), auto(), *many)
+    world.unclaimed = {pool["metadata"]["name"]: [held_pod(f"h-{n}", of=pool)] for n, pool in enumerate(many)}
+    world.build()
+    found = world.status()
+    assert found["stocked"] == [f"spare-{n:02}" for n in range(8)]
+    RobotWorkloadStatus.model_validate(found)

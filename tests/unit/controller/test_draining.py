@@ -243,3 +243,16 @@ def test_a_pod_that_is_started_for_a_switchover_beside_the_one_that_drives_is_le
     assert "w" not in patched(made.plan(), "replicasets"), "such as for a drain, for which nobody asks"
     made.workload["status"] = {"switchover": {"handled": asked, "phase": "NotDone"}}
     assert patched(made.plan(), "replicasets")["w"] == {"spec": {"replicas": 0}}, "it came to nothing"
+
+
+def test_evictions_wait_no_longer_for_a_clock_that_was_put_back() -> None:
+    # What was begun is then of tomorrow, and would end a day later than it should.
+    made = world(draining={"holdFor": "60s"})
+    made.cordoned = frozenset({"node-1"})
+    made.now = NOW + 86400
+    made.build()
+    made.now = NOW
+    made.build()
+    assert (told(made) or Drain(uid="", node="", since=0, cordoned=[])).since == NOW
+    made.now = NOW + 61
+    assert (condition(made) or {})["reason"] == "HoldEnded"

@@ -4,9 +4,20 @@ import copy
 from typing import Any
 
 from tests.unit.cluster.memory import MemoryClient
-from understudy.cluster.client import CONFIG_MAPS, WORKLOADS, Object
+from understudy.api import names
+from understudy.cluster.client import (
+    CONFIG_MAPS,
+    NETWORK_POLICIES,
+    PODS,
+    REPLICA_SETS,
+    WORKLOADS,
+    ApiError,
+    Object,
+    Resource,
+)
 from understudy.controller.affected import Key
-from understudy.controller.desired import Apply
+from understudy.controller.contention import AT_ONCE
+from understudy.controller.desired import Apply, Create
 from understudy.controller.executing import Executor
 from understudy.controller.expectations import Expectations
 from understudy.controller.stores import Store
@@ -53,3 +64,108 @@ async def test_an_object_that_really_is_somebody_elses_is_left_alone() -> None:
     (problem,) = await executor(client, store).run(KEY, [Apply(CONFIG_MAPS, config_map("workload"))])
     assert problem.reason == "NameTaken"
     assert [method for method, _, _ in client.requests] == ["GET"]
+
+
+async def test_a_template_that_can_not_be_applied_is_told_and_keeps_nothing_else_from_being_made() -> None:
+    # As Kubernetes answers to a field that it doesn't know: with 500, as though it might be otherwise the next time.
+    words = "failed to create typed patch object (fleet/w; apps/v1, Kind=ReplicaSet): .spec.nodeNane: field not declared in schema"
+
+    class Strict(Applying):
+        async def request(self, method: str, path: str, *, body: Any = None, **more: Any) -> Any:
+            if "/replicasets/" in path:
+                raise ApiError(500, "Error", words)
+            return await super().request(method, path, body=body, **more)
+
+    client = Strict()
+    replica_set = {**config_map("workload"), "kind": "ReplicaSet", "metadata": {"name": "w", "namespace": "fleet"}}
+    writes = [Apply(REPLICA_SETS, replica_set), Apply(CONFIG_MAPS, config_map("workload"))]
+    (problem,) = await executor(client, Store()).run(KEY, writes)
+    assert problem.reason == "TemplateInvalid"
+    assert ".spec.nodeNane: field not declared" in problem.message
+    assert (CONFIG_MAPS.plural, "fleet", "w-robot-env") in client.items
+
+
+async def test_of_a_workload_that_is_gone_nothing_is_kept() -> None:
+    # Else an operator that has seen many come and go needs more and more memory.
+    client, store = Applying(), Store()
+    working = executor(client, store)
+    here: list[Any] = []
+    for _ in range(2):
+        await working.run(KEY, [Apply(CONFIG_MAPS, config_map("workload"))])
+        here.append([len(working._settled), len(working._compared)])
+    assert here == [[1, 0], [1, 1]]
+    working.forget(Key(WORKLOADS.plural, "fleet", "another"))
+    working.forget(Key(WORKLOADS.plural, "elsewhere", "w"))
+    assert [len(working._settled), len(working._compared)] == [1, 1]
+    working.forget(KEY)
+    assert [len(working._settled), len(working._compared)] == [0, 0]
+
+
+def standby(name: str, pool: str) -> Create:
+    metadata = {"name": name, "namespace": "fleet", "labels": {names.POOL: pool}}
+    return Create(PODS, {"apiVersion": "v1", "kind": "Pod", "metadata": metadata}, counted=True)
+
+
+async def test_a_quota_that_is_used_up_is_asked_once_for_each_pool_and_told_in_the_same_words_each_time() -> None:
+    # Words with the names of pods that were never made would be another status each time, and each is looked at again at once.
+    client = MemoryClient()
+    client.failing = lambda method, name: ApiError(
+        403,
+        "Forbidden",
+        f'pods "{name}" is forbidden: exceeded quota: fleet, requested: pods=1, used: pods=9, limited: pods=9',
+    )
+    expectations = Expectations()
+    tried = Executor(client, Store(), expectations, may_write=lambda: True)
+    first = await tried.run(KEY, [standby(f"w-{n}{n}{n}", pool) for pool in ("hot", "warm") for n in range(100)])
+    assert len(first) == len(client.requests) == 2
+    again = await tried.run(KEY, [standby(f"w-{n}{n}x", pool) for pool in ("hot", "warm") for n in range(100)])
+    assert again == first
+    assert "exceeded quota: fleet" in first[0].message
+    assert expectations.count(KEY, "hot") == 0
+
+
+class Fought(MemoryClient):
+    """Takes server-side apply for a write of the whole object; somebody else changes each back at once."""
+
+    def __init__(self, store: Store, resource: Resource) -> None:
+        super().__init__()
+        self.store, self.resource, self.applies, self.version = store, resource, 0, 10
+
+    async def request(self, method: str, path: str, *, body: Any = None, **_: Any) -> Any:
+        self.applies += 1
+        return self._next(copy.deepcopy(body))
+
+    def change_back(self) -> None:
+        changed = self._next({**copy.deepcopy(config_map("workload")), "data": {"A": "theirs"}})
+        self.store.put(self.resource, changed)
+
+    def _next(self, item: Object) -> Object:
+        self.version += 1
+        item["metadata"] |= {"uid": "one", "resourceVersion": str(self.version)}
+        return item
+
+
+async def fight(resource: Resource) -> tuple[Fought, list[list[str]]]:
+    store = Store()
+    client = Fought(store, resource)
+    ours = {**config_map("workload"), "data": {"A": "ours"}}
+    working, told = executor(client, store), []
+    for _ in range(20):
+        client.change_back()
+        told.append([problem.message for problem in await working.run(KEY, [Apply(resource, ours)])])
+    return client, told
+
+
+async def test_who_changes_an_object_back_each_time_is_told_of_and_not_fought_for_ever() -> None:
+    client, told = await fight(CONFIG_MAPS)
+    assert client.applies == 1 + AT_ONCE
+    assert told[: 1 + AT_ONCE] == [[]] * (1 + AT_ONCE)
+    (message,) = told[-1]
+    assert "ConfigMap w-robot-env is changed again and again by somebody else (" in message
+    assert "data.A" in message
+
+
+async def test_a_policy_that_holds_standbys_back_is_put_right_each_time_and_that_is_told_as_well() -> None:
+    client, told = await fight(NETWORK_POLICIES)
+    assert client.applies == 20
+    assert "again and again" in told[-1][0]

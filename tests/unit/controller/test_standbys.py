@@ -52,6 +52,17 @@ class TestStandbys:
         world.own(gate(world.workload, active=active, epoch=2))
         assert not deleted(world.plan())
 
+    def test_those_that_end_in_a_recovery_that_lasts_do_not_become_more_and_more(self) -> None:
+        # Evicted ones, of a robot that was switched off: for each that has ended there is another.
+        world = World(workload(), policy("hot"), hot())
+        ended = [standby_pod(f"w-{n}", of=world.workload, phase="Failed", age=1000.0 - n) for n in range(5)]
+        waiting = standby_pod("w-s", of=world.workload, template_hash="old")
+        world.pods = [*ended, waiting]
+        world.own(gate(world.workload, epoch=2))
+        plan = world.plan()
+        assert deleted(plan) == ["w-0", "w-1", "w-2", "w-3"]
+        assert len(created(plan, "pods")) == 1
+
     def test_an_old_one_goes_only_after_its_replacement_is_ready(self) -> None:
         world = World(workload(), policy("hot"), hot())
         active, old = source_pod("w-a"), standby_pod("w-old", of=world.workload, template_hash="old")

@@ -335,6 +335,17 @@ class TestReference:
         assert "nav2" in world.condition("Accepted")["message"]
         assert not created(world.plan(), "pods")
 
+    def test_a_second_workload_leaves_the_pods_of_the_first_one_alone(self) -> None:
+        # With the label of another workload the pod that drives is behind no gate that is open.
+        labels = {"app": "nav", "robot": "17", names.WORKLOAD: "older", names.INSTANCE: "nav2-abc"}
+        world = self.world(Referred(self.deployment(), [pod("nav2-abc", labels=labels)]))
+        world.rivals = ["older"]
+        assert not patched(world.plan(), "pods")
+        mistaken = pod("nav2-abc", labels={**labels, names.WORKLOAD: "w"})
+        world.pods = [mistaken]
+        world.reference = Referred(self.deployment(), [mistaken])
+        assert not patched(world.plan(), "pods")
+
 
 def test_a_workload_on_its_way_out_gets_nothing_new() -> None:
     world = World(workload(), policy("hot"), hot())

@@ -1,0 +1,82 @@
+"""Whether a pod template has the shape of one, as far as it is read here.
+
+The API server keeps a template of ours as it was written, and judges it only by the pods that are made from it. Until then a list may be
+a text, and a text a number.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+_LISTS = ("containers", "initContainers", "volumes", "tolerations", "imagePullSecrets", "topologySpreadConstraints")
+_CONTAINER_LISTS = ("env", "ports", "volumeMounts")
+_PREFERRED = "preferredDuringSchedulingIgnoredDuringExecution"
+
+
+def problem(template: Mapping[str, Any], path: str) -> str | None:
+    """What first isn't as Kubernetes has it, with where it stands under ``path``; None where all is."""
+    return next(_problems(template.get("spec") or {}, f"{path}.spec"), None)
+
+
+def _problems(spec: Mapping[str, Any], at: str) -> Iterator[str]:
+    for key in _LISTS:
+        yield from _objects(spec.get(key), f"{at}.{key}")
+    for index, container in enumerate(spec.get("containers") or []):
+        yield from _container(container, f"{at}.containers[{index}]")
+    yield from _object(spec.get("affinity"), f"{at}.affinity")
+    apart = (spec.get("affinity") or {}).get("podAntiAffinity")
+    yield from _object(apart, f"{at}.affinity.podAntiAffinity")
+    yield from _objects((apart or {}).get(_PREFERRED), f"{at}.affinity.podAntiAffinity.{_PREFERRED}")
+
+
+def _container(container: Mapping[str, Any], at: str) -> Iterator[str]:
+    for key in _CONTAINER_LISTS:
+        yield from _objects(container.get(key), f"{at}.{key}")
+    for key in ("command", "args"):
+        yield from _list(container.get(key), f"{at}.{key}")
+        for index, part in enumerate(container.get(key) or []):
+            yield from _text(part, f"{at}.{key}[{index}]")
+    for index, entry in enumerate(container.get("env") or []):
+        yield from _text(entry.get("name"), f"{at}.env[{index}].name")
+        if entry.get("value") is not None:  # without one it is empty
+            yield from _text(entry["value"], f"{at}.env[{index}].value")
+    yield from _object(container.get("lifecycle"), f"{at}.lifecycle")
+
+
+def _objects(found: Any, at: str) -> Iterator[str]:
+    yield from _list(found, at)
+    for index, item in enumerate(found or []):
+        if not isinstance(item, dict):
+            yield f"{at}[{index}] must be an object, and is {_shown(item)}"
+
+
+def _list(found: Any, at: str) -> Iterator[str]:
+    if found is not None and not isinstance(found, list):
+        yield f"{at} must be a list, and is {_shown(found)}"
+
+
+def _object(found: Any, at: str) -> Iterator[str]:
+    if found is not None and not isinstance(found, dict):
+        yield f"{at} must be an object, and is {_shown(found)}"
+
+
+def _text(found: Any, at: str) -> Iterator[str]:
+    if not isinstance(found, str):
+        advice = ": put it in quotes" if isinstance(found, int | float) else ""
+        yield f"{at} must be a text, and is {_shown(found)}{advice}"
+
+
+def _shown(found: Any) -> str:
+    match found:
+        case None:
+            return "missing"
+        case dict():
+            return "an object"
+        case list():
+            return "a list"
+        case bool():
+            return str(found).lower()
+        case str():
+            return "a text"
+    return str(found)

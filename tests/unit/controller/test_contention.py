@@ -1,0 +1,48 @@
+"""Repairs are made at once while they are few, and are made again once they have become rare."""
+
+from __future__ import annotations
+
+from understudy.controller.contention import AT_ONCE, EVERY, Contention
+
+PLACE = ("deployments", "fleet", "w-monitor")
+
+
+class Clock:
+    now = 1000.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def contended(clock: Clock) -> Contention:
+    made = Contention(clock=clock)
+    for _ in range(1 + AT_ONCE):
+        assert not made.wait(PLACE, "a")
+        made.written(PLACE, "a")
+    return made
+
+
+def test_one_is_made_after_each_rest() -> None:
+    clock = Clock()
+    made = contended(clock)
+    assert made.wait(PLACE, "a")
+    clock.now += EVERY
+    assert not made.wait(PLACE, "a")
+    made.written(PLACE, "a")
+    assert made.wait(PLACE, "a")
+
+
+def test_what_is_to_be_otherwise_now_does_not_wait() -> None:
+    made = contended(Clock())
+    assert not made.wait(PLACE, "b")
+    made.written(PLACE, "b")
+    assert not made.wait(PLACE, "b")
+
+
+def test_repairs_that_are_rare_never_wait() -> None:
+    clock = Clock()
+    made = contended(clock)
+    for _ in range(10):
+        clock.now += 2 * AT_ONCE * EVERY
+        assert not made.wait(PLACE, "a")
+        made.written(PLACE, "a")

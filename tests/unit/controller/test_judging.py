@@ -1,0 +1,39 @@
+"""What the API server says of a template, and what it says of something else."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.unit.cluster.memory import MemoryClient
+from understudy.api import names
+from understudy.cluster.client import ApiError, Object
+from understudy.controller.judging import Judge
+
+POD: Object = {"metadata": {"name": "w-check", "namespace": "fleet", "labels": {names.TEMPLATE_HASH: "abc"}}}
+
+
+def refusing(words: str) -> MemoryClient:
+    client = MemoryClient()
+    client.failing = lambda method, name: ApiError(403, "Forbidden", f'pods "{name}" is forbidden: {words}')
+    return client
+
+
+async def test_a_quota_without_room_is_no_fault_of_the_template() -> None:
+    # Else a namespace whose quota is just right would be left as it is by each new leader.
+    client = refusing("exceeded quota: fleet, requested: pods=1, used: pods=9, limited: pods=9")
+    assert await Judge(client).judge(POD, "spec.template") is None
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "failed quota: fleet: must specify limits.cpu for: app",
+        'violates PodSecurity "restricted:latest"',
+        "no admission",
+    ],
+)
+async def test_what_a_template_lacks_is_told(words: str) -> None:
+    found = await Judge(refusing(words)).judge(POD, "spec.template")
+    assert found is not None
+    assert found.reason == "TemplateInvalid"
+    assert words in found.message
