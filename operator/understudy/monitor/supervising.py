@@ -5,6 +5,7 @@ When it looks is decided in looking.py.
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import time
 from collections.abc import Callable
@@ -346,7 +347,18 @@ class Supervisor:
 
     def _save(self, progress: Progress) -> None:
         self._crash_points.step("before save")
-        self._journal.save(progress)
+        try:
+            self._journal.save(progress)
+        except OSError as error:
+            # A full volume costs what a new monitor would know, and never the robot its recovery. What is beside the gate is newer
+            # than what was saved before.
+            _logger.error("recovery %s would not outlast a restart: %s", progress.id, error)
+            self._forget()
+
+    def _forget(self) -> None:
+        """What was saved isn't to be gone on with."""
+        with contextlib.suppress(OSError):
+            self._journal.clear()
 
     def _get_ready(self, policy: FailurePolicySpec) -> None:
         """A recovery that an earlier monitor had begun comes before the first look."""
