@@ -130,6 +130,7 @@ class Supervisor:
             holding,
             aftermath,
             self._get_ready,
+            self._forget,
         )
 
     @property

@@ -235,11 +235,15 @@ async def test_whoever_opens_the_gate_meanwhile_is_right(world: World) -> None:
 @pytest.mark.parametrize(
     ("error", "reason"), [(ApiError(403, "Forbidden", "no"), "Error"), (Superseded("another"), "Superseded")]
 )
-async def test_a_fence_that_fails_is_tried_again(world: World, error: Exception, reason: str) -> None:
+async def test_a_fence_that_fails_is_tried_again_as_another_recovery(
+    world: World, tmp_path: Path, error: Exception, reason: str
+) -> None:
     world.spend()
     world.gate.refuses = error
+    world.watching._journal = Journal(tmp_path / "recovery.json")
     assert not await world.allowed(failure())
     assert world.told.conditions["Recovering"][1] == reason
+    assert world.watching._journal.load() is None, "a new monitor would fence who may be well by then"
 
 
 async def test_a_pause_ends_the_safe_commands_of_what_is_held_and_goes_before_the_budget(world: World) -> None:
