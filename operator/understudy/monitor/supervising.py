@@ -231,8 +231,8 @@ class Supervisor:
                 self._reflexes.guard()
                 if (again := self._reflexes.next_look(time.time())) is not None:
                     next_look = min(next_look, again)
-            if now >= self._next_slow:
-                self._next_slow = now + SLOW
+            if (clock := time.monotonic()) >= self._next_slow:  # which isn't set, as the other one may be
+                self._next_slow = clock + SLOW
                 self._housekeeping()
             await self._looks.until(next_look)
 
