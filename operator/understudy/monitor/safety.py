@@ -91,7 +91,8 @@ class SafeCommands:
             try:
                 type_name = _type(command.topic, outputs, reflex=spec.gate.reflex is not None)
                 commander = Commander(self._graph, command.topic, type_name, command.message)
-            except (TypeNotInstalled, MessageError, _Unusable) as error:
+            # The last of these is rclpy's: one process has a topic as one type, and the tree may watch it as another.
+            except (TypeNotInstalled, MessageError, _Unusable, RuntimeError) as error:
                 _logger.error("the safe command for %s can't be given: %s", command.topic, error)
                 self.problems.append(f"FailurePolicy: spec.safety.commands[{index}]: {error}.")
                 continue

@@ -174,6 +174,17 @@ async def test_what_can_not_be_told_is_a_problem_and_the_rest_is(
     assert safe.sent == 0
 
 
+async def test_a_topic_that_is_watched_as_another_type_is_a_problem_and_the_monitor_goes_on(
+    graphs: tuple[Any, Any],
+) -> None:
+    watched = graphs[0].subscribe("/cmd_vel", "geometry_msgs/msg/TwistStamped", depth=1)
+    safe = SafeCommands(graphs[0], lambda: 1.0)
+    safe.follow(safety({"topic": "/cmd_vel"}), spec())
+    (problem,) = safe.problems
+    assert problem.startswith("FailurePolicy: spec.safety.commands[0]: ")
+    graphs[0].unsubscribe(watched)
+
+
 class Publisher:
     """In place of one of DDS."""
 

@@ -97,7 +97,8 @@ async def test_an_instance_that_is_let_through_ends_the_wait_too(tmp_path: Path)
 
 
 @pytest.mark.parametrize(
-    "error", [ApiError(429, "TooManyRequests", "later"), ApiError(500, "Error", "etcd"), OSError("reset"), TimeoutError()]
+    "error",
+    [ApiError(429, "TooManyRequests", "later"), ApiError(500, "Error", "etcd"), OSError("reset"), TimeoutError()],
 )
 async def test_a_pod_whose_labels_can_not_be_written_for_a_moment_is_let_through_all_the_same(
     tmp_path: Path, error: Exception
