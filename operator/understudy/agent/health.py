@@ -215,7 +215,9 @@ class Health:
         tree.leave_out(watching.unwatchable)
         if tree.root is None:
             return Verdict("Failed", "; ".join(watching.problems), "", None)
-        return tree.evaluate(self._own, now=time.time(), since=self._also_since)
+        now = time.time()
+        self._also_since = min(self._also_since, now)  # the clock may have been set back
+        return tree.evaluate(self._own, now=now, since=self._also_since)
 
     def _follow(self) -> None:
         """Watch what the plan and all other trees need."""
@@ -279,6 +281,8 @@ class Health:
             watching.drain()
             plan.tree.leave_out(watching.unwatchable)
             now = time.time()
+            if self._since > now:  # the clock was set back: until then nothing would count
+                self._since, self._keep_ready = now, self.judgement.ready
             self._judge(graph, watching, host, plan, own, now)
             young = self.judgement.ready_at is None and time.monotonic() - joined < STARTING_FOR
             rest = STARTING_PERIOD if young else PERIOD

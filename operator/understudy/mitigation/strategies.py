@@ -383,7 +383,13 @@ class UninitializedFallback(Strategy):
             return claimed
         means.save(progress)  # the claim bears its id: found again by whoever goes on
         # Both are waited for, whatever becomes of the claim: who commits next must know of the gate's closing.
-        _, target = await asyncio.gather(_close(progress, means), self._claim(progress, means))
+        closing, target = await asyncio.gather(
+            _close(progress, means), self._claim(progress, means), return_exceptions=True
+        )
+        if isinstance(closing, BaseException):
+            raise closing
+        if isinstance(target, BaseException):
+            raise target
         if target is None:
             raise Overtaken(f"every ready pod of pool {self.pool} was claimed by another workload first")
         return target

@@ -180,7 +180,7 @@ class Dependencies:
         """By when to look again at a failure that isn't acted on yet; None where it is to be acted on."""
         if not self._watched:
             return None
-        noticed = self._noticed if self._noticed is not None else now
+        noticed = min(self._noticed, now) if self._noticed is not None else now
         reason = self._reason = self._reason or reason
         found = held(onset, noticed, now, depends_on=self._direct, outages=self._outages)
         if found is None:

@@ -83,6 +83,8 @@ class Detector:
 
     def verdict(self, active: Instance, now: float) -> Verdict:
         """What the health tree says of it."""
+        # From later on where the clock was set back, or by the clock of another node: until then nothing would count.
+        self.since = min(self.since, now)
         verdict = self._sight.verdict(now=now, since=self.since)
         if verdict.state == "Starting" and now - self.since > KNOWN_GRACE:
             # This monitor is new, its instance isn't: what its own agent says counts, not the grace for a start.

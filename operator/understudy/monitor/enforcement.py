@@ -46,7 +46,10 @@ def judge(
     if now - since < SETTLE:
         return "Unknown", "Settling", "The gate has just changed."
     leaking = [
-        i.name for i in probing if i.uid not in (active_uid, admitted_uid) and last.get(i.uid, 0.0) > since + SETTLE
+        i.name
+        for i in probing
+        # One of later is of before the clock was set back.
+        if i.uid not in (active_uid, admitted_uid) and since + SETTLE < last.get(i.uid, 0.0) <= now
     ]
     if leaking:
         return (
@@ -94,6 +97,7 @@ class Enforcement:
         if (state.active_uid, state.admitted_uid) != self._let_through:
             self._let_through = (state.active_uid, state.admitted_uid)
             self._changed = now
+        self._changed = min(self._changed, now)  # the clock may have been set back
 
     def judge(self, instances: Sequence[Instance]) -> Judgement:
         """How it stands, by what came of these instances."""

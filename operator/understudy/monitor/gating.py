@@ -11,7 +11,7 @@ import aiohttp
 from pydantic import ValidationError
 
 from understudy.api import names
-from understudy.cluster import gates
+from understudy.cluster import claims, gates
 from understudy.cluster.client import NETWORK_POLICIES, ApiError, Client
 from understudy.cluster.probes import ProbeReceiver
 from understudy.mitigation.interfaces import GateState, Instance, Superseded
@@ -80,8 +80,8 @@ class PolicyGate:
         begun = self._record
         if begun is None:
             raise Superseded(f"NetworkPolicy {names.gate(self._view.workload)} is gone")
-        if target is not None:
-            await self._fleet.label(target)
+        if (instance := target) is not None:
+            await claims.answered(lambda: self._fleet.label(instance))
         record, retry, away = begun, RETRY_FIRST, -math.inf
         name, uid = (target.name, target.uid) if target else ("", "")
         self._crash_points.step("before commit")

@@ -58,6 +58,7 @@ class Looks:
         metrics.looked(overrun=self.late > STALLED)
         if self.late > STALLED:
             self.trusted_from = now + min(self.late, STALL_MOST)
+        self.trusted_from = min(self.trusted_from, now + STALL_MOST)  # later where the clock was set back since
         return now
 
     async def until(self, moment: float) -> None:

@@ -46,6 +46,7 @@ class Opening:
             await self._ask_for_one(now)
             return False
         ready = [i for i in running if not i.has_agent or self._sidecars.is_ready(i)[0]]
+        self._started = min(self._started, now)  # the clock may have been set back
         # An application may need an answer of the robot before its outputs flow, and the workload's own pod comes before
         # a standby: but neither is waited for too long.
         if now - self._started <= seconds(policy.monitoring.startup_grace) / 2:
@@ -74,7 +75,7 @@ class Opening:
         """No pod runs and no recovery is under way. The workload's own controller may have been told to run none, while a pod of
         a shared pool drove: nobody else tells it otherwise while the gate is closed.
         """
-        if now < self._next_asked:
+        if now < self._next_asked <= now + ASK_AGAIN:  # later than that by a clock that was set back since
             return
         self._next_asked = now + ASK_AGAIN
         try:

@@ -48,22 +48,25 @@ class Recoveries:
         holding: Holding,
         aftermath: Aftermath,
         get_ready: Callable[[FailurePolicySpec], None],
+        forget: Callable[[], None],
     ) -> None:
-        """``get_ready`` has by this policy what sees and is asked during a recovery: it may come before the first look."""
+        """``get_ready`` has by this policy what sees and is asked during a recovery: it may come before the first look.
+        ``forget`` has a new monitor not go on with one that was given up.
+        """
         self._view, self._reporter, self._keeping = view, reporter, keeping
         self._black_box, self._crash_points = black_box, crash_points
         self._repertoire, self._switching = repertoire, switching
         self._under_way, self._holding, self._aftermath = under_way, holding, aftermath
-        self._get_ready = get_ready
+        self._get_ready, self._forget = get_ready, forget
 
     async def recover(self, progress: Progress) -> None:
         """Carry a recovery out once the limits allow it."""
         try:
             await self._holding.until_allowed(progress)
         except Superseded as reason:
-            self._aftermath.superseded(progress, reason)
+            self._superseded(progress, reason)
         except (ApiError, aiohttp.ClientError, OSError) as error:
-            self._aftermath.stopped(progress, error)
+            self._stopped(progress, error)
         else:
             await self.carry_out(progress)
 
@@ -81,16 +84,25 @@ class Recoveries:
             async with self._keeping.recovering():
                 done = await self._recovered(progress, self._repertoire.choices())
         except Superseded as reason:
-            self._aftermath.superseded(progress, reason)
+            self._superseded(progress, reason)
             return
         except (ApiError, aiohttp.ClientError, OSError) as error:
             if progress.result != "Recovered":
-                self._aftermath.stopped(progress, error)
+                self._stopped(progress, error)
                 return
             _logger.warning("the failed pod is not deleted yet: %s", error)
             done = progress
         self._crash_points.step("before record")
         self._aftermath.recovered(done, policy)
+
+    def _superseded(self, progress: Progress, reason: Superseded) -> None:
+        self._forget()
+        self._aftermath.superseded(progress, reason)
+
+    def _stopped(self, progress: Progress, error: Exception) -> None:
+        # What is tried again is another recovery; by then whoever failed may be well again, or somebody else drive.
+        self._forget()
+        self._aftermath.stopped(progress, error)
 
     async def _recovered(self, progress: Progress, choices: Sequence[Choice]) -> Progress:
         means = self._repertoire.means()

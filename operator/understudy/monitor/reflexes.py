@@ -163,7 +163,8 @@ class Reflexes:
         ]
         current = next((i for i in others if i.uid == state.admitted_uid), None)
         ready = [i for i in others if self._sidecars.is_ready(i)[0]]
-        self._ready_since = {i.uid: self._ready_since.get(i.uid, now) for i in ready}
+        # The clock may have been set back.
+        self._ready_since = {i.uid: min(now, self._ready_since.get(i.uid, now)) for i in ready}
         if not ready:
             why = "; ".join(f"{i.name}: {self._sidecars.is_ready(i)[1]}" for i in others) or "there is none"
             return None, ("False", "NoStandby", f"No standby could take over: {why}.")
@@ -221,8 +222,9 @@ class Reflexes:
         return ""
 
     def _too_strong(self, active: Instance, ready: Sequence[Instance], now: float) -> Said:
-        if self._too_strong_since is None:
+        if self._too_strong_since is None or self._too_strong_since > now:
             self._too_strong_since = now
+        self._replace_after = min(self._replace_after, now + REPLACE_AGAIN)
         names = ", ".join(i.name for i in ready)
         known = [i for i in ready if self._strength(i) is not None]
         if known and now - self._too_strong_since > TOO_STRONG_FOR and now > self._replace_after:
@@ -244,12 +246,12 @@ class Reflexes:
 
     def _write(self, standby: Instance | None) -> None:
         """In the background: an API server that is slow to answer must not delay a detection."""
-        if time.time() >= self._write_after:
+        if time.monotonic() >= self._write_after:
             self._start(partial(self._admit, standby))
 
     async def _admit(self, standby: Instance | None) -> None:
         if not await self._gate.admit(standby):
-            self._write_after = time.time() + WRITE_AGAIN
+            self._write_after = time.monotonic() + WRITE_AGAIN
 
     async def _retire(self, instance: Instance) -> None:
         with contextlib.suppress(ApiError, aiohttp.ClientError, TimeoutError, OSError):

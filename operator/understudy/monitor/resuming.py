@@ -18,6 +18,9 @@ def interrupted(journal: Journal, gate: PolicyGate, reporter: Reporter) -> Progr
     committed = gate.state.recovery
     kept = [p for p in (journal.load(), committed) if p is not None]
     open_ones = [p for p in kept if p.id not in reporter.recorded and p.result != "Failed"]
+    if committed is not None and committed not in open_ones:
+        # What came to its end by the gate had begun before what is still to be done: else another monitor has done it since.
+        open_ones = [p for p in open_ones if p.id != committed.id and p.began > committed.began]
     if not open_ones:
         return None
     progress = open_ones[0]

@@ -31,9 +31,12 @@ class Retries:
         self._resumed: float | None = None
         self.not_before = 0.0
         """When something may be begun."""
+        self._wait = 0.0
+        """Seconds that this was put off by."""
 
     def look(self, resumed: float | None, now: float) -> None:
         """Look whether it need be put off no longer. ``resumed`` is when somebody last said to go on."""
+        self.not_before = min(self.not_before, now + self._wait)  # it is later where the clock was set back since
         self._notice_correction(now)
         # Somebody has looked at it and says to go on: that isn't put off either.
         if resumed != self._resumed:
@@ -59,7 +62,7 @@ class Retries:
 
     def after(self, wait: float) -> None:
         """Begin nothing for so many seconds."""
-        self.not_before = time.time() + wait
+        self.not_before, self._wait = time.time() + wait, wait
 
     def after_nothing_verified(self, policy: FailurePolicySpec) -> None:
         """Begin nothing for a while, and for longer the next time, unless it is critical to safety."""

@@ -91,7 +91,8 @@ class SafeCommands:
             try:
                 type_name = _type(command.topic, outputs, reflex=spec.gate.reflex is not None)
                 commander = Commander(self._graph, command.topic, type_name, command.message)
-            except (TypeNotInstalled, MessageError, _Unusable) as error:
+            # The last of these is rclpy's: one process has a topic as one type, and the tree may watch it as another.
+            except (TypeNotInstalled, MessageError, _Unusable, RuntimeError) as error:
                 _logger.error("the safe command for %s can't be given: %s", command.topic, error)
                 self.problems.append(f"FailurePolicy: spec.safety.commands[{index}]: {error}.")
                 continue
@@ -101,17 +102,32 @@ class SafeCommands:
     async def _repeat(self, commander: Commander, period: float) -> None:
         """Publish in the policy's period for as long as nobody drives."""
         loop = asyncio.get_running_loop()
+        known: float | None = None
+        begins, failing = 0.0, False
         while True:
             since = self._waited_since()
-            wait = period
+            if since is not None and since != known:
+                # From here on by the clock that isn't set. What is of later was told by another node's clock, or before a step back.
+                begins = loop.time() + min(since + self._after - time.time(), self._after)
+            known, wait = since, period
             if since is not None:
-                wait = since + self._after - time.time()
+                begun = loop.time()
+                wait = begins - begun
                 if wait <= 0:
-                    begun = loop.time()
-                    commander.publish()
-                    self.sent += 1
+                    failing = self._publish(commander, failing)
                     wait = max(0.0, begun + period - loop.time())
             await asyncio.sleep(min(wait, period) if wait > 0 else 0)
+
+    def _publish(self, commander: Commander, failing: bool) -> bool:
+        """Publish once; whether that failed. The next one may get through: nobody else tells the robot anything."""
+        try:
+            commander.publish()
+        except Exception:  # whatever rclpy raises
+            if not failing:
+                _logger.exception("a safe command wasn't given")
+            return True
+        self.sent += 1
+        return False
 
     def close(self) -> None:
         """Leave all topics."""

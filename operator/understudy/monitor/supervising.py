@@ -5,6 +5,7 @@ When it looks is decided in looking.py.
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import time
 from collections.abc import Callable
@@ -129,6 +130,7 @@ class Supervisor:
             holding,
             aftermath,
             self._get_ready,
+            self._forget,
         )
 
     @property
@@ -229,8 +231,8 @@ class Supervisor:
                 self._reflexes.guard()
                 if (again := self._reflexes.next_look(time.time())) is not None:
                     next_look = min(next_look, again)
-            if now >= self._next_slow:
-                self._next_slow = now + SLOW
+            if (clock := time.monotonic()) >= self._next_slow:  # which isn't set, as the other one may be
+                self._next_slow = clock + SLOW
                 self._housekeeping()
             await self._looks.until(next_look)
 
@@ -346,7 +348,18 @@ class Supervisor:
 
     def _save(self, progress: Progress) -> None:
         self._crash_points.step("before save")
-        self._journal.save(progress)
+        try:
+            self._journal.save(progress)
+        except OSError as error:
+            # A full volume costs what a new monitor would know, and never the robot its recovery. What is beside the gate is newer
+            # than what was saved before.
+            _logger.error("recovery %s would not outlast a restart: %s", progress.id, error)
+            self._forget()
+
+    def _forget(self) -> None:
+        """What was saved isn't to be gone on with."""
+        with contextlib.suppress(OSError):
+            self._journal.clear()
 
     def _get_ready(self, policy: FailurePolicySpec) -> None:
         """A recovery that an earlier monitor had begun comes before the first look."""

@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
-from understudy.ros.graph import Graph
+from understudy.ros.graph import Graph, NotReceivable
 from understudy.ros.sources import HOST, Sources
 from understudy.ros.taking import Taker
 from understudy.ros.types import TypeNotInstalled
@@ -147,7 +147,7 @@ class Capturing:
         self._end(topic)
         try:
             topic.subscription = self._graph.subscribe(topic.name, type_name, depth=DEPTH, latched=latched)
-        except TypeNotInstalled as error:
+        except (TypeNotInstalled, NotReceivable) as error:
             topic.problem = str(error)
             return
         topic.latched, topic.subscribed_type, topic.subscribed_at = latched, type_name, time.time()

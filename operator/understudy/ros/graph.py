@@ -20,6 +20,10 @@ from understudy.api.workloads import Output
 from understudy.ros.types import message_class
 
 
+class NotReceivable(RuntimeError):
+    """A topic can't be received as a type, by its name or by what else this process has of that topic; the text says why."""
+
+
 @dataclass(frozen=True)
 class Endpoint:
     """A writer or reader that discovery knows of."""
@@ -59,22 +63,31 @@ class Graph:
 
         With ``latched`` it matches those that are reliable and transient local, and is given what they had said before; with
         ``reliable`` those that are, of which it misses nothing.
-        Raises TypeNotInstalled.
+        Raises TypeNotInstalled and NotReceivable.
         """
+        try:
+            message = message_class(type_name)
+        except ValueError as error:  # whoever publishes by DDS alone calls its types as it likes
+            raise NotReceivable(f"{topic} can't be received: {error}") from error
         qos = QoSProfile(
             history=HistoryPolicy.KEEP_LAST,
             depth=depth,
             reliability=ReliabilityPolicy.RELIABLE if latched or reliable else ReliabilityPolicy.BEST_EFFORT,
             durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
         )
-        return self.node.create_subscription(
-            message_class(type_name),
-            topic,
-            _never_called,
-            qos,
-            raw=True,
-            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
-        )
+        try:
+            return self.node.create_subscription(
+                message,
+                topic,
+                _never_called,
+                qos,
+                raw=True,
+                event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
+            )
+        except RuntimeError as error:  # of rclpy; one process has a topic as one type
+            raise NotReceivable(
+                f"{topic} can't be received as {type_name}: what is watched, kept and commanded of one topic must have one type ({error})"
+            ) from error
 
     def unsubscribe(self, subscription: Any) -> None:
         """End a subscription."""

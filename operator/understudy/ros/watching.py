@@ -18,7 +18,7 @@ from typing import Any
 
 from understudy.ros.arrivals import Arrivals
 from understudy.ros.contents import HEAD, OURS, Received, begins_with_header, ours
-from understudy.ros.graph import Graph
+from understudy.ros.graph import Graph, NotReceivable
 from understudy.ros.inhabitants import Inhabitants
 from understudy.ros.lifecycles import Lifecycles
 from understudy.ros.parameters import Parameters
@@ -224,15 +224,18 @@ class Watching:
                 )
             return
         try:
-            topic.message, topic.type = message_class(type_name), type_name
-            topic.stamped = begins_with_header(topic.message)
-            topic.mixed = type_name == diagnostics.TYPE
-            topic.subscription = self._graph.subscribe(
+            subscription = self._graph.subscribe(
                 want.name, type_name, depth=depth(want), latched=want.task, reliable=want.reliable
             )
         except TypeNotInstalled as error:
             topic.problem = f"{want.name}: {error}"
             return
+        except NotReceivable as error:
+            topic.problem = str(error)
+            return
+        topic.message, topic.type, topic.subscription = message_class(type_name), type_name, subscription
+        topic.stamped = begins_with_header(topic.message)
+        topic.mixed = type_name == diagnostics.TYPE
         self._record(topic)
         if want.prompt:
             self._be_told(topic)

@@ -12,7 +12,7 @@ class Debounce:
 
     def failed(self, now: float, length: float) -> float:
         """Note that it is failed now; the moment from which on that counts, with a debounce of ``length`` seconds."""
-        if self.failing_since is None:
+        if self.failing_since is None or self.failing_since > now:  # the clock was set back since
             self.failing_since = now
         return self.failing_since + length
 

@@ -247,6 +247,8 @@ class HealthTree:
     def _look(self, observations: Observations, now: float, since: float, *, real: bool) -> None:
         glance = self._glance
         glance.observations, glance.now, glance.since, glance.real = observations, now, since, real
+        if real and glance.begun > now:  # the clock was set back since
+            glance.begun = now
 
     def _tick(self, observations: Observations, now: float, since: float, *, real: bool = True) -> State:
         self._look(observations, now, since, real=real)

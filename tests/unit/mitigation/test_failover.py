@@ -10,7 +10,7 @@ import pytest
 
 from tests.unit.mitigation.world import Killed, Store, World
 from understudy.mitigation.failover import Choice, recover
-from understudy.mitigation.interfaces import GateState, Superseded
+from understudy.mitigation.interfaces import GateState, Instance, Superseded
 from understudy.mitigation.progress import PodIdentity, Progress
 from understudy.mitigation.strategies import ExecutingFallback, Restart, UninitializedFallback
 
@@ -217,3 +217,21 @@ async def test_what_a_monitor_that_is_gone_has_begun_is_not_held() -> None:
     progress.target = PodIdentity(name="w-2", uid="uid-w-2")
     done = await recover(progress, choices(ExecutingFallback("hot")), replace(world.means(), holds=lambda _: "held"))
     assert done.result == "Recovered"
+
+
+async def test_a_claim_that_is_refused_leaves_no_commit_under_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    # A commit that is carried out after the recovery was given up would look to the next one like another writer's.
+    store = protected(pool="spare", held=True)
+    world = World(store)
+    means, store.away = world.means(), True
+
+    async def refuse(instance: Instance, claim: str) -> Instance:
+        asyncio.get_running_loop().call_later(0.05, setattr, store, "away", False)
+        raise PermissionError("401: the API server doesn't know the roles again yet")
+
+    monkeypatch.setattr(means.instances, "claim", refuse)
+    with pytest.raises(PermissionError):
+        await recover(failure(world), choices(UninitializedFallback("spare")), means)
+    given_up = list(store.commits)
+    await asyncio.sleep(0.2)
+    assert store.commits == given_up == [""]

@@ -5,12 +5,15 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
+from understudy.api.policies import Monitoring
 from understudy.mitigation.interfaces import GateState, Instance
 from understudy.monitor.detection import Detector
+from understudy.trees.forms import load_monitoring
+from understudy.trees.observations import Recorded, TopicRecord
 
 ACTIVE = Instance(name="w-1", uid="uid-1", ip="10.0.0.1", running=True, ready=True)
 
@@ -51,3 +54,36 @@ def test_a_lost_pod_is_not_taken_to_live_on_in_its_successor_of_the_same_name(ip
     found = detector(successor, last_output=time.time()).lost(None, time.time())
     assert found is not None
     assert (found[0] is not None) == lost
+
+
+def test_what_fails_after_the_clock_was_set_back_is_noticed_in_the_usual_time() -> None:
+    # The times of what was received are moved with the clock (ros/watching.py); the tree's grace is 30 s.
+    monitoring = Monitoring.model_validate({"yaml": {"topic": {"name": "/cmd_vel", "gap": "500ms"}}})
+    tree, record = load_monitoring(monitoring), TopicRecord()
+    judging = detector()
+    sight: Any = SimpleNamespace(
+        verdict=lambda now, since: tree.evaluate(Recorded({"/cmd_vel": record}), now=now, since=since)
+    )
+    judging._sight = sight
+    judging._sidecars = cast(Any, SimpleNamespace(status=lambda _: None))
+    before = judging.since
+    tree.begin(before)
+    record.add(before + 5)
+    assert judging.verdict(ACTIVE, before + 5.1).state == "Healthy"
+    record.shift(-3600)
+    assert judging.verdict(ACTIVE, before - 3594.8).state == "Starting"
+    record.add(before - 3594.7)
+    assert judging.verdict(ACTIVE, before - 3594.6).state == "Healthy"
+    now = before - 3594
+    assert judging.verdict(ACTIVE, now).state == "Failed"
+    assert judging.counts_from(now, monitoring) == now
+
+
+def test_a_debounce_is_not_prolonged_by_a_clock_that_is_set_back() -> None:
+    judging = detector()
+    monitoring = Monitoring.model_validate(
+        {"yaml": {"topic": {"name": "/cmd_vel", "gap": "500ms"}}, "debounce": "200ms"}
+    )
+    now = time.time()
+    assert judging.counts_from(now, monitoring) == now + 0.2
+    assert judging.counts_from(now - 3600, monitoring) == now - 3600 + 0.2

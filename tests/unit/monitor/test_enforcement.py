@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
@@ -122,3 +123,18 @@ def test_a_reader_that_the_gate_does_not_reach_counts_as_not_enforced_whatever_p
     assert [reason for _, reason, _ in told.events] == ["GateReaderWithoutProfile"]
     last["uid-w-2"] = clock[0]
     assert enforced.judge([ACTIVE, STANDBY])[1] == "NotEnforced", "a network that enforces nothing comes first"
+
+
+def test_after_the_clock_was_set_back_it_is_judged_as_before(monkeypatch: pytest.MonkeyPatch) -> None:
+    gate: Any = SimpleNamespace(state=GateState(epoch=1, active="w-1", active_uid="uid-w-1"))
+    last = {"uid-w-1": NOW + 3600, "uid-w-2": NOW + 3600}  # the standby's is of when it was let through
+    probes: Any = SimpleNamespace(last=last.get)
+    clock = [NOW + 3600.0]
+    monkeypatch.setattr(time, "time", lambda: clock[0])
+    enforced = Enforcement(gate, probes, cast(Any, SimpleNamespace()))
+    enforced.look(NOW + 3600)
+    clock[0] = NOW
+    enforced.look(NOW)
+    clock[0] += SETTLE + 1
+    last["uid-w-1"] = clock[0]
+    assert enforced.judge([ACTIVE, STANDBY])[:2] == ("True", "SeenFromPackets")

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import time
 from collections.abc import Callable
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -16,6 +18,7 @@ from understudy.api.pauses import Pause
 from understudy.api.policies import FailurePolicySpec
 from understudy.cluster.client import ApiError
 from understudy.mitigation.interfaces import GateState, Instance, Superseded
+from understudy.mitigation.journal import Journal
 from understudy.mitigation.progress import PodIdentity, Progress, rfc3339
 from understudy.monitor import holding
 from understudy.monitor.detection import Failure
@@ -98,7 +101,9 @@ class World:
             "sight": sight,
             "probes": SimpleNamespace(),
             "reporter": self.told,
-            "journal": SimpleNamespace(save=lambda progress: self.kept.append(progress.model_copy(deep=True))),
+            "journal": SimpleNamespace(
+                save=lambda progress: self.kept.append(progress.model_copy(deep=True)), clear=lambda: None
+            ),
             "crash_points": SimpleNamespace(step=lambda name: None),
             "keeping": SimpleNamespace(judge=lambda *_: None),
             "black_box": SimpleNamespace(begin=lambda _: None, end=lambda _: None),
@@ -230,11 +235,15 @@ async def test_whoever_opens_the_gate_meanwhile_is_right(world: World) -> None:
 @pytest.mark.parametrize(
     ("error", "reason"), [(ApiError(403, "Forbidden", "no"), "Error"), (Superseded("another"), "Superseded")]
 )
-async def test_a_fence_that_fails_is_tried_again(world: World, error: Exception, reason: str) -> None:
+async def test_a_fence_that_fails_is_tried_again_as_another_recovery(
+    world: World, tmp_path: Path, error: Exception, reason: str
+) -> None:
     world.spend()
     world.gate.refuses = error
+    world.watching._journal = Journal(tmp_path / "recovery.json")
     assert not await world.allowed(failure())
     assert world.told.conditions["Recovering"][1] == reason
+    assert world.watching._journal.load() is None, "a new monitor would fence who may be well by then"
 
 
 async def test_a_pause_ends_the_safe_commands_of_what_is_held_and_goes_before_the_budget(world: World) -> None:
@@ -277,3 +286,19 @@ def test_after_a_pause_a_failure_counts_from_its_end(world: World) -> None:
     found = world.watching._counted(Failure("no /cmd_vel", now + 50, now + 51), now + 51)
     assert found is not None
     assert found.onset == now + 50
+
+
+async def test_a_volume_that_is_full_costs_no_recovery_and_leaves_nothing_old(world: World, tmp_path: Path) -> None:
+    class Full(Journal):
+        def save(self, progress: Progress) -> None:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    before = Journal(tmp_path / "recovery.json")
+    before.save(failure())
+    world.watching._journal = Full(tmp_path / "recovery.json")
+    world.spend()
+    held = asyncio.create_task(world.allowed(failure()))
+    await world.until(lambda: world.gate.committed)
+    world.resume()
+    assert await held, "it is fenced, and recovered once it may be"
+    assert before.load() is None, "what is beside the gate is newer"

@@ -70,6 +70,8 @@ async def test_where_nothing_runs_and_nothing_is_recovered_a_pod_is_asked_for(le
     await first.look(POLICY, 1000.0 + ASK_AGAIN)
     await first.look(POLICY, 1000.0 + 2 * ASK_AGAIN)
     assert fleet.asked == 3, "again and again, until one comes"
+    await first.look(POLICY, 1000.0 - 3600)
+    assert fleet.asked == 4, "also after the clock was set back"
 
 
 async def test_a_gate_that_is_opened_after_a_recovery_came_to_nothing_still_tells_which_pods_had_failed() -> None:

@@ -253,3 +253,10 @@ async def test_it_looks_at_the_deadline_and_then_often_for_a_while(world: World)
     assert world.reflexes.next_look(last + 0.02) == pytest.approx(last + 0.1)
     assert world.reflexes.next_look(last + 0.15) == pytest.approx(last + 0.15 + LOOK)
     assert world.reflexes.next_look(last + 5) is None, "it may be at rest"
+
+
+async def test_a_clock_that_is_set_back_keeps_no_standby_out(world: World) -> None:
+    await world.keep(enforced=False, seconds=1)
+    world.now -= 3600
+    world.arrivals["w-1"] = [time - 3600 for time in world.arrivals["w-1"]]
+    assert await world.keep() == ("True", "Armed")

@@ -42,9 +42,16 @@ def test_where_the_journal_is_of_an_older_one_the_gate_knows_better() -> None:
     progress = found(older, newer)
     assert progress is not None
     assert progress.id == newer.id
-    progress = found(older, newer, recorded=[newer])
+    progress = found(newer, older, recorded=[older])
     assert progress is not None
-    assert progress.id == older.id
+    assert progress.id == newer.id, "it hadn't come to the gate yet"
+
+
+def test_one_that_was_given_up_is_not_gone_on_with_once_another_is_over() -> None:
+    given_up, done = begun(100.0), begun(200.0)
+    assert found(given_up, done, recorded=[done]) is None
+    ended = given_up.model_copy(update={"result": "Failed"})
+    assert found(given_up, ended) is None, "somebody was put in control since"
 
 
 def test_what_was_recorded_or_came_to_nothing_is_not_gone_on_with() -> None:

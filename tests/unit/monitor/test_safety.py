@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import time
-from collections.abc import Iterator
+from collections.abc import AsyncIterator, Iterator
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import pytest
 from hypothesis import given
@@ -171,3 +172,64 @@ async def test_what_can_not_be_told_is_a_problem_and_the_rest_is(
     assert words in problem
     await asyncio.sleep(0.05)
     assert safe.sent == 0
+
+
+async def test_a_topic_that_is_watched_as_another_type_is_a_problem_and_the_monitor_goes_on(
+    graphs: tuple[Any, Any],
+) -> None:
+    watched = graphs[0].subscribe("/cmd_vel", "geometry_msgs/msg/TwistStamped", depth=1)
+    safe = SafeCommands(graphs[0], lambda: 1.0)
+    safe.follow(safety({"topic": "/cmd_vel"}), spec())
+    (problem,) = safe.problems
+    assert problem.startswith("FailurePolicy: spec.safety.commands[0]: ")
+    graphs[0].unsubscribe(watched)
+
+
+class Publisher:
+    """In place of one of DDS."""
+
+    def __init__(self) -> None:
+        self.sent, self.failures = 0, 0
+
+    def publish(self) -> None:
+        if self.failures:
+            self.failures -= 1
+            raise RuntimeError("the middleware refused")
+        self.sent += 1
+
+
+@contextlib.asynccontextmanager
+async def repeated(waited: list[float | None]) -> AsyncIterator[Publisher]:
+    """A command of every 10 ms from 50 ms on, for as long as nobody drives."""
+    publisher, nothing = cast(Any, Publisher()), cast(Any, None)
+    safe = SafeCommands(nothing, lambda: waited[0])
+    safe._after = 0.05
+    task = asyncio.create_task(safe._repeat(publisher, 0.01))
+    yield publisher
+    task.cancel()
+
+
+async def test_a_command_that_fails_is_followed_by_the_next() -> None:
+    async with repeated([time.time() - 1]) as publisher, asyncio.timeout(20):
+        publisher.failures = 3
+        while publisher.sent < 3:
+            await asyncio.sleep(0.01)
+
+
+async def test_a_clock_that_is_set_back_does_not_end_what_the_robot_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, waited = time.time, cast("list[float | None]", [time.time()])
+    async with repeated(waited) as publisher, asyncio.timeout(20):
+        while not publisher.sent:
+            await asyncio.sleep(0.01)
+        monkeypatch.setattr(time, "time", lambda: clock() - 3600)
+        before = publisher.sent
+        while publisher.sent < before + 3:
+            await asyncio.sleep(0.01)
+
+
+async def test_what_another_node_told_by_a_clock_that_is_ahead_does_not_keep_the_robot_waiting() -> None:
+    async with repeated([time.time() + 3600]) as publisher, asyncio.timeout(20):
+        begun = time.monotonic()
+        while not publisher.sent:
+            await asyncio.sleep(0.005)
+        assert time.monotonic() - begun >= 0.045

@@ -122,9 +122,16 @@ def test_a_users_word_ends_what_was_put_off() -> None:
     assert world.retries.not_before == before
     world.retries.look(now, now)
     assert world.retries.not_before == now
-    world.retries.not_before = now + 10
+    world.retries.after(10.0)
     world.retries.look(now, now)
     assert world.retries.not_before == now + 10, "once"
+
+
+def test_a_clock_that_is_set_back_puts_nothing_off() -> None:
+    world = World()
+    world.retries.after(10.0)
+    world.retries.look(None, NOW - 3600)
+    assert world.retries.not_before == NOW - 3600 + 10
 
 
 @pytest.mark.parametrize(("priority", "later"), [("Normal", 4 * BACKOFF_FIRST), ("Safety", BACKOFF_FIRST)])

@@ -7,12 +7,14 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import pytest
+
 from tests.unit.cluster.memory import MemoryClient
 from understudy.api import names
 from understudy.api.policies import FailurePolicySpec
 from understudy.api.settings import PoolChoice, WorkloadSettings
 from understudy.api.workloads import RobotWorkloadSpec
-from understudy.cluster.client import NETWORK_POLICIES, Object
+from understudy.cluster.client import NETWORK_POLICIES, ApiError, Object
 from understudy.mitigation.interfaces import Instance
 from understudy.mitigation.progress import Progress
 from understudy.mitigation.waiting import Waiter
@@ -92,6 +94,26 @@ async def test_an_instance_that_is_let_through_ends_the_wait_too(tmp_path: Path)
     await switch.commit(Instance(name="w-2", uid="u2"), None)
     stored = await client.get(NETWORK_POLICIES, "fleet", "w-gate")
     assert names.WAITS_FOR not in stored["metadata"]["labels"]
+
+
+@pytest.mark.parametrize(
+    "error",
+    [ApiError(429, "TooManyRequests", "later"), ApiError(500, "Error", "etcd"), OSError("reset"), TimeoutError()],
+)
+async def test_a_pod_whose_labels_can_not_be_written_for_a_moment_is_let_through_all_the_same(
+    tmp_path: Path, error: Exception
+) -> None:
+    client, refusals = MemoryClient(), [error, error]
+    switch = await gate(client, view(client, "w"), tmp_path)
+
+    async def label(instance: Instance) -> None:
+        if refusals:
+            raise refusals.pop()
+
+    fleet: Any = SimpleNamespace(label=label)
+    switch._fleet = fleet
+    await switch.commit(Instance(name="w-2", uid="u2"), None)
+    assert switch.state.active == "w-2"
 
 
 def noted(gate_name: str, waiter: Waiter, **annotations: str) -> Object:

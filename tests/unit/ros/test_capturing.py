@@ -120,6 +120,14 @@ def test_a_type_that_is_not_the_one_that_is_published_is_a_problem(
     }
 
 
+def test_a_topic_that_this_process_has_as_another_type_is_a_problem(capturing: Capturing, graph: Graph) -> None:
+    watched = graph.subscribe("/pose", "geometry_msgs/msg/Twist", depth=1)
+    capturing.follow({"/pose": "geometry_msgs/msg/PoseStamped"})
+    capturing.drain()
+    assert capturing.problems["/pose"].startswith("/pose can't be received as geometry_msgs/msg/PoseStamped: ")
+    graph.unsubscribe(watched)
+
+
 def test_topics_that_are_not_kept_any_more_are_let_go(capturing: Capturing, graph: Graph) -> None:
     capturing.follow({"/amcl_pose": POSE, "/odom": POSE})
     assert len(list(graph.node.subscriptions)) == 2

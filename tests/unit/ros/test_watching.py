@@ -97,6 +97,27 @@ def test_topic_whose_type_is_not_installed_is_a_problem_and_the_others_are_watch
     assert watching.topic("/plan").last is None
 
 
+@pytest.mark.parametrize("name", ["HelloWorld", "example_interfaces/srv/AddTwoInts", "a/msg/b/C"])
+def test_a_type_that_is_none_of_ros_is_a_problem_and_the_others_are_watched(watching, graph, monkeypatch, name):
+    # Whoever publishes by DDS alone calls its types as it likes.
+    monkeypatch.setattr(graph, "type_of", lambda topic: name)
+    watching.follow([WatchedTopic("/native", None, 0.0, None), WatchedTopic("/scan", STRING, 0.0, None)])
+    watching.drain()
+    (problem,) = watching.problems
+    assert problem.startswith(f"/native can't be received: '{name}' is not a ")
+    assert watching.unwatchable == {"/native"}
+
+
+def test_a_topic_that_this_process_has_as_another_type_is_a_problem(watching, graph):
+    kept = graph.subscribe("/pose", STRING, depth=1)
+    other = WatchedTopic("/pose", "geometry_msgs/msg/PoseStamped", 0.0, None)
+    watching.follow([other, WatchedTopic("/scan", STRING, 0.0, None)])
+    watching.drain()
+    (problem,) = watching.problems
+    assert problem.startswith("/pose can't be received as geometry_msgs/msg/PoseStamped: ")
+    graph.unsubscribe(kept)
+
+
 def test_following_other_topics_keeps_what_is_known_of_the_same(watching, processes, eventually):
     watching.follow([WatchedTopic("/chat", STRING, 0.0, None), WatchedTopic("/talk", STRING, 0.0, None)])
     processes.node("publish", "/chat", "20")
