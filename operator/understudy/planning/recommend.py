@@ -21,6 +21,7 @@ from understudy.cluster.client import Object
 from understudy.console import kubectl
 from understudy.planning import comparing
 from understudy.planning.recommendations import recommended
+from understudy.planning.size import share
 from understudy.trying import pictures
 from understudy.trying.unusable import Unusable
 
@@ -131,13 +132,10 @@ def _share(text: str) -> tuple[Way, Figure]:
     name, _, number = text.partition("=")
     readiness: Iterator[Readiness] = (one for one in get_args(Readiness) if one == name)
     found = next(readiness, None)
-    try:
-        value = float(number)
-    except ValueError:
-        value = math.nan
+    value = share(number)
     if found is None or not (math.isfinite(value) and value >= 0):
         raise argparse.ArgumentTypeError(
-            f"found {text!r:.50}; give {', '.join(get_args(Readiness))} with a share, such as Initialized=0.4"
+            f"found {text!r:.50}; give one of {', '.join(get_args(Readiness))} with a share, such as Initialized=0.4 or Initialized=40%"
         )
     return found, Figure(value, "given")
 
