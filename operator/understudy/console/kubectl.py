@@ -22,7 +22,8 @@ TIMEOUT = 15.0
 WORKLOADS = "robotworkloads.understudy.dev"
 
 _WAYS_OUT = {
-    "connection to the server localhost:8080 was refused": "no kubeconfig was found; name yours by --kubeconfig or KUBECONFIG",
+    "connection to the server localhost:8080 was refused": "no kubeconfig was found, so kubectl asked there; name yours by --kubeconfig or "
+    "KUBECONFIG",
     "did you specify the right host or port": "look whether its API server runs, or name another cluster by --context or --kubeconfig",
     "current-context must exist": "the kubeconfig says no context; name one by --context, or a kubeconfig by --kubeconfig or KUBECONFIG",
     "context was not found": "kubectl config get-contexts lists those that there are",
@@ -31,6 +32,8 @@ _WAYS_OUT = {
     "Unauthorized": "the cluster doesn't know who you are; log in anew, or name another user's --context or --kubeconfig",
 }
 """What to do about what kubectl says that names nothing to do, by a part of it."""
+
+_GUESS = " - did you specify the right host or port?"
 
 _NOBODY = "the kubeconfig has no credentials for this cluster, so kubectl asked for a user name; log in, or name another --context"
 """What it is where kubectl says ``EOF``: it asks on standard input, of which there is none."""
@@ -197,7 +200,7 @@ def said(text: str) -> str:
     if told == "EOF":
         return _NOBODY
     way_out = next((way for part, way in _WAYS_OUT.items() if part in told), "")
-    return f"{told}: {way_out}" if way_out else told
+    return f"{told.removesuffix(_GUESS)}: {way_out}" if way_out else told
 
 
 def _end(running: subprocess.Popen[bytes]) -> None:

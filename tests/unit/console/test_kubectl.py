@@ -16,7 +16,7 @@ NAME = "robot-17-navigation"
     [
         (
             "The connection to the server localhost:8080 was refused - did you specify the right host or port?",
-            "no kubeconfig was found; name yours by --kubeconfig or KUBECONFIG",
+            "no kubeconfig was found, so kubectl asked there; name yours by --kubeconfig or KUBECONFIG",
         ),
         (
             "The connection to the server 10.0.0.1:6443 was refused - did you specify the right host or port?",
@@ -38,7 +38,7 @@ def test_what_kubectl_says_is_told_with_the_way_out(
     stand.tell(fleet.fleet(), error=said)
     assert timeline.main([NAME]) == 2
     error = capsys.readouterr().err
-    plain = said.removeprefix("error: ").removeprefix("Error in configuration: ")
+    plain = said.removeprefix("error: ").removeprefix("Error in configuration: ").partition(" - did")[0]
     assert error.startswith(f"understudy timeline: {plain}: ")
     assert told in error
 
