@@ -18,8 +18,9 @@ from understudy.checking.documents import Manifest
 from understudy.choosing import explaining
 from understudy.choosing.figures import Figure, Way
 from understudy.cluster.client import Object
-from understudy.console import kubectl
+from understudy.console import kubectl, terminal
 from understudy.planning import comparing
+from understudy.planning.fitting import fitted
 from understudy.planning.recommendations import recommended
 from understudy.planning.size import share
 from understudy.trying import pictures
@@ -46,7 +47,7 @@ def main(arguments: list[str]) -> int:
         if given.output == "json":
             print(json.dumps([one.data() for one in found], indent=2))
         else:
-            print("\n\n".join(comparing.told(one) for one in found))
+            print(fitted("\n\n".join(comparing.told(one) for one in found), terminal.columns(sys.stdout)))
         if given.plot is not None:
             from understudy.planning import tradeoffs
 

@@ -9,6 +9,8 @@ import sys
 from collections.abc import Callable
 
 from understudy.api.base import seconds
+from understudy.console import terminal
+from understudy.planning.fitting import fitted
 from understudy.planning.sizes import Question, sized
 from understudy.planning.telling import told
 from understudy.sizing.risks import MEASURES, MOST
@@ -37,7 +39,11 @@ def main(arguments: list[str]) -> int:
         if given.plot is not None:
             pictures.usable(given.plot)
         size = sized(question, given.fallbacks, given.risk, given.risk_of)
-        print(json.dumps(size.data(), indent=2) if given.output == "json" else told(size))
+        print(
+            json.dumps(size.data(), indent=2)
+            if given.output == "json"
+            else fitted(told(size), terminal.columns(sys.stdout))
+        )
         if given.plot is not None:
             from understudy.planning import plots
 
