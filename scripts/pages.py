@@ -19,6 +19,7 @@ from pathlib import Path
 REPOSITORY = Path(__file__).resolve().parent.parent
 START = ("README.md", "docs/README.md", "docs/site.css")
 LINK = re.compile(r"(\]\()([^)\s#]+)")
+CODE = re.compile(r"`[^`]+`")
 
 
 def main() -> int:
@@ -66,7 +67,7 @@ def lay_out(repository: Path, folder: Path) -> list[str]:
         else:
             shutil.copyfile(repository / path, target)
             continue
-        text = _with_pages(repository / posixpath.dirname(path), text)
+        text = _with_bars(_with_pages(repository / posixpath.dirname(path), text))
         target.write_text(text)
         for _, link in LINK.findall(text):
             if "://" not in link:
@@ -84,6 +85,14 @@ def _with_pages(base: Path, text: str) -> str:
         return link[1] + posixpath.join(link[2], "README.md" if (folder / "README.md").is_file() else "index.md")
 
     return LINK.sub(page, text)
+
+
+def _with_bars(text: str) -> str:
+    """The text with the bars of code in tables as they are meant: MkDocs shows the backslash by which others don't end a cell there."""
+    return "\n".join(
+        CODE.sub(lambda code: code[0].replace(r"\|", "|"), line) if line.startswith("|") else line
+        for line in text.split("\n")
+    )
 
 
 def _listing(folder: Path) -> str:

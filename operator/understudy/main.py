@@ -19,6 +19,8 @@ import importlib
 import os
 import sys
 
+from understudy import __version__
+
 PARTS = {
     "operator": "understudy.controller.running",
     "monitor": "understudy.monitor.running",
@@ -90,6 +92,9 @@ def main() -> int:
     if not arguments or arguments[0] in ("-h", "--help", "help"):
         print(_help(), file=sys.stdout if arguments else sys.stderr)
         return 0 if arguments else 2
+    if arguments[0] == "--version":
+        print(f"understudy {__version__}")
+        return 0
     if arguments[0] not in PARTS:
         print(f"understudy: there is no verb {arguments[0]!r}{_meant(arguments[0])}", file=sys.stderr)
         return 2
@@ -100,7 +105,7 @@ def main() -> int:
 def _help() -> str:
     width = max(map(len, _SAYS)) + 2
     listed = "\n".join(f"  {verb:{width}}{says}" for verb, says in _SAYS.items())
-    return f"usage: understudy VERB ...\n\n{listed}\n\nunderstudy VERB --help says more of one."
+    return f"usage: understudy VERB ...\n\n{listed}\n\nunderstudy VERB --help says more of one, understudy --version which this is."
 
 
 def _meant(found: str) -> str:

@@ -25,7 +25,7 @@ _INTRODUCTION = """\
 <!-- Written by scripts/generate from the parsers of the verbs: change those. -->
 
 `understudy VERB`, and where [`kubectl-understudy` is on the PATH](../console.md) `kubectl understudy VERB`. `-h` of each verb says the
-same as this page. With options that a verb doesn't have, each ends with 2."""
+same as this page, and `understudy --version` which version it is. With options that a verb doesn't have, each ends with 2."""
 
 _IN_PODS = """\
 Nobody types these: they have no options, and the environment that the operator gives them says what they do."""
@@ -88,7 +88,7 @@ def _needed(parser: argparse.ArgumentParser) -> Iterator[str]:
 
 def _value(action: argparse.Action) -> str:
     """The word that stands for the value of an argument or option."""
-    choices = "|".join(action.choices) if isinstance(action.choices, list) else ""
+    choices = "|".join(action.choices) if isinstance(action.choices, list | tuple) else ""
     return str(action.metavar or choices or action.dest.upper())
 
 

@@ -6,6 +6,7 @@ import sys
 
 import pytest
 
+from understudy import __version__
 from understudy import main as command
 
 
@@ -44,3 +45,8 @@ def test_a_verb_that_is_not_there_is_told_by_its_name(
 ) -> None:
     assert _run(monkeypatch, typed) == 2
     assert capsys.readouterr().err == f"understudy: {said}\n"
+
+
+def test_it_says_which_version_it_is(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    assert _run(monkeypatch, "--version") == 0
+    assert capsys.readouterr().out == f"understudy {__version__}\n"

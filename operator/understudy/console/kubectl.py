@@ -21,6 +21,23 @@ TIMEOUT = 15.0
 
 WORKLOADS = "robotworkloads.understudy.dev"
 
+_WAYS_OUT = {
+    "connection to the server localhost:8080 was refused": "no kubeconfig was found, so kubectl asked there; name yours by --kubeconfig or "
+    "KUBECONFIG",
+    "did you specify the right host or port": "look whether its API server runs, or name another cluster by --context or --kubeconfig",
+    "current-context must exist": "the kubeconfig says no context; name one by --context, or a kubeconfig by --kubeconfig or KUBECONFIG",
+    "context was not found": "kubectl config get-contexts lists those that there are",
+    'context "': "kubectl config get-contexts lists those that there are",
+    "have a resource type": "the definitions of Understudy aren't in this cluster; install the chart, or name another cluster by --context",
+    "Unauthorized": "the cluster doesn't know who you are; log in anew, or name another user's --context or --kubeconfig",
+}
+"""What to do about what kubectl says that names nothing to do, by a part of it."""
+
+_GUESS = " - did you specify the right host or port?"
+
+_NOBODY = "the kubeconfig has no credentials for this cluster, so kubectl asked for a user name; log in, or name another --context"
+"""What it is where kubectl says ``EOF``: it asks on standard input, of which there is none."""
+
 _FORWARDING = re.compile(r"Forwarding from 127\.0\.0\.1:(\d+) ")
 
 
@@ -116,8 +133,8 @@ class Kubectl:
         except subprocess.TimeoutExpired as error:
             raise Unusable(f"{program[0]} in pod {pod} had not ended after {error.timeout:g} s") from error
         if done.returncode:
-            said = [line for line in done.stderr.strip().splitlines() if not line.startswith("command terminated")]
-            raise Unusable(said[-1] if said else f"{program[0]} in pod {pod} ended with {done.returncode}")
+            lines = [line for line in done.stderr.strip().splitlines() if not line.startswith("command terminated")]
+            raise Unusable(lines[-1] if lines else f"{program[0]} in pod {pod} ended with {done.returncode}")
         return done.stdout
 
     def delete(self, kinds: str, *arguments: str) -> None:
@@ -129,10 +146,10 @@ class Kubectl:
 
     def _run(self, *arguments: str) -> str:
         command = [*self.command(*arguments), f"--request-timeout={TIMEOUT:g}s"]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        # Without a standard input, since nobody sees what it would ask there: its output is read by this command.
+        done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
         if done.returncode:
-            said = done.stderr.strip().splitlines()
-            raise Unusable(said[-1] if said else f"kubectl ended with {done.returncode}")
+            raise Unusable(said(done.stderr) or f"kubectl ended with {done.returncode}")
         return done.stdout
 
     @contextlib.contextmanager
@@ -176,6 +193,16 @@ class Kubectl:
                 running.terminate()
 
 
+def said(text: str) -> str:
+    """Why kubectl couldn't do it, by the last line of what it wrote, and what to do where that alone doesn't say it."""
+    lines = text.strip().splitlines()
+    told = lines[-1].removeprefix("error: ").removeprefix("Error in configuration: ") if lines else ""
+    if told == "EOF":
+        return _NOBODY
+    way_out = next((way for part, way in _WAYS_OUT.items() if part in told), "")
+    return f"{told.removesuffix(_GUESS)}: {way_out}" if way_out else told
+
+
 def _end(running: subprocess.Popen[bytes]) -> None:
     running.terminate()
     running.wait()
@@ -194,6 +221,7 @@ def _port(running: subprocess.Popen[str]) -> int:
         if found := _FORWARDING.match(line):
             return int(found[1])
         if not line:
-            said = running.stderr.read().strip().splitlines()
-            raise Unusable(f"the monitor can't be reached: {said[-1] if said else 'kubectl port-forward ended'}")
+            raise Unusable(
+                f"the monitor can't be reached: {said(running.stderr.read()) or 'kubectl port-forward ended'}"
+            )
     raise Unusable(f"the monitor can't be reached: kubectl port-forward had not begun after {TIMEOUT:g} s")

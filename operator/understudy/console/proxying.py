@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from understudy.cluster.client import Object
-from understudy.console.kubectl import TIMEOUT, Kubectl, Unusable
+from understudy.console.kubectl import TIMEOUT, Kubectl, Unusable, said
 
 
 class Refused(Unusable):
@@ -110,5 +110,4 @@ def _wait(running: subprocess.Popen[str]) -> None:
     if select.select([running.stdout], [], [], TIMEOUT)[0] and "Starting to serve" in running.stdout.readline():
         return
     running.terminate()
-    said = running.stderr.read().strip().splitlines()
-    raise Unusable(f"kubectl proxy did not begin: {said[-1] if said else f'nothing after {TIMEOUT:g} s'}")
+    raise Unusable(f"kubectl proxy did not begin: {said(running.stderr.read()) or f'nothing after {TIMEOUT:g} s'}")

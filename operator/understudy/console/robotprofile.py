@@ -85,7 +85,7 @@ def _parser() -> argparse.ArgumentParser:
         "--output",
         choices=["text", "env", "xml", "json", "yaml"],
         default="text",
-        help="text; only the environment, as a file of variables; only the profiles; or everything as JSON",
+        help="text; only the environment, as a file of variables; only the profiles; or everything as JSON or YAML",
     )
     how.add_argument("--write", metavar="FOLDER", help="write both files into a folder of this machine")
     parser.add_argument(

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 import time
 from collections.abc import Iterator, Mapping
 from typing import Any
 
 from understudy.api import names
+from understudy.api.base import seconds
 from understudy.api.switchovers import ENDED, SwitchoverStatus, Verb, request
 from understudy.api.workloads import Recovery, RobotWorkloadStatus
 from understudy.console import terminal
@@ -132,7 +134,23 @@ def _parser(verb: Verb) -> argparse.ArgumentParser:
     )
     parser.add_argument("name", metavar="NAME", help="the RobotWorkload")
     parser.add_argument(
-        "--within", metavar="SECONDS", type=float, default=WITHIN, help="how long its end is waited for (%(default)g)"
+        "--within",
+        metavar="DURATION",
+        type=_patience,
+        default=WITHIN,
+        help="how long its end is waited for (2m), such as 30s",
     )
     add_options(parser)
     return parser
+
+
+def _patience(text: str) -> float:
+    try:
+        found = (
+            float(text) if re.fullmatch(r"[0-9]+([.][0-9]+)?", text) else seconds(text)
+        )  # seconds, where no unit says otherwise
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
+    if not found:
+        raise argparse.ArgumentTypeError(f"found {text!r}; give a duration above 0, such as 30s")
+    return found

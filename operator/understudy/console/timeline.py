@@ -55,10 +55,16 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("name", metavar="NAME", help="the RobotWorkload")
     parser.add_argument(
-        "--last", metavar="N", type=int, default=EACH, help="how many are shown one by one (%(default)s)"
+        "--last", metavar="N", type=_count, default=EACH, help="how many are shown one by one (%(default)s)"
     )
     parser.add_argument(
         "-o", "--output", choices=["text", "json", "yaml"], default="text", help="text, or the records as JSON or YAML"
     )
     add_options(parser)
     return parser
+
+
+def _count(text: str) -> int:
+    if not (text.isdecimal() and int(text)):
+        raise argparse.ArgumentTypeError(f"found {text!r:.50}; give a whole number from 1 on")
+    return int(text)

@@ -18,9 +18,11 @@ from understudy.checking.documents import Manifest
 from understudy.choosing import explaining
 from understudy.choosing.figures import Figure, Way
 from understudy.cluster.client import Object
-from understudy.console import kubectl
+from understudy.console import kubectl, terminal
 from understudy.planning import comparing
+from understudy.planning.fitting import fitted
 from understudy.planning.recommendations import recommended
+from understudy.planning.size import share
 from understudy.trying import pictures
 from understudy.trying.unusable import Unusable
 
@@ -45,7 +47,7 @@ def main(arguments: list[str]) -> int:
         if given.output == "json":
             print(json.dumps([one.data() for one in found], indent=2))
         else:
-            print("\n\n".join(comparing.told(one) for one in found))
+            print(fitted("\n\n".join(comparing.told(one) for one in found), terminal.columns(sys.stdout)))
         if given.plot is not None:
             from understudy.planning import tradeoffs
 
@@ -131,13 +133,10 @@ def _share(text: str) -> tuple[Way, Figure]:
     name, _, number = text.partition("=")
     readiness: Iterator[Readiness] = (one for one in get_args(Readiness) if one == name)
     found = next(readiness, None)
-    try:
-        value = float(number)
-    except ValueError:
-        value = math.nan
+    value = share(number)
     if found is None or not (math.isfinite(value) and value >= 0):
         raise argparse.ArgumentTypeError(
-            f"found {text!r:.50}; give {', '.join(get_args(Readiness))} with a share, such as Initialized=0.4"
+            f"found {text!r:.50}; give one of {', '.join(get_args(Readiness))} with a share, such as Initialized=0.4 or Initialized=40%"
         )
     return found, Figure(value, "given")
 

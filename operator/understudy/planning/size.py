@@ -8,6 +8,9 @@ import math
 import sys
 from collections.abc import Callable
 
+from understudy.api.base import seconds
+from understudy.console import terminal
+from understudy.planning.fitting import fitted
 from understudy.planning.sizes import Question, sized
 from understudy.planning.telling import told
 from understudy.sizing.risks import MEASURES, MOST
@@ -16,6 +19,9 @@ from understudy.trying.unusable import Unusable
 
 DONE, CANT = 0, 2
 """Exit statuses."""
+
+_SUREST = 0.999999
+"""The greatest risk that a size is found for."""
 
 
 def main(arguments: list[str]) -> int:
@@ -33,7 +39,11 @@ def main(arguments: list[str]) -> int:
         if given.plot is not None:
             pictures.usable(given.plot)
         size = sized(question, given.fallbacks, given.risk, given.risk_of)
-        print(json.dumps(size.data(), indent=2) if given.output == "json" else told(size))
+        print(
+            json.dumps(size.data(), indent=2)
+            if given.output == "json"
+            else fitted(told(size), terminal.columns(sys.stdout))
+        )
         if given.plot is not None:
             from understudy.planning import plots
 
@@ -55,33 +65,33 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--robots", type=_count(1, 10_000_000), required=True, help="how many share the pool")
     parser.add_argument(
         "--failures-per-robot-hour",
-        type=_figure("failures per hour"),
+        type=_rate,
         required=True,
         metavar="RATE",
         help="as observed",
     )
     parser.add_argument(
         "--recovery-seconds",
-        type=_figure("seconds"),
+        type=_duration,
         required=True,
         metavar="SECONDS",
         help="down-time of a robot that finds a fallback",
     )
     parser.add_argument(
         "--refill-seconds",
-        type=_figure("seconds"),
+        type=_duration,
         metavar="SECONDS",
         help="from a failure until another fallback is ready (default: as long as the recovery, as in the paper)",
     )
     parser.add_argument(
         "--restart-seconds",
-        type=_figure("seconds"),
+        type=_duration,
         metavar="SECONDS",
         help="down-time of a robot that is restarted instead (default: twice the recovery, as in the paper)",
     )
     parser.add_argument(
         "--fallback-cpu",
-        type=_figure("a share", zero=True),
+        type=_cpu,
         default=1.0,
         metavar="SHARE",
         help="CPU of a waiting fallback as a share of a working one's (default: 1, as the paper counts; it measured 0.6 for one that "
@@ -91,9 +101,9 @@ def _parser() -> argparse.ArgumentParser:
     asked.add_argument("--fallbacks", type=_count(0, MOST), metavar="N", help="the pool's size")
     asked.add_argument(
         "--risk",
-        type=_figure("a probability", 0.999999),
+        type=_risk,
         metavar="P",
-        help="the size for this risk instead, such as 0.01",
+        help="the size for this risk instead, such as 0.01 or 1%%",
     )
     parser.add_argument(
         "--risk-of",
@@ -120,16 +130,39 @@ def _count(least: int, most: int) -> Callable[[str], int]:
     return count
 
 
-def _figure(what: str, most: float = math.inf, *, zero: bool = False) -> Callable[[str], float]:
-    def figure(text: str) -> float:
-        try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
-        if not (math.isfinite(value) and value <= most and (value > 0 or (zero and value == 0))):
-            least = "from 0 on" if zero else "above 0"
-            end = f" and up to {most:g}" if math.isfinite(most) else ""
-            raise argparse.ArgumentTypeError(f"found {text!r:.50}; give {what}, {least}{end}, such as 0.01")
-        return value
+def _rate(text: str) -> float:
+    return _figure(text, _number(text), "failures per hour, above 0, such as 0.2")
 
-    return figure
+
+def _duration(text: str) -> float:
+    try:
+        value = seconds(text)
+    except ValueError:
+        value = _number(text)
+    return _figure(text, value, "seconds, above 0, such as 6 or 1m30s")
+
+
+def _risk(text: str) -> float:
+    return _figure(text, share(text), f"a probability, above 0 and up to {_SUREST:g}, such as 0.01 or 1%", most=_SUREST)
+
+
+def _cpu(text: str) -> float:
+    return _figure(text, share(text), "a share, from 0 on, such as 0.4 or 40%", zero=True)
+
+
+def share(text: str) -> float:
+    """A share such as ``0.4`` or ``40%``; not a number where it is none."""
+    return _number(text.removesuffix("%")) / 100 if text.endswith("%") else _number(text)
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
+
+
+def _figure(text: str, value: float, right: str, *, most: float = math.inf, zero: bool = False) -> float:
+    if not (math.isfinite(value) and value <= most and (value > 0 or (zero and value == 0))):
+        raise argparse.ArgumentTypeError(f"found {text!r:.50}; give {right}")
+    return value

@@ -24,8 +24,9 @@ def read(file: Path) -> Calibration:
     try:
         text = file.read_text()
     except (OSError, UnicodeDecodeError) as error:
+        why = error.strerror if isinstance(error, OSError) else "it isn't UTF-8 text"
         raise ConfigurationError(
-            f"{FIELD}: {file} can't be read: {error}; give the file that camera_calibration wrote for this camera"
+            f"{FIELD}: {file} can't be read: {why}; give the file that camera_calibration wrote for this camera"
         ) from error
     return load(text, f"{FIELD}: {file}")
 
@@ -34,8 +35,12 @@ def load(text: str, source: str) -> Calibration:
     """The same out of its text. Raises ConfigurationError."""
     try:
         found = yaml.safe_load(text)
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, ValueError) as error:  # a date such as 2020-13-45 is a ValueError
         raise ConfigurationError(f"{source} is no YAML: {error}") from error
+    except RecursionError as error:
+        raise ConfigurationError(
+            f"{source}: lists and mappings are nested too deeply; give a file that camera_calibration wrote"
+        ) from error
     if not isinstance(found, Mapping):
         raise ConfigurationError(f"{source}: it has no camera_matrix; give a file that camera_calibration wrote")
     width, height = _pixels(found, "image_width", source), _pixels(found, "image_height", source)

@@ -258,8 +258,12 @@ def load(text: str, source: str = "the configuration") -> Configuration:
     """A configuration out of YAML. Raises ConfigurationError with everything that is wrong."""
     try:
         found = yaml.safe_load(text)
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, ValueError) as error:  # a date such as 2020-13-45 is a ValueError
         raise ConfigurationError(f"{source} is no YAML: {error}") from error
+    except RecursionError as error:
+        raise ConfigurationError(
+            f"{source}: lists and mappings are nested too deeply; give a mapping with camera and markers"
+        ) from error
     if not isinstance(found, Mapping):
         kind = "nothing" if found is None else type(found).__name__
         raise ConfigurationError(f"{source}: found {kind}; give a mapping with camera and markers")
@@ -273,8 +277,12 @@ def read(file: Path) -> Configuration:
     """A configuration out of a file. Raises ConfigurationError."""
     try:
         text = file.read_text()
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigurationError(f"{file} can't be read: {error}") from error
+    except OSError as error:
+        raise ConfigurationError(
+            f"{file} can't be read: {error.strerror}; give a file that says which camera and which markers"
+        ) from error
+    except UnicodeDecodeError as error:
+        raise ConfigurationError(f"{file} can't be read: it isn't UTF-8; save it as UTF-8 text") from error
     found = load(text, str(file))
     if (device := found.camera.device) is not None:
         device.calibration = str(file.parent / device.calibration)

@@ -23,7 +23,8 @@ _NS = 1e-9
 _WAYS_OUT = {
     "end magic": "a recording that was cut off is repaired by `mcap recover`",
     "footer": "a recording that was cut off is repaired by `mcap recover`",
-    "missing": "the folder's metadata.yaml names files that aren't in it: copy them too, or give one of its files instead",
+    "files are missing": "the folder's metadata.yaml names files that aren't in it: copy them too, or give one of its files instead",
+    "Cannot open database": "it isn't one that rosbag2 has written, or it was cut off; give a rosbag2 folder, or another file of one",
     "Unrecognized storage": "its name must end in .mcap or .db3",
     "metadata file": "give a folder that has a metadata.yaml, or one .mcap or .db3 file; `ros2 bag reindex` writes a metadata.yaml anew",
 }

@@ -40,6 +40,14 @@ def test_the_last_recoveries(stand: Stand, capsys: pytest.CaptureFixture[str], i
     assert stand.asked[0].startswith("--namespace=fleet get robotworkloads.understudy.dev robot-17-navigation -o json")
 
 
+@pytest.mark.parametrize("given", ["0", "-1", "all"])
+def test_how_many_recoveries_is_a_number_from_one_on(capsys: pytest.CaptureFixture[str], given: str) -> None:
+    with pytest.raises(SystemExit) as ended:
+        timeline.main(["robot-17-navigation", f"--last={given}"])
+    assert ended.value.code == 2
+    assert f"argument --last: found '{given}'; give a whole number from 1 on" in capsys.readouterr().err
+
+
 def test_the_records_for_scripts(stand: Stand, capsys: pytest.CaptureFixture[str]) -> None:
     assert timeline.main(["robot-17-navigation", "-o", "yaml"]) == 0
     written = yaml.safe_load(capsys.readouterr().out)

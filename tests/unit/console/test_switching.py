@@ -95,11 +95,20 @@ def test_where_the_robot_is_driven_from_home_already_it_is_done(
     assert "done: w-1 of the workload's own controller" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("given", ["0", "0s", "-3", "soon", "nan", ""])
+def test_how_long_it_waits_is_a_duration(stand: Stand, capsys: pytest.CaptureFixture[str], given: str) -> None:
+    with pytest.raises(SystemExit) as ended:
+        failover.main([NAME, f"--within={given}"])
+    assert ended.value.code == 2
+    assert "argument --within: " in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("given", ["0.3", "300ms"])
 def test_it_does_not_wait_for_ever_and_says_how_to_take_it_back(
-    stand: Stand, capsys: pytest.CaptureFixture[str]
+    stand: Stand, capsys: pytest.CaptureFixture[str], given: str
 ) -> None:
     stand.tell([fleet.well()])
-    assert failover.main([NAME, "--within", "0.3"]) == 2
+    assert failover.main([NAME, "--within", given]) == 2
     told = capsys.readouterr().err
     assert "its monitor has not taken it up" in told
     assert f"kubectl annotate robotworkload {NAME} understudy.dev/switchover-" in told

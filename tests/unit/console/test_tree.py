@@ -108,7 +108,7 @@ def test_a_script_is_given_what_the_monitor_says(
         ({"workload": None}, 'robotworkloads.understudy.dev "robot-2" not found'),
         ({"pods": []}, "RobotWorkload robot-2 has no monitor; see why: kubectl describe robotworkload robot-2"),
         ({"pods": [{"metadata": {"name": "m"}, "status": {"phase": "Pending"}}]}, "the monitor of robot-2 isn't ready (Pending)"),
-        ({"port": None}, "the monitor can't be reached: error: unable to forward port"),
+        ({"port": None}, "the monitor can't be reached: unable to forward port"),
         ({"port": 1}, "the monitor doesn't answer: "),
     ],
 )  # fmt: skip

@@ -45,3 +45,14 @@ def test_a_link_to_a_folder_leads_to_its_page_or_to_a_list_of_its_files(tmp_path
         "[all](docs/README.md) [one](one/README.md) [two](two/index.md#here)"
     )
     assert (tmp_path / "pages/two/index.md").read_text() == "# two\n\n- [a.yaml](a.yaml)\n"
+
+
+def test_a_bar_in_code_in_a_table_is_shown_without_the_backslash_that_keeps_it_in_its_cell(tmp_path: Path) -> None:
+    source = tmp_path / "source"
+    (source / "docs").mkdir(parents=True)
+    (source / "docs" / "README.md").write_text("")
+    (source / "docs" / "site.css").write_text("")
+    text = "| a | b |\n| --- | --- |\n| `-o text\\|json` | one \\| two |\n\n`grep 'a\\|b'`\n"
+    (source / "README.md").write_text(text)
+    pages.lay_out(source, tmp_path / "pages")
+    assert (tmp_path / "pages" / "README.md").read_text() == text.replace("text\\|json", "text|json")

@@ -273,12 +273,15 @@ def test_what_cannot_be_done_is_said_with_the_way_out(file, capsys, texts, more,
     assert expected in error
 
 
-@pytest.mark.parametrize("given", ["Initialised=0.4", "Initialized", "Executing=-1", "Restart=1", "Executing=nan"])
+@pytest.mark.parametrize(
+    "given", ["Initialised=0.4", "Initialized", "Executing=-1", "Restart=1", "Executing=nan", "Executing=%"]
+)
 def test_what_is_no_share_is_refused_by_name(file, capsys, given):
     with pytest.raises(SystemExit) as ended:
         main([file(), "--cpu", given])
     assert ended.value.code == 2
-    assert f"--cpu: found '{given}'; give Uninitialized, Initialized, Executing with a share" in capsys.readouterr().err
+    said = f"--cpu: found '{given}'; give one of Uninitialized, Initialized, Executing with a share, such as Initialized=0.4"
+    assert said in capsys.readouterr().err
 
 
 def _items() -> list[dict[str, Any]]:

@@ -65,6 +65,13 @@ def test_what_a_fallback_uses_and_how_fast_the_pool_is_refilled_count(capsys):
     assert slow["outcome"]["loss"] > quick["outcome"]["loss"]
 
 
+def test_figures_may_be_written_as_a_pool_s_sizing_has_them(capsys):
+    assert main([*PAPER, "--risk", "0.01", "--fallback-cpu", "0.4", "--refill-seconds", "90", "-o", "json"]) == 0
+    plain = capsys.readouterr().out
+    assert main([*PAPER, "--risk", "1%", "--fallback-cpu", "40%", "--refill-seconds", "1m30s", "-o", "json"]) == 0
+    assert capsys.readouterr().out == plain
+
+
 @pytest.mark.parametrize("form", ["png", "svg"])
 def test_it_is_drawn(capsys, tmp_path, form):
     pytest.importorskip("matplotlib")
@@ -84,7 +91,14 @@ def test_it_is_drawn(capsys, tmp_path, form):
         ([], "one of the arguments --fallbacks --risk is required"),
         (["--fallbacks", "4", "--robots", "0"], "--robots: found '0'"),
         (["--fallbacks", "4", "--recovery-seconds", "nan"], "--recovery-seconds: found 'nan'; give seconds, above 0"),
+        (
+            ["--fallbacks", "4", "--recovery-seconds", "6x"],
+            "--recovery-seconds: found '6x'; give seconds, above 0, such as 6",
+        ),
+        (["--fallbacks", "4", "--recovery-seconds", "0s"], "--recovery-seconds: found '0s'"),
         (["--fallbacks", "4", "--fallback-cpu", "-1"], "--fallback-cpu: found '-1'; give a share, from 0 on"),
+        (["--risk", "0%"], "--risk: found '0%'; give a probability, above 0"),
+        (["--risk", "%"], "--risk: found '%'"),
     ],
 )
 def test_what_makes_no_sense_is_refused_by_name(capsys, more, expected):

@@ -80,6 +80,8 @@ def test_what_is_left_out_has_a_sensible_value():
             "camera.references: id 7 is that of markers (robot) too",
         ),
         ("{", "a.yaml is no YAML: .*"),
+        ("camera: 2020-13-45", "a.yaml is no YAML: month must be in 1..12"),
+        pytest.param("[" * 5000, "a.yaml: lists and mappings are nested too deeply", id="deep"),
     ],
 )
 def test_a_mistake_is_named_with_its_field(text: str, expected: str):
@@ -103,7 +105,13 @@ def test_all_mistakes_are_named_at_once():
 def test_the_command_says_what_is_wrong_with_its_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     file = tmp_path / "tracker.yaml"
     assert main([str(file), "--check"]) == 2
-    assert f"{file} can't be read" in capsys.readouterr().err
+    assert (
+        f"{file} can't be read: No such file or directory; give a file that says which camera"
+        in capsys.readouterr().err
+    )
+    file.write_bytes(b"\xff\xfe")
+    assert main([str(file), "--check"]) == 2
+    assert capsys.readouterr().err == f"{file} can't be read: it isn't UTF-8; save it as UTF-8 text\n"
     file.write_text(with_("markers.0.height", ""))
     assert main([str(file)]) == 2
     assert capsys.readouterr().err == f"{file}: markers[0].height: missing\n"

@@ -127,7 +127,10 @@ def test_it_draws_detections_and_failed_times(folder: Path) -> None:
         ),
         (["policy.yaml", "--bag", "."], "this can't be read as a bag: "),
         (["policy.yaml", "--bag", "no.mcap"], "no.mcap: this can't be read as a bag: File magic is invalid; give"),
-        (["policy.yaml", "--bag", "no.db3"], "no.db3: this can't be read as a bag: "),
+        (
+            ["policy.yaml", "--bag", "no.db3"],
+            "no.db3: this can't be read as a bag: Cannot open database no.db3: file is not a database; it isn't one that rosbag2 has",
+        ),
         (["policy.yaml", "--bag", "cut.mcap"], "a recording that was cut off is repaired by `mcap recover`"),
         (
             ["policy.yaml", "--bag", "bag", "--onset", "soon"],
