@@ -58,3 +58,11 @@ def test_the_ci_runs_all() -> None:
     assert "scripts/test all" in text
     for path in (".ci/run", "scripts/test", "scripts/generate", "scripts/constraints"):
         assert (REPOSITORY / path).stat().st_mode & 0o111, f"{path} must be executable"
+
+
+def test_the_journals_of_both_examples_stay_the_same() -> None:
+    """Each image is made of its example's folder alone, as a reader would copy it, so that one module can't be in both."""
+    files = ("navigation/src/navigation_robot/journal.py", "quickstart/src/understudy_quickstart/journal.py")
+    (ones, others) = ((REPOSITORY / "examples" / file).read_text().splitlines() for file in files)
+    assert "class Journal:" in ones
+    assert ones[1:] == others[1:], "all but who writes it"

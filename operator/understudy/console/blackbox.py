@@ -15,7 +15,7 @@ from pydantic import ValidationError
 
 from understudy.api import names
 from understudy.api.recordings import Recording, Recordings
-from understudy.console import terminal
+from understudy.console import options, terminal
 from understudy.console.drawing import plain
 from understudy.console.kubectl import Kubectl, Unusable, add_options
 from understudy.console.tables import Cell, drawn
@@ -35,14 +35,15 @@ def main(arguments: list[str]) -> int:
     """Run the command."""
     parser = _parser()
     given = parser.parse_args(arguments)
-    if given.to is not None and given.fetch is None:
-        parser.error("--to says where a recording is fetched into: give --fetch too")
+    fetches = given.fetch is not None
+    options.only(parser, given, fetches, "--to", "says where a recording is fetched into: give --fetch too")
+    options.only(parser, given, not fetches, "--output", "is for the list, not for --fetch, which --to tells where to")
     try:
         kubectl = Kubectl(given)
         with kubectl.forwarded(monitor_pod(kubectl, given.name), names.RECORDINGS_PORT) as port:
             found = _listed(port)
             if given.fetch is None:
-                return _show(found, given.output)
+                return _show(found, given.output or "text")
             recording = _wanted(found, given.fetch)
             path = Path(given.to or f"{given.name}-{recording.number}.mcap")
             _fetch(port, recording, path)
@@ -187,8 +188,6 @@ def _parser() -> argparse.ArgumentParser:
         "nothing is said)",
     )
     parser.add_argument("--to", metavar="FILE", help="the file that it is fetched into (NAME-NUMBER.mcap)")
-    parser.add_argument(
-        "-o", "--output", choices=["text", "json", "yaml"], default="text", help="the list as text, or as JSON or YAML"
-    )
+    parser.add_argument("-o", "--output", choices=["text", "json", "yaml"], help="the list as text, or as JSON or YAML")
     add_options(parser)
     return parser

@@ -10,7 +10,7 @@ from typing import Any
 
 from understudy import __version__
 from understudy.cluster.client import WORKLOADS, Object
-from understudy.console import clocks, findings, graphs, installed, packets, rights, terminal, testpods
+from understudy.console import clocks, findings, graphs, installed, options, packets, rights, terminal, testpods
 from understudy.console.drawing import plain
 from understudy.console.findings import Finding
 from understudy.console.installed import Installed
@@ -28,7 +28,9 @@ _ENFORCED, _READ = "GateEnforced", "OutputsRead"
 
 def main(arguments: list[str]) -> int:
     """Run the command."""
-    given = _parser().parse_args(arguments)
+    parser = _parser()
+    given = parser.parse_args(arguments)
+    options.only(parser, given, not given.no_pods, "--image", "says what the pods are made of: leave out --no-pods")
     out = sys.stdout
     try:
         kubectl = Kubectl(given)

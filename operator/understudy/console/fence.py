@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import getpass
 import sys
 import time
 
@@ -11,7 +10,7 @@ from understudy.api import names
 from understudy.api.pauses import Pause
 from understudy.cluster import gates
 from understudy.cluster.client import Object
-from understudy.console import asking, terminal
+from understudy.console import asking, signing, terminal
 from understudy.console.kubectl import WORKLOADS, Kubectl, Unusable, add_options
 from understudy.console.robots import UNWATCHED, robot, status_of
 from understudy.console.texts import wrapped
@@ -37,23 +36,20 @@ def main(arguments: list[str]) -> int:
     """Run the command."""
     given = _parser().parse_args(arguments)
     try:
-        if not given.reason.strip():
-            raise Unusable("--reason is empty: whoever finds it fenced will want to know")
+        pause = signing.signed(given, "fenced", before="fenced: ")
         kubectl = Kubectl(given)
         item = kubectl.get(WORKLOADS, given.name)
         asking.confirm(
             f"{given.name} drives a robot, which will be told nothing from then on. Close its gate?", yes=given.yes
         )
-        return _fence(kubectl, item, given)
+        return _fence(kubectl, item, pause)
     except Unusable as error:
         print(f"understudy fence: {error}", file=sys.stderr)
         return CANT
 
 
-def _fence(kubectl: Kubectl, item: Object, given: argparse.Namespace) -> int:
+def _fence(kubectl: Kubectl, item: Object, pause: Pause) -> int:
     name = item["metadata"]["name"]
-    reason = f"fenced: {given.reason}"[:256]
-    pause = Pause(reason=reason, owner=given.owner[:128])
     # The pause goes first: a monitor opens a gate that is closed for no reason that it knows.
     kubectl.patch(WORKLOADS, name, {"spec": {"pause": pause.to_wire() | {"until": None}}})
     shut_out, epoch = _close(kubectl, name)
@@ -123,13 +119,7 @@ def _parser() -> argparse.ArgumentParser:
         "2 where it can't be done.",
     )
     parser.add_argument("name", metavar="NAME", help="the RobotWorkload")
-    parser.add_argument("--reason", metavar="TEXT", required=True, help="why, for whoever finds it so")
-    parser.add_argument(
-        "--owner",
-        metavar="WHO",
-        default=getpass.getuser(),
-        help="who does it, where that isn't whom you are logged in as",
-    )
+    signing.add_options(parser, reason="why, for whoever finds it so")
     asking.add_option(parser)
     add_options(parser)
     return parser

@@ -9,7 +9,7 @@ from typing import Any
 
 from understudy.api import names
 from understudy.api.base import DURATION_MESSAGE, seconds
-from understudy.console import asking, faults, partition
+from understudy.console import asking, faults, options, partition
 from understudy.console.kubectl import WORKLOADS, Kubectl, Unusable, add_options
 from understudy.console.robots import status_of
 
@@ -22,16 +22,34 @@ ALLOWED = f"{names.GROUP}/allow-inject"
 LONGEST = 600.0
 """Seconds that a fault lasts at most."""
 
+LENGTH, PERCENT = "10s", 80
+"""What is meant where --for and --percent aren't given."""
+
+FAULTS = ["kill", "freeze", "slow", "partition"]
+
+_MEANT_FOR = {
+    "--for": ("freeze", "slow", "partition"),
+    "--percent": ("slow",),
+    "--from": ("partition",),
+    "--container": ("freeze", "slow"),
+}
+"""The faults for which an option says something."""
+
 
 def main(arguments: list[str]) -> int:
     """Run the command."""
-    given = _parser().parse_args(arguments)
+    parser = _parser()
+    given = parser.parse_args(arguments)
+    for option, meant in _MEANT_FOR.items():
+        options.only(
+            parser, given, given.fault in meant, option, f"is for {options.listed(meant)}, not for {given.fault}"
+        )
     try:
-        length = _length(given.length)
+        length = _length(LENGTH if given.length is None else given.length)
         kubectl = Kubectl(given)
         _allowed(kubectl)
         pod = _pod(kubectl, given.name)
-        means = partition.means(kubectl, given.name, given.whom) if given.fault == "partition" else None
+        means = partition.means(kubectl, given.name, given.whom or ()) if given.fault == "partition" else None
         asking.confirm(f"Pod {pod} drives the robot of {given.name}. {given.fault.capitalize()} it?", yes=given.yes)
         if given.fault == "kill":
             kubectl.delete("pod", pod, "--grace-period=0", "--force")
@@ -39,7 +57,7 @@ def main(arguments: list[str]) -> int:
         elif means is not None:
             partition.cut_off(kubectl, pod, means, length)
         else:
-            percent = 100 if given.fault == "freeze" else given.percent
+            percent = 100 if given.fault == "freeze" else given.percent or PERCENT
             _stop(kubectl, pod, given.container or _container(kubectl, pod), length, percent)
         print(f"What became of it: understudy timeline -n {kubectl.namespace} {given.name}")
         return DONE
@@ -107,7 +125,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("name", metavar="NAME", help="the RobotWorkload")
     parser.add_argument(
         "fault",
-        choices=["kill", "freeze", "slow", "partition"],
+        choices=FAULTS,
         help="kill: its pod is deleted by force. freeze: its processes are stopped, and to Kubernetes they run. slow: the same for a part "
         "of the time, a tenth of a second after the other. partition: its pod is cut off from the network",
     )
@@ -115,15 +133,14 @@ def _parser() -> argparse.ArgumentParser:
         "--for",
         metavar="DURATION",
         dest="length",
-        default="10s",
-        help="how long it is frozen, slow or cut off (%(default)s)",
+        help=f"how long it is frozen, slow or cut off ({LENGTH})",
     )
     parser.add_argument(
-        "--percent", type=int, choices=range(1, 100), metavar="1..99", default=80,
-        help="slow: the share of the time for which it is stopped (%(default)s)",
+        "--percent", type=int, choices=range(1, 100), metavar="1..99",
+        help=f"slow: the share of the time for which it is stopped ({PERCENT})",
     )  # fmt: skip
     parser.add_argument(
-        "--from", metavar="WHOM", dest="whom", action="append", default=[],
+        "--from", metavar="WHOM", dest="whom", action="append",
         help=f"partition: from whom alone it is cut off: {partition.MONITOR} (its monitor's pod), an address or a network; may be given "
         "more than once. Without it, from everything",
     )  # fmt: skip

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import getpass
 import re
 import sys
 import time
@@ -11,6 +10,7 @@ from datetime import UTC, datetime
 
 from understudy.api.base import DURATION_MESSAGE, seconds
 from understudy.api.pauses import MOMENT_MESSAGE, MOMENT_PATTERN, Pause, unix
+from understudy.console import signing
 from understudy.console.kubectl import WORKLOADS, Kubectl, Unusable, add_options
 
 DONE, CANT = 0, 2
@@ -45,10 +45,7 @@ def _pause(given: argparse.Namespace, now: float) -> Pause:
             raise Unusable(f'--until "{until}": {MOMENT_MESSAGE}')
         if end <= now:
             raise Unusable(f"--until {until} is over already")
-    for option, text in (("--reason", given.reason), ("--owner", given.owner)):
-        if not text.strip():
-            raise Unusable(f"{option} is empty: whoever finds it paused will want to know")
-    return Pause(reason=given.reason[:256], owner=given.owner[:128], until=until)
+    return signing.signed(given, "paused", until=until)
 
 
 def _no_end(pause: Pause) -> dict[str, None]:
@@ -64,13 +61,7 @@ def _parser() -> argparse.ArgumentParser:
         epilog="Exit status: 0 where it is paused now, 2 where that can't be done.",
     )
     parser.add_argument("name", metavar="NAME", help="the RobotWorkload")
-    parser.add_argument("--reason", metavar="TEXT", required=True, help="what is being done, for whoever asks why")
-    parser.add_argument(
-        "--owner",
-        metavar="WHO",
-        default=getpass.getuser(),
-        help="who does it, where that isn't whom you are logged in as",
-    )
+    signing.add_options(parser, reason="what is being done, for whoever asks why")
     end = parser.add_mutually_exclusive_group()
     end.add_argument("--until", metavar="MOMENT", help="when it ends by itself, such as 2026-11-22T18:00:00Z")
     end.add_argument("--for", metavar="DURATION", dest="length", help="how long it lasts, such as 30m")

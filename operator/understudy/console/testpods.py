@@ -26,7 +26,8 @@ from understudy.console.sessions import Session, session
 from understudy.console.texts import unix
 from understudy.controller import gates, objects
 from understudy.controller.desired import Images, pull_secrets
-from understudy.controller.instances import HARDENED, away_from
+from understudy.controller.instances import HARDENED
+from understudy.controller.placing import away_from
 from understudy.controller.troubles import trouble
 
 LABEL = f"{names.GROUP}/doctor"

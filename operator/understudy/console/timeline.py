@@ -6,7 +6,7 @@ import argparse
 import sys
 import time
 
-from understudy.console import recoveries, terminal
+from understudy.console import options, recoveries, terminal
 from understudy.console.kubectl import Kubectl, Unusable, add_options
 from understudy.console.robots import status_of
 from understudy.console.texts import structured
@@ -20,7 +20,9 @@ EACH = 3
 
 def main(arguments: list[str]) -> int:
     """Run the command."""
-    given = _parser().parse_args(arguments)
+    parser = _parser()
+    given = parser.parse_args(arguments)
+    options.only(parser, given, given.output == "text", "--last", f"is for text: {given.output} has all of them")
     try:
         item = Kubectl(given).get("robotworkloads.understudy.dev", given.name)
         status = status_of(item)
@@ -37,7 +39,7 @@ def main(arguments: list[str]) -> int:
         f"{item['metadata']['namespace']}/{item['metadata']['name']}",
         count,
         found,
-        last=given.last,
+        last=EACH if given.last is None else given.last,
         now=time.time(),
         columns=terminal.columns(sys.stdout),
         colours=terminal.colours(sys.stdout),
@@ -54,9 +56,7 @@ def _parser() -> argparse.ArgumentParser:
         epilog="Exit status: 0 where they are shown, 2 where it can't be told.",
     )
     parser.add_argument("name", metavar="NAME", help="the RobotWorkload")
-    parser.add_argument(
-        "--last", metavar="N", type=_count, default=EACH, help="how many are shown one by one (%(default)s)"
-    )
+    parser.add_argument("--last", metavar="N", type=_count, help=f"how many are shown one by one ({EACH})")
     parser.add_argument(
         "-o", "--output", choices=["text", "json", "yaml"], default="text", help="text, or the records as JSON or YAML"
     )

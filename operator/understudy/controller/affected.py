@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from typing import Any, NamedTuple
 
 from understudy.api import names
@@ -38,12 +38,27 @@ class Key(NamedTuple):
 _PLURALS = {"RobotWorkload": WORKLOADS.plural, "FallbackPool": POOLS.plural}
 
 
+class Affected(NamedTuple):
+    """What a change comes to."""
+
+    keys: set[Key]
+    """What it may mean something for; too many do no harm."""
+    is_claim: bool
+    """Whether a workload has taken one of many pods of a shared pool. Until its gate says what came of it, that means nothing to others."""
+
+
+def of(sight: Sight, store: Store) -> Affected:
+    """What a change comes to, with the store as it is after it."""
+    plenty = _plenty(sight, store)
+    return Affected(set(_keys(sight, store, plenty)), _is_claim(sight, plenty))
+
+
 def keys(sight: Sight, store: Store) -> set[Key]:
-    """The keys that a change may mean something for; too many do no harm."""
-    return set(_keys(sight, store))
+    """The keys of :func:`of`, for who does nothing else with it."""
+    return of(sight, store).keys
 
 
-def _keys(sight: Sight, store: Store) -> Iterator[Key]:
+def _keys(sight: Sight, store: Store, plenty: Collection[str]) -> Iterator[Key]:
     found = sight.new or sight.old
     assert found is not None
     namespace = found["metadata"].get("namespace", "")
@@ -70,19 +85,18 @@ def _keys(sight: Sight, store: Store) -> Iterator[Key]:
                 yield from _sized(store, namespace)
             yield from _after_health(sight, store, namespace)
     elif plural == PODS.plural:
-        yield from _after_pod(sight, store, namespace)
+        yield from _after_pod(sight, store, namespace, plenty)
     elif plural == NETWORK_POLICIES.plural:
         yield from _after_policy(found, store, namespace)
     elif plural == CONFIG_MAPS.plural:
         yield from _after_trees(found, store, namespace)
 
 
-def is_claim(sight: Sight, store: Store) -> bool:
-    """Whether a workload has taken one of many pods of a shared pool. Until its gate says what came of it, that means nothing to others."""
+def _is_claim(sight: Sight, plenty: Collection[str]) -> bool:
     if sight.resource.plural != PODS.plural or sight.old is None or sight.new is None:
         return False
-    taken = names.HELD in objects.labels(sight.old) and names.CLAIM in objects.notes(sight.new)
-    return taken and _plenty(sight.old, store, sight.old["metadata"]["namespace"])
+    before = objects.labels(sight.old)
+    return names.HELD in before and names.CLAIM in objects.notes(sight.new) and before.get(names.POOL, "") in plenty
 
 
 def _spec_changed(sight: Sight) -> bool:
@@ -148,7 +162,7 @@ def _after_spec(sight: Sight, store: Store, namespace: str) -> Iterator[Key]:
             yield Key(WORKLOADS.plural, namespace, name)
 
 
-def _after_pod(sight: Sight, store: Store, namespace: str) -> Iterator[Key]:
+def _after_pod(sight: Sight, store: Store, namespace: str, plenty: Collection[str]) -> Iterator[Key]:
     for item in (sight.old, sight.new):
         if item is None:
             continue
@@ -156,16 +170,25 @@ def _after_pod(sight: Sight, store: Store, namespace: str) -> Iterator[Key]:
         for label, plural in ((names.WORKLOAD, WORKLOADS), (names.MONITORED, WORKLOADS), (names.POOL, POOLS)):
             if label in labels:
                 yield Key(plural.plural, namespace, labels[label])
-        if names.HELD in labels and not _plenty(item, store, namespace):
+        if names.HELD in labels and labels.get(names.POOL, "") not in plenty:
             yield from _pool_users(labels.get(names.POOL, ""), store, namespace)
 
 
-def _plenty(held: Object, store: Store, namespace: str) -> bool:
+def _plenty(sight: Sight, store: Store) -> Collection[str]:
+    """The shared pools, of those that a pod was or is held for, that have plenty without it."""
+    if sight.resource.plural != PODS.plural:
+        return ()
+    known = [item for item in (sight.old, sight.new) if item is not None and names.HELD in objects.labels(item)]
+    # Mostly it is the same one before and after: one question.
+    held = {objects.labels(item).get(names.POOL, ""): item for item in known}
+    return [pool for pool, item in held.items() if _has_plenty(pool, item, store, item["metadata"]["namespace"])]
+
+
+def _has_plenty(name: str, held: Object, store: Store, namespace: str) -> bool:
     """Whether a shared pool has so many other pods that can be claimed that this one makes no difference to any workload.
 
     Without that each claim, and each step of a pod that comes up, would have every workload of a fleet looked at.
     """
-    name = objects.labels(held).get(names.POOL, "")
     pool = store.get(POOLS, namespace, name)
     if pool is None:
         return False

@@ -15,7 +15,7 @@ from understudy.api import fencing, holding, names
 from understudy.cluster import claims
 from understudy.cluster.applying import digest
 from understudy.cluster.client import Object
-from understudy.controller import objects, robots, shapes
+from understudy.controller import objects, placing, robots, shapes
 from understudy.controller.desired import Images, pull_secrets
 
 AGENT_REQUESTS = {"cpu": "20m", "memory": "64Mi"}
@@ -31,15 +31,10 @@ HARDENED: Object = {
 }
 """Security context of our own containers."""
 
-LOST_SECONDS = 30
-
 DEFAULT_CONTAINER = "kubectl.kubernetes.io/default-container"
 """Annotation of a pod: whose logs kubectl shows unless it is told otherwise."""
 
 _TOKEN_VOLUME = "understudy-agent-token"
-_HOSTNAME = "kubernetes.io/hostname"
-_DISTANCE = 100  # the greatest weight: an understudy on the node of the active pod dies with it
-_DISTANCE_OF_MONITOR = 50  # a monitor that dies with the active pod is started elsewhere first, which takes seconds
 
 
 @dataclass(frozen=True)
@@ -155,8 +150,8 @@ def build(template: Mapping[str, Any], recipe: Recipe) -> Object:
     if recipe.prepared:
         spec["initContainers"] = [_prepare(recipe, fenced_names), *(spec.get("initContainers") or [])]
     spec |= pull_secrets(recipe.images.pull_secrets, spec.get("imagePullSecrets") or [])
-    _keep_apart(spec, recipe)
-    _leave_lost_nodes(spec)
+    placing.keep_apart(spec, workload=recipe.workload, pool=recipe.pool, held=recipe.held)
+    placing.leave_lost_nodes(spec)
     found = template.get("metadata") or {}
     labels = {key: value for key, value in (found.get("labels") or {}).items() if key not in recipe.stripped}
     labels |= _labels(recipe)
@@ -371,64 +366,3 @@ def _agent(recipe: Recipe, held: Sequence[str], fenced: Sequence[str], unfenced:
             *profiles,
         ],
     }
-
-
-def _keep_apart(spec: Object, recipe: Recipe) -> None:
-    """Prefer other nodes than those of the other instances (of the workload, or of the shared pool), then than the monitor's.
-
-    Where a shared pool's pods are to be is left to its template, if that says so.
-    """
-    if recipe.held and (spec.get("topologySpreadConstraints") or (spec.get("affinity") or {}).get("podAntiAffinity")):
-        return
-    labels = {names.WORKLOAD: recipe.workload} if recipe.workload else {names.POOL: recipe.pool}
-    terms = [away_from(labels, _DISTANCE)]
-    if recipe.workload:
-        terms.append(away_from({names.MONITORED: recipe.workload}, _DISTANCE_OF_MONITOR))
-    affinity = dict(spec.get("affinity") or {})
-    apart = dict(affinity.get("podAntiAffinity") or {})
-    key = "preferredDuringSchedulingIgnoredDuringExecution"
-    apart[key] = [*(apart.get(key) or []), *terms]
-    spec["affinity"] = {**affinity, "podAntiAffinity": apart}
-    _spread(spec, labels)
-
-
-def _spread(spec: Object, labels: Mapping[str, str]) -> None:
-    """Have the scheduler count the others on each node, without those that are on their way out.
-
-    For an affinity they are as good as there: with two nodes, of which one has the pod that failed, the next understudy would as soon be
-    beside the one in control. The API server takes one constraint for each pair of these two fields.
-    """
-    ours = {
-        "maxSkew": 1,
-        "topologyKey": _HOSTNAME,
-        "whenUnsatisfiable": "ScheduleAnyway",
-        "labelSelector": {"matchLabels": dict(labels)},
-    }
-    given = spec.get("topologySpreadConstraints") or []
-    if not any(
-        (one.get("topologyKey"), one.get("whenUnsatisfiable")) == (_HOSTNAME, "ScheduleAnyway") for one in given
-    ):
-        spec["topologySpreadConstraints"] = [*given, ours]
-
-
-def away_from(labels: Mapping[str, str], weight: int) -> Object:
-    """A preference for nodes without such pods, as strong as its weight (1 to 100) beside other preferences."""
-    term = {"topologyKey": _HOSTNAME, "labelSelector": {"matchLabels": dict(labels)}}
-    return {"weight": weight, "podAffinityTerm": term}
-
-
-def _leave_lost_nodes(spec: Object) -> None:
-    """On a lost node a pod is replaced after LOST_SECONDS, not after Kubernetes' five minutes without an understudy."""
-    given = spec.get("tolerations") or []
-    spec["tolerations"] = [
-        *given,
-        *(
-            {"key": key, "operator": "Exists", "effect": "NoExecute", "tolerationSeconds": LOST_SECONDS}
-            for key in ("node.kubernetes.io/not-ready", "node.kubernetes.io/unreachable")
-            if not any(_tolerates(toleration, key) for toleration in given)
-        ),
-    ]
-
-
-def _tolerates(toleration: Mapping[str, Any], key: str) -> bool:
-    return toleration.get("key") in (key, None) and toleration.get("effect") in ("NoExecute", None)

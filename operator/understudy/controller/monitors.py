@@ -13,7 +13,8 @@ from understudy.cluster.client import Object
 from understudy.controller import robots
 from understudy.controller.desired import Images, priority, pull_secrets
 from understudy.controller.discovery import TOLERATIONS
-from understudy.controller.instances import HARDENED, away_from
+from understudy.controller.instances import HARDENED
+from understudy.controller.placing import away_from
 
 STATE_DIR = "/var/lib/understudy"
 # Of a busy node's processors it gets its share by this, and in a recovery it needs more at once than what it uses (15m).

@@ -71,8 +71,9 @@ class Operator:
                 self._add(key)
 
     def _enqueue(self, sight: Sight) -> None:
-        delays = CLAIMED if affected.is_claim(sight, self._store) else {}
-        for key in affected.keys(sight, self._store):
+        found = affected.of(sight, self._store)
+        delays = CLAIMED if found.is_claim else {}
+        for key in found.keys:
             self._add(key, delays.get(key.plural, SOON))
 
     def _add(self, key: Key, delay: float = SOON) -> None:

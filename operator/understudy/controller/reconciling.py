@@ -23,6 +23,7 @@ from understudy.controller import (
     policies,
     pools,
     poolsizes,
+    poolstatuses,
     resizing,
     statuses,
     storms,
@@ -182,7 +183,7 @@ class Reconciler:
             owned=self._store.owned(objects.uid(item)),
             pods=self._store.labelled(PODS, key.namespace, names.POOL, key.name),
         )
-        later = await self._count(key, item, pools.status(seen, understanding, problems))
+        later = await self._count(key, item, poolstatuses.status(seen, understanding, problems))
         self._measure(key, understanding.sized)
         if understanding.sized is not None and (told := poolsizes.change(understanding.sized)) is not None:
             await self._recorder.normal(item, "Resized", told)

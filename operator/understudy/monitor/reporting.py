@@ -176,6 +176,10 @@ class Reporter:
         """Say a condition; whether its status or reason changed."""
         old = self._conditions.get(type_)
         if old and (old.status, old.reason, old.message) == (status, reason, message):
+            if self.generation is not None and old.observed_generation != self.generation:
+                # It is so by the present spec too. kubectl wait takes nothing that is about an earlier one.
+                self._conditions[type_] = old.model_copy(update={"observed_generation": self.generation})
+                self._changed.set()
             return False
         fresh = condition(type_, status, reason, message, generation=self.generation)  # type: ignore[arg-type]
         self._conditions[type_] = merged([old] if old else [], [fresh])[0]

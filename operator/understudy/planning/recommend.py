@@ -18,7 +18,7 @@ from understudy.checking.documents import Manifest
 from understudy.choosing import explaining
 from understudy.choosing.figures import Figure, Way
 from understudy.cluster.client import Object
-from understudy.console import kubectl, terminal
+from understudy.console import kubectl, options, terminal
 from understudy.planning import comparing
 from understudy.planning.fitting import fitted
 from understudy.planning.recommendations import recommended
@@ -34,7 +34,12 @@ _REQUIREMENTS = ("safety", "availability", "resource-usage", "task-criticality")
 
 def main(arguments: list[str]) -> int:
     """Run the command; what came of it goes to standard output."""
-    given = _parser().parse_args(arguments)
+    parser = _parser()
+    given = parser.parse_args(arguments)
+    for option in ("--namespace", "--context", "--kubeconfig"):
+        options.only(
+            parser, given, not given.no_cluster, option, "says where in a cluster to look: leave out --no-cluster"
+        )
     try:
         if given.plot is not None:
             pictures.usable(given.plot)

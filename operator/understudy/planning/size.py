@@ -9,7 +9,7 @@ import sys
 from collections.abc import Callable
 
 from understudy.api.base import seconds
-from understudy.console import terminal
+from understudy.console import options, terminal
 from understudy.planning.fitting import fitted
 from understudy.planning.sizes import Question, sized
 from understudy.planning.telling import told
@@ -23,10 +23,15 @@ DONE, CANT = 0, 2
 _SUREST = 0.999999
 """The greatest risk that a size is found for."""
 
+RISK_OF = "loss"
+"""What a risk is of where --risk-of isn't given."""
+
 
 def main(arguments: list[str]) -> int:
     """Run the command; what came of it goes to standard output."""
-    given = _parser().parse_args(arguments)
+    parser = _parser()
+    given = parser.parse_args(arguments)
+    options.only(parser, given, given.risk is not None, "--risk-of", "says what --risk is of, which isn't given")
     question = Question(
         robots=given.robots,
         failures_per_robot_hour=given.failures_per_robot_hour,
@@ -38,7 +43,7 @@ def main(arguments: list[str]) -> int:
     try:
         if given.plot is not None:
             pictures.usable(given.plot)
-        size = sized(question, given.fallbacks, given.risk, given.risk_of)
+        size = sized(question, given.fallbacks, given.risk, given.risk_of or RISK_OF)
         print(
             json.dumps(size.data(), indent=2)
             if given.output == "json"
@@ -108,9 +113,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--risk-of",
         choices=tuple(MEASURES),
-        default="loss",
         help="what the risk is of: loss: a failure finds no fallback and goes without; waiting: it has to wait for one; window: more "
-        "failures than fallbacks fall into the time of a refill, as the paper asks (default: loss)",
+        f"failures than fallbacks fall into the time of a refill, as the paper asks (default: {RISK_OF})",
     )
     parser.add_argument("--plot", metavar="FILE.png", help="draw risk against cost (needs the extra understudy[plots])")
     parser.add_argument("-o", "--output", choices=("text", "json"), default="text", help="how it is printed")

@@ -116,4 +116,4 @@ class Stand:
     @property
     def asked(self) -> list[str]:
         """The command lines so far."""
-        return self._asked.read_text().splitlines()
+        return self._asked.read_text().splitlines() if self._asked.exists() else []

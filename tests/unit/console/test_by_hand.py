@@ -74,6 +74,14 @@ def test_where_the_monitor_says_nothing_that_is_told(stand: Stand, capsys: pytes
     assert "its monitor hasn't said within 0.5 s that it leaves it alone" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("option", ["--reason", "--owner"])
+def test_who_fences_it_says_who_and_why(stand: Stand, capsys: pytest.CaptureFixture[str], option: str) -> None:
+    stand.tell(fleet.around(fleet.well()))
+    assert fence.main([ROBOT, *REASON, option, " ", "--yes"]) == 2
+    assert f"{option} is empty: whoever finds it fenced will want to know" in capsys.readouterr().err
+    assert not any(line.startswith("patch ") for line in stand.asked)
+
+
 class Terminal(io.StringIO):
     def isatty(self) -> bool:
         return True
@@ -99,10 +107,8 @@ def test_a_yes_in_a_terminal_is_enough(stand: Stand, monkeypatch: pytest.MonkeyP
     assert fence.main([ROBOT, *REASON]) == 0
 
 
-def test_no_gate_and_no_reason(stand: Stand, capsys: pytest.CaptureFixture[str]) -> None:
+def test_where_there_is_no_gate_that_is_told(stand: Stand, capsys: pytest.CaptureFixture[str]) -> None:
     stand.tell([fleet.well()])
-    assert fence.main([ROBOT, "--reason", " ", "--yes"]) == 2
-    assert "--reason is empty" in capsys.readouterr().err
     assert fence.main([ROBOT, *REASON, "--yes"]) == 2
     assert f"NetworkPolicy {GATE} isn't there, so nobody is let through: understudy explain" in capsys.readouterr().err
 

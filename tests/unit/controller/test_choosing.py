@@ -25,7 +25,7 @@ from understudy.api import names
 from understudy.api.settings import WorkloadSettings
 from understudy.api.workloads import RobotWorkloadStatus
 from understudy.cluster.client import PODS, POLICIES, POOLS, WORKLOADS, Object
-from understudy.controller import affected, policies, pools
+from understudy.controller import affected, policies, poolstatuses
 from understudy.controller.desired import Plan
 from understudy.controller.expectations import Expectations
 from understudy.controller.observing import Observer
@@ -232,7 +232,7 @@ async def test_a_pool_wants_no_standbys_for_workloads_that_others_were_chosen_fo
     observer = Observer(None, stored(auto(), written, mine, other), Expectations())  # type: ignore[arg-type]
     for pool, desired in ((hot(), 1), (warm(), 2)):
         observed = await observer.pool(pool)
-        assert pools.count(observed, policies.pool_spec(pool)).desired == desired
+        assert poolstatuses.count(observed, policies.pool_spec(pool)).desired == desired
 
 
 def test_a_change_of_any_pool_may_mean_another_order() -> None:

@@ -25,7 +25,7 @@ from tests.unit.controller.world import (
 )
 from understudy.api import names
 from understudy.cluster.client import DISRUPTION_BUDGETS, NODES, PODS, POOLS, WORKLOADS, Object
-from understudy.controller import affected, instances, nodes, objects, pools, resyncing
+from understudy.controller import affected, instances, nodes, objects, placing, pools, resyncing
 from understudy.controller.affected import Key
 from understudy.controller.expectations import Expectations
 from understudy.controller.observing import Observer
@@ -326,4 +326,4 @@ class TestSpreading:
 
     def test_a_lost_node_is_left_soon(self) -> None:
         seconds = {t["tolerationSeconds"] for t in self.pod()["spec"]["tolerations"]}
-        assert seconds == {instances.LOST_SECONDS}
+        assert seconds == {placing.LOST_SECONDS}

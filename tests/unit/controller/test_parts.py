@@ -10,7 +10,17 @@ from tests.unit.controller.world import IMAGES, TEMPLATE, hot, pod, policy, spar
 from understudy.api import names
 from understudy.api.workloads import Ros
 from understudy.cluster.client import Object
-from understudy.controller import discovery, gates, instances, monitors, policies, references, robots, selectors
+from understudy.controller import (
+    discovery,
+    gates,
+    instances,
+    monitors,
+    placing,
+    policies,
+    references,
+    robots,
+    selectors,
+)
 from understudy.controller.troubles import trouble
 
 ENVIRONMENT = {"ROS_DOMAIN_ID": "7", "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp", "ROS_DISCOVERY_SERVER": "10.0.0.1:11811"}
@@ -74,7 +84,7 @@ class TestInstances:
 
     def test_a_lost_node_is_left_soon_unless_the_user_says_otherwise(self) -> None:
         (not_ready, unreachable) = instances.build(TEMPLATE, RECIPE)["spec"]["tolerations"]
-        assert not_ready["tolerationSeconds"] == unreachable["tolerationSeconds"] == instances.LOST_SECONDS
+        assert not_ready["tolerationSeconds"] == unreachable["tolerationSeconds"] == placing.LOST_SECONDS
         template = copy.deepcopy(TEMPLATE)
         own = {"key": "node.kubernetes.io/unreachable", "operator": "Exists", "tolerationSeconds": 600}
         template["spec"]["tolerations"] = [own]

@@ -29,7 +29,7 @@ from tests.unit.controller.world import (
 from understudy.api import names
 from understudy.cluster import claims
 from understudy.cluster.client import NETWORK_POLICIES, POOLS, WORKLOADS, Object
-from understudy.controller import instances, objects, ownership, pools
+from understudy.controller import instances, objects, ownership, pools, poolstatuses
 from understudy.controller.desired import Plan
 from understudy.controller.expectations import LASTS, Expectations
 from understudy.controller.observing import Observer
@@ -76,7 +76,7 @@ def present(pool: Object) -> str:
 
 
 def status(observed: pools.Observed) -> Object:
-    return pools.status(observed, pools.understand(observed, IMAGES), [])
+    return poolstatuses.status(observed, pools.understand(observed, IMAGES), [])
 
 
 def condition(observed: pools.Observed, type_: str) -> Object:

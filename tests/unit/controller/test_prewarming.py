@@ -23,7 +23,7 @@ from tests.unit.controller.world import (
     workload,
 )
 from understudy.cluster.client import Object
-from understudy.controller import levels, policies, pools
+from understudy.controller import levels, policies, poolstatuses
 from understudy.controller.pools import Observed
 
 FAILOVER = ("hot", "spare", "Restart")
@@ -146,7 +146,7 @@ class TestWhatIsSaid:
     def test_a_pool_tells_how_many_it_is_to_have(self) -> None:
         pool = hot(per_workload=0)
         observed = Observed(pool=pool, workloads={"w": workload()}, pods=[], owned={}, now=0.0, prewarmed=1)
-        assert pools.count(observed, policies.pool_spec(pool)).desired == 1
+        assert poolstatuses.count(observed, policies.pool_spec(pool)).desired == 1
 
     def test_a_shared_pool_is_not_for_one_workload_alone(self) -> None:
         asked = prewarming(pool="spare")

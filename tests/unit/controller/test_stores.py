@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import pytest
+
 from tests.unit.controller.world import held_pod, hot, pod, policy, source_pod, spare, standby_pod, workload
 from understudy.api import names
 from understudy.cluster.client import (
@@ -176,6 +180,29 @@ class TestAffected:
             store.put(PODS, other)
             found = affected.keys(Sight(PODS, None, held_pod("spare-a", of=spare())), store)
             assert Key("robotworkloads", "fleet", "w") in found
+
+    @pytest.mark.parametrize("others", [0, 1])
+    def test_a_claim_from_a_pool_that_has_plenty_is_told_from_others_by_one_look_at_its_pods(
+        self, monkeypatch: pytest.MonkeyPatch, others: int
+    ) -> None:
+        store, before = self.store(), held_pod("spare-a", of=spare())
+        for number in range(others):
+            store.put(PODS, held_pod(f"spare-{number}", of=spare()))
+        labels = {names.WORKLOAD: "v", names.POOL: "spare"}
+        claimed = at(pod("spare-a", labels=labels, annotations={names.CLAIM: "v"}), 9)
+        looks: list[Any] = []
+        labelled = store.labelled
+
+        def looking(*given: Any) -> Any:
+            looks.append(given)
+            return labelled(*given)
+
+        monkeypatch.setattr(store, "labelled", looking)
+        found = affected.of(Sight(PODS, before, claimed), store)
+        assert len(looks) == 1
+        assert found.is_claim is bool(others)
+        assert (Key("robotworkloads", "fleet", "w") in found.keys) is not bool(others)
+        assert Key("robotworkloads", "fleet", "v") in found.keys
 
     def test_a_claim_means_pool_and_workload(self) -> None:
         before = held_pod("spare-a", of=spare())

@@ -160,6 +160,27 @@ async def looked(found: Reporter, item: Object) -> None:
     await found.flush()
 
 
+async def test_what_is_still_so_is_said_of_the_present_spec_and_since_when_stays() -> None:
+    """kubectl wait takes no condition whose observedGeneration is below the object's: after a pause it would wait for ever."""
+    api = Applied()
+    found = monitor_of(api)
+    found.generation = 1
+    found.condition("Healthy", "True", "Healthy", "all is well")
+    found.condition("StateRestored", "True", "Restored", "what it knew")
+    await found.flush()
+    before = {c["type"]: c for c in api.item["status"]["conditions"]}
+    found.generation = 2
+    assert not found.condition("Healthy", "True", "Healthy", "all is well"), "nothing that an Event would be worth"
+    await found.flush()
+    after = {c["type"]: c for c in api.item["status"]["conditions"]}
+    assert after["Healthy"] == before["Healthy"] | {"observedGeneration": 2}
+    assert after["StateRestored"] == before["StateRestored"], "what nobody has said again is about what was"
+    writes = api.writes
+    found.condition("Healthy", "True", "Healthy", "all is well")
+    await found.flush()
+    assert api.writes == writes
+
+
 async def test_what_a_dead_monitor_wrote_late_is_written_over() -> None:
     api = Applied()
     dead, living = monitor_of(api), monitor_of(api)
