@@ -34,6 +34,7 @@ from understudy.cluster.client import Access, Client
 from understudy.controller import following, handlers, running
 from understudy.controller.desired import Images
 from understudy.controller.reconciling import TOGETHER_SECONDS
+from understudy.planning import size
 
 APPS, CORE, NETWORK, RBAC = "apps/v1", "v1", "networking.k8s.io/v1", "rbac.authorization.k8s.io/v1"
 POLICY = "policy/v1"
@@ -533,7 +534,9 @@ def test_a_pool_is_never_overfilled_while_pods_come_and_go(fleet: Fleet, operato
     assert most == 4
 
 
-def test_a_pool_s_size_follows_the_failures_that_its_robots_status_tells_of(fleet: Fleet, operator: Operator) -> None:
+def test_a_pool_s_size_follows_the_failures_that_its_robots_status_tells_of(
+    fleet: Fleet, operator: Operator, capsys: pytest.CaptureFixture[str]
+) -> None:
     sizing = {"risk": "1%", "failuresPerRobotHour": 1, "refill": "10m", "max": 5}
     pool = spare(sizing=sizing)
     del pool["spec"]["replicas"]
@@ -541,10 +544,8 @@ def test_a_pool_s_size_follows_the_failures_that_its_robots_status_tells_of(flee
     assumed = until(lambda: (fleet.get("FallbackPool", "spare").get("status") or {}).get("sizing"), "a size")
     assert (assumed["size"], assumed["failures"], assumed["robots"]) == (3, 0, 1)
     asked = ("--robots=1", "--failures-per-robot-hour=1", "--recovery-seconds=2", "--refill-seconds=600", "--risk=0.01")
-    by_hand = subprocess.run(
-        [sys.executable, "-m", "understudy", "size", *asked, "-o", "json"], capture_output=True, timeout=60, check=True
-    )
-    assert json.loads(by_hand.stdout)["needed"]["loss"] == assumed["size"], "understudy size comes to the same"
+    assert size.main([*asked, "-o", "json"]) == 0
+    assert json.loads(capsys.readouterr().out)["needed"]["loss"] == assumed["size"], "understudy size comes to the same"
     until(lambda: len(fleet.held()) == 3, "the pods that it asks for")
     detected = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(time.time() + 1))
     time.sleep(2)
@@ -614,23 +615,33 @@ def test_on_replenish_pods_of_an_old_template_wait_on_and_may_be_claimed(fleet: 
 
 @pytest.fixture
 def nodes(cluster: Cluster) -> Iterator[list[Object]]:
-    """Two nodes that nothing runs on, and for which no scheduler takes them: pods of other tests would wait there for ever.
-
-    They report nothing, so Kubernetes takes them as lost after 40 s.
-    """
+    """Two nodes that nothing runs on, and that no scheduler takes: pods of other tests would wait there for ever."""
     taint = {"key": "understudy.dev/test", "effect": "NoSchedule"}
     made = []
+    stop = threading.Event()
+
+    def beat() -> None:
+        """What kubelets say again and again, or Kubernetes takes their nodes as lost, here after 6 s."""
+        begun = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
+        ready = {"type": "Ready", "status": "True", "reason": "Test", "message": "", "lastTransitionTime": begun}
+        while True:
+            moment = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
+            for node in made:
+                said = {"status": {"conditions": [ready | {"lastHeartbeatTime": moment}]}}
+                cluster.patch(node, said, subresource="status")
+            if stop.wait(1):
+                return
+
     for number in range(2):
         name = f"understudy-{uuid.uuid4().hex[:6]}-{number}"
         node = {"apiVersion": CORE, "kind": "Node", "metadata": {"name": name}, "spec": {"taints": [taint]}}
         made.append(cluster.create(node))
-        moment = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
-        ready = {"type": "Ready", "status": "True", "reason": "Test", "message": "", "lastHeartbeatTime": moment}
-        cluster.patch(
-            made[-1], {"status": {"conditions": [ready | {"lastTransitionTime": moment}]}}, subresource="status"
-        )
         cluster.patch(made[-1], {"spec": {"taints": [taint]}})
+    thread = threading.Thread(target=beat, daemon=True)
+    thread.start()
     yield made
+    stop.set()
+    thread.join(40)
     for node in made:
         cluster.delete(node)
 
