@@ -13,7 +13,7 @@ import signal
 import subprocess
 import time
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import pytest
@@ -51,9 +51,15 @@ def pytest_configure(config: pytest.Config) -> None:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     # kubectl and helm of the project, where the machine has none.
     os.environ["PATH"] = f"{_CACHE / 'tools'}{os.pathsep}{os.environ['PATH']}"
-    # None of several test processes is to hear what another one's robots say.
-    if "PYTEST_XDIST_WORKER" in os.environ and os.geteuid() == 0:
+    # None of several test processes is to hear what another one's robots say. A cluster is reached by the machine's network only.
+    if "PYTEST_XDIST_WORKER" in os.environ and os.geteuid() == 0 and not _on_a_cluster(config.args):
         _like_a_pod()
+
+
+def _on_a_cluster(arguments: Iterable[str]) -> bool:
+    """Whether one of the files and folders to be tested needs a cluster."""
+    paths = [Path(argument.partition("::")[0]).resolve() for argument in arguments]
+    return any(path.is_relative_to(REPOSITORY / "tests" / folder) for path in paths for folder in ("cluster", "e2e"))
 
 
 def _like_a_pod() -> None:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
 from tests.support.cluster import Cluster, Object, until
+from tests.support.sharing import shared
 from understudy.api.base import GROUP
 from understudy.api.kinds import KINDS
 
@@ -50,8 +51,28 @@ def _helm(helm: str, kubeconfig: Path, *arguments: str) -> subprocess.CompletedP
 
 
 @pytest.fixture(scope="package")
-def release(cluster: Cluster, helm: str, kubeconfig: Path) -> Iterator[Release]:
-    """The chart of this checkout, as an upgrade where it is installed; otherwise it is taken away again afterwards."""
+def release(
+    cluster: Cluster, helm: str, kubeconfig: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Release]:
+    """The chart of this checkout, as an upgrade where it is installed; otherwise it is taken away again afterwards.
+
+    Test processes that run side by side share it.
+    """
+    found = Release(NAME, NAMESPACE)
+    folder = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        folder = folder.parent  # that of all of them
+    with shared(
+        folder,
+        "release",
+        lambda: _install(cluster, helm, kubeconfig, found),
+        lambda before: _restore(cluster, helm, kubeconfig, found, before),
+    ):
+        yield found
+
+
+def _install(cluster: Cluster, helm: str, kubeconfig: Path, release: Release) -> Object:
+    """Install the chart with an operator that rests; answers with what was there before."""
     chart = str(REPOSITORY / "charts" / "understudy")
     there = _helm(helm, kubeconfig, "status", NAME).returncode == 0
     values = ["--reset-then-reuse-values"] if there else ["--set", "operator.replicas=0"]
@@ -61,27 +82,8 @@ def release(cluster: Cluster, helm: str, kubeconfig: Path) -> Iterator[Release]:
     assert done.returncode == 0, done.stderr
     for kind in KINDS:
         until(lambda kind=kind: _established(cluster, kind.plural), f"{kind.name} to be served")  # type: ignore[misc]
-    found = Release(NAME, NAMESPACE)
-    with _resting(cluster, found):
-        yield found
-    if not there:
-        done = _helm(helm, kubeconfig, "uninstall", NAME, "--wait")
-        assert done.returncode == 0, done.stderr
-        leftovers = [_definition(cluster, kind.plural) for kind in KINDS]
-        leftovers.append({"apiVersion": "v1", "kind": "Namespace", "metadata": {"name": NAMESPACE}})
-        for item in leftovers:
-            cluster.delete(item)
-        # What is on its way out would be in the way of the next who installs.
-        for item in leftovers:
-            what = (item["apiVersion"], item["kind"], item["metadata"]["name"])
-            until(lambda what=what: cluster.find(*what) is None, f"{what[2]} to be gone")  # type: ignore[misc]
-
-
-@contextmanager
-def _resting(cluster: Cluster, release: Release) -> Iterator[None]:
-    """An operator that runs would look after the objects of these tests, so it rests meanwhile."""
-    deployment = cluster.get("apps/v1", "Deployment", release.operator, release.namespace)
-    replicas = deployment["spec"]["replicas"]
+    # An operator that runs would look after the objects of these tests.
+    deployment = _deployment(cluster, release)
     labels = ",".join(f"{key}={value}" for key, value in deployment["spec"]["selector"]["matchLabels"].items())
     cluster.patch(deployment, {"spec": {"replicas": 0}}, subresource="scale")
     until(
@@ -89,10 +91,28 @@ def _resting(cluster: Cluster, release: Release) -> Iterator[None]:
         "the installed operator to be gone",
         seconds=60,
     )
-    try:
-        yield
-    finally:
-        cluster.patch(deployment, {"spec": {"replicas": replicas}}, subresource="scale")
+    return {"there": there, "replicas": deployment["spec"]["replicas"]}
+
+
+def _restore(cluster: Cluster, helm: str, kubeconfig: Path, release: Release, before: Object) -> None:
+    if before["there"]:
+        scale = {"spec": {"replicas": before["replicas"]}}
+        cluster.patch(_deployment(cluster, release), scale, subresource="scale")
+        return
+    done = _helm(helm, kubeconfig, "uninstall", NAME, "--wait")
+    assert done.returncode == 0, done.stderr
+    leftovers = [_definition(cluster, kind.plural) for kind in KINDS]
+    leftovers.append({"apiVersion": "v1", "kind": "Namespace", "metadata": {"name": NAMESPACE}})
+    for item in leftovers:
+        cluster.delete(item)
+    # What is on its way out would be in the way of the next who installs.
+    for item in leftovers:
+        what = (item["apiVersion"], item["kind"], item["metadata"]["name"])
+        until(lambda what=what: cluster.find(*what) is None, f"{what[2]} to be gone")  # type: ignore[misc]
+
+
+def _deployment(cluster: Cluster, release: Release) -> Object:
+    return cluster.get("apps/v1", "Deployment", release.operator, release.namespace)
 
 
 def _definition(cluster: Cluster, plural: str) -> Object:

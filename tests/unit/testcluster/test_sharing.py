@@ -1,0 +1,82 @@
+"""What test processes share is made by the first and put back by the last of them, however they end."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.support.sharing import shared
+
+_PROCESSES = multiprocessing.get_context("spawn")
+
+
+def _hold(folder: Path, name: str, end: Connection) -> None:
+    """Hold it until told to end, and write down what is made and put back."""
+
+    def note(text: str) -> None:
+        with (folder / "notes").open("a") as notes:
+            notes.write(f"{text}\n")
+
+    def make() -> Any:
+        note(f"{name} makes")
+        return {"by": name}
+
+    with shared(folder, "thing", make, lambda before: note(f"{name} puts back what was before {before['by']}")):
+        end.send("held")
+        end.recv()
+
+
+class Holder:
+    """A process that holds it."""
+
+    def __init__(self, folder: Path, name: str) -> None:
+        self._end, other = _PROCESSES.Pipe()
+        self.process = _PROCESSES.Process(target=_hold, args=(folder, name, other))
+        self.process.start()
+        assert self._end.poll(60)
+        assert self._end.recv() == "held"
+
+    def let_go(self) -> None:
+        self._end.send("end")
+        self.process.join(60)
+        assert self.process.exitcode == 0
+
+    def kill(self) -> None:
+        assert self.process.pid is not None
+        os.kill(self.process.pid, signal.SIGKILL)
+        self.process.join(60)
+
+
+def _notes(folder: Path) -> list[str]:
+    return (folder / "notes").read_text().splitlines()
+
+
+def test_the_first_makes_it_and_the_last_puts_things_back(tmp_path: Path) -> None:
+    first, second = Holder(tmp_path, "first"), Holder(tmp_path, "second")
+    first.let_go()
+    assert _notes(tmp_path) == ["first makes"]
+    second.let_go()
+    assert _notes(tmp_path) == ["first makes", "second puts back what was before first"]
+
+
+def test_one_that_is_killed_holds_it_no_longer(tmp_path: Path) -> None:
+    first, second = Holder(tmp_path, "first"), Holder(tmp_path, "second")
+    first.kill()
+    second.let_go()
+    assert _notes(tmp_path) == ["first makes", "second puts back what was before first"]
+
+
+def test_what_could_not_be_made_is_not_put_back_and_the_next_one_tries(tmp_path: Path) -> None:
+    def fail() -> None:
+        raise ValueError("no")
+
+    with pytest.raises(ValueError, match="no"), shared(tmp_path, "thing", fail, lambda _: pytest.fail("put back")):
+        pytest.fail("held")
+    Holder(tmp_path, "next").let_go()
+    assert _notes(tmp_path) == ["next makes", "next puts back what was before next"]
