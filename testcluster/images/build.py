@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from testcluster import atomic, locks
-from testcluster.images import engines, pip
-from testcluster.images.catalog import Image, images, with_parents
+from testcluster.images import commits, engines, pip
+from testcluster.images.catalog import PRESENT, Image, images, with_parents
 from testcluster.images.engines import Engine
 from testcluster.paths import cache
 from testcluster.progress import Progress
@@ -70,20 +70,30 @@ def build(engine: Engine, wanted: list[Image], progress: Progress, force: bool =
 
 def main(arguments: list[str] | None = None) -> int:
     """Runs the command; returns the exit code."""
-    known = {image.short: image for image in images()}
     parser = argparse.ArgumentParser(
         prog="scripts/images", description="Builds the images whose inputs changed, and loads them into a cluster."
     )
-    parser.add_argument("image", nargs="*", help=f"which ({', '.join(known)}); all when none is named")
+    here = ", ".join(image.short for image in images())
+    parser.add_argument("image", nargs="*", help=f"which ({here}); all when none is named")
     parser.add_argument("--load", action="store_true", help="load them into the cluster")
     parser.add_argument("--force", action="store_true", help="build even if nothing has changed")
     parser.add_argument(
         "--engine", choices=["buildah", "docker"], help="the builder; Docker where it works, else buildah"
     )
+    parser.add_argument(
+        "--commit",
+        metavar="COMMIT",
+        help="build them as they were at a commit; their tag is the first twelve digits of its hash then, instead of dev",
+    )
     from testcluster import cli
 
     cli.add_selection(parser)
     options = parser.parse_args(arguments)
+    try:
+        source = commits.lay_out(options.commit) if options.commit else PRESENT
+    except commits.NoSuchCommit as error:
+        parser.error(str(error))
+    known = {image.short: image for image in images(source)}
     unknown = sorted(set(options.image) - set(known))
     if unknown:
         parser.error(f"no image {', '.join(unknown)}; there are {', '.join(known)}")
@@ -93,7 +103,7 @@ def main(arguments: list[str] | None = None) -> int:
         provider = cli.select(options.provider, options.name, progress)
         engine = engines.choose(options.engine or provider.engine, progress)
         with locks.held("images", progress):
-            build(engine, with_parents(wanted), progress, options.force)
+            build(engine, with_parents(wanted, source), progress, options.force)
         if options.load:
             provider.load_images([image.name for image in wanted])
     except (CommandFailed, RuntimeError, TimeoutError, ValueError) as error:

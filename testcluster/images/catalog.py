@@ -10,6 +10,22 @@ from testcluster.paths import REPOSITORY
 
 
 @dataclass(frozen=True)
+class Source:
+    """Where images are built from: this repository as it is, or what it was at a commit (`commits.lay_out`).
+
+    Attributes:
+        folder: with a Dockerfile and the examples in it.
+        tag: of the images that are built from it.
+    """
+
+    folder: Path = REPOSITORY
+    tag: str = "dev"
+
+
+PRESENT = Source()
+
+
+@dataclass(frozen=True)
 class Image:
     """An image that is built from a Dockerfile here.
 
@@ -34,6 +50,11 @@ class Image:
     def short(self) -> str:
         """The name without registry and tag, for people and for the command line."""
         return self.name.removeprefix("localhost/understudy-").rpartition(":")[0]
+
+    @property
+    def tag(self) -> str:
+        """The tag, by which the images of one source belong together."""
+        return self.name.rpartition(":")[2]
 
     def fingerprint(self, *extra: str) -> str:
         """A hash over everything that decides the result, and over what else the caller names."""
@@ -71,37 +92,40 @@ _TARGETS = ("operator", "monitor", "tracker")
 """The stages of our own Dockerfile that are images."""
 
 
-def _name(short: str) -> str:
-    return f"localhost/understudy-{short}:dev"
+def _name(short: str, source: Source) -> str:
+    return f"localhost/understudy-{short}:{source.tag}"
 
 
-def _example(folder: str) -> str:
+def _example(folder: str, source: Source) -> str:
     """The name of an example's image: that of its folder, unless one of our own images has it."""
-    return _name(f"{folder}-example" if folder in _TARGETS else folder)
+    return _name(f"{folder}-example" if folder in _TARGETS else folder, source)
 
 
-def images() -> list[Image]:
-    """All images, in the order in which they are best built."""
-    found = [Image(_name(target), REPOSITORY, target, _OWN, ("tools", f"{target}-dependencies")) for target in _TARGETS]
-    for dockerfile in sorted((REPOSITORY / "examples").glob("*/Dockerfile")):
+def images(source: Source = PRESENT) -> list[Image]:
+    """All images of a source, in the order in which they are best built."""
+    found = [
+        Image(_name(target, source), source.folder, target, _OWN, ("tools", f"{target}-dependencies"))
+        for target in _TARGETS
+    ]
+    for dockerfile in sorted((source.folder / "examples").glob("*/Dockerfile")):
         parent = re.fullmatch(r"understudy/(.+)", base_argument(dockerfile))
         found.append(
             Image(
-                _example(dockerfile.parent.name),
+                _example(dockerfile.parent.name, source),
                 dockerfile.parent,
                 None,
                 (".",),
                 # What is built on the side, and only its result taken.
                 tuple(re.findall(r"^FROM \S+ AS (\S+)", dockerfile.read_text(), re.MULTILINE)),
-                parent=_name(parent[1]) if parent else None,
+                parent=_name(parent[1], source) if parent else None,
             )
         )
     return found
 
 
-def with_parents(wanted: Iterable[Image]) -> list[Image]:
-    """The images that are wanted and those they are built on, each after its parent."""
-    known = {image.name: image for image in images()}
+def with_parents(wanted: Iterable[Image], source: Source = PRESENT) -> list[Image]:
+    """The images of a source that are wanted and those they are built on, each after its parent."""
+    known = {image.name: image for image in images(source)}
     ordered: dict[str, Image] = {}
 
     def visit(image: Image) -> None:

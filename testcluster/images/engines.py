@@ -19,9 +19,12 @@ def wanted_base() -> str:
     return os.environ.get("UNDERSTUDY_BASE_IMAGE") or base_argument(REPOSITORY / "Dockerfile")
 
 
-def _stage(name: str) -> str:
-    """The name that keeps a stage in the builder's cache when the rest is cleared."""
-    return f"localhost/understudy-stage-{name}:dev"
+def _stage(name: str, image: Image) -> str:
+    """The name that keeps a stage of an image in the builder's cache when the rest is cleared.
+
+    It has the image's tag: what an earlier commit needs isn't kept in the place of what the present one does.
+    """
+    return f"localhost/understudy-stage-{name}:{image.tag}"
 
 
 class Engine(ABC):
@@ -109,7 +112,7 @@ class Buildah(Engine):
         self._bud(image, image.target, image.name, bases, secrets, log)
         for stage in image.stages:
             # All of it is in the builder's cache now.
-            self._bud(image, stage, _stage(stage), bases, secrets, log.with_suffix(".stages.log"))
+            self._bud(image, stage, _stage(stage, image), bases, secrets, log.with_suffix(".stages.log"))
         # What earlier versions left would pile up with every change.
         run(*self._command("rmi", "--prune"), check=False)
 
@@ -121,7 +124,7 @@ class Buildah(Engine):
         if not image.parent or "ARG DEPENDENCIES_IMAGE" not in (image.context / "Dockerfile").read_text():
             return {}
         short = image.parent.removeprefix("localhost/understudy-").rpartition(":")[0]
-        name = _stage(f"{short}-dependencies")
+        name = _stage(f"{short}-dependencies", image)
         return {"DEPENDENCIES_IMAGE": name} if self.identity(name) else {}
 
     def _bud(

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from testcluster import locks
 from testcluster.images import containerd, engines, store
+from testcluster.images.catalog import PRESENT
 from testcluster.local import cgroups, controlplane, golden, limits, network, pki, system
 from testcluster.local import layout as layouts
 from testcluster.local import node as nodes
@@ -164,8 +165,8 @@ class LocalProvider(Provider):
             with ThreadPoolExecutor() as pool:
                 loaded = list(pool.map(load, on))
             for reference in wanted:
-                if not reference.name.startswith(_OWN_IMAGES):
-                    # Only the project's own images are kept, for new nodes to begin with.
+                if not (reference.name.startswith(_OWN_IMAGES) and reference.name.endswith(f":{PRESENT.tag}")):
+                    # Only the project's own images of now are kept, for new nodes to begin with.
                     store.forget(reference)
         for reference in wanted:
             news = [node_name(node) for node, missing in zip(on, loaded, strict=True) if reference in missing]

@@ -33,15 +33,18 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.flaky(reruns=1, rerun_except=NOT_AGAIN))
 
 
-def install(kubeconfig: Path, chart: Path = CHART, *arguments: str) -> Kubectl:
+def install(kubeconfig: Path, chart: Path = CHART, *arguments: str, images: str = "") -> Kubectl:
     """Install by the chart (with more arguments of helm, such as values), in a namespace at Pod Security `restricted`.
 
     Answers with kubectl in the operator's namespace. The pods are new, since the images may be, under one tag.
+
+    Args:
+        images: values that name other images than those under test.
     """
     system = Kubectl(kubeconfig, SYSTEM)
     restricted = {"pod-security.kubernetes.io/enforce": "restricted"}
     system.apply([{"apiVersion": "v1", "kind": "Namespace", "metadata": {"name": SYSTEM, "labels": restricted}}])
-    values = os.environ.get("UNDERSTUDY_HELM_SET", IMAGES)
+    values = images or os.environ.get("UNDERSTUDY_HELM_SET", IMAGES)
     rolled = f"operator.podAnnotations.rolled-out={time.time():.0f}"
     helm(
         kubeconfig, "upgrade", "--install", "understudy", str(chart), "--namespace", SYSTEM,

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import configparser
+import subprocess
 from pathlib import Path
 
 import pytest
 
-from testcluster.images import catalog, pip
+from testcluster.images import catalog, commits, pip
 from testcluster.images.catalog import Image
 
 
@@ -50,6 +51,55 @@ def test_an_image_comes_after_the_one_it_is_built_on() -> None:
         names = [built.name for built in catalog.with_parents([image])]
         assert names[-1] == image.name
         assert image.parent is None or image.parent in names[:-1]
+
+
+@pytest.fixture
+def history(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A repository with two commits, which stands for this one, and a cache of its own."""
+    repository = tmp_path / "repository"
+    (repository / "examples" / "thing").mkdir(parents=True)
+    git = ["git", "-C", str(repository), "-c", "user.name=Somebody", "-c", "user.email=somebody@example.org"]
+    subprocess.run([*git[:3], "init", "--quiet"], check=True)
+    for text in ("earlier", "later"):
+        (repository / "Dockerfile").write_text(f"# {text}\n")
+        (repository / "examples" / "thing" / "Dockerfile").write_text("ARG BASE_IMAGE=understudy/monitor\n")
+        subprocess.run([*git, "add", "."], check=True)
+        subprocess.run([*git, "commit", "--quiet", "--message", text], check=True)
+    monkeypatch.setattr(commits, "REPOSITORY", repository)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    return repository
+
+
+def test_images_of_an_earlier_commit_are_built_from_its_files_and_have_a_tag_of_their_own(history: Path) -> None:
+    source = commits.lay_out("HEAD^")
+    assert (source.folder / "Dockerfile").read_text() == "# earlier\n"
+    assert sorted(path.name for path in source.folder.iterdir()) == ["Dockerfile", "examples"]
+    assert (history / "Dockerfile").read_text() == "# later\n"
+    earlier = {image.short: image for image in catalog.images(source)}
+    assert earlier["monitor"].name == f"localhost/understudy-monitor:{source.tag}"
+    assert earlier["monitor"].context == source.folder
+    assert earlier["thing"].parent == earlier["monitor"].name, "and not on the monitor's image of now"
+    assert [image.tag for image in catalog.with_parents([earlier["thing"]], source)] == [source.tag] * 2
+    assert {image.tag for image in catalog.images()} == {"dev"}
+
+
+def test_a_commit_is_laid_out_once(history: Path) -> None:
+    first = commits.lay_out("HEAD^")
+    (first.folder / "mark").touch()
+    assert commits.lay_out("HEAD^") == first
+    assert (first.folder / "mark").exists()
+    assert commits.lay_out("HEAD") != first
+
+
+def test_a_commit_that_a_clone_without_history_lacks_is_told_of(
+    history: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    full = subprocess.run(["git", "-C", str(history), "rev-parse", "HEAD^"], capture_output=True, text=True, check=True)
+    shallow = tmp_path / "shallow"
+    subprocess.run(["git", "clone", "--quiet", "--depth=1", f"file://{history}", str(shallow)], check=True)
+    monkeypatch.setattr(commits, "REPOSITORY", shallow)
+    with pytest.raises(commits.NoSuchCommit, match="fetch --unshallow"):
+        commits.lay_out(full.stdout.strip())
 
 
 def test_a_dockerfile_without_a_base_argument_is_refused_by_name(tmp_path: Path) -> None:

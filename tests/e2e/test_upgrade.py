@@ -1,0 +1,214 @@
+"""An upgrade from the version before this one (docs/how-to/production.md). What is upgraded is all that version's own: chart, definitions,
+operator, monitors, and the agents in the pods, of which those in control go on driving.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from testcluster.images import commits
+from tests.e2e.conftest import IMAGES, SYSTEM, install
+from tests.e2e.kubectl import Kubectl, Object, helm
+from tests.e2e.scenario import Robot, eventually, manifest, patient
+from tests.e2e.test_production import LONGEST, starting
+from tests.e2e.test_strategies import assert_handed_over
+from understudy import __version__
+from understudy.api import names
+
+EARLIER, EARLIER_VERSION = "059171a5435c2acd51b84946c11afc81124e2f52", "0.1.0"
+"""The commit of the version before this one. With each new version, the last commit of the one that was."""
+
+OURS = ("localhost/understudy-operator:", "localhost/understudy-monitor:")
+"""Images of Understudy's own; the quickstart's application isn't one of them and stays as it is."""
+
+PRESENT = "dev"
+
+EXECUTING, UNINITIALIZED = "quickstart-executing", "quickstart-uninitialized"
+
+
+@dataclass(frozen=True)
+class Version:
+    """A version of Understudy that can be installed: its chart, and the tag of its images, which are on the nodes."""
+
+    chart: Path
+    tag: str
+
+
+@pytest.fixture(scope="module")
+def earlier_version(release: Kubectl, pytestconfig: pytest.Config) -> Version:
+    """The version before this one, built from its commit as scripts/images builds the present one."""
+    if "UNDERSTUDY_HELM_SET" in os.environ:
+        pytest.skip("the images under test were brought to the cluster by other means than scripts/images")
+    try:
+        source = commits.lay_out(EARLIER)
+    except commits.NoSuchCommit as error:
+        pytest.skip(str(error))
+    provider: str | None = pytestconfig.getoption("cluster")
+    program = Path(__file__).parents[2] / "scripts" / "images"
+    command = [str(program), "--commit", EARLIER, "--load", "operator", "monitor"]
+    done = subprocess.run(
+        [*command, *(["--provider", provider] if provider else [])], capture_output=True, text=True, timeout=800
+    )
+    assert done.returncode == 0, done.stderr
+    return Version(source.folder / "charts" / "understudy", source.tag)
+
+
+@pytest.fixture
+def earlier(release: Kubectl, earlier_version: Version) -> Iterator[Version]:
+    """The version before this one is what is installed; afterwards it's this one again, whatever happened."""
+    helm(release.kubeconfig, "uninstall", "understudy", "--namespace", SYSTEM, "--wait", "--timeout", "120s")
+    install(release.kubeconfig, earlier_version.chart, images=IMAGES.replace("tag=dev", f"tag={earlier_version.tag}"))
+    yield earlier_version
+    install(release.kubeconfig)
+
+
+def tags(pod_template: Object) -> set[str]:
+    """The tags of Understudy's own images in a pod or a template."""
+    spec = pod_template["spec"]
+    images = [container["image"] for container in [*spec.get("initContainers", []), *spec["containers"]]]
+    return {image.rpartition(":")[2] for image in images if image.startswith(OURS)}
+
+
+def living(pods: list[Object]) -> list[Object]:
+    """Those that nobody has deleted."""
+    return [pod for pod in pods if not pod["metadata"].get("deletionTimestamp")]
+
+
+def ready(pod: Object) -> bool:
+    return any((c["type"], c["status"]) == ("Ready", "True") for c in pod["status"].get("conditions") or [])
+
+
+def version(kubectl: Kubectl, pod: Object) -> str:
+    """Of the package that a pod runs."""
+    script = "import understudy; print(understudy.__version__)"
+    return kubectl("exec", pod["metadata"]["name"], "--", "python", "-c", script).strip()
+
+
+def held(kubectl: Kubectl) -> list[Object]:
+    """The pods of the pool that belong to nobody yet."""
+    return living(kubectl.list("pods", f"{names.HELD}=true"))
+
+
+def operators(release: Kubectl) -> list[Object]:
+    return living(release.list("pods", "app.kubernetes.io/name=understudy,app.kubernetes.io/component=operator"))
+
+
+def around(robot: Robot) -> list[Object]:
+    """The Deployments of its monitor and of its discovery server."""
+    return robot.kubectl.list("deployments", f"{names.MONITORED}={robot.workload}")
+
+
+def standbys(robot: Robot, active: str) -> list[Object]:
+    """Its pods beside the one in control."""
+    return [pod for pod in living(robot.pods()) if pod["metadata"]["name"] != active]
+
+
+def definition(release: Kubectl) -> str:
+    return json.dumps(release.get("crd", "robotworkloads.understudy.dev"))
+
+
+BEFORE = 10.0
+"""Seconds before the upgrade that are looked at too: what is usual on a machine that is busy with other things."""
+
+STANDING = {"app": "standing"}
+"""Labels of the robot with a standby. A pool for each workload serves all that it selects, so it selects nobody else."""
+
+
+def strategies() -> list[Object]:
+    """The policies and the pools of both robots. A gap is looked for at the robots, and isn't to be filled by a recovery."""
+    found = manifest("strategies/executing.yaml") + manifest("strategies/uninitialized.yaml")
+    for item in found:
+        if (item["kind"], item["metadata"]["name"]) == ("FallbackPool", EXECUTING):
+            item["spec"]["workloadSelector"] = {"matchLabels": STANDING}
+    return patient(found)
+
+
+@pytest.mark.long
+def test_an_upgrade_from_the_version_before_leaves_no_gap_at_the_robots_and_what_it_left_is_recovered_by_this_one(
+    earlier: Version, kubectl: Kubectl, release: Kubectl
+) -> None:
+    pooled, standing = Robot(kubectl, "robot-1"), Robot(kubectl, "robot-2")
+    robots = {pooled: UNINITIALIZED, standing: EXECUTING}
+    kubectl.apply(
+        strategies() + pooled.objects(policy=UNINITIALIZED) + standing.objects(policy=EXECUTING, labels=STANDING)
+    )
+    active = {robot: robot.wait_protected() for robot in robots}
+    for robot, pod in active.items():
+        everything = [kubectl.get("pod", pod), *standbys(robot, pod), *robot.monitor_pods(), *held(kubectl)]
+        assert all(tags(found) == {earlier.tag} for found in everything), "all of it is of the version before"
+        assert robot.condition("OutputsRead") == {}, "which doesn't know that yet"
+    assert [tags(pod) for pod in operators(release)] == [{earlier.tag}] * 2
+    assert {version(release, pod) for pod in operators(release)} == {EARLIER_VERSION}
+    assert "OutputsRead" not in definition(release)
+
+    time.sleep(BEFORE)
+    begun = time.time()
+    install(release.kubeconfig)
+    installed = time.time()
+    assert "OutputsRead" in definition(release), "Helm upgrades the definitions too"
+    [listed] = json.loads(helm(release.kubeconfig, "list", "--namespace", SYSTEM, "--output", "json"))
+    assert (listed["chart"], listed["app_version"]) == (f"understudy-{__version__}", __version__)
+    assert [tags(pod) for pod in operators(release)] == [{PRESENT}] * 2
+    assert [version(release, pod) for pod in operators(release)] == [__version__] * 2
+
+    def renewed() -> bool:
+        """Monitors, discovery servers, standbys and the pool are those of this version, and ready."""
+        assert not any(robot.recoveries() for robot in robots), "nothing is taken for a failure"
+        rolled = [d for robot in robots for d in around(robot) if tags(d["spec"]["template"]) == {PRESENT}]
+        done = [d for d in rolled if d["status"].get("readyReplicas") == d["status"].get("updatedReplicas") == 1]
+        waiting = [*standbys(standing, active[standing]), *held(kubectl)]
+        return (
+            len(done) == 2 * len(robots)
+            and bool(standbys(standing, active[standing]) and held(kubectl))
+            and all(tags(pod) == {PRESENT} and ready(pod) for pod in waiting)
+        )
+
+    eventually(renewed, within=240, what="all around the robots is of this version", note=pooled.describe)
+    for robot in robots:
+        robot.wait_protected()
+        eventually(
+            lambda robot=robot: robot.condition("OutputsRead").get("status") == "True",  # type: ignore[misc]
+            within=60, what="the monitor tells what only this version knows", note=robot.describe,
+        )  # fmt: skip
+    time.sleep(2)
+    ended = time.time()
+    print(f"\nupgrade from {EARLIER_VERSION}: helm {installed - begun:.1f} s, all of it {ended - begun:.1f} s")
+    silences = []
+    for robot, policy in robots.items():
+        log = robot.log()
+        during, before = log.between(begun, ended), log.between(begun - BEFORE, begun)
+        longest, usual = during.longest_silence(), before.longest_silence()
+        assert longest is not None
+        assert usual is not None
+        silences.append(longest.seconds)
+        [monitor] = living(robot.monitor_pods())
+        print(
+            f"{policy}: {len(during.commands)} commands, the longest time without one {longest.seconds * 1000:.0f} ms "
+            f"({usual.seconds * 1000:.0f} ms in {BEFORE:.0f} s before); the monitor's pod was ready after {starting(monitor):.0f} s"
+        )
+        assert during.sources() == [active[robot]], "one pod drove all the while"
+        assert not robot.recoveries(), "and nothing was taken for a failure"
+        assert (tags(monitor), version(kubectl, monitor)) == ({PRESENT}, __version__)
+        assert tags(kubectl.get("pod", active[robot])) == {earlier.tag}, "the pod in control stays, with its agent"
+
+    for robot, strategy in {standing: "Fallback/Executing", pooled: "Fallback/Uninitialized"}.items():
+        robot.fail(active[robot], "killed")
+        recovery = robot.wait_recovered(1)
+        assert (recovery.strategy, recovery.old) == (strategy, active[robot]), recovery
+        assert_handed_over(robot, recovery)
+        assert tags(kubectl.get("pod", recovery.new)) == {PRESENT}
+    for robot in robots:
+        robot.wait_protected()
+        eventually(
+            lambda robot=robot: all(tags(pod) == {PRESENT} for pod in robot.pods()),  # type: ignore[misc]
+            within=60, what="nothing is left of the version before", note=robot.describe,
+        )  # fmt: skip
+    assert max(silences) <= LONGEST, "no gap was in the upgrade"
