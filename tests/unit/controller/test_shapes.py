@@ -10,7 +10,7 @@ import pytest
 from tests.unit.controller.world import IMAGES, NOW, TEMPLATE, Names, World, hot, policy, spare, workload
 from understudy.api import names
 from understudy.cluster.client import Object
-from understudy.controller import pools
+from understudy.controller import pools, poolstatuses
 
 
 def containing(**container: Any) -> Object:
@@ -28,7 +28,7 @@ def accepted_of_pool(template: Object) -> Object:
     observed = pools.Observed(pool=pool, workloads={}, pods=[], owned={}, now=NOW)
     understanding = pools.understand(observed, IMAGES)
     pools.plan(observed, understanding, Names().fresh())
-    found: Object = pools.status(observed, understanding, [])["conditions"][0]
+    found: Object = poolstatuses.status(observed, understanding, [])["conditions"][0]
     return found
 
 
