@@ -35,6 +35,9 @@ MOST_WITNESSES = 8
 APISERVER_PERIOD = 1.0
 """Seconds between two questions to the API server while no monitor is there."""
 
+COMPLAIN = 10.0
+"""Seconds between two words in the log about an error that comes with each look."""
+
 _AT_ONCE = struct.pack("ii", 1, 0)  # SO_LINGER: a connection that was only to be answered leaves nothing behind
 
 
@@ -85,6 +88,7 @@ class Fence:
         self._favourite: Address | None = None
         self._questions = Questions()
         self._asked_apiserver = 0.0
+        self._complained_at = -COMPLAIN
         self.contacts: Contacts | None = None
         self.since: float | None = None
         """Since when they are held, in unix seconds."""
@@ -149,10 +153,32 @@ class Fence:
         try:
             while True:
                 if self.containers:
-                    self._look(time.monotonic())
+                    self._look_anyhow(time.monotonic())
                 await asyncio.sleep(self._lease.wait)
         finally:
             self._questions.close()
+
+    def _look_anyhow(self, now: float) -> None:
+        """Look, whatever error comes of it: nobody else does, and what is cut off would drive on. A restarted agent has forgotten
+        that anybody ever answered, and would hold nothing either.
+        """
+        for look in (self._look, self._judge):
+            try:
+                look(now)
+                return
+            except Exception:
+                if now - self._complained_at >= COMPLAIN:
+                    self._complained_at = now
+                    _logger.exception("looking whether anybody answers")
+
+    def _judge(self, now: float) -> None:
+        """Where nobody can be asked, it is as if nobody answered."""
+        self._questions.close()
+        self._questions = Questions()
+        self._lease.look(now)
+        if self._lease.asked_at != now:
+            self._lease.ask(now)
+        self._apply()
 
     def _look(self, now: float) -> None:
         lease, contacts = self._lease, self.contacts
@@ -237,6 +263,8 @@ class Questions:
             error = sock.connect_ex((address.host, address.port))
         except OSError as problem:
             error = problem.errno or errno.EIO
+        except (TypeError, ValueError):  # no address, and no name that could be looked up either
+            error = errno.EINVAL
         if error == errno.EINPROGRESS and sock is not None:
             self._open.append((address, now, sock))
             return

@@ -51,7 +51,8 @@ class AgentLink:
         Events that happen while there is no connection are lost: whoever counts on them asks anew when it is back.
         """
         self.host, self.port, self.workload, self.claim = host, port, workload, claim
-        self._token = token
+        self.token = token
+        """The secret shared with the agent; another one counts from the next session on."""
         self._on_change, self._on_event = on_change, on_event
         self._status: AgentStatus | None = None
         self._writer: asyncio.StreamWriter | None = None
@@ -65,6 +66,8 @@ class AgentLink:
         """Name of the pod that answers, once connected."""
         self.uid = ""
         """UID of the pod that answers, once connected."""
+        self.refused = False
+        """Whether the agent was there and refused this side when it was last tried."""
         self.problem = f"connecting to {host}:{port}"
         """Why it isn't connected; empty while it is."""
         self._task = asyncio.create_task(self._run(), name=f"agent {host}")
@@ -212,7 +215,7 @@ class AgentLink:
         retry, patience = RETRY_FIRST, CONNECT_FIRST
         while True:
             writer: asyncio.StreamWriter | None = None
-            self._accepted = False
+            self._accepted = refused = False
             try:
                 async with asyncio.timeout(patience):
                     reader, writer = await asyncio.open_connection(self.host, self.port, limit=wire.MAX_LINE)
@@ -225,6 +228,7 @@ class AgentLink:
                 problem = _words(error)
             except AgentRefused as error:
                 problem = str(error)
+                refused = True
                 retry = RETRY_MOST  # a wrong token or another's claim won't change in milliseconds
             except Exception as error:
                 _logger.exception("agent %s:%s", self.host, self.port)
@@ -235,7 +239,7 @@ class AgentLink:
                 retry, patience = RETRY_FIRST, CONNECT_FIRST
             if problem != self.problem:
                 _logger.info("agent %s (%s:%s): %s", self.pod or "?", self.host, self.port, problem)
-            self.problem = problem
+            self.problem, self.refused = problem, refused
             self._notify()
             await asyncio.sleep(retry)
             retry, patience = min(2 * retry, RETRY_MOST), min(2 * patience, CONNECT_MOST)
@@ -245,7 +249,7 @@ class AgentLink:
         greeting = wire.decode(await _line(reader))
         if greeting.get("version") != wire.PROTOCOL or not isinstance(greeting.get("nonce"), str):
             raise ProtocolError(f"expected a greeting of version {wire.PROTOCOL}, got {greeting!r:.200}")
-        proof = wire.mac(self._token, greeting["nonce"], self.workload, self.claim)
+        proof = wire.mac(self.token, greeting["nonce"], self.workload, self.claim)
         writer.write(wire.encode({"workload": self.workload, "claim": self.claim, "mac": proof}))
         first = wire.decode(await _line(reader))
         if "error" in first:
@@ -253,6 +257,7 @@ class AgentLink:
         status = AgentStatus.from_wire(first.get("status", {}))
         self.pod, self.uid = str(greeting.get("pod", "")), str(greeting.get("uid", ""))
         self._writer, self._status, self.problem, self._accepted = writer, status, "", True
+        self.refused = False
         self.sessions += 1
         self._notify()
 

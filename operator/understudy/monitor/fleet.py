@@ -7,6 +7,7 @@ import logging
 import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractAsyncContextManager
+from functools import partial
 
 from understudy.api import names
 from understudy.api.settings import WorkloadSettings
@@ -156,14 +157,17 @@ class Fleet:
             await self._delete(instance)
 
     async def replace(self, failed: Sequence[Instance]) -> None:
-        """Delete failed pods and have the workload's own controller run a new one."""
+        """Delete failed pods and have the workload's own controller run a new one.
+
+        Asked until it is answered, which who calls bounds: either can be repeated. Raises ApiError where it is refused.
+        """
         self._crash_points.step("before replace")
         left = [i for i in self.of_workload() if i.from_source and i.usable and i.uid not in {f.uid for f in failed}]
         if self._settings.source_kind == "ReplicaSet" and not left:
-            await self._scale(1)
+            await claims.answered(partial(self._scale, 1))
         for instance in failed:
             if not instance.terminating:
-                await self._delete(instance)
+                await claims.answered(partial(self._delete, instance))
         self._crash_points.step("after replace")
 
     async def wait(self, predicate: Callable[[Instance], bool]) -> Instance:

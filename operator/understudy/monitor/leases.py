@@ -40,6 +40,9 @@ REFRESH = 10.0
 PERIOD = 1.0
 """Seconds between two looks at the instances where none of them says anything."""
 
+REMEMBERED = 1000
+"""Pods that were replaced, of which it is still known."""
+
 SAY_AGAIN = 0.5
 """Seconds after which a word that wasn't followed is said again."""
 
@@ -136,7 +139,7 @@ class Leases:
         self._witnesses: dict[str, list[str]] = {}
         self._refreshing: asyncio.Task[None] | None = None
         self._refresh_at = 0.0
-        self._replaced: set[str] = set()
+        self._replaced: dict[str, None] = {}
         self._back: dict[str, float] = {}
         """When those were heard of first, by UID, that are held since they were cut off."""
         self._sent: dict[str, tuple[Any, float]] = {}
@@ -179,10 +182,16 @@ class Leases:
         state, recovering = self._gate.state, self.recovering()
         for progress in (state.recovery, recovering):
             if progress is not None:
-                self._replaced |= {pod.uid for pod in progress.replaced}
+                for pod in progress.replaced:
+                    # Whoever is cut off may come back late, and isn't always listed meanwhile: only the oldest are forgotten.
+                    self._replaced.pop(pod.uid, None)
+                    self._replaced[pod.uid] = None
+        while len(self._replaced) > REMEMBERED:
+            del self._replaced[next(iter(self._replaced))]
         instances = {i.uid: i for i in self._fleet.of_workload() if i.has_agent and not i.held}
         self._sent = {uid: sent for uid, sent in self._sent.items() if uid in instances}
         self._back = {uid: since for uid, since in self._back.items() if uid in instances}
+        self._told = {told for told in self._told if told[0] in instances}
         for uid, instance in instances.items():
             if (status := self._sidecars.status(instance)) is None:
                 self._back.pop(uid, None)

@@ -79,6 +79,7 @@ class Opening:
             return
         self._next_asked = now + ASK_AGAIN
         try:
-            await self._fleet.replace([])
+            async with asyncio.timeout(ASK_AGAIN):
+                await self._fleet.replace([])
         except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
-            _logger.warning("no pod runs, and none can be asked for: %s", error)
+            _logger.warning("no pod runs, and none can be asked for: %r", error)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import base64
 import logging
+import time
 from collections.abc import Callable, Coroutine, Mapping, Sequence
 from typing import Any
 
@@ -32,6 +33,9 @@ RETRY = 0.05
 ANSWER_LATE = 1.0
 """Seconds after an operation's own end at which its answer is given up: it has a way to go."""
 
+READ_AGAIN = 10.0
+"""Seconds between two looks at a Secret whose token an agent refuses: it may be another one since."""
+
 SLOWEST = 2 * 1024 * 1024
 """Bytes of kept messages that an agent takes in in a second, at least: it counts its time from when it has them."""
 
@@ -46,6 +50,7 @@ class Sidecars:
         self._links: dict[str, AgentLink] = {}
         self._connecting: dict[str, asyncio.Task[AgentLink | None]] = {}
         self._tokens: dict[str, bytes] = {}
+        self._read_at: dict[str, float] = {}
         self._configured: dict[str, object] = {}
         self._instances: dict[str, Instance] = {}
         self._driving: dict[str, str] = {}
@@ -115,16 +120,18 @@ class Sidecars:
 
     async def token(self, instance: Instance) -> bytes | None:
         """The secret shared with an instance's agent; None while it can't be read."""
-        return await self._token(
-            names.pool_secret(instance.pool) if instance.claim else names.agent_secret(self._view.workload)
-        )
+        return await self._token(self._secret(instance))
 
-    async def _token(self, secret: str) -> bytes | None:
-        if secret not in self._tokens:
+    def _secret(self, instance: Instance) -> str:
+        return names.pool_secret(instance.pool) if instance.claim else names.agent_secret(self._view.workload)
+
+    async def _token(self, secret: str, *, again: bool = False) -> bytes | None:
+        if again or secret not in self._tokens:
+            self._read_at[secret] = time.monotonic()
             try:
                 item = await self._client.get(SECRETS, self._view.namespace, secret)
                 self._tokens[secret] = base64.b64decode(item["data"]["token"])
-            except (ApiError, aiohttp.ClientError, TimeoutError, OSError, KeyError) as error:
+            except (ApiError, aiohttp.ClientError, TimeoutError, OSError, KeyError, ValueError) as error:
                 _logger.warning("Secret %s can't be read: %r", secret, error)
                 return None
         return self._tokens[secret]
@@ -134,7 +141,15 @@ class Sidecars:
             self._configure(uid)
         else:
             self._configured.pop(uid, None)
+            if link.refused and (instance := self._instances.get(uid)) is not None:
+                self._spawn(self._renew(instance, link))
         self.on_status()
+
+    async def _renew(self, instance: Instance, link: AgentLink) -> None:
+        """The agent refuses the token, or another claim. The Secret may have been made anew: its agents have that one's token."""
+        secret = self._secret(instance)
+        again = time.monotonic() - self._read_at.get(secret, -READ_AGAIN) >= READ_AGAIN
+        link.token = await self._token(secret, again=again) or link.token
 
     def _configure(self, uid: str) -> None:
         """Give an agent the present policy's tree, once for each connection and each policy."""

@@ -337,3 +337,49 @@ async def test_a_session_shows_whether_the_other_side_has_what_was_sent_and_ends
     await eventually(lambda: sessions.count == 0, 25)
     writer.close()
     server.close()
+
+
+async def test_an_error_of_looking_ends_no_holding_and_who_can_ask_nobody_is_held(
+    application: Application, silent: socket.socket, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fence = Fence(application.folder, ["drive"])
+    host, _ = silent.getsockname()
+    answers, failing = Questions.answers, [0]
+
+    def seldom(questions: Questions, now: float) -> list[tuple[Address, float, bool]]:
+        if failing[0]:
+            failing[0] -= 1
+            raise RuntimeError("out of the blue")
+        return answers(questions, now)
+
+    monkeypatch.setattr(Questions, "answers", seldom)
+    with socket.socket() as closed:  # whose kernel refuses
+        closed.bind((host, 0))
+        monkeypatch.setattr(names, "PROBE_PORT", closed.getsockname()[1])
+        await fence.lease({"witnesses": []}, Peer("w", "", host))
+        task = running(fence)
+        await eventually(lambda: not fence.unfenced, 25)
+        failing[0] = 1
+        await eventually(lambda: not failing[0], 25)
+        await asyncio.sleep(0.6)
+        assert fence.since is None, "it goes on and is answered"
+        failing[0] = 1_000_000
+        await eventually(lambda: fence.since is not None, 25)
+        await application.is_held()
+        assert not task.done()
+        task.cancel()
+
+
+async def test_a_witness_that_has_no_address_is_one_that_does_not_answer(
+    application: Application, silent: socket.socket, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fence = Fence(application.folder, ["drive"])
+    host, port = silent.getsockname()
+    with socket.socket() as closed:
+        closed.bind(("127.0.0.2", port))
+        monkeypatch.setattr(names, "PROBE_PORT", port)
+        await fence.lease({"witnesses": ["a\0b", "127.0.0.2"]}, Peer("w", "", host))
+        task = running(fence)
+        await eventually(lambda: not fence.unfenced, 25)
+        assert not task.done()
+        task.cancel()

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+from tests.unit.cluster.memory import MemoryClient
 from understudy.api import names
-from understudy.monitor.fleet import instance_of
+from understudy.cluster.client import ApiError, Object, Resource
+from understudy.mitigation.interfaces import Instance
+from understudy.monitor.faults import CrashPoints
+from understudy.monitor.fleet import Fleet, instance_of
 
 EVICTION = {"type": "DisruptionTarget", "status": "True", "reason": "DeletionByTaintManager"}
 DELETED = {"deletionTimestamp": "2026-01-01T00:00:30Z"}
@@ -72,3 +78,63 @@ def test_what_its_status_says_is_known_and_restarts_of_the_agent_are_not_the_app
     )
     assert found.conditions == (("Ready", "False", "ContainersNotReady"), ("PodScheduled", "True", ""))
     assert found.restarts == 3
+
+
+class Controller(MemoryClient):
+    """An API server that answers each request but the first ones, which fail."""
+
+    def __init__(self, *errors: Exception) -> None:
+        super().__init__()
+        self.errors, self.done = list(errors), list[str]()
+
+    def _answer(self, what: str) -> None:
+        if self.errors:
+            raise self.errors.pop()
+        self.done.append(what)
+
+    async def patch(
+        self,
+        resource: Resource,
+        namespace: str | None,
+        name: str,
+        body: Any,
+        *,
+        kind: str = "",
+        subresource: str | None = None,
+    ) -> Object:
+        self._answer(f"scale {name} to {body['spec']['replicas']}")
+        return {}
+
+    async def delete(
+        self,
+        resource: Resource,
+        namespace: str | None,
+        name: str,
+        *,
+        uid: str | None = None,
+        grace_seconds: int | None = None,
+    ) -> None:
+        self._answer(f"delete {name}")
+
+
+def fleet(client: Controller, steps: Path) -> Fleet:
+    settings = SimpleNamespace(source_kind="ReplicaSet", source_name="w", pools=())
+    view: Any = SimpleNamespace(settings=settings, namespace="fleet", pods_revision=(0, 0), all_pods=lambda: [])
+    return Fleet(client, view, CrashPoints(steps))
+
+
+@pytest.mark.parametrize(
+    "error",
+    [ApiError(429, "TooManyRequests", "later"), ApiError(500, "Error", "etcd"), OSError("reset"), TimeoutError()],
+)
+async def test_a_pod_is_replaced_though_the_api_server_is_busy_for_a_moment(tmp_path: Path, error: Exception) -> None:
+    client = Controller(error, error)
+    await fleet(client, tmp_path).replace([Instance("w-1", "u1")])
+    assert client.done == ["scale w to 1", "delete w-1"]
+
+
+async def test_a_pod_that_may_not_be_replaced_is_not_asked_for_again(tmp_path: Path) -> None:
+    client = Controller(ApiError(403, "Forbidden", "no"))
+    with pytest.raises(ApiError, match="Forbidden"):
+        await fleet(client, tmp_path).replace([Instance("w-1", "u1")])
+    assert client.done == []

@@ -268,3 +268,24 @@ async def test_without_a_reflex_nobody_is_told_anything() -> None:
     await asyncio.sleep(0.1)
     assert not agents.told
     task.cancel()
+
+
+async def test_what_is_known_of_pods_that_were_replaced_does_not_grow_without_end() -> None:
+    gone = Instance("g", "uid-g", running=True)
+    agents = Agents({"uid-a": running(), "uid-g": cut_off()})
+    leases, spec = monitored(agents, Cluster(), []), None
+    fleet: Any = SimpleNamespace(of_workload=lambda: [ACTIVE, gone])
+    leases._fleet, spec = fleet, leases._view.spec
+    assert spec is not None
+    leases._say(gone, 1700000000.0, "Stay")
+    for number in range(module.REMEMBERED + 10):
+        done = recovery(Instance(f"p-{number}", f"uid-{number}"))
+        leases.recovering = lambda done=done: done  # type: ignore[misc]
+        leases._tell(spec)
+    assert len(leases._replaced) == module.REMEMBERED
+    assert f"uid-{module.REMEMBERED + 9}" in leases._replaced
+    assert "uid-9" not in leases._replaced
+    assert len(leases._told) == 1
+    fleet.of_workload = lambda: [ACTIVE]
+    leases._tell(spec)
+    assert not leases._told

@@ -1,0 +1,100 @@
+"""The monitor's connections to agents: by which token they are made."""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import contextlib
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from tests.unit.cluster.memory import MemoryClient
+from understudy.api import agents as wire
+from understudy.api import names
+from understudy.api.agents import AgentStatus
+from understudy.cluster.client import SECRETS
+from understudy.mitigation.interfaces import Instance
+from understudy.monitor import sidecars as module
+from understudy.monitor.faults import CrashPoints
+from understudy.monitor.sidecars import Sidecars
+
+INSTANCE = Instance("w-1", "uid-1", ip="127.0.0.1", running=True, has_agent=True)
+SECRET = names.agent_secret("w")
+
+
+class Agent:
+    """Lets in who knows its token, as an agent does."""
+
+    def __init__(self, token: bytes) -> None:
+        self.token = token
+        self.refused = 0
+        self.writers: list[asyncio.StreamWriter] = []
+
+    async def session(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self.writers.append(writer)
+        with contextlib.suppress(ConnectionError):
+            writer.write(wire.encode({"nonce": "n", "pod": "w-1", "uid": "uid-1", "version": wire.PROTOCOL}))
+            answer = wire.decode(await reader.readline())
+            if answer["mac"] != wire.mac(self.token, "n", "w", ""):
+                self.refused += 1
+                writer.write(wire.encode({"error": "wrong mac: the token is another"}))
+                writer.close()
+                return
+            while True:
+                writer.write(wire.encode({"status": AgentStatus("Running", True).to_wire()}))
+                await writer.drain()
+                await asyncio.sleep(0.2)
+
+
+@pytest.fixture
+async def agent(monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Agent]:
+    made = Agent(b"second")
+    server = await asyncio.start_server(made.session, "127.0.0.1", 0)
+    monkeypatch.setattr(names, "AGENT_PORT", server.sockets[0].getsockname()[1])
+    yield made
+    server.close()
+    for writer in made.writers:
+        writer.transport.abort()
+
+
+async def eventually(check: Callable[[], object]) -> None:
+    async with asyncio.timeout(25):
+        while not check():
+            await asyncio.sleep(0.01)
+
+
+async def keep(client: MemoryClient, token: bytes) -> None:
+    client.items.pop((SECRETS.plural, "fleet", SECRET), None)
+    data = {"token": base64.b64encode(token).decode()}
+    await client.create(SECRETS, "fleet", {"metadata": {"name": SECRET}, "data": data})
+
+
+def reads(client: MemoryClient) -> int:
+    return sum(method == "GET" for method, _, _ in client.requests)
+
+
+async def test_a_secret_that_was_made_anew_is_read_again_when_an_agent_refuses_its_token(
+    agent: Agent, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "READ_AGAIN", 2.5, raising=False)
+    client = MemoryClient()
+    view: Any = SimpleNamespace(workload="w", namespace="fleet", policy=None, spec=None)
+    sidecars = Sidecars(client, view, "127.0.0.1", CrashPoints(tmp_path))
+    await keep(client, b"first")
+    sidecars.follow([INSTANCE])
+    await eventually(lambda: agent.refused >= 2)
+    assert reads(client) == 1, "not with each refusal"
+    client.failing = lambda method, name: TimeoutError() if method == "GET" else None
+    await eventually(lambda: reads(client) == 2)
+    client.failing = lambda method, name: None
+    assert await sidecars.token(INSTANCE) == b"first", "what was known stays, where it can't be read"
+    await keep(client, b"second")
+    async with asyncio.timeout(15):
+        while sidecars.status(INSTANCE) is None:
+            await asyncio.sleep(0.01)
+    assert await sidecars.token(INSTANCE) == b"second"
+    sidecars.follow([])
