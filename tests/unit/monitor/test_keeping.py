@@ -213,7 +213,13 @@ async def test_it_is_there_for_a_recovery_that_an_earlier_monitor_had_begun(
     later = Monitor(graph, tmp_path)
     view = SimpleNamespace(policy=policy_of(STATE), settings=SimpleNamespace(), spec=None, retired=False)
     quiet: Any = SimpleNamespace(
-        graph=None, coming=None, follow=lambda *_: None, of_workload=list, begin=lambda _: None, end=lambda _: None
+        clear=lambda: None,
+        graph=None,
+        coming=None,
+        follow=lambda *_: None,
+        of_workload=list,
+        begin=lambda _: None,
+        end=lambda _: None,
     )
     later.told.set = lambda **_: None  # type: ignore[attr-defined]
     supervisor = Supervisor(
