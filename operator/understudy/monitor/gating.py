@@ -38,6 +38,8 @@ class PolicyGate:
         self._client, self._view, self._fleet, self._probes = client, view, fleet, probes
         self._crash_points = crash_points
         self._cached: tuple[int, GateState] = (-1, GateState())
+        self._own: tuple[str, int, str] = ("", 0, "")
+        """The recovery that committed last from here: its id, the epoch of that, and the text that was sent along."""
 
     @property
     def _record(self) -> gates.GateRecord | None:
@@ -76,10 +78,13 @@ class PolicyGate:
         )
 
     async def commit(self, target: Instance | None, progress: Progress | None) -> GateState:
-        """Open it for one instance, or close it, at the next epoch. Raises Superseded."""
+        """Open it for one instance, or close it, at the next epoch. Raises Superseded, also where somebody else has committed since the
+        recovery did, or names another pod than the recovery is about.
+        """
         begun = self._record
         if begun is None:
             raise Superseded(f"NetworkPolicy {names.gate(self._view.workload)} is gone")
+        self._still_ours(begun, progress)
         if (instance := target) is not None:
             await claims.answered(lambda: self._fleet.label(instance))
         record, retry, away = begun, RETRY_FIRST, -math.inf
@@ -87,6 +92,8 @@ class PolicyGate:
         self._crash_points.step("before commit")
         recovery = progress.model_copy(update={"epoch": begun.epoch + 1}).model_dump_json() if progress else ""
         waits_for = progress.waiting.pool if progress is not None and progress.waiting is not None else ""
+        if progress is not None:
+            self._own = (progress.id, begun.epoch, recovery)
         asked = time.monotonic()
         while True:
             try:
@@ -115,11 +122,30 @@ class PolicyGate:
                 retry = min(2 * retry, RETRY_MOST)
             record = await self._reread(begun, uid, recovery) or record
             if record.epoch > begun.epoch:
+                self._own = (self._own[0], record.epoch, recovery)
                 return self.state
         metrics.committed(time.monotonic() - asked)
         self._view.gates.put(policy)
+        self._own = (self._own[0], begun.epoch + 1, recovery)
         self._crash_points.step("after commit")
         return self.state
+
+    def _still_ours(self, begun: gates.GateRecord, progress: Progress | None) -> None:
+        """Raise Superseded where a recovery under way would undo what somebody else has done: another monitor, or who fences by hand.
+
+        Of what isn't gone on with, only the record is kept: whoever opens the gate then does so over anything.
+        """
+        if progress is None or progress.result != "Running":
+            return
+        id_, epoch, sent = self._own
+        if id_ == progress.id:
+            # A commit that nobody answered may have been carried out.
+            if begun.epoch != epoch and begun.recovery != sent:
+                raise Superseded(f"the gate is at epoch {begun.epoch} by another writer, this recovery knew {epoch}")
+            return
+        about = [*progress.failed, progress.target, progress.former, progress.taken_over]
+        if begun.active_uid and begun.active_uid not in {pod.uid for pod in about if pod is not None}:
+            raise Superseded(f"the gate names {begun.active} by another writer, which this recovery isn't about")
 
     async def admit(self, standby: Instance | None) -> bool:
         """Let a standby through beside the pod in control, or none; whether that was written.

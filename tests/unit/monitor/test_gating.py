@@ -1,0 +1,136 @@
+"""The gate as the monitor commits it: over what its recovery knew, and over nothing that somebody else has done since."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from tests.unit.cluster.memory import MemoryClient
+from understudy.api import names
+from understudy.cluster import gates
+from understudy.cluster.client import NETWORK_POLICIES, Object
+from understudy.mitigation.interfaces import Instance, Superseded
+from understudy.mitigation.progress import PodIdentity, Progress
+from understudy.monitor.faults import CrashPoints
+from understudy.monitor.gating import PolicyGate
+from understudy.monitor.view import View
+
+FAILED = Instance(name="w-1", uid="u1")
+STANDBY = Instance(name="w-2", uid="u2")
+THIRD = Instance(name="w-3", uid="u3")
+
+
+async def opened(client: MemoryClient, found: View, tmp_path: Path, pod: Instance = FAILED) -> PolicyGate:
+    """A gate at epoch 4 that is open for a pod."""
+    body: Object = {
+        "metadata": {
+            "name": "w-gate",
+            "annotations": {names.EPOCH: "4", names.ACTIVE: pod.name, names.ACTIVE_UID: pod.uid},
+        },
+        "spec": {"podSelector": {"matchLabels": {names.INSTANCE: pod.name}}},
+    }
+    found.gates.put(await client.create(NETWORK_POLICIES, "fleet", body))
+
+    async def label(instance: Instance) -> None:
+        return
+
+    fleet: Any = SimpleNamespace(label=label)
+    nobody: Any = None
+    return PolicyGate(client, found, fleet, nobody, CrashPoints(tmp_path))
+
+
+def recovery(failed: Instance = FAILED) -> Progress:
+    return Progress.begin(
+        "it ended", last_healthy=1.0, detected=2.0, failed=[PodIdentity(name=failed.name, uid=failed.uid)]
+    )
+
+
+async def by_another(client: MemoryClient, found: View, pod: Instance | None, *, noticed: bool = True) -> None:
+    """Another writer commits, such as a second monitor or who fences by hand; this monitor's watch brings it, or hasn't yet."""
+    over = gates.read(await client.get(NETWORK_POLICIES, "fleet", "w-gate"))
+    name, uid = (pod.name, pod.uid) if pod else ("", "")
+    policy = await gates.commit(client, "fleet", "w", over=over, active=name, active_uid=uid, recovery="")
+    if noticed:
+        found.gates.put(policy)
+
+
+@pytest.fixture
+def client() -> MemoryClient:
+    return MemoryClient()
+
+
+@pytest.fixture
+def found(client: MemoryClient) -> View:
+    return View(client, "fleet", "w", on_pod=lambda: None)
+
+
+async def test_a_recovery_commits_over_its_own_closing(client: MemoryClient, found: View, tmp_path: Path) -> None:
+    gate, progress = await opened(client, found, tmp_path), recovery()
+    await gate.commit(None, progress)
+    await gate.commit(STANDBY, progress)
+    assert (gate.state.active, gate.state.epoch) == (STANDBY.name, 6)
+
+
+@pytest.mark.parametrize("noticed", [True, False])
+@pytest.mark.parametrize("other", [THIRD, None])
+async def test_what_somebody_else_committed_since_is_not_undone(
+    client: MemoryClient, found: View, tmp_path: Path, other: Instance | None, noticed: bool
+) -> None:
+    """Else a pod that drives would be shut out with nobody to delete it, or one that a person has fenced be let through."""
+    gate, progress = await opened(client, found, tmp_path), recovery()
+    await gate.commit(None, progress)
+    await by_another(client, found, other, noticed=noticed)
+    with pytest.raises(Superseded, match=r"the gate is at epoch 6 by another writer"):
+        await gate.commit(STANDBY, progress)
+    assert (gate.state.active, gate.state.epoch) == (other.name if other else "", 6)
+
+
+async def test_a_pod_that_the_recovery_is_not_about_is_not_shut_out(
+    client: MemoryClient, found: View, tmp_path: Path
+) -> None:
+    gate, progress = await opened(client, found, tmp_path), recovery()
+    await by_another(client, found, THIRD)
+    with pytest.raises(Superseded, match=r"the gate names w-3 by another writer"):
+        await gate.commit(None, progress)
+    assert gate.state.active == THIRD.name
+
+
+@pytest.mark.parametrize("what", ["target", "former", "taken_over"])
+async def test_a_recovery_that_is_taken_up_goes_on_with_the_pod_it_is_about(
+    client: MemoryClient, found: View, tmp_path: Path, what: str
+) -> None:
+    progress = recovery().model_copy(update={what: PodIdentity(name=STANDBY.name, uid=STANDBY.uid)})
+    gate = await opened(client, found, tmp_path, STANDBY)
+    await gate.commit(STANDBY, progress)
+    assert gate.state.epoch == 5
+
+
+async def test_a_commit_that_was_carried_out_without_an_answer_is_its_own(
+    client: MemoryClient, found: View, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gate, progress = await opened(client, found, tmp_path), recovery()
+    real = gates.commit
+
+    async def unanswered(*arguments: Any, **named: Any) -> Object:
+        found.gates.put(await real(*arguments, **named))
+        raise RuntimeError("given up in its time")
+
+    monkeypatch.setattr(gates, "commit", unanswered)
+    with pytest.raises(RuntimeError):
+        await gate.commit(None, progress)
+    monkeypatch.setattr(gates, "commit", real)
+    await gate.commit(STANDBY, progress)
+    assert (gate.state.active, gate.state.epoch) == (STANDBY.name, 6)
+
+
+async def test_who_opens_the_gate_after_a_recovery_came_to_nothing_does_so_over_anything(
+    client: MemoryClient, found: View, tmp_path: Path
+) -> None:
+    gate, progress = await opened(client, found, tmp_path), recovery()
+    await gate.commit(None, progress)
+    await by_another(client, found, None)
+    await gate.commit(THIRD, progress.model_copy(update={"result": "Failed"}))
+    assert gate.state.active == THIRD.name
