@@ -72,7 +72,7 @@ def _length(given: str) -> float:
     except ValueError as error:
         raise Unusable(f'--for "{given}": {DURATION_MESSAGE}') from error
     if not 0 < length <= LONGEST:
-        raise Unusable(f"--for {given}: a fault lasts {LONGEST:g} s at most")
+        raise Unusable(f"--for {given}: a fault lasts longer than nothing, and {LONGEST:g} s at most")
     return length
 
 
@@ -115,6 +115,14 @@ def _stop(kubectl: Kubectl, pod: str, container: str, length: float, percent: in
     print(f"{pod}: its processes go on, where it is still there", flush=True)
 
 
+def _percent(text: str) -> int:
+    if not text.isascii() or not text.isdigit() or not 0 < int(text) < 100:
+        raise argparse.ArgumentTypeError(
+            f"{text!r}: give a whole number from 1 to 99; what stands still all the time is a freeze"
+        )
+    return int(text)
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="understudy inject",
@@ -136,7 +144,7 @@ def _parser() -> argparse.ArgumentParser:
         help=f"how long it is frozen, slow or cut off ({LENGTH})",
     )
     parser.add_argument(
-        "--percent", type=int, choices=range(1, 100), metavar="1..99",
+        "--percent", type=_percent, metavar="1..99",
         help=f"slow: the share of the time for which it is stopped ({PERCENT})",
     )  # fmt: skip
     parser.add_argument(

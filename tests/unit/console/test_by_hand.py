@@ -149,11 +149,26 @@ def test_a_freeze_is_ended_by_the_container_itself(stand: Stand, capsys: pytest.
 
 @pytest.mark.parametrize(
     ("more", "words"),
-    [(["--for", "soon"], '--for "soon": write a duration'), (["--for", "11m"], "a fault lasts 600 s at most")],
+    [
+        (["--for", "soon"], '--for "soon": write a duration'),
+        (["--for", "11m"], "600 s at most"),
+        (["--for", "0s"], "longer than nothing"),
+    ],
 )
 def test_how_long_must_be_said(stand: Stand, capsys: pytest.CaptureFixture[str], more: list[str], words: str) -> None:
     assert inject.main([ROBOT, "freeze", "--yes", *more]) == 2
     assert words in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("given", ["0", "100", "-1", "half", "50%"])
+def test_a_share_that_is_none_is_refused_in_a_line(capsys: pytest.CaptureFixture[str], given: str) -> None:
+    with pytest.raises(SystemExit) as ended:
+        inject.main([ROBOT, "slow", "--yes", f"--percent={given}"])
+    assert ended.value.code == 2
+    told = capsys.readouterr().err.splitlines()[-1]
+    assert told.endswith(
+        f"argument --percent: {given!r}: give a whole number from 1 to 99; what stands still all the time is a freeze"
+    )
 
 
 @pytest.mark.parametrize(("length", "percent"), [(10.0, 80), (0.1, 50), (3.0, 99), (2.0, 100)])
