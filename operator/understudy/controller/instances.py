@@ -137,7 +137,12 @@ def build(template: Mapping[str, Any], recipe: Recipe) -> Object:
         else _container(container, recipe, scope)
         for container in spec["containers"]
     ]
-    unfenced = [c["name"] for c in spec["containers"] if c["name"] not in fenced_names] if recipe.fenced else []
+    everyone = [c["name"] for c in [*spec["containers"], *filter(_accompanies, spec.get("initContainers") or [])]]
+    unfenced = [name for name in everyone if name not in fenced_names] if recipe.fenced else []
+    if not recipe.held and spec.get("initContainers"):
+        spec["initContainers"] = [
+            _container(c, recipe, scope) if _accompanies(c) else c for c in spec["initContainers"]
+        ]
     spec["containers"].append(_agent(recipe, held_names, fenced_names, unfenced))
     spec["volumes"] = [
         *(spec.get("volumes") or []),
@@ -166,6 +171,11 @@ def build(template: Mapping[str, Any], recipe: Recipe) -> Object:
     built: Object = {"metadata": metadata, "spec": spec}
     labels[names.TEMPLATE_HASH] = digest(built)
     return built
+
+
+def _accompanies(container: Mapping[str, Any]) -> bool:
+    """Whether an init container runs beside the application (KEP-753). In a held pod it begins before anybody knows for which robot."""
+    return container.get("restartPolicy") == "Always"
 
 
 def _labels(recipe: Recipe) -> dict[str, str]:

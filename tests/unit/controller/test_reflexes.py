@@ -104,6 +104,27 @@ def test_the_agent_can_hold_containers_whose_command_is_known() -> None:
     assert environment(pod["initContainers"][0])[names.FENCED_VARIABLE] == "drive"
 
 
+def test_a_sidecar_among_the_init_containers_is_of_the_robots_graph_and_not_held() -> None:
+    """It runs as long as the application (KEP-753), and may publish what the robot hears."""
+    pod = built(
+        containers=[{"name": "drive", "image": "i", "command": ["drive"]}],
+        initContainers=[{"name": "bridge", "image": "b", "restartPolicy": "Always"}, {"name": "fetch", "image": "f"}],
+    )
+    prepare, bridge, fetch = pod["initContainers"]
+    assert (prepare["name"], bridge["name"], fetch) == (names.INIT_CONTAINER, "bridge", {"name": "fetch", "image": "f"})
+    drive, agent = pod["containers"]
+    assert environment(bridge).items() >= environment(drive).items() != set()
+    assert {mount["name"] for mount in bridge["volumeMounts"]} == {names.AGENT_VOLUME}
+    assert environment(agent)[names.UNFENCED_VARIABLE] == "bridge"
+
+
+def test_a_sidecar_of_a_held_pod_is_left_as_it_is() -> None:
+    bridge = {"name": "bridge", "image": "b", "restartPolicy": "Always"}
+    template = {"spec": {"containers": [{"name": "drive", "image": "i", "command": ["d"]}], "initContainers": [bridge]}}
+    recipe = instances.Recipe(workload="", namespace="n", images=Images("m"), secret="s", pool="spare", held=True)
+    assert instances.build(template, recipe)["spec"]["initContainers"] == [bridge]
+
+
 def test_in_a_shared_process_namespace_the_rest_of_the_pod_is_left_alone() -> None:
     containers = [{"name": "drive", "image": "i", "command": ["drive"]}]
     pod = built(containers=containers, shareProcessNamespace=True)
