@@ -74,6 +74,10 @@ class MemoryClient(Client):
         found["metadata"]["resourceVersion"] = str(next(self._versions))
         return copy.deepcopy(found)
 
+    async def delete(self, resource: Resource, namespace: str | None, name: str, **_: Any) -> None:
+        self._note("DELETE", name)
+        self.items.pop((resource.plural, namespace or "", name), None)
+
 
 def merge(target: Object, patch: Object) -> None:
     """A JSON merge patch (RFC 7396)."""

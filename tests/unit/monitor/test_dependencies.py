@@ -12,7 +12,8 @@ from typing import Any, cast
 import pytest
 
 from tests.unit.cluster.memory import MemoryClient
-from tests.unit.monitor.test_waiting import Said, gate, view
+from tests.unit.monitor.gates import gate
+from tests.unit.monitor.test_waiting import Said, view
 from understudy.api import names
 from understudy.api.policies import FailurePolicySpec
 from understudy.api.settings import WorkloadSettings

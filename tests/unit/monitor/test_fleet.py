@@ -10,7 +10,7 @@ import pytest
 
 from tests.unit.cluster.memory import MemoryClient
 from understudy.api import names
-from understudy.cluster.client import ApiError, Object, Resource
+from understudy.cluster.client import ApiError
 from understudy.mitigation.interfaces import Instance
 from understudy.monitor.faults import CrashPoints
 from understudy.monitor.fleet import Fleet, instance_of
@@ -85,36 +85,14 @@ class Controller(MemoryClient):
 
     def __init__(self, *errors: Exception) -> None:
         super().__init__()
-        self.errors, self.done = list(errors), list[str]()
+        left, self.done = list(errors), list[str]()
+        self.failing = lambda method, name: left.pop() if left else None
+        self.items["replicasets", "fleet", "w"] = {"metadata": {}, "spec": {}}
 
-    def _answer(self, what: str) -> None:
-        if self.errors:
-            raise self.errors.pop()
-        self.done.append(what)
-
-    async def patch(
-        self,
-        resource: Resource,
-        namespace: str | None,
-        name: str,
-        body: Any,
-        *,
-        kind: str = "",
-        subresource: str | None = None,
-    ) -> Object:
-        self._answer(f"scale {name} to {body['spec']['replicas']}")
-        return {}
-
-    async def delete(
-        self,
-        resource: Resource,
-        namespace: str | None,
-        name: str,
-        *,
-        uid: str | None = None,
-        grace_seconds: int | None = None,
-    ) -> None:
-        self._answer(f"delete {name}")
+    def _note(self, method: str, name: str, body: Any = None) -> None:
+        super()._note(method, name, body)
+        what = {"PATCH": lambda: f"scale {name} to {body['spec']['replicas']}", "DELETE": lambda: f"delete {name}"}
+        self.done.append(what[method]())
 
 
 def fleet(client: Controller, steps: Path) -> Fleet:

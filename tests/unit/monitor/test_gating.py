@@ -3,43 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from tests.unit.cluster.memory import MemoryClient
-from understudy.api import names
+from tests.unit.monitor.gates import gate as open_gate
 from understudy.cluster import gates
 from understudy.cluster.client import NETWORK_POLICIES, Object
 from understudy.mitigation.interfaces import Instance, Superseded
 from understudy.mitigation.progress import PodIdentity, Progress
-from understudy.monitor.faults import CrashPoints
-from understudy.monitor.gating import PolicyGate
 from understudy.monitor.view import View
 
 FAILED = Instance(name="w-1", uid="u1")
 STANDBY = Instance(name="w-2", uid="u2")
 THIRD = Instance(name="w-3", uid="u3")
-
-
-async def opened(client: MemoryClient, found: View, tmp_path: Path, pod: Instance = FAILED) -> PolicyGate:
-    """A gate at epoch 4 that is open for a pod."""
-    body: Object = {
-        "metadata": {
-            "name": "w-gate",
-            "annotations": {names.EPOCH: "4", names.ACTIVE: pod.name, names.ACTIVE_UID: pod.uid},
-        },
-        "spec": {"podSelector": {"matchLabels": {names.INSTANCE: pod.name}}},
-    }
-    found.gates.put(await client.create(NETWORK_POLICIES, "fleet", body))
-
-    async def label(instance: Instance) -> None:
-        return
-
-    fleet: Any = SimpleNamespace(label=label)
-    nobody: Any = None
-    return PolicyGate(client, found, fleet, nobody, CrashPoints(tmp_path))
 
 
 def recovery(failed: Instance = FAILED) -> Progress:
@@ -68,7 +46,7 @@ def found(client: MemoryClient) -> View:
 
 
 async def test_a_recovery_commits_over_its_own_closing(client: MemoryClient, found: View, tmp_path: Path) -> None:
-    gate, progress = await opened(client, found, tmp_path), recovery()
+    gate, progress = await open_gate(client, found, tmp_path, FAILED), recovery()
     await gate.commit(None, progress)
     await gate.commit(STANDBY, progress)
     assert (gate.state.active, gate.state.epoch) == (STANDBY.name, 6)
@@ -80,7 +58,7 @@ async def test_what_somebody_else_committed_since_is_not_undone(
     client: MemoryClient, found: View, tmp_path: Path, other: Instance | None, noticed: bool
 ) -> None:
     """Else a pod that drives would be shut out with nobody to delete it, or one that a person has fenced be let through."""
-    gate, progress = await opened(client, found, tmp_path), recovery()
+    gate, progress = await open_gate(client, found, tmp_path, FAILED), recovery()
     await gate.commit(None, progress)
     await by_another(client, found, other, noticed=noticed)
     with pytest.raises(Superseded, match=r"the gate is at epoch 6 by another writer"):
@@ -91,7 +69,7 @@ async def test_what_somebody_else_committed_since_is_not_undone(
 async def test_a_pod_that_the_recovery_is_not_about_is_not_shut_out(
     client: MemoryClient, found: View, tmp_path: Path
 ) -> None:
-    gate, progress = await opened(client, found, tmp_path), recovery()
+    gate, progress = await open_gate(client, found, tmp_path, FAILED), recovery()
     await by_another(client, found, THIRD)
     with pytest.raises(Superseded, match=r"the gate names w-3 by another writer"):
         await gate.commit(None, progress)
@@ -103,7 +81,7 @@ async def test_a_recovery_that_is_taken_up_goes_on_with_the_pod_it_is_about(
     client: MemoryClient, found: View, tmp_path: Path, what: str
 ) -> None:
     progress = recovery().model_copy(update={what: PodIdentity(name=STANDBY.name, uid=STANDBY.uid)})
-    gate = await opened(client, found, tmp_path, STANDBY)
+    gate = await open_gate(client, found, tmp_path, STANDBY)
     await gate.commit(STANDBY, progress)
     assert gate.state.epoch == 5
 
@@ -111,7 +89,7 @@ async def test_a_recovery_that_is_taken_up_goes_on_with_the_pod_it_is_about(
 async def test_a_commit_that_was_carried_out_without_an_answer_is_its_own(
     client: MemoryClient, found: View, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    gate, progress = await opened(client, found, tmp_path), recovery()
+    gate, progress = await open_gate(client, found, tmp_path, FAILED), recovery()
     real = gates.commit
 
     async def unanswered(*arguments: Any, **named: Any) -> Object:
@@ -129,7 +107,7 @@ async def test_a_commit_that_was_carried_out_without_an_answer_is_its_own(
 async def test_who_opens_the_gate_after_a_recovery_came_to_nothing_does_so_over_anything(
     client: MemoryClient, found: View, tmp_path: Path
 ) -> None:
-    gate, progress = await opened(client, found, tmp_path), recovery()
+    gate, progress = await open_gate(client, found, tmp_path, FAILED), recovery()
     await gate.commit(None, progress)
     await by_another(client, found, None)
     await gate.commit(THIRD, progress.model_copy(update={"result": "Failed"}))

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from tests.unit.cluster.memory import MemoryClient
+from tests.unit.monitor.gates import gate
 from understudy.api import names
 from understudy.api.policies import FailurePolicySpec
 from understudy.api.settings import PoolChoice, WorkloadSettings
@@ -19,8 +20,6 @@ from understudy.mitigation.interfaces import Instance
 from understudy.mitigation.progress import Progress
 from understudy.mitigation.waiting import Waiter
 from understudy.monitor.choosing import choices
-from understudy.monitor.faults import CrashPoints
-from understudy.monitor.gating import PolicyGate
 from understudy.monitor.reporting import Reporter, describe
 from understudy.monitor.view import View
 from understudy.monitor.waiting import Line
@@ -52,21 +51,6 @@ class Said(Reporter):
 
     def event(self, kind: str, reason: str, message: str) -> None:
         self.events.append((kind, reason, message))
-
-
-async def gate(client: MemoryClient, found: View, tmp_path: Path) -> PolicyGate:
-    body: Object = {
-        "metadata": {"name": names.gate(found.workload), "labels": {"app": "w"}, "annotations": {names.EPOCH: "4"}},
-        "spec": {"podSelector": {"matchLabels": {names.INSTANCE: "w-1"}}},
-    }
-    found.gates.put(await client.create(NETWORK_POLICIES, "fleet", body))
-
-    async def label(instance: Instance) -> None:
-        return
-
-    fleet: Any = SimpleNamespace(label=label)
-    nobody: Any = None
-    return PolicyGate(client, found, fleet, nobody, CrashPoints(tmp_path))
 
 
 async def test_a_gate_says_for_which_pool_its_workload_waits_until_it_waits_no_longer(tmp_path: Path) -> None:

@@ -1,0 +1,34 @@
+"""A gate of its own for a test, in front of an API server in memory."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+from tests.unit.cluster.memory import MemoryClient
+from understudy.api import names
+from understudy.cluster.client import NETWORK_POLICIES, Object
+from understudy.mitigation.interfaces import Instance
+from understudy.monitor.faults import CrashPoints
+from understudy.monitor.gating import PolicyGate
+from understudy.monitor.view import View
+
+
+async def gate(client: MemoryClient, found: View, tmp_path: Path, active: Instance | None = None) -> PolicyGate:
+    """One at epoch 4, which says that it is open for a pod where one is given."""
+    annotations = {names.EPOCH: "4"}
+    if active is not None:
+        annotations |= {names.ACTIVE: active.name, names.ACTIVE_UID: active.uid}
+    body: Object = {
+        "metadata": {"name": names.gate(found.workload), "labels": {"app": "w"}, "annotations": annotations},
+        "spec": {"podSelector": {"matchLabels": {names.INSTANCE: active.name if active is not None else "w-1"}}},
+    }
+    found.gates.put(await client.create(NETWORK_POLICIES, "fleet", body))
+
+    async def label(instance: Instance) -> None:
+        return
+
+    fleet: Any = SimpleNamespace(label=label)
+    nobody: Any = None
+    return PolicyGate(client, found, fleet, nobody, CrashPoints(tmp_path))
