@@ -23,7 +23,17 @@ from understudy.cluster.client import (
     Object,
     Resource,
 )
-from understudy.controller import choosing, dependencies, healthtrees, nodes, objects, policies, pools, storms
+from understudy.controller import (
+    choosing,
+    committed,
+    dependencies,
+    healthtrees,
+    nodes,
+    objects,
+    policies,
+    pools,
+    storms,
+)
 from understudy.controller.stores import Sight, Store
 
 
@@ -88,6 +98,7 @@ def _keys(sight: Sight, store: Store, plenty: Collection[str]) -> Iterator[Key]:
         yield from _after_pod(sight, store, namespace, plenty)
     elif plural == NETWORK_POLICIES.plural:
         yield from _after_policy(found, store, namespace)
+        yield from _after_commit(sight, store, namespace)
     elif plural == CONFIG_MAPS.plural:
         yield from _after_trees(found, store, namespace)
 
@@ -133,7 +144,22 @@ def _after_health(sight: Sight, store: Store, namespace: str) -> Iterator[Key]:
     """The policy that looks how many of its workloads fail at once."""
     if sight.old is None or sight.new is None or storms.health(sight.old) == storms.health(sight.new):
         return
-    policy = store.get(POLICIES, namespace, used_policy(sight.new))
+    yield from _guard(sight.new, store, namespace)
+
+
+def _after_commit(sight: Sight, store: Store, namespace: str) -> Iterator[Key]:
+    """The same where a recovery begins: its gate is the first that tells."""
+    if sight.old is None or sight.new is None or committed.beside(sight.old) == committed.beside(sight.new):
+        return
+    owner = controller_of(sight.new)
+    workload = store.get(WORKLOADS, namespace, owner["name"]) if owner is not None else None
+    if workload is not None:
+        yield from _guard(workload, store, namespace)
+
+
+def _guard(workload: Object, store: Store, namespace: str) -> Iterator[Key]:
+    """A workload's policy, where it guards against storms."""
+    policy = store.get(POLICIES, namespace, used_policy(workload))
     if policy is not None and policies.storm_guard(policy) is not None:
         yield Key(POLICIES.plural, namespace, objects.name(policy))
 

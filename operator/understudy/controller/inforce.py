@@ -51,7 +51,7 @@ def chosen(observed: Observed) -> list[Strategy] | None:
         return None
     settings = observed.told
     present = settings.strategies if settings is not None else None
-    if policy is None or (present and _in_recovery(observed)):
+    if policy is None or (present and observed.told_recovering):
         return present
     found = _of_situation(observed, policy, situation(observed))
     return present if found is None else found
@@ -70,11 +70,6 @@ def counted_on(observed: Observed, chosen: Sequence[Strategy]) -> set[str]:
 def named_pools(strategies: Sequence[Strategy]) -> list[str]:
     """The pools that strategies take instances from, in order."""
     return list(dict.fromkeys(one.pool_ref.name for one in strategies if one.pool_ref is not None))
-
-
-def _in_recovery(observed: Observed) -> bool:
-    """Whether the monitor says that it is recovering: that goes by places in the order."""
-    return (observed.workload.get("status") or {}).get("health") == "Recovering"
 
 
 # -- by the robot's situation -----------------------------------------------------------------------------------------
@@ -122,7 +117,7 @@ def _of_situation(observed: Observed, policy: Object, name: str) -> list[Strateg
 
 def _lacking(observed: Observed, policy: Object, name: str) -> str | None:
     """Why the first strategy of a situation couldn't be carried out now, of those that ever could; None where it could."""
-    if _in_recovery(observed):
+    if observed.told_recovering:
         return "a recovery is under way"
     asked = _of_situation(observed, policy, name)
     if asked is None:

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from understudy.api import names
 from understudy.api.settings import PoolChoice, WorkloadSettings
 from understudy.cluster.client import CONFIG_MAPS, Object
-from understudy.controller import objects, policies, pools, references
+from understudy.controller import committed, objects, policies, pools, references
 from understudy.controller.desired import Problem
 
 WAITING = ("Initialized", "Executing")
@@ -117,8 +117,13 @@ class Observed:
         return sorted(found.values(), key=objects.sort_key)
 
     @property
+    def told_recovering(self) -> bool:
+        """Whether the monitor says that it is recovering: beside the gate first, and in the status if that takes long."""
+        health = (self.workload.get("status") or {}).get("health")
+        return health == "Recovering" or committed.under_way(self.workload, self.gate, self.now)
+
+    @property
     def recovering(self) -> bool:
         """Whether a recovery is under way, as far as can be seen from here."""
-        health = (self.workload.get("status") or {}).get("health")
         epoch = objects.notes(self.gate).get(names.EPOCH, "0") if self.gate else "0"
-        return health == "Recovering" or (epoch != "0" and not objects.active(self.gate)[0])
+        return self.told_recovering or (epoch != "0" and not objects.active(self.gate)[0])

@@ -11,7 +11,18 @@ from collections.abc import Sequence
 from understudy.api import names
 from understudy.api.base import API_VERSION
 from understudy.api.conditions import Condition
-from understudy.cluster.client import CONFIG_MAPS, PODS, POLICIES, POOLS, WORKLOADS, ApiError, Client, Object, Resource
+from understudy.cluster.client import (
+    CONFIG_MAPS,
+    NETWORK_POLICIES,
+    PODS,
+    POLICIES,
+    POOLS,
+    WORKLOADS,
+    ApiError,
+    Client,
+    Object,
+    Resource,
+)
 from understudy.cluster.events import Recorder
 from understudy.controller import (
     affected,
@@ -216,7 +227,8 @@ class Reconciler:
             metrics.storm(namespace, objects.name(policy), None)
             return None, None
         found = self._store.in_namespace(WORKLOADS, namespace)
-        said, again = storms.judge(policy, guard, [found[name] for name in users], time.time())
+        fleet = [(found[name], self._store.get(NETWORK_POLICIES, namespace, names.gate(name))) for name in users]
+        said, again = storms.judge(policy, guard, fleet, time.time())
         metrics.storm(namespace, objects.name(policy), said.status == "True")
         return said, again
 

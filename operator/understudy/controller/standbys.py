@@ -5,7 +5,7 @@ from __future__ import annotations
 from understudy.api import names
 from understudy.api.switchovers import ENDED
 from understudy.cluster.client import PODS, REPLICA_SETS, Object
-from understudy.controller import fleets, inforce, instances, levels, nodes, objects, ownership, situations
+from understudy.controller import committed, fleets, inforce, instances, levels, nodes, objects, ownership, situations
 from understudy.controller.desired import Create, Delete, Patch, Plan
 from understudy.controller.observed import Observed
 from understudy.controller.pools import Fresh
@@ -127,6 +127,7 @@ def awaited(observed: Observed, understanding: Understanding) -> str | None:
 def sweep(made: Plan, observed: Observed) -> None:
     """Delete standbys of pools that don't serve the workload any more; not in a recovery, which may be about to take one."""
     if observed.recovering:
+        made.later(committed.LASTS)  # it may have been given up, which nothing tells
         return
     serving_now = observed.standby_pools
     for pod in observed.pods:

@@ -6,6 +6,7 @@ has heard of no storm acts as if there were none.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from datetime import datetime
 
@@ -13,7 +14,7 @@ from understudy.api.base import seconds
 from understudy.api.conditions import Condition, condition
 from understudy.api.policies import StormGuard
 from understudy.cluster.client import Object
-from understudy.controller import levels, objects
+from understudy.controller import committed, levels, objects
 
 CONDITION = "Storm"
 
@@ -30,22 +31,31 @@ def health(workload: Object) -> str:
     return found
 
 
-def counted_until(workload: Object, now: float, within: float) -> float | None:
-    """Until when a workload counts as one that fails (unix seconds): infinite where it fails now, None where it doesn't count."""
+def counted_until(workload: Object, gate: Object | None, now: float, within: float) -> float | None:
+    """Until when a workload counts as one that fails (unix seconds): infinite where it fails now, None where it doesn't count.
+
+    Of a failure its gate tells first, and the status once the recovery is over or takes long.
+    """
     if health(workload) in FAILING:
         return float("inf")
+    moments = []
     recoveries = (workload.get("status") or {}).get("recoveries") or []
     moment = (recoveries[0].get("moments") or {}).get("detected") if recoveries else None
-    if moment is None or recoveries[0].get("planned"):
-        return None
-    until = datetime.fromisoformat(moment).timestamp() + within
+    if moment is not None and not recoveries[0].get("planned"):
+        moments.append(datetime.fromisoformat(moment).timestamp())
+    beside = committed.beside(gate)
+    if beside is not None and not beside.planned:
+        moments.append(beside.detected)
+    until = max(moments, default=-math.inf) + within
     return until if now < until else None
 
 
-def judge(policy: Object, guard: StormGuard, workloads: Sequence[Object], now: float) -> tuple[Condition, float | None]:
-    """The condition of a policy, given all of its workloads; and seconds after which it may be another by time alone."""
-    awake = [workload for workload in workloads if not levels.paused(workload)]
-    until = {objects.name(w): counted_until(w, now, seconds(guard.within)) for w in awake}
+def judge(
+    policy: Object, guard: StormGuard, workloads: Sequence[tuple[Object, Object | None]], now: float
+) -> tuple[Condition, float | None]:
+    """The condition of a policy, given all of its workloads with their gates; and seconds after which it may be another by time alone."""
+    awake = [(workload, gate) for workload, gate in workloads if not levels.paused(workload)]
+    until = {objects.name(w): counted_until(w, gate, now, seconds(guard.within)) for w, gate in awake}
     failing = sorted(name for name, moment in until.items() if moment is not None)
     passing = [moment for moment in until.values() if moment is not None and moment != float("inf")]
     again = max(0.0, min(passing) - now) if passing else None

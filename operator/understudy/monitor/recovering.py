@@ -75,6 +75,10 @@ class Recoveries:
         policy = self._view.policy
         if policy is None or self._view.settings is None or self._view.retired:
             return
+        with self._reporter.recovering():
+            await self._carry_out(progress, policy)
+
+    async def _carry_out(self, progress: Progress, policy: FailurePolicySpec) -> None:
         self._get_ready(policy)
         began = "Rescheduling" if progress.planned else "FollowsDependency" if progress.follows else "FailureDetected"
         self._reporter.condition("Recovering", "True", began, progress.reason)

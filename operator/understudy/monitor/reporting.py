@@ -7,7 +7,7 @@ import contextlib
 import json
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from datetime import datetime
 
 import aiohttp
@@ -37,6 +37,11 @@ NAMED = 3
 QUIET = 0.25
 """Seconds that a change waits for others, so that a failover in milliseconds costs one write and not three."""
 
+UNDER_WAY = 3.0
+"""Seconds that what changes in a recovery waits for its end, so that it's told in one write. The record beside the gate tells at once that
+there is one: the operator's storm guard and whoever depends on this workload go by that.
+"""
+
 RETRY = 2.0  # seconds
 
 AGAIN = 10.0
@@ -53,6 +58,9 @@ class Reporter:
         """Called at once when the health, or a condition, is another; also in the midst of a failover."""
         self._changed = asyncio.Event()
         self._urgent = asyncio.Event()
+        self._free = asyncio.Event()
+        """Nothing is under way for whose end a write waits."""
+        self._free.set()
         self._applied = ""
         self._said: Object = {}
         """The status that was applied last."""
@@ -244,6 +252,16 @@ class Reporter:
     def hurry(self) -> None:
         """Have what has changed written at once: others wait for it."""
         self._urgent.set()
+        self._free.set()
+
+    @contextlib.contextmanager
+    def recovering(self) -> Iterator[None]:
+        """A recovery is under way: what changes is written once it is over, or when it takes longer than UNDER_WAY."""
+        self._free.clear()
+        try:
+            yield
+        finally:
+            self._free.set()
 
     def withdraw(self, type_: str) -> None:
         """Say a condition no longer: what it is about isn't there any more."""
@@ -333,9 +351,7 @@ class Reporter:
         """Apply the status when it has changed, until cancelled."""
         while True:
             await self._changed.wait()
-            with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(QUIET):
-                    await self._urgent.wait()
+            await self._settled()
             self._changed.clear()
             self._urgent.clear()
             try:
@@ -347,6 +363,19 @@ class Reporter:
                     _logger.warning("status not written: %s", error)
                 self._changed.set()
                 await asyncio.sleep(RETRY)
+
+    async def _settled(self) -> None:
+        """Wait for what will change together with what has changed."""
+        latest = time.monotonic() + UNDER_WAY
+        while True:
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(QUIET):
+                    await self._urgent.wait()
+            if self._urgent.is_set() or self._free.is_set() or time.monotonic() >= latest:
+                return
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(latest - time.monotonic()):
+                    await self._free.wait()
 
     async def flush(self) -> None:
         """Apply the status now, if it isn't what was applied last."""

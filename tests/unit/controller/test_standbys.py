@@ -21,6 +21,7 @@ from tests.unit.controller.world import (
 )
 from understudy.api import names
 from understudy.cluster.client import Object
+from understudy.mitigation.progress import Progress
 
 
 class TestStandbys:
@@ -84,6 +85,21 @@ class TestStandbys:
         new = standby_pod("w-new", of=world.workload, template_hash=world.template_hash)
         world.pods = [old, new]
         assert not deleted(world.plan())
+
+    def test_nor_while_only_the_gate_tells_of_one_which_lasts_for_some_seconds_and_is_looked_at_again(self) -> None:
+        world = World(workload(), policy("hot"), hot())
+        told = gate(world.workload, active=source_pod("w-a"), epoch=1)
+        progress = Progress.begin("crashed", last_healthy=world.now - 1, detected=world.now - 0.5)
+        told["metadata"]["annotations"][names.RECOVERY] = progress.model_dump_json()
+        world.own(told)
+        old = standby_pod("w-old", of=world.workload, template_hash="old")
+        new = standby_pod("w-new", of=world.workload, template_hash=world.template_hash)
+        world.pods = [old, new]
+        plan = world.plan()
+        assert not deleted(plan)
+        assert plan.again_after is not None
+        world.now += plan.again_after
+        assert deleted(world.plan()) == ["w-old"]
 
     def test_those_of_a_pool_that_no_longer_serves_go_but_never_the_active_one(self) -> None:
         world = World(workload(labels={"task": "other"}), policy("hot"), hot())

@@ -5,13 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 from tests.unit.controller import world
+from understudy.api import names
 from understudy.api.conditions import Condition
 from understudy.api.policies import StormGuard
-from understudy.cluster.client import WORKLOADS, Object
+from understudy.cluster.client import NETWORK_POLICIES, WORKLOADS, Object
 from understudy.controller import affected, policies, statuses, storms
 from understudy.controller.affected import Key
 from understudy.controller.stores import Sight, Store
-from understudy.mitigation.progress import rfc3339
+from understudy.mitigation.progress import Progress, rfc3339
 
 NOW = 1000.0
 GUARD = StormGuard(percent=50, workloads=3, within="10s")
@@ -26,7 +27,14 @@ def judged(*workloads: Object, live: Condition | None = None) -> tuple[Condition
     policy = world.policy("Restart")
     if live is not None:
         policy["status"] = {"conditions": [live.to_wire()]}
-    return storms.judge(policy, GUARD, workloads, NOW)
+    return storms.judge(policy, GUARD, [(workload, None) for workload in workloads], NOW)
+
+
+def gate(of: Object, progress: Progress | None) -> Object:
+    made = world.gate(of, active=world.pod("w-0-a"), epoch=3)
+    if progress is not None:
+        made["metadata"]["annotations"][names.RECOVERY] = progress.model_dump_json()
+    return made
 
 
 def fleet(failing: int, of: int) -> list[Object]:
@@ -59,7 +67,22 @@ def test_those_that_failed_a_moment_ago_count_whatever_became_of_it_and_it_is_lo
 def test_a_planned_hand_over_is_no_failure() -> None:
     handed = robot(0)
     handed["status"]["recoveries"] = [{"moments": {"detected": rfc3339(NOW - 1)}, "planned": True}]
-    assert storms.counted_until(handed, NOW, 10.0) is None
+    assert storms.counted_until(handed, None, NOW, 10.0) is None
+    progress = Progress.begin("slow", last_healthy=NOW - 1, detected=NOW - 1, planned=True)
+    assert storms.counted_until(robot(1), gate(robot(1), progress), NOW, 10.0) is None
+
+
+def test_a_failure_that_only_its_gate_tells_of_counts_like_one_that_the_status_tells_of() -> None:
+    workload = robot(0, failed=NOW - 50)
+    progress = Progress.begin("crashed", last_healthy=NOW - 1, detected=NOW - 0.5)
+    assert storms.counted_until(workload, gate(workload, None), NOW, 10.0) is None
+    until = storms.counted_until(workload, gate(workload, progress), NOW, 10.0)
+    assert until is not None
+    assert round(until, 6) == NOW + 9.5
+    assert storms.counted_until(workload, gate(workload, progress), NOW + 9.5, 10.0) is None, "given up, or told since"
+    unreadable = gate(workload, None)
+    unreadable["metadata"]["annotations"][names.RECOVERY] = "{"
+    assert storms.counted_until(workload, unreadable, NOW, 10.0) is None
 
 
 def test_what_is_paused_neither_fails_nor_counts_as_well() -> None:
@@ -103,3 +126,8 @@ def test_a_policy_with_a_guard_is_looked_at_when_a_workloads_health_is_another_a
     store.put(affected.POLICIES, guarded)
     assert key in affected.keys(Sight(WORKLOADS, well, failed), store)
     assert key not in affected.keys(Sight(WORKLOADS, failed, failed), store)
+    store.put(WORKLOADS, well)
+    first = gate(well, Progress.begin("crashed", last_healthy=NOW - 1, detected=NOW))
+    assert key in affected.keys(Sight(NETWORK_POLICIES, gate(well, None), first), store), "its gate tells first"
+    opened = {**first, "spec": {"podSelector": {}}}
+    assert key not in affected.keys(Sight(NETWORK_POLICIES, first, opened), store), "of the same recovery"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -95,6 +96,9 @@ class Told:
 
     def event(self, kind: str, reason: str, message: str) -> None:
         self.events.append((reason, message))
+
+    def recovering(self) -> contextlib.AbstractContextManager[None]:
+        return contextlib.nullcontext()
 
     def withdraw(self, type_: str) -> None:
         self.conditions.pop(type_, None)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Callable
 from typing import Any, Literal
 
 import pytest
@@ -148,9 +151,13 @@ def monitor_of(api: Applied) -> Reporter:
     return found
 
 
-async def recovered(found: Reporter) -> None:
+def say_recovered(found: Reporter) -> None:
     found.set(active="w-2", health="Healthy")
     found.condition("Recovering", "False", "Recovered", "w-2 took over")
+
+
+async def recovered(found: Reporter) -> None:
+    say_recovered(found)
     await found.flush()
 
 
@@ -264,3 +271,82 @@ async def test_what_was_said_before_a_write_without_an_answer_is_said_again() ->
     living.set(health="Recovering")
     await living.flush()
     assert api.item["status"]["health"] == "Recovering"
+
+
+@contextlib.asynccontextmanager
+async def running(found: Reporter, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[None]:
+    """Its loop, which waits for a hundredth of what it does in a cluster, and a tenth for a recovery."""
+    monkeypatch.setattr(reporting, "QUIET", 0.0025)
+    monkeypatch.setattr(reporting, "UNDER_WAY", 0.3)
+    task = asyncio.create_task(found.run())
+    try:
+        yield
+    finally:
+        task.cancel()
+
+
+async def until(true: Callable[[], bool]) -> None:
+    async with asyncio.timeout(5):
+        while not true():
+            await asyncio.sleep(0.002)
+
+
+def health(api: Applied) -> str:
+    found: str = api.item.get("status", {}).get("health", "")
+    return found
+
+
+async def test_a_recovery_is_told_in_one_write_once_it_is_over(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The record beside the gate tells of it meanwhile: in a burst, in which each takes longer, that would be a write for each robot."""
+    api = Applied()
+    found = monitor_of(api)
+    async with running(found, monkeypatch):
+        with found.recovering():
+            found.set(health="Recovering", failing_since=999.9)
+            await asyncio.sleep(0.05)
+            assert api.writes == 0
+            found.record(done(1000.0, planned=False))
+            say_recovered(found)
+        await until(lambda: api.writes > 0)
+        await asyncio.sleep(0.02)
+    assert (api.writes, health(api)) == (1, "Healthy")
+    assert len(api.item["status"]["recoveries"]) == 1
+
+
+async def test_one_that_takes_longer_is_told_meanwhile(monkeypatch: pytest.MonkeyPatch) -> None:
+    api = Applied()
+    found = monitor_of(api)
+    async with running(found, monkeypatch):
+        with found.recovering():
+            found.set(health="Recovering", failing_since=999.9)
+            await until(lambda: api.writes > 0)
+            assert health(api) == "Recovering"
+            found.record(done(1000.0, planned=False))
+            say_recovered(found)
+        await until(lambda: health(api) == "Healthy")
+    assert api.writes == 2
+
+
+async def test_what_others_wait_for_is_told_at_once_in_a_recovery_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    api = Applied()
+    found = monitor_of(api)
+    async with running(found, monkeypatch):
+        monkeypatch.setattr(reporting, "UNDER_WAY", 60.0)
+        with found.recovering():
+            found.set(health="Recovering", failing_since=999.9)
+            await asyncio.sleep(0.02)
+            found.hurry()
+            await until(lambda: health(api) == "Recovering")
+
+
+async def test_what_was_to_be_said_when_a_recovery_began_waits_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    api = Applied()
+    found = monitor_of(api)
+    async with running(found, monkeypatch):
+        monkeypatch.setattr(reporting, "QUIET", 0.05)
+        found.set(strategy="Restart")
+        await asyncio.sleep(0.01)
+        with found.recovering():
+            await asyncio.sleep(0.1)
+            assert api.writes == 0
+        await until(lambda: api.writes == 1)
