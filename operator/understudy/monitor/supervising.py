@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
 from understudy.api.base import seconds
@@ -56,7 +57,7 @@ from understudy.monitor.waiting import Line
 _logger = logging.getLogger(__name__)
 
 SETTLE = 2.0
-"""Most seconds that a new monitor takes to hear of the understudies before it goes on with a recovery."""
+"""Most seconds that a new monitor takes to hear of the understudies before it goes on with a recovery, or begins one."""
 
 SLOW = 1.0
 """Seconds between looks at what isn't urgent: labels, whether the gate is enforced."""
@@ -90,6 +91,8 @@ class Supervisor:
         self._reporter, self._keeping = reporter, keeping = parts.reporter, parts.keeping
         self._journal, self._crash_points = parts.journal, parts.crash_points
         self._next_slow = 0.0
+        self._new_until = -math.inf
+        """Until when (monotonic seconds) an understudy that nobody has heard of yet may well be there."""
         self._looks = Looks(sight.coming)
         self.wake = self._looks.wake
         """Set to have it look at once, such as when a pod of the workload changed."""
@@ -140,6 +143,7 @@ class Supervisor:
 
     async def run(self) -> None:
         """Watch and recover until cancelled."""
+        self._new_until = time.monotonic() + SETTLE
         await self._resume()
         while True:
             await self._act_on(await self._watch())
@@ -200,7 +204,13 @@ class Supervisor:
             self._postponing.told_to_wait()
             return
         progress.index = first
+        await self._hear({one.uid for one in progress.failed})
         await self._recoveries.recover(progress)
+
+    async def _hear(self, failed: Collection[str]) -> None:
+        """A new monitor hears of the understudies before it chooses: that a warm one has no connection yet is no reason for a restart."""
+        if (left := self._new_until - time.monotonic()) > 0:
+            await self._sidecars.settle([i for i in self._fleet.of_workload() if i.uid not in failed], left)
 
     # -- watching ---------------------------------------------------------------------------------------------------
 

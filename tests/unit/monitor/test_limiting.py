@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import errno
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -20,7 +20,7 @@ from understudy.cluster.client import ApiError
 from understudy.mitigation.interfaces import GateState, Instance, Superseded
 from understudy.mitigation.journal import Journal
 from understudy.mitigation.progress import PodIdentity, Progress, rfc3339
-from understudy.monitor import holding
+from understudy.monitor import holding, supervising
 from understudy.monitor.detection import Failure
 from understudy.monitor.supervising import Parts, Supervisor
 
@@ -302,3 +302,31 @@ async def test_a_volume_that_is_full_costs_no_recovery_and_leaves_nothing_old(wo
     world.resume()
     assert await held, "it is fenced, and recovered once it may be"
     assert before.load() is None, "what is beside the gate is newer"
+
+
+async def test_a_new_monitor_hears_of_the_understudies_before_it_chooses_and_an_older_one_knows(world: World) -> None:
+    """Else a warm standby, to whose agent it has no connection yet, would be passed over for a restart."""
+    heard: list[list[str]] = []
+
+    async def settle(instances: Sequence[Instance], within: float) -> None:
+        assert 0 < within <= supervising.SETTLE
+        assert not world.carried_out
+        heard.append([instance.name for instance in instances])
+
+    async def no_watch() -> None:
+        raise asyncio.CancelledError
+
+    standby = Instance(name="w-2", uid="uid-2", ip="10.0.0.2", running=True, ready=True)
+    watching, now = world.watching, time.time()
+    watching._sidecars.settle = settle  # type: ignore[method-assign]
+    watching._fleet.of_workload = lambda: [ACTIVE, standby]  # type: ignore[method-assign]
+    watching._fleet.find = lambda uid: ACTIVE  # type: ignore[method-assign]
+    watching._switching.failed = lambda reason: None  # type: ignore[method-assign]
+    watching._resume = no_watch  # type: ignore[method-assign]
+    with pytest.raises(asyncio.CancelledError):
+        await watching.run()
+    await watching._act_on(Failure("no /cmd_vel", now - 0.5, now))
+    assert (heard, len(world.carried_out)) == ([["w-2"]], 1)
+    watching._new_until = time.monotonic()
+    await watching._act_on(Failure("no /cmd_vel", now - 0.5, now))
+    assert (heard, len(world.carried_out)) == ([["w-2"]], 2)
