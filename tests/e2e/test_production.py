@@ -139,11 +139,17 @@ def secrets(pod_template: Object) -> list[str]:
     return [secret["name"] for secret in pod_template["spec"].get("imagePullSecrets") or []]
 
 
+def start(pod: Object) -> tuple[float, float]:
+    """When a pod was made and when it was ready, in whole unix seconds."""
+    ready = next(c["lastTransitionTime"] for c in pod["status"]["conditions"] if c["type"] == "Ready")
+    made, done = (datetime.fromisoformat(text).timestamp() for text in (pod["metadata"]["creationTimestamp"], ready))
+    return made, done
+
+
 def starting(pod: Object) -> float:
     """Seconds (whole ones) from when a pod was made to when it was ready."""
-    ready = next(c["lastTransitionTime"] for c in pod["status"]["conditions"] if c["type"] == "Ready")
-    moments = [datetime.fromisoformat(text) for text in (pod["metadata"]["creationTimestamp"], ready)]
-    return (moments[1] - moments[0]).total_seconds()
+    made, done = start(pod)
+    return done - made
 
 
 @pytest.mark.long

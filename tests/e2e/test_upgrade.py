@@ -18,7 +18,7 @@ from testcluster.images import commits
 from tests.e2e.conftest import IMAGES, SYSTEM, install
 from tests.e2e.kubectl import Kubectl, Object, helm
 from tests.e2e.scenario import Robot, eventually, manifest, patient
-from tests.e2e.test_production import LONGEST, starting
+from tests.e2e.test_production import LONGEST, start, starting
 from tests.e2e.test_strategies import assert_handed_over
 from understudy import __version__
 from understudy.api import names
@@ -199,8 +199,11 @@ def test_an_upgrade_from_the_version_before_leaves_no_gap_at_the_robots_and_what
         assert (tags(monitor), version(kubectl, monitor)) == ({PRESENT}, __version__)
         assert tags(kubectl.get("pod", active[robot])) == {earlier.tag}, "the pod in control stays, with its agent"
 
+    first, second = sorted(start(pod) for robot in robots for pod in living(robot.monitor_pods()))
+    assert first[1] <= second[0], "their monitors were replaced one after the other"
+
     for robot, strategy in {standing: "Fallback/Executing", pooled: "Fallback/Uninitialized"}.items():
-        robot.fail(active[robot], "killed")
+        robot.fail(active[robot], "frozen")  # a killed container is back before its policy is out of patience
         recovery = robot.wait_recovered(1)
         assert (recovery.strategy, recovery.old) == (strategy, active[robot]), recovery
         assert_handed_over(robot, recovery)

@@ -25,6 +25,12 @@ WRITES = Counter(
     "understudy_writes_total", "Writes to the API by resource and verb.", ["resource", "verb"], registry=REGISTRY
 )
 WAITING = Gauge("understudy_queue_length", "Objects waiting to be reconciled.", registry=REGISTRY)
+ROLLOUTS = Gauge(
+    "understudy_monitor_rollouts",
+    "Workloads whose monitor or discovery server is to be replaced: under_way, or waiting for their turn.",
+    ["state"],
+    registry=REGISTRY,
+)
 LEADER = Gauge("understudy_leader", "1 while this replica holds the lease.", registry=REGISTRY)
 POOL_SIZE = Gauge(
     "understudy_pool_size",

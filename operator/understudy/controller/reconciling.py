@@ -46,6 +46,7 @@ from understudy.controller.executing import MANAGER, Executor
 from understudy.controller.judging import FORGET_REFUSAL, Judge
 from understudy.controller.observed import Observed
 from understudy.controller.observing import Observer
+from understudy.controller.rollouts import Rollouts
 from understudy.controller.stores import Store
 from understudy.controller.understanding import Understanding, probe_template, understand
 
@@ -109,9 +110,11 @@ class Reconciler:
         executor: Executor,
         recorder: Recorder,
         images: Images,
+        rollouts: Rollouts,
     ) -> None:
         self._client, self._store, self._observer, self._executor = client, store, observer, executor
         self._recorder, self._images, self._judge = recorder, images, Judge(client)
+        self._rollouts = rollouts
         self._fresh = fresh()
         self._counted: dict[Key, float] = {}
         """When the status of each pool was written last, in seconds of the monotonic clock."""
@@ -141,6 +144,7 @@ class Reconciler:
         if item is None or objects.deleted(item):
             pods = self._store.labelled(PODS, key.namespace, names.WORKLOAD, key.name)
             await self._executor.run(key, workloads.abandoned(key.name, pods).writes)
+            self._rollouts.forget(key)
             if item is None:
                 self._executor.forget(key)
             return None
@@ -154,13 +158,14 @@ class Reconciler:
                 understanding = dataclasses.replace(understanding, problem=refusal)
                 again = FORGET_REFUSAL
         plan = workloads.plan(observed, understanding, self._images, self._fresh)
-        problems = await self._executor.run(key, plan.writes)
+        writes, turn = self._rollouts.admitted(key, plan.writes)
+        problems = await self._executor.run(key, writes)
         raised = await self._resize(key, observed, understanding)
         if problems or any(one.reason == "Refused" for one in raised):
             again = FORGET_REFUSAL
         observed = self._seen(observed)
         status = statuses.status(observed, understanding, problems, resizing.judged(observed, raised))
-        return _earliest(plan.again_after, again, await self._tell(WORKLOADS, observed.workload, status))
+        return _earliest(plan.again_after, again, turn, await self._tell(WORKLOADS, observed.workload, status))
 
     async def _resize(self, key: Key, observed: Observed, understanding: Understanding) -> list[resizing.Outcome]:
         """Resize the pod in control as far as it is asked for; what the API server refuses concerns nothing else."""

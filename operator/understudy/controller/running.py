@@ -30,6 +30,7 @@ from understudy.controller.fleetmetrics import FleetMetrics
 from understudy.controller.observing import Observer
 from understudy.controller.operating import Operator
 from understudy.controller.reconciling import Reconciler
+from understudy.controller.rollouts import PERCENT, Rollouts
 from understudy.controller.stores import Store
 
 _logger = logging.getLogger(__name__)
@@ -48,6 +49,8 @@ class Options:
     namespaces: tuple[str, ...] = ()
     """Namespaces to look after; none for all."""
     resync_every: float = 30.0
+    rollout_percent: int = PERCENT
+    """Of the workloads, how many may have their monitors replaced at once."""
     port: int = names.METRICS_PORT
     timing: Timing = field(default_factory=Timing)
 
@@ -67,6 +70,7 @@ async def run(access: Access, options: Options, *, stop: asyncio.Event | None = 
             Executor(client, store, expectations, may_write=lambda: lease.held),
             Recorder(client, MANAGER, options.identity),
             options.images,
+            Rollouts(store, percent=options.rollout_percent),
         )
         operator = Operator(client, store, reconciler, namespaces=options.namespaces, resync_every=options.resync_every)
         fleet = FleetMetrics(store, lambda: lease.held)
@@ -164,6 +168,14 @@ def options(argv: Sequence[str]) -> tuple[argparse.Namespace, Options]:
         help="PriorityClass of the pods of monitors and discovery servers",
     )
     parser.add_argument(
+        "--rollout-percent",
+        type=_percent,
+        default=environment("UNDERSTUDY_ROLLOUT_PERCENT", str(PERCENT)),
+        metavar="PERCENT",
+        help=f"of the workloads whose monitors are replaced at once, as after an upgrade; one at least ({PERCENT}, unless "
+        "UNDERSTUDY_ROLLOUT_PERCENT says otherwise)",
+    )
+    parser.add_argument(
         "--watch-namespace", action="append", default=[], help="look after this namespace only; may be repeated"
     )
     parser.add_argument(
@@ -205,8 +217,15 @@ def options(argv: Sequence[str]) -> tuple[argparse.Namespace, Options]:
         identity=given.identity,
         namespaces=tuple(watched),
         resync_every=given.resync,
+        rollout_percent=given.rollout_percent,
         port=given.port,
     )
+
+
+def _percent(text: str) -> int:
+    if not text.isdigit() or not 1 <= int(text) <= 100:
+        raise argparse.ArgumentTypeError(f"{text!r} isn't a whole number from 1 to 100")
+    return int(text)
 
 
 def _own_namespace() -> str:

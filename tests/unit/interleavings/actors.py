@@ -30,6 +30,7 @@ from understudy.controller.observing import Observer
 from understudy.controller.operating import Operator
 from understudy.controller.pools import Fresh
 from understudy.controller.reconciling import Reconciler
+from understudy.controller.rollouts import Rollouts
 from understudy.controller.stores import Sight as Seen
 from understudy.controller.stores import Store
 from understudy.mitigation.journal import Journal
@@ -224,6 +225,7 @@ class OperatorProcess:
             Executor(client, self._store, expectations, may_write=lambda: self._lease.held),
             Silent(),
             Images("registry/understudy:1"),
+            Rollouts(self._store, clock=clock),
         )
         reconciler._fresh = Fresh(name=lambda prefix: f"{prefix}-{next(numbers):04}", token=lambda: "token")
         self._operator = Operator(client, self._store, reconciler, namespaces=[NAMESPACE], resync_every=RESYNC)

@@ -16,8 +16,9 @@ def gate(opened: Path) -> None:
     node = Node("gate")
     out = node.create_publisher(JointTrajectory, "/arm_controller/joint_trajectory", 10)
 
-    def held(message: JointTrajectory) -> None:
-        if opened.exists():
+    def held(message: JointTrajectory, info: dict[str, int]) -> None:
+        # What was sent before is dropped, as a NetworkPolicy drops it; it may have waited here on a busy machine.
+        if opened.exists() and info["source_timestamp"] >= opened.stat().st_mtime_ns:
             out.publish(message)
 
     node.create_subscription(JointTrajectory, "/held/joint_trajectory", held, 10)
