@@ -11,6 +11,7 @@ import asyncio
 import base64
 import json
 import os
+import random
 import re
 import ssl
 import tempfile
@@ -28,6 +29,9 @@ Object = dict[str, Any]
 SERVICE_ACCOUNT = Path("/var/run/secrets/kubernetes.io/serviceaccount")
 PAGE = 250
 """Objects of a part of a list. A pod has some 10 kB, of which not all is kept."""
+LIFETIME = (200, 300)
+"""Seconds after which a watch ends and begins anew; a connection that nobody tells of its end is noticed then."""
+
 _TOKEN_LIFETIME = 60.0  # seconds between reads; the kubelet renews the file long before the token ends
 
 
@@ -420,14 +424,17 @@ class Client:
         version: str,
         labels: str | None = None,
         fields: str | None = None,
-        lifetime: int = 300,
+        lifetime: int | None = None,
         silence: float | None = None,
     ) -> AsyncIterator[tuple[str, Object]]:
         """Events ``(type, object)`` after a resourceVersion, bookmarks included, until the server ends the watch.
 
-        Raises Expired where the version is too old. ``lifetime`` is in seconds; a connection that is silent for ``silence``
-        seconds (or soon after the lifetime) is given up.
+        Raises Expired where the version is too old. ``lifetime`` is in seconds; where none is given, another one for each watch, so
+        that those of a fleet that began together don't all begin anew together. A connection that is silent for ``silence`` seconds
+        (or soon after the lifetime) is given up.
         """
+        if lifetime is None:
+            lifetime = random.randint(*LIFETIME)
         assert self._session is not None, "use the client as an asynchronous context manager"
         params = _selectors(labels, fields) | {
             "watch": "true",

@@ -27,8 +27,8 @@ PERCENT = 10
 """Of the workloads whose monitors may be replaced at once, unless the operator is told otherwise; at least one."""
 
 HOLD = 300.0
-"""Seconds for which one that doesn't become ready keeps its place. By then somebody was told (UnderstudyMonitorNotReady), and a robot that was
-switched off meanwhile doesn't keep a fleet from what mends the others.
+"""Seconds for which one that doesn't become ready keeps its place. By then somebody was told (UnderstudyMonitorNotReady), and a robot
+that was switched off meanwhile doesn't keep a fleet from what mends the others.
 """
 
 LOOK = 3.0
