@@ -180,12 +180,14 @@ class Leases:
 
     def _tell(self, spec: RobotWorkloadSpec) -> None:
         state, recovering = self._gate.state, self.recovering()
-        for progress in (state.recovery, recovering):
-            if progress is not None:
-                for pod in progress.replaced:
-                    # Whoever is cut off may come back late, and isn't always listed meanwhile: only the oldest are forgotten.
-                    self._replaced.pop(pod.uid, None)
-                    self._replaced[pod.uid] = None
+        committed = state.recovery
+        # One that is stopped before it has committed has replaced nobody.
+        under_way = recovering if committed and recovering and committed.id == recovering.id else None
+        for progress in filter(None, (committed, under_way)):
+            for pod in progress.replaced:
+                # Whoever is cut off may come back late, and isn't always listed meanwhile: only the oldest are forgotten.
+                self._replaced.pop(pod.uid, None)
+                self._replaced[pod.uid] = None
         while len(self._replaced) > REMEMBERED:
             del self._replaced[next(iter(self._replaced))]
         instances = {i.uid: i for i in self._fleet.of_workload() if i.has_agent and not i.held}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -253,11 +254,29 @@ async def test_one_that_was_replaced_is_told_so_as_long_as_it_is_there() -> None
     leases.recovering = lambda: current[0]
     task = asyncio.create_task(leases.run())
     await eventually(lambda: agents.words("uid-a"))
-    current[0] = None
-    leases._gate = SimpleNamespace(state=AFTER, exists=True)  # type: ignore[assignment]
-    count = len(agents.words("uid-a"))
-    await eventually(lambda: len(agents.words("uid-a")) > count)
+    committed, current[0] = current[0], None
+    for told in (committed, recovery(Instance("p", "uid-p"))):  # by the gate, which tells of the last one only
+        leases._gate = SimpleNamespace(state=replace(AFTER, recovery=told), exists=True)  # type: ignore[assignment]
+        count = len(agents.words("uid-a"))
+        await eventually(lambda count=count: len(agents.words("uid-a")) > count + 1)  # type: ignore[misc]
     assert set(agents.words("uid-a")) == {"Stay"}
+    task.cancel()
+
+
+async def test_one_whose_recovery_was_stopped_before_it_had_committed_was_replaced_by_nobody(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As where somebody deletes the gate: whoever is put in control then, it stands by, and was held for good."""
+    monkeypatch.setattr(module, "CATCH_UP", 0.1)
+    agents = Agents({"uid-a": cut_off(), "uid-s": running()})
+    leases = monitored(agents, Cluster(), [])
+    leases.recovering = lambda: recovery(ACTIVE, reflex=True)
+    task = asyncio.create_task(leases.run())
+    await eventually(lambda: agents.words("uid-a"))
+    assert set(agents.words("uid-a")) == {"Stay"}
+    leases.recovering = lambda: None
+    leases._gate = SimpleNamespace(state=AFTER, exists=True)  # type: ignore[assignment]
+    await eventually(lambda: agents.words("uid-a")[-1] == "Go")
     task.cancel()
 
 
@@ -280,7 +299,7 @@ async def test_what_is_known_of_pods_that_were_replaced_does_not_grow_without_en
     leases._say(gone, 1700000000.0, "Stay")
     for number in range(module.REMEMBERED + 10):
         done = recovery(Instance(f"p-{number}", f"uid-{number}"))
-        leases.recovering = lambda done=done: done  # type: ignore[misc]
+        leases._gate = SimpleNamespace(state=replace(AFTER, recovery=done), exists=True)  # type: ignore[assignment]
         leases._tell(spec)
     assert len(leases._replaced) == module.REMEMBERED
     assert f"uid-{module.REMEMBERED + 9}" in leases._replaced
