@@ -56,6 +56,7 @@ class Rollouts:
 
     def admitted(self, key: Key, writes: Sequence[Write]) -> tuple[list[Write], float | None]:
         """The writes without those for which it isn't the workload's turn yet; if there are such, seconds after which to look again."""
+        self._finish()
         late = [write for write in writes if isinstance(write, Apply) and self._replaces(key, write)]
         if not late or self._may(key, len(late)):
             self._waiting.pop(key, None)
@@ -86,7 +87,6 @@ class Rollouts:
         return bool(applying.differences(live["spec"]["template"], write.body["spec"]["template"]))
 
     def _may(self, key: Key, replaced: int) -> bool:
-        self._finish()
         if key in self._steps:
             return True
         pods = self._pods(key)

@@ -8,7 +8,7 @@ from tests.unit.controller import world
 from understudy.api import names
 from understudy.cluster import applying
 from understudy.cluster.client import CONFIG_MAPS, DEPLOYMENTS, PODS, WORKLOADS, Object
-from understudy.controller import objects
+from understudy.controller import metrics, objects
 from understudy.controller.affected import Key
 from understudy.controller.desired import Apply, Write
 from understudy.controller.rollouts import HOLD, LOOK, Rollouts
@@ -74,6 +74,10 @@ class Fleet:
         return len(admitted) - 1, again
 
 
+def counted(state: str) -> float | None:
+    return metrics.REGISTRY.get_sample_value("understudy_monitor_rollouts", {"state": state})
+
+
 def test_a_share_of_the_fleet_is_replaced_at_once_and_the_next_ones_follow_when_it_is_ready() -> None:
     fleet = Fleet(20)
     assert [fleet.asks(number)[0] for number in fleet.robots] == [2, 2, *[0] * 18]
@@ -84,6 +88,12 @@ def test_a_share_of_the_fleet_is_replaced_at_once_and_the_next_ones_follow_when_
     assert fleet.asks(0) == (2, None), "there is nothing left to be replaced"
     assert fleet.asks(5) == (2, None)
     assert fleet.asks(6)[0] == 0
+    assert [counted(state) for state in ("under_way", "waiting")] == [2, 17]
+    for number in fleet.robots:
+        fleet.asks(number)
+        fleet.replaced(number, "2")
+        fleet.asks(number)
+    assert [counted(state) for state in ("under_way", "waiting")] == [0, 0], "nothing is left to be done"
 
 
 def test_a_small_fleet_s_are_replaced_one_after_the_other() -> None:
