@@ -5,12 +5,10 @@ from __future__ import annotations
 import functools
 from dataclasses import dataclass
 
-from pydantic import ValidationError
-
 from understudy.api import names
 from understudy.cluster.client import Object
 from understudy.controller import objects
-from understudy.mitigation.progress import Progress
+from understudy.mitigation import progress as recoveries
 
 LASTS = 10.0
 """Seconds after its detection for which a recovery that the status doesn't know counts as under way: the status follows within three
@@ -32,7 +30,7 @@ class Committed:
 def beside(gate: Object | None) -> Committed | None:
     """The recovery beside a gate; None where there is none, or it can't be read."""
     text = objects.notes(gate).get(names.RECOVERY, "") if gate is not None else ""
-    return _read(text) if text else None
+    return _read(text)
 
 
 def under_way(workload: Object, gate: Object | None, now: float) -> bool:
@@ -46,9 +44,8 @@ def under_way(workload: Object, gate: Object | None, now: float) -> bool:
 
 @functools.lru_cache(maxsize=4096)
 def _read(text: str) -> Committed | None:
-    try:
-        progress = Progress.model_validate_json(text)
-    except ValidationError:
+    progress = recoveries.beside(text)
+    if progress is None:
         return None
     planned = progress.planned or progress.switchover is not None
     return Committed(progress.id, progress.moments.get("detected", 0.0), planned)

@@ -193,12 +193,18 @@ _PARTS: tuple[Part, ...] = ("detection", "cluster", "startup", "reinitialization
 _OF_THE_FAILURE = ("last_healthy", "detected", "held", "released")
 
 
-def waiter(recovery: str) -> Waiter | None:
-    """Who waits by a recovery as it stands beside a gate; None where it doesn't wait, or can't be read."""
+def beside(recovery: str) -> Progress | None:
+    """A recovery by its text beside a gate; None where there is none, or it can't be read."""
     try:
-        return Progress.model_validate_json(recovery).waiting if recovery else None
+        return Progress.model_validate_json(recovery) if recovery else None
     except ValidationError:
         return None
+
+
+def waiter(recovery: str) -> Waiter | None:
+    """Who waits by a recovery as it stands beside a gate; None where it doesn't wait, or can't be read."""
+    found = beside(recovery)
+    return found.waiting if found is not None else None
 
 
 def rfc3339(time: float) -> str:
