@@ -46,6 +46,8 @@ def test_an_executing_standby_takes_over(executing: Robot, how: str) -> None:
     assert recovery.parts["startup"] == 0, "t_startup is 0 in full execution (the paper's finding)"
     assert_handed_over(executing, recovery)
     assert executing.wait_protected() == recovery.new, "and it is protected again"
+    pool = executing.kubectl.get("fbp", "quickstart-executing")["status"]
+    assert (pool["desired"], pool["replicas"], pool["ready"], pool["claimed"]) == (1, 1, 1, 1), pool
 
 
 @pytest.mark.parametrize("how", often("frozen"))

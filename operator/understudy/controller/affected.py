@@ -32,6 +32,7 @@ from understudy.controller import (
     objects,
     policies,
     pools,
+    standins,
     storms,
 )
 from understudy.controller.stores import Sight, Store
@@ -196,8 +197,20 @@ def _after_pod(sight: Sight, store: Store, namespace: str, plenty: Collection[st
         for label, plural in ((names.WORKLOAD, WORKLOADS), (names.MONITORED, WORKLOADS), (names.POOL, POOLS)):
             if label in labels:
                 yield Key(plural.plural, namespace, labels[label])
+        if labels.get(names.SOURCE) == "workload":
+            yield from _stood_in_for(labels.get(names.WORKLOAD, ""), store, namespace)
         if names.HELD in labels and labels.get(names.POOL, "") not in plenty:
             yield from _pool_users(labels.get(names.POOL, ""), store, namespace)
+
+
+def _stood_in_for(workload: str, store: Store, namespace: str) -> Iterator[Key]:
+    """The pool for which a pod of a workload's own controller waits, while a pod of that pool drives."""
+    gate = store.get(NETWORK_POLICIES, namespace, names.gate(workload))
+    if not objects.active(gate)[1]:
+        return
+    pool = standins.displaced(gate, store.labelled(PODS, namespace, names.WORKLOAD, workload))
+    if pool:
+        yield Key(POOLS.plural, namespace, pool)
 
 
 def _plenty(sight: Sight, store: Store) -> Collection[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, Protocol
 
 from understudy.api import names
@@ -34,6 +34,7 @@ from understudy.controller import (
     pools,
     references,
     selectors,
+    standins,
     statuses,
 )
 from understudy.controller.affected import Key
@@ -178,16 +179,19 @@ class Observer:
         template, selector = await self._source(item, found)
         gates = [store.get(NETWORK_POLICIES, namespace, names.gate(workload)) for workload in found]
         now = time.time()
+        made = store.labelled(PODS, namespace, names.POOL, name)
+        active = frozenset(uid for gate in gates if (uid := objects.active(gate)[1]))
         return pools.Observed(
             pool=item,
             workloads=found,
-            pods=store.labelled(PODS, namespace, names.POOL, name),
+            pods=made,
             owned=store.owned(objects.uid(item)),
             now=now,
             waiting=pools.queue(name, [gate for gate in gates if gate is not None], now),
             source=template,
             source_selector=selector,
-            active=frozenset(uid for gate in gates if (uid := objects.active(gate)[1])),
+            active=active,
+            stand_ins=self._standing_in(item, found, made, active),
             expected=self._expected(Key(POOLS.plural, namespace, name), name),
             prewarmed=sum(
                 pools.serves(item, workload)
@@ -199,6 +203,22 @@ class Observer:
             leaving=self._leaving(),
             budgets=self._budgets(namespace),
         )
+
+    def _standing_in(
+        self, pool: Object, workloads: Mapping[str, Object], pods: Sequence[Object], active: Collection[str]
+    ) -> list[Object]:
+        """The pods of workloads' own controllers that wait where one of the pool's pods drives."""
+        namespace, found = pool["metadata"]["namespace"], []
+        for name in {objects.labels(pod).get(names.WORKLOAD, "") for pod in pods if objects.uid(pod) in active}:
+            workload = workloads.get(name)
+            if workload is None or not pools.serves(pool, workload):
+                continue
+            policy = self._store.get(POLICIES, namespace, affected.used_policy(workload))
+            if standins.may_stand_in(workload, policy):
+                gate = self._store.get(NETWORK_POLICIES, namespace, names.gate(name))
+                its = self._store.labelled(PODS, namespace, names.WORKLOAD, name)
+                found += standins.standing_in(objects.name(pool), gate, its)
+        return found
 
     def _asks(self, pool: Object, workload: Object) -> bool:
         """Whether a workload takes a pod of a pool when it fails, where the pool's size follows that."""

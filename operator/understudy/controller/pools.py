@@ -54,6 +54,8 @@ class Observed:
     """Selector of that workload's referred controller, if it has one."""
     active: frozenset[str] = frozenset()
     """UIDs of the pods in control of some robot."""
+    stand_ins: Sequence[Object] = ()
+    """Pods of its workloads' own controllers that wait where a pod of it drives."""
     expected: int = 0
     """Pods that were created and haven't been observed yet."""
     prewarmed: int = 0

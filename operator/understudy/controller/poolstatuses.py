@@ -41,10 +41,10 @@ def count(observed: pools.Observed, spec: FallbackPoolSpec, sized: Sized | None 
             claimed=len(living) - len(held),
         )
     driving = [pod for pod in living if objects.uid(pod) in observed.active]
-    waiting = [pod for pod in living if pod not in driving]
+    waiting = [*(pod for pod in living if pod not in driving), *observed.stand_ins]
     served = sum(pools.serves(observed.pool, workload) for workload in observed.workloads.values())
     return Counts(
-        replicas=len(living),
+        replicas=len(waiting),
         desired=(served - observed.spared) * (spec.per_workload or 0) + observed.prewarmed,
         ready=sum(objects.ready(pod) for pod in waiting),
         claimed=len(driving),
@@ -129,12 +129,11 @@ def _ready(observed: pools.Observed, counts: Counts, problem: Problem | None) ->
             f"RobotWorkloads in namespace {pool['metadata']['namespace']}: correct it, or put its labels on the "
             f"RobotWorkload (on its own metadata, not on its template)",
         )
-    have = counts.ready + (counts.claimed if policies.readiness(pool) != "Uninitialized" else 0)
-    if have >= counts.desired:
+    if counts.ready >= counts.desired:
         return condition("Ready", True, "Ready", f"{counts.ready} could take over now.", generation=generation)
     if problem is not None:
         return no("NotAccepted", f"{counts.ready} of {counts.desired} are ready, and no more are made: see Accepted.")
-    for pod in sorted(observed.pods, key=objects.sort_key):
+    for pod in sorted([*observed.pods, *observed.stand_ins], key=objects.sort_key):
         if found := trouble(pod):
             return no(found.reason, f"{counts.ready} of {counts.desired} are ready; {found.message}")
     told = f"{counts.ready} of {counts.desired} are ready"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from understudy.api import names
 from understudy.api.switchovers import ENDED
 from understudy.cluster.client import PODS, REPLICA_SETS, Object
-from understudy.controller import committed, fleets, inforce, instances, levels, nodes, objects, ownership, situations
+from understudy.controller import committed, fleets, inforce, instances, levels, nodes, objects, ownership, standins
 from understudy.controller.desired import Create, Delete, Patch, Plan
 from understudy.controller.observed import Observed
 from understudy.controller.pools import Fresh
@@ -27,12 +27,8 @@ def _kept(observed: Observed, pool: str) -> int:
 
 
 def own_stands_by(observed: Observed) -> bool:
-    """Whether a pod that the workload's own controller makes waits as a standby while another one drives.
-
-    Not where what is in force changes with the situation: as whose standby it waits would change with it.
-    """
-    policy = observed.policy
-    return observed.reference is None and (policy is None or not situations.has_some(policy))
+    """Whether a pod that the workload's own controller makes waits as a standby while another one drives."""
+    return standins.may_stand_in(observed.workload, observed.policy)
 
 
 def keep(made: Plan, observed: Observed, pool: str, built: Object, fresh: Fresh) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
@@ -28,8 +28,8 @@ from tests.unit.controller.world import (
 )
 from understudy.api import names
 from understudy.cluster import claims
-from understudy.cluster.client import NETWORK_POLICIES, POOLS, WORKLOADS, Object
-from understudy.controller import instances, objects, ownership, pools, poolstatuses
+from understudy.cluster.client import NETWORK_POLICIES, PODS, POOLS, WORKLOADS, Client, Object
+from understudy.controller import affected, instances, objects, ownership, pools, poolstatuses
 from understudy.controller.desired import Plan
 from understudy.controller.expectations import LASTS, Expectations
 from understudy.controller.observing import Observer
@@ -419,14 +419,59 @@ class TestNumbers:
         pool = hot(per_workload=1)
         one, two, other = workload("a"), workload("b"), workload("c", labels={"task": "other"})
         driving, waiting = standby_pod("a-s", of=one), standby_pod("b-s", of=two)
-        found = status(observe(pool, [driving, waiting], workloads=[one, two, other], active=frozenset({"uid-a-s"})))
-        assert {key: found[key] for key in ("replicas", "desired", "ready", "claimed")} == {
-            "replicas": 2,
-            "desired": 2,
-            "ready": 1,
-            "claimed": 1,
-        }
-        assert {c["type"]: c["status"] for c in found["conditions"]}["Ready"] == "True"
+        observed = observe(pool, [driving, waiting], workloads=[one, two, other], active=frozenset({"uid-a-s"}))
+        assert numbers(observed) == {"replicas": 1, "desired": 2, "ready": 1, "claimed": 1}
+        told = condition(observed, "Ready")
+        assert (told["status"], told["reason"]) == ("False", "PodsNotReady"), "if a failed now, nobody could take over"
+
+    async def test_a_pod_that_waits_in_the_place_of_a_standby_that_drives_is_one_of_its_pool(self) -> None:
+        # The workload's own controller makes it after a failover. READY 0 would have somebody woken for a pool that has run dry.
+        item, pool, other = workload(), hot(per_workload=1), hot("warm", per_workload=1)
+        driving = standby_pod("w-s", of=item)
+        for own, ready in ((source_pod("w-a"), 1), (source_pod("w-a", ready=False), 0)):
+            seen = await sight(item, pool, other, gate(item, active=driving, epoch=2), driving, own)
+            assert numbers(seen[0]) == {"replicas": 1, "desired": 1, "ready": ready, "claimed": 1}
+            assert condition(seen[0], "Ready")["status"] == str(bool(ready))
+            assert numbers(seen[1]) == {"replicas": 0, "desired": 1, "ready": 0, "claimed": 0}, "it waits for one pool"
+
+    async def test_a_pod_of_a_workloads_own_is_no_standby_while_it_drives_or_is_claimed_for(self) -> None:
+        item, pool = workload(), hot(per_workload=1)
+        own, waiting = source_pod("w-a"), standby_pod("w-s", of=item)
+        seen = await sight(item, pool, gate(item, active=own, epoch=1), own, waiting)
+        assert numbers(seen[0]) == {"replicas": 1, "desired": 1, "ready": 1, "claimed": 0}
+
+    def test_what_becomes_of_such_a_pod_has_its_pool_looked_at(self) -> None:
+        item, store = workload(), Store()
+        driving, own = standby_pod("w-s", of=item), source_pod("w-a", ready=False)
+        ready = source_pod("w-a")
+        ready["metadata"]["resourceVersion"] = "99"
+        for resource, found in ((PODS, driving), (PODS, own), (NETWORK_POLICIES, gate(item, active=driving, epoch=2))):
+            store.put(resource, found)
+        seen: list[set[affected.Key]] = []
+        store.noticed = lambda sight: seen.append(affected.keys(sight, store))
+        store.put(PODS, ready)
+        assert seen == [{affected.Key("fallbackpools", "fleet", "hot"), affected.Key("robotworkloads", "fleet", "w")}]
+
+    async def test_what_a_referred_controller_makes_is_no_standby(self) -> None:
+        item, pool = workload(workloadRef={"kind": "Deployment", "name": "nav2"}), hot(per_workload=1)
+        driving = standby_pod("w-s", of=item)
+        seen = await sight(item, pool, gate(item, active=driving, epoch=2), driving, source_pod("w-a"))
+        assert numbers(seen[0]) == {"replicas": 0, "desired": 1, "ready": 0, "claimed": 1}
+
+
+def numbers(observed: pools.Observed) -> Object:
+    found = status(observed)
+    return {key: found[key] for key in ("replicas", "desired", "ready", "claimed")}
+
+
+async def sight(*items: Object) -> list[pools.Observed]:
+    """What is seen of the pools among these objects, as the operator's stores have it."""
+    store = Store()
+    resources = {"RobotWorkload": WORKLOADS, "FallbackPool": POOLS, "NetworkPolicy": NETWORK_POLICIES, "Pod": PODS}
+    for item in items:
+        store.put(resources[item["kind"]], item)
+    observer = Observer(cast(Client, None), store, Expectations())
+    return [await observer.pool(item) for item in items if item["kind"] == "FallbackPool"]
 
 
 def test_gates_tell_which_pods_are_driving() -> None:

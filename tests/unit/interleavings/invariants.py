@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 from tests.unit.interleavings.apiserver import ApiServer
 from tests.unit.interleavings.robots import Robots
@@ -182,7 +182,7 @@ class Invariants:
                 yield from (f"pod {_name(pod)} isn't ready" for pod in free if not objects.ready(pod))
                 yield from self._misjudged(item, len(free))
                 continue
-            yield from self._misjudged(item, len(mine))
+            yield from self._misjudged(item, len(self._waiting(mine)))
             for namespace, workload in sorted(self._server.items["robotworkloads"]):
                 standing = [pod for pod in mine if _labels(pod).get(names.WORKLOAD) == workload]
                 wanted = spec["perWorkload"]
@@ -192,6 +192,20 @@ class Invariants:
                 if len(standing) != wanted and all(self._stands_by(pod) for pod in standing):
                     yield f"pool {pool} has {len(standing)} pods of {workload} instead of {wanted}"
                 yield from (f"pod {_name(pod)} isn't up" for pod in standing if not self._up(pod))
+
+    def _waiting(self, made: Sequence[Object]) -> list[Object]:
+        """The pods that wait: those that a pool made, and those that its workloads' own controllers made since one of it drives."""
+        in_control = self._in_control()
+        driven = {_labels(pod).get(names.WORKLOAD, "") for pod in made if pod["metadata"]["uid"] in in_control}
+        own = [
+            pod
+            for (namespace, _), pod in self._server.items["pods"].items()
+            if _labels(pod).get(names.WORKLOAD) in driven
+            and _labels(pod).get(names.SOURCE) == "workload"
+            and _living(pod)
+            if not self._refers(namespace, _labels(pod)[names.WORKLOAD])
+        ]
+        return [pod for pod in made if pod["metadata"]["uid"] not in in_control] + own
 
     def _misjudged(self, pool: Object, there: int) -> Iterator[str]:
         """Whether a former leader's word on a pool is the last one."""
