@@ -10,7 +10,7 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from manipulation_arm import HOME
+from manipulation_arm import HOME, Joints
 from manipulation_robot.controller import Controller
 from manipulation_stack.following import Follower
 from manipulation_stack.motion import SPEED, Command, Motion
@@ -54,9 +54,14 @@ class Scene:
                 if number in silent:
                     continue
                 command = follower.step(told, self._now, PERIOD * self._ticks.uniform(1 - self._apart, 1 + self._apart))
-                if number == through:
+                if command is not None and number == through:
                     self.steps.append(self.controller.command(command.positions, command.velocities, now=self._now))
             self._told.append(self._reference(self._now))
+
+    @property
+    def told(self) -> Command:
+        """What the arm has said last."""
+        return self._told[-1]
 
     @property
     def moved(self) -> float:
@@ -146,6 +151,59 @@ def test_one_whose_way_is_another_one_waits_at_the_arm_and_asks_for_a_new_way() 
     assert scene.moved == pytest.approx(0.0, abs=1e-6)
     assert not other.strayed
     assert_no_jump(scene)
+
+
+@pytest.mark.parametrize("gap", [0.02, 0.06, 0.1, 0.3, 1.5])
+@pytest.mark.parametrize("late", [1, 3])
+@pytest.mark.parametrize("ticks", range(6))
+def test_one_that_has_found_a_new_way_to_an_arm_that_was_left_stays_one_step_from_it_until_it_gets_through(
+    ticks: int, late: int, gap: float
+) -> None:
+    scene = Scene(Follower(motion(1.0)), Follower(motion(-1.0)), late=late)
+    scene.run(0.9, through=0)
+    other = scene.followers[1]
+    assert other.strayed, "it has repeated where the arm is, which nobody has followed"
+    scene.run(ticks * PERIOD, through=None, silent=(0,))
+    # It goes on as the arm went, and then somewhere else: so it begins at the speed of an arm that seems to move still.
+    on, end = scene.controller.positions + np.array((0.2, 0, 0, 0, 0, 0)), HOME + np.array((0.7, 0.2, 0, 0, 0, 0))
+    way = [np.linspace(scene.controller.positions, on, 60), np.linspace(on, end, 60)[1:]]
+    other.replace(Motion(np.concatenate(way)))
+    scene.run(gap, through=None, silent=(0,))
+    scene.run(4.0, through=1, silent=(0,))
+    assert scene.controller.positions == pytest.approx(end, abs=1e-5)
+    assert_no_jump(scene)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_whenever_one_is_lost_and_whatever_ways_are_found_meanwhile_there_is_no_jump(seed: int) -> None:
+    chance = np.random.default_rng(seed)
+    late, apart = int(chance.integers(1, 4)), float(chance.choice([0.0, 0.1]))
+    target = HOME + np.array((1.0, 0.3, -0.2, 0, 0, 0))
+    followers = [Follower(some_way(HOME, target, chance)) for _ in range(2)]
+    scene, planning = Scene(*followers, late=late, apart=apart), [0.0, 0.0]
+
+    def run(seconds: float, *, through: int | None, silent: tuple[int, ...] = ()) -> None:
+        """As the planner does it, one that has strayed gets a way from where the arm was a moment ago."""
+        for tick in range(round(seconds / PERIOD)):
+            scene.run(PERIOD, through=through, silent=silent)
+            for number, follower in enumerate(followers):
+                if follower.strayed and number not in silent and tick * PERIOD >= planning[number]:
+                    follower.replace(some_way(scene.told.positions, target, chance))
+                    planning[number] = tick * PERIOD + chance.uniform(0.05, 0.5)
+
+    run(chance.uniform(0.3, 2.0), through=0)
+    run(chance.uniform(0.0, 0.8), through=None, silent=(0,))
+    planning = [0.0, 0.0]
+    run(8.0, through=1, silent=(0,))
+    assert scene.controller.positions == pytest.approx(target, abs=1e-5)
+    assert_no_jump(scene)
+
+
+def some_way(start: Joints, target: Joints, chance: np.random.Generator) -> Motion:
+    """One of the many ways to the target, which planners find by chance."""
+    aside = chance.uniform(-0.3, 0.3, len(start)) * (chance.random() < 0.7)
+    corner = start + (target - start) * chance.uniform(0.2, 0.8) + aside
+    return Motion(np.concatenate([np.linspace(start, corner, 80), np.linspace(corner, target, 80)[1:]]))
 
 
 def test_an_arm_that_is_late_makes_a_motion_rest_and_not_go_back() -> None:

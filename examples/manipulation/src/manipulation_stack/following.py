@@ -59,8 +59,8 @@ class Follower:
         """Take another way."""
         self._motion = motion
 
-    def step(self, reference: Command, now: float, seconds: float) -> Command:
-        """The next command, so many seconds after the one before.
+    def step(self, reference: Command, now: float, seconds: float) -> Command | None:
+        """The next command, so many seconds after the one before; None where the arm is better told nothing.
 
         ``reference`` is what the arm follows, the same object until the arm has said so again.
         """
@@ -75,18 +75,16 @@ class Follower:
             self._motion.rest()
             command = self._of_its_own(self._motion.command())
         else:
-            command = self._begun(reference, seconds)
+            place, aside = self._motion.off(reference.positions)
+            self.strayed = aside > ASIDE
+            if self.strayed:
+                self._heard = reference
+                return _staying(reference)
+            self._motion.begin(place, reference.velocities)
+            command = self._of_its_own(self._motion.advance(seconds))
         self._heard = reference
         self._note(command.positions, now)
         return command
-
-    def _begun(self, reference: Command, seconds: float) -> Command:
-        place, aside = self._motion.off(reference.positions)
-        self.strayed = aside > ASIDE
-        if self.strayed:
-            return Command(reference.positions, reference.velocities * 0.0)
-        self._motion.begin(place, reference.velocities)
-        return self._of_its_own(self._motion.advance(seconds))
 
     def _of_its_own(self, command: Command) -> Command:
         return Command(command.positions + self._own, command.velocities)
@@ -96,3 +94,11 @@ class Follower:
         self._sent.move_to_end(positions.tobytes())
         while len(self._sent) > REMEMBERED:
             self._sent.popitem(last=False)
+
+
+def _staying(reference: Command) -> Command | None:
+    """What an arm is told that is to stay where it is. It isn't noted: that the arm is there doesn't say that it has followed.
+
+    An arm that moves is told nothing: by now it is ahead of where it has said that it is, and would be called back.
+    """
+    return None if reference.velocities.any() else Command(reference.positions, reference.velocities)

@@ -168,7 +168,8 @@ class _Journey:
         reference = self._mover.reference()
         command = self._follower.step(reference, now, min(now - self._last, LONGEST))
         self._last = now
-        self._mover.send(command)
+        if command is not None:
+            self._mover.send(command)
         # Arrived is when the arm is told so, whoever tells it: an instance that stands by arrives when the other one does.
         if float(np.abs(reference.positions - self._target).max()) > 1e-3:
             self._at_end = None
