@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.cluster import Cluster, Object, until
-from tests.support.sharing import shared
+from tests.support.sharing import everybodys, shared
 from understudy.api.base import GROUP
 from understudy.api.kinds import KINDS
 
@@ -59,11 +58,8 @@ def release(
     Test processes that run side by side share it.
     """
     found = Release(NAME, NAMESPACE)
-    folder = tmp_path_factory.getbasetemp()
-    if "PYTEST_XDIST_WORKER" in os.environ:
-        folder = folder.parent  # that of all of them
     with shared(
-        folder,
+        everybodys(tmp_path_factory),
         "release",
         lambda: _install(cluster, helm, kubeconfig, found),
         lambda before: _restore(cluster, helm, kubeconfig, found, before),

@@ -1,5 +1,5 @@
-"""An upgrade from the version before this one (docs/how-to/production.md). What is upgraded is all that version's own: chart, definitions,
-operator, monitors, and the agents in the pods, of which those in control go on driving.
+"""An upgrade from the version before this one, and the way back (docs/how-to/production.md). What is upgraded is all that version's own:
+chart, definitions, operator, monitors, and the agents in the pods, of which those in control go on driving.
 """
 
 from __future__ import annotations
@@ -131,6 +131,34 @@ def strategies() -> list[Object]:
     return patient(found)
 
 
+def all_around(robots: dict[Robot, str], active: dict[Robot, str], tag: str) -> bool:
+    """Whether monitors, discovery servers, standbys and the pool are those of a version, and ready.
+
+    Args:
+        robots: with the policy of each.
+        active: the pod in control of each, which may be of any version.
+    """
+    rolled = [d for robot in robots for d in around(robot) if tags(d["spec"]["template"]) == {tag}]
+    done = [d for d in rolled if d["status"].get("readyReplicas") == d["status"].get("updatedReplicas") == 1]
+    [standing] = [robot for robot, policy in robots.items() if policy == EXECUTING]
+    there, free = standbys(standing, active[standing]), held(standing.kubectl)
+    return (
+        len(done) == 2 * len(robots)
+        and bool(there and free)
+        and all(tags(p) == {tag} and ready(p) for p in there + free)
+    )
+
+
+def lose(robot: Robot, active: str, policy: str, *, number: int) -> str:
+    """Freeze the pod in control, and see the robot be handed over by its policy's first strategy; who drives it then."""
+    robot.fail(active, "frozen")  # a killed container is back before its policy is out of patience
+    recovery = robot.wait_recovered(number)
+    strategy = {EXECUTING: "Fallback/Executing", UNINITIALIZED: "Fallback/Uninitialized"}[policy]
+    assert (recovery.strategy, recovery.old) == (strategy, active), recovery
+    assert_handed_over(robot, recovery)
+    return recovery.new
+
+
 @pytest.mark.long
 def test_an_upgrade_from_the_version_before_leaves_no_gap_at_the_robots_and_what_it_left_is_recovered_by_this_one(
     earlier: Version, kubectl: Kubectl, release: Kubectl
@@ -160,16 +188,8 @@ def test_an_upgrade_from_the_version_before_leaves_no_gap_at_the_robots_and_what
     assert [version(release, pod) for pod in operators(release)] == [__version__] * 2
 
     def renewed() -> bool:
-        """Monitors, discovery servers, standbys and the pool are those of this version, and ready."""
         assert not any(robot.recoveries() for robot in robots), "nothing is taken for a failure"
-        rolled = [d for robot in robots for d in around(robot) if tags(d["spec"]["template"]) == {PRESENT}]
-        done = [d for d in rolled if d["status"].get("readyReplicas") == d["status"].get("updatedReplicas") == 1]
-        waiting = [*standbys(standing, active[standing]), *held(kubectl)]
-        return (
-            len(done) == 2 * len(robots)
-            and bool(standbys(standing, active[standing]) and held(kubectl))
-            and all(tags(pod) == {PRESENT} and ready(pod) for pod in waiting)
-        )
+        return all_around(robots, active, PRESENT)
 
     eventually(renewed, within=240, what="all around the robots is of this version", note=pooled.describe)
     for robot in robots:
@@ -202,12 +222,8 @@ def test_an_upgrade_from_the_version_before_leaves_no_gap_at_the_robots_and_what
     first, second = sorted(start(pod) for robot in robots for pod in living(robot.monitor_pods()))
     assert first[1] <= second[0], "their monitors were replaced one after the other"
 
-    for robot, strategy in {standing: "Fallback/Executing", pooled: "Fallback/Uninitialized"}.items():
-        robot.fail(active[robot], "frozen")  # a killed container is back before its policy is out of patience
-        recovery = robot.wait_recovered(1)
-        assert (recovery.strategy, recovery.old) == (strategy, active[robot]), recovery
-        assert_handed_over(robot, recovery)
-        assert tags(kubectl.get("pod", recovery.new)) == {PRESENT}
+    for robot, policy in robots.items():
+        assert tags(kubectl.get("pod", lose(robot, active[robot], policy, number=1))) == {PRESENT}
     for robot in robots:
         robot.wait_protected()
         eventually(
@@ -215,3 +231,46 @@ def test_an_upgrade_from_the_version_before_leaves_no_gap_at_the_robots_and_what
             within=60, what="nothing is left of the version before", note=robot.describe,
         )  # fmt: skip
     assert max(silences) <= LONGEST, "no gap was in the upgrade"
+
+
+@pytest.mark.long
+def test_going_back_to_the_version_before_leaves_the_robots_driven_and_what_this_one_left_is_recovered_by_that(
+    earlier: Version, kubectl: Kubectl, release: Kubectl
+) -> None:
+    pooled, standing = Robot(kubectl, "robot-1"), Robot(kubectl, "robot-2")
+    robots = {pooled: UNINITIALIZED, standing: EXECUTING}
+    install(release.kubeconfig)
+    kubectl.apply(
+        strategies() + pooled.objects(policy=UNINITIALIZED) + standing.objects(policy=EXECUTING, labels=STANDING)
+    )
+    active = {robot: robot.wait_protected() for robot in robots}
+    # A recovery that this version has written beside the gate and into the status, as the one before must be able to read it.
+    active = {robot: lose(robot, active[robot], policy, number=1) for robot, policy in robots.items()}
+    for robot in robots:
+        assert robot.wait_protected() == active[robot]
+
+    begun = time.time()
+    helm(release.kubeconfig, "rollback", "understudy", "--namespace", SYSTEM, "--wait", "--timeout", "180s")
+    rolled = time.time()
+    assert {version(release, pod) for pod in operators(release)} == {EARLIER_VERSION}
+    assert "OutputsRead" not in definition(release), "Helm takes the definitions back too"
+    eventually(
+        lambda: all_around(robots, active, earlier.tag),
+        within=240, what="all around the robots is of the version before", note=pooled.describe,
+    )  # fmt: skip
+    for robot in robots:
+        assert robot.wait_protected() == active[robot]
+    ended = time.time()
+    print(f"\nback to {EARLIER_VERSION}: helm {rolled - begun:.1f} s, all of it {ended - begun:.1f} s")
+    for robot, policy in robots.items():
+        during = robot.log().between(begun, ended)
+        longest = during.longest_silence()
+        assert longest is not None
+        print(
+            f"{policy}: {len(during.commands)} commands, the longest time without one {longest.seconds * 1000:.0f} ms"
+        )
+        assert during.sources() == [active[robot]], "one pod drove all the while"
+        assert len(robot.recoveries()) == 1, "nothing was taken for a failure, and what was recorded is known"
+        assert tags(kubectl.get("pod", active[robot])) == {PRESENT}, "the pod in control stays, with its agent"
+    for robot, policy in robots.items():
+        assert tags(kubectl.get("pod", lose(robot, active[robot], policy, number=2))) == {earlier.tag}
