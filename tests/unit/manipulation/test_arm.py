@@ -83,6 +83,15 @@ def test_the_reference_stays_and_rests_when_commands_end() -> None:
     assert controller.positions == pytest.approx(HOME + 0.01)
 
 
+def test_an_arm_that_is_told_to_stay_stays_wherever_it_is_and_has_been_told() -> None:
+    controller = Controller(HOME)
+    controller.command(HOME + 0.01, np.full(6, 0.5), now=1.0)
+    assert controller.stay(now=1.05) == 0.0
+    assert controller.positions == pytest.approx(HOME + 0.01)
+    assert controller.velocities(1.06) == pytest.approx(np.zeros(6))
+    assert not controller.held(1.04 + HELD)
+
+
 def test_a_trajectory_leads_from_where_the_arm_is_through_its_points() -> None:
     trajectory = Trajectory(HOME, [1.0, 3.0], [HOME + 0.2, HOME - 0.2])
     assert trajectory.at(0.5) == pytest.approx(HOME + 0.1)

@@ -54,7 +54,9 @@ class Scene:
                 if number in silent:
                     continue
                 command = follower.step(told, self._now, PERIOD * self._ticks.uniform(1 - self._apart, 1 + self._apart))
-                if command is not None and number == through:
+                if number == through and command is None:
+                    self.steps.append(self.controller.stay(now=self._now))
+                elif number == through:
                     self.steps.append(self.controller.command(command.positions, command.velocities, now=self._now))
             self._told.append(self._reference(self._now))
 

@@ -24,6 +24,10 @@ class Controller:
         self._commanded = now
         return step
 
+    def stay(self, *, now: float) -> float:
+        """Take a command to stay where it is; the rad by which it is sent on, which is none."""
+        return self.command(self.positions, self._velocities * 0.0, now=now)
+
     def held(self, now: float) -> bool:
         """Whether the arm holds for want of commands."""
         return self._commanded is None or now - self._commanded > HELD

@@ -1,8 +1,8 @@
 """The robot: an arm that follows /arm_controller/joint_trajectory, and says where it is on /joint_states.
 
 The commands are trajectories of one point each, which is taken when it comes: the arm is led by a stream of them and holds
-where the last one left it. What it follows it says on /arm_controller/reference, so that whoever commands it can begin
-there.
+where the last one left it. One without a point has it stay where it is, as with ROS's joint_trajectory_controller. What it
+follows it says on /arm_controller/reference, so that whoever commands it can begin there.
 
 It goes through whole trajectories too: see ``trajectories``.
 
@@ -87,13 +87,16 @@ class Robot:
 
     def _take(self, command: Received, now: float) -> None:
         trajectory = command.message
-        if list(trajectory.joint_names) != list(JOINTS) or len(trajectory.points) != 1:
+        if list(trajectory.joint_names) != list(JOINTS) or len(trajectory.points) > 1:
             self._journal.write("refused", received=command.received, source=command.source)
             return
-        (point,) = trajectory.points
         self._end_trajectory()
         self._received += 1
-        step = self._controller.command(np.array(point.positions), np.array(point.velocities), now=now)
+        if trajectory.points:
+            (point,) = trajectory.points
+            step = self._controller.command(np.array(point.positions), np.array(point.velocities), now=now)
+        else:
+            step = self._controller.stay(now=now)
         self._journal.write(
             "command",
             received=command.received,

@@ -60,7 +60,7 @@ class Follower:
         self._motion = motion
 
     def step(self, reference: Command, now: float, seconds: float) -> Command | None:
-        """The next command, so many seconds after the one before; None where the arm is better told nothing.
+        """The next command, so many seconds after the one before; None while the arm is to stay wherever it is.
 
         ``reference`` is what the arm follows, the same object until the arm has said so again.
         """
@@ -78,8 +78,9 @@ class Follower:
             place, aside = self._motion.off(reference.positions)
             self.strayed = aside > ASIDE
             if self.strayed:
+                # Where it is by now it hasn't said yet: a moving arm would be called back to where it was.
                 self._heard = reference
-                return _staying(reference)
+                return None
             self._motion.begin(place, reference.velocities)
             command = self._of_its_own(self._motion.advance(seconds))
         self._heard = reference
@@ -94,11 +95,3 @@ class Follower:
         self._sent.move_to_end(positions.tobytes())
         while len(self._sent) > REMEMBERED:
             self._sent.popitem(last=False)
-
-
-def _staying(reference: Command) -> Command | None:
-    """What an arm is told that is to stay where it is. It isn't noted: that the arm is there doesn't say that it has followed.
-
-    An arm that moves is told nothing: by now it is ahead of where it has said that it is, and would be called back.
-    """
-    return None if reference.velocities.any() else Command(reference.positions, reference.velocities)

@@ -140,11 +140,15 @@ class Mover(managed.Managed):
         assert taken is not None, "it has been heard before a journey begins"
         return taken
 
-    def send(self, command: Command) -> None:
-        """Send a command to the arm."""
-        point = JointTrajectoryPoint(positions=command.positions.tolist(), velocities=command.velocities.tolist())
-        point.time_from_start.nanosec = int(PERIOD * 1e9)
-        self._commands.publish(JointTrajectory(joint_names=list(JOINTS), points=[point]))
+    def send(self, command: Command | None) -> None:
+        """Send a command to the arm; None has it stay where it is."""
+        points = []
+        if command is not None:
+            points = [
+                JointTrajectoryPoint(positions=command.positions.tolist(), velocities=command.velocities.tolist())
+            ]
+            points[0].time_from_start.nanosec = int(PERIOD * 1e9)
+        self._commands.publish(JointTrajectory(joint_names=list(JOINTS), points=points))
 
     def _taken(self) -> Command | None:
         for message in self._heard.taken()[-1:]:
@@ -168,8 +172,7 @@ class _Journey:
         reference = self._mover.reference()
         command = self._follower.step(reference, now, min(now - self._last, LONGEST))
         self._last = now
-        if command is not None:
-            self._mover.send(command)
+        self._mover.send(command)
         # Arrived is when the arm is told so, whoever tells it: an instance that stands by arrives when the other one does.
         if float(np.abs(reference.positions - self._target).max()) > 1e-3:
             self._at_end = None
