@@ -31,7 +31,7 @@ from understudy.api import names
 from understudy.api.base import API_VERSION
 from understudy.cluster import claims, gates
 from understudy.cluster.client import Access, Client
-from understudy.controller import following, handlers, running
+from understudy.controller import following, handlers, monitors, objects, running
 from understudy.controller.desired import Images
 from understudy.controller.reconciling import TOGETHER_SECONDS
 from understudy.planning import size
@@ -511,11 +511,59 @@ def test_claimed_pods_belong_to_their_workload_and_the_pool_is_refilled(fleet: F
     until(lambda: fleet.get("ReplicaSet", "w", APPS)["spec"]["replicas"] == 0, "the workload's own pod to go")
     fleet.cluster.patch(fleet.get("FallbackPool", "spare"), {"spec": {"replicas": 0}})
     until(lambda: not fleet.held(), "the pool to be emptied")
+    token = fleet.get("Secret", names.pool_secret("spare"), CORE)
     fleet.cluster.delete(fleet.get("FallbackPool", "spare"))
     time.sleep(3)
     assert claimed["metadata"]["uid"] in identities(fleet.instances())
+    assert fleet.get("Secret", names.pool_secret("spare"), CORE)["metadata"]["uid"] == token["metadata"]["uid"]
+    assert "spare" in monitors.commanded(fleet.get("Role", names.monitor("w"), RBAC))
     fleet.cluster.delete(fleet.get("Pod", claimed["metadata"]["name"], CORE))
     until(lambda: fleet.get("ReplicaSet", "w", APPS)["spec"]["replicas"] == 1, "the workload's own pod to come back")
+    until(lambda: fleet.find("Secret", names.pool_secret("spare"), CORE) is None, "its agent's token to go")
+    until(lambda: "spare" not in monitors.commanded(fleet.get("Role", names.monitor("w"), RBAC)), "the right to go")
+
+
+def test_a_pool_that_is_deleted_without_an_operator_leaves_the_token_of_a_claimed_pod(fleet: Fleet) -> None:
+    def token() -> Object | None:
+        return fleet.find("Secret", names.pool_secret("spare"), CORE)
+
+    with Operator(fleet.cluster.kubeconfig, fleet.namespace):
+        fleet.create(policy("spare", "Restart"), spare(replicas=1), workload())
+        fleet.wait_built()
+        until(lambda: len(fleet.held()) == 1, "a held pod")
+        claimed = fleet.held()[0]
+        fleet.make_ready(claimed)
+        claimed = fleet.get("Pod", claimed["metadata"]["name"], CORE)
+        fleet.claim(claimed)
+        fleet.commit(claimed)
+        until(lambda: len(fleet.held()) == 1, "another one")
+    before = token()
+    assert before is not None
+    fleet.cluster.delete(fleet.get("FallbackPool", "spare"))
+    until(lambda: not fleet.held(), "what is the pool's to be collected", seconds=60)
+    time.sleep(5)
+    assert (token() or {}).get("metadata", {}).get("uid") == before["metadata"]["uid"]
+    with Operator(fleet.cluster.kubeconfig, fleet.namespace):
+        fleet.wait_condition("FailurePolicy", "policy", "Accepted", "PoolNotFound")
+        assert (token() or {}).get("metadata", {}).get("uid") == before["metadata"]["uid"]
+        fleet.cluster.delete(fleet.get("Pod", claimed["metadata"]["name"], CORE))
+        until(lambda: token() is None, "the token that nobody needs to go")
+
+
+def test_the_token_that_a_pool_of_an_earlier_version_owns_is_taken_from_it(fleet: Fleet) -> None:
+    with Operator(fleet.cluster.kubeconfig, fleet.namespace, resync_every=1):
+        fleet.create(spare(replicas=0))
+        token = until(lambda: fleet.find("Secret", names.pool_secret("spare"), CORE), "its token")
+        assert token is not None
+        owner = objects.owner("FallbackPool", fleet.get("FallbackPool", "spare"))
+        fleet.cluster.patch(token, {"metadata": {"ownerReferences": [owner], "labels": {names.POOL: None}}})
+
+        def released() -> bool:
+            metadata = fleet.get("Secret", names.pool_secret("spare"), CORE)["metadata"]
+            return not metadata.get("ownerReferences") and metadata["labels"].get(names.POOL) == "spare"
+
+        until(released, "it to be nobody's")
+        assert fleet.get("Secret", names.pool_secret("spare"), CORE)["data"] == token["data"]
 
 
 def test_a_pool_is_never_overfilled_while_pods_come_and_go(fleet: Fleet, operator: Operator) -> None:

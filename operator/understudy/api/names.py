@@ -210,5 +210,5 @@ def held(pool: str) -> str:
 
 
 def pool_secret(pool: str) -> str:
-    """Secret with ``token`` for the agents of a pool's held pods."""
+    """Secret with ``token`` for the agents of a pool's held pods, and of those that were claimed from it."""
     return f"{pool}-pool-agent"

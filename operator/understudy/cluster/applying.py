@@ -141,9 +141,18 @@ def same_controller(live: Object, body: Object) -> bool:
     return desired is None or owned_by(live, desired["uid"])
 
 
+def _of_nobody(live: Object, body: Object) -> bool:
+    """Whether both have no controller, and the live object has our labels of the desired one."""
+    if controller_of(live) is not None or controller_of(body) is not None:
+        return False
+    labels = live["metadata"].get("labels") or {}
+    wanted = body["metadata"].get("labels") or {}
+    return all(labels.get(key) == value for key, value in wanted.items() if key.startswith(f"{GROUP}/"))
+
+
 def refuse_foreign(live: Object, body: Object) -> None:
-    """Raise Taken unless the live object has the same controller as the desired one."""
-    if not same_controller(live, body):
+    """Raise Taken unless the live object has the same controller as the desired one, or is ours and has none as well."""
+    if not (_of_nobody(live, body) if controller_of(body) is None else same_controller(live, body)):
         found = controller_of(live)
         owner = f"{found['kind']} {found['name']}" if found else "nobody of ours"
         metadata = live["metadata"]

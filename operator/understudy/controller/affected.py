@@ -18,6 +18,7 @@ from understudy.cluster.client import (
     PODS,
     POLICIES,
     POOLS,
+    SECRETS,
     STATEFUL_SETS,
     WORKLOADS,
     Object,
@@ -102,6 +103,8 @@ def _keys(sight: Sight, store: Store, plenty: Collection[str]) -> Iterator[Key]:
         yield from _after_commit(sight, store, namespace)
     elif plural == CONFIG_MAPS.plural:
         yield from _after_trees(found, store, namespace)
+    elif plural == SECRETS.plural and (pool := objects.labels(found).get(names.POOL)):
+        yield Key(POOLS.plural, namespace, pool)
 
 
 def _is_claim(sight: Sight, plenty: Collection[str]) -> bool:

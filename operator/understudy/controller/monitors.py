@@ -232,6 +232,14 @@ def access(
     ]
 
 
+def commanded(role: Object | None) -> frozenset[str]:
+    """The shared pools whose agents a monitor may command by its role."""
+    rules = (role or {}).get("rules") or []
+    found = (name for rule in rules if "secrets" in rule["resources"] for name in rule.get("resourceNames") or [])
+    ending = names.pool_secret("")
+    return frozenset(name.removesuffix(ending) for name in found if name.endswith(ending))
+
+
 def _rule(
     group: str, resources: Sequence[str], verbs: Sequence[str], only: Sequence[str] | None = None
 ) -> dict[str, Any]:

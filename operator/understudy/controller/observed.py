@@ -57,6 +57,8 @@ class Observed:
     """PodDisruptionBudgets of the namespace that aren't ours."""
     leaving: frozenset[str] = frozenset()
     """The nodes whose pods are about to go."""
+    going: frozenset[str] = frozenset()
+    """The shared pools that are gone and have pods that may be claimed yet, of those whose agents the monitor may command."""
 
     @property
     def policy(self) -> Object | None:

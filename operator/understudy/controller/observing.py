@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any, Protocol
 
 from understudy.api import names
@@ -17,6 +17,8 @@ from understudy.cluster.client import (
     POLICIES,
     POOLS,
     REPLICA_SETS,
+    ROLES,
+    SECRETS,
     STATEFUL_SETS,
     WORKLOADS,
     Object,
@@ -28,6 +30,7 @@ from understudy.controller import (
     dependencies,
     evictions,
     levels,
+    monitors,
     nodes,
     objects,
     policies,
@@ -36,6 +39,7 @@ from understudy.controller import (
     selectors,
     standins,
     statuses,
+    tokens,
 )
 from understudy.controller.affected import Key
 from understudy.controller.expectations import Expectations
@@ -94,7 +98,15 @@ class Observer:
             cordoned=frozenset(objects.name(node) for node in store.all(NODES) if nodes.is_cordoned(node)),
             leaving=self._leaving(),
             budgets=self._budgets(namespace),
+            going=frozenset(self._going(namespace, store.get(ROLES, namespace, names.monitor(name)))),
         )
+
+    def _going(self, namespace: str, role: Object | None) -> Iterator[str]:
+        """Of the pools whose agents a monitor may command by its role, those that are gone and have pods that may be claimed yet."""
+        for pool in monitors.commanded(role):
+            pods = self._store.labelled(PODS, namespace, names.POOL, pool)
+            if self._store.get(POOLS, namespace, pool) is None and any(map(tokens.claimable, pods)):
+                yield pool
 
     def _budgets(self, namespace: str) -> list[Object]:
         """The PodDisruptionBudgets of others."""
@@ -202,6 +214,7 @@ class Observer:
             asking=[workload for workload in found.values() if self._asks(item, workload)],
             leaving=self._leaving(),
             budgets=self._budgets(namespace),
+            secret=store.get(SECRETS, namespace, names.pool_secret(name)),
         )
 
     def _standing_in(

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import aiohttp
 
 from understudy.api import names
-from understudy.cluster.client import PODS, POLICIES, POOLS, WORKLOADS, ApiError, Client, Object, Resource
+from understudy.cluster.client import PODS, POLICIES, POOLS, SECRETS, WORKLOADS, ApiError, Client, Object, Resource
 from understudy.cluster.leases import LeadershipLost
 from understudy.controller import affected, metrics, objects, resyncing
 from understudy.controller.affected import Key
@@ -107,11 +107,16 @@ class Operator:
         metrics.RESYNC_SECONDS.set(time.time() - begun)
 
     def _strays(self) -> None:
-        """Pods that carry the label of a workload which isn't there: nobody else would look at them again."""
-        for pod in self._store.all(PODS):
-            workload, namespace = objects.labels(pod).get(names.WORKLOAD), pod["metadata"]["namespace"]
-            if workload and self._store.get(WORKLOADS, namespace, workload) is None:
-                self._add(Key(WORKLOADS.plural, namespace, workload))
+        """Pods and Secrets that carry the label of a workload or pool which isn't there: nobody else would look at them again."""
+        for resource, label, of in (
+            (PODS, names.WORKLOAD, WORKLOADS),
+            (PODS, names.POOL, POOLS),
+            (SECRETS, names.POOL, POOLS),
+        ):
+            for item in self._store.all(resource):
+                name, namespace = objects.labels(item).get(label), item["metadata"]["namespace"]
+                if name and self._store.get(of, namespace, name) is None:
+                    self._add(Key(of.plural, namespace, name))
 
     async def lead(self) -> None:
         """Work as the leader until cancelled. Begins from a fresh list: what was seen before may be old.

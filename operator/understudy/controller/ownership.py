@@ -11,16 +11,15 @@ from understudy.controller import objects
 
 def ours(body: Object, owner: Object, parent: Object) -> Object:
     """An object with its namespace, its owner and the label by which all of ours are found."""
+    made = nobodys(body, parent["metadata"]["namespace"])
+    return {**made, "metadata": {**made["metadata"], "ownerReferences": [owner]}}
+
+
+def nobodys(body: Object, namespace: str) -> Object:
+    """The same without an owner: nothing but the operator deletes it."""
     metadata = body["metadata"]
-    return {
-        **body,
-        "metadata": {
-            **metadata,
-            "namespace": parent["metadata"]["namespace"],
-            "labels": {**(metadata.get("labels") or {}), **objects.MANAGED_BY},
-            "ownerReferences": [owner],
-        },
-    }
+    labels = {**(metadata.get("labels") or {}), **objects.MANAGED_BY}
+    return {**body, "metadata": {**metadata, "namespace": namespace, "labels": labels}}
 
 
 def controls(uid: str, item: Object) -> bool:

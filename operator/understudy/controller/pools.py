@@ -9,7 +9,7 @@ from typing import Any
 
 from understudy.api import names
 from understudy.api.pools import FallbackPoolSpec
-from understudy.cluster.client import DISRUPTION_BUDGETS, NETWORK_POLICIES, PODS, SECRETS, Object
+from understudy.cluster.client import DISRUPTION_BUDGETS, NETWORK_POLICIES, PODS, Object
 from understudy.controller import (
     evictions,
     fleets,
@@ -21,6 +21,7 @@ from understudy.controller import (
     policies,
     poolsizes,
     selectors,
+    tokens,
 )
 from understudy.controller.desired import Apply, Create, Delete, Images, Plan, Problem
 from understudy.controller.poolsizes import Sized
@@ -70,6 +71,8 @@ class Observed:
     """The nodes whose pods are about to go."""
     budgets: Sequence[Object] = ()
     """PodDisruptionBudgets of the namespace that aren't ours."""
+    secret: Object | None = None
+    """The Secret with the name of the one for its agents."""
 
 
 @dataclass(frozen=True)
@@ -172,6 +175,7 @@ def plan(observed: Observed, understanding: Understanding, fresh: Fresh) -> Plan
     made = Plan()
     spec, built = understanding.spec, understanding.built
     if understanding.problem is not None or spec is None or built is None or objects.deleted(observed.pool):
+        made.writes += tokens.release(objects.name(observed.pool), observed.secret)
         if any(nodes.on(pod, observed.leaving) for pod in observed.pods):
             _let_go(made, observed)  # nothing comes in their place
         return made
@@ -179,10 +183,7 @@ def plan(observed: Observed, understanding: Understanding, fresh: Fresh) -> Plan
     owner = objects.owner("FallbackPool", pool)
     held = unclaimed(pool, observed.pods)
     present = instances.template_hash(built)
-    if ("secrets", names.pool_secret(name)) not in observed.owned:
-        made.writes.append(
-            Create(SECRETS, ownership.ours(ownership.token(names.pool_secret(name), fresh.token()), owner, pool))
-        )
+    made.writes += tokens.keep(name, pool["metadata"]["namespace"], observed.secret, fresh.token)
     living = [pod for pod in held if objects.alive(pod)]
     want = poolsizes.wanted(spec, understanding.sized)
     update = _update(spec, want)

@@ -17,6 +17,7 @@ from understudy.cluster.client import (
     PODS,
     POLICIES,
     POOLS,
+    SECRETS,
     WORKLOADS,
     ApiError,
     Client,
@@ -38,6 +39,7 @@ from understudy.controller import (
     resizing,
     statuses,
     storms,
+    tokens,
     workloads,
 )
 from understudy.controller.affected import Key
@@ -129,10 +131,7 @@ class Reconciler:
             return await self._workload(key, item)
         if item is None or objects.deleted(item):
             if key.plural == POOLS.plural:
-                self._measure(key, None)
-                self._counted.pop(key, None)
-                if item is None:
-                    self._executor.forget(key)
+                await self._without_pool(key, item)
             if key.plural == POLICIES.plural:
                 metrics.storm(key.namespace, key.name, None)
             return None
@@ -204,6 +203,24 @@ class Reconciler:
         if understanding.sized is not None and (told := poolsizes.change(understanding.sized)) is not None:
             await self._recorder.normal(item, "Resized", told)
         return _earliest(plan.again_after, again, later)
+
+    async def _without_pool(self, key: Key, item: Object | None) -> None:
+        """What is left to do for a pool that is gone, or on its way out: pods that were claimed from it drive on."""
+        self._measure(key, None)
+        self._counted.pop(key, None)
+        writes = tokens.outlast(
+            key.name,
+            key.namespace,
+            self._store.get(SECRETS, key.namespace, names.pool_secret(key.name)),
+            deleted=item is not None,
+            pods=self._store.labelled(PODS, key.namespace, names.POOL, key.name),
+            workloads=self._store.in_namespace(WORKLOADS, key.namespace),
+            token=self._fresh.token,
+        )
+        for problem in await self._executor.run(key, writes):
+            _logger.warning("FallbackPool %s/%s is gone: %s", key.namespace, key.name, problem.message)
+        if item is None:
+            self._executor.forget(key)
 
     def _measure(self, key: Key, sized: poolsizes.Sized | None) -> None:
         """The metrics of a pool's size, where it follows the failures."""

@@ -40,6 +40,7 @@ from understudy.controller import (
     settings,
     standbys,
     tasking,
+    tokens,
 )
 from understudy.controller.desired import Apply, Create, Delete, Images, Patch, Plan
 from understudy.controller.observed import Observed
@@ -166,9 +167,7 @@ def _monitor(
     spec = understanding.spec
     assert spec is not None
     name, namespace = objects.name(observed.workload), observed.workload["metadata"]["namespace"]
-    shared = [
-        choice.name for choice in settings.choices(observed, understanding) if choice.readiness == "Uninitialized"
-    ]
+    shared = _commanded(observed, understanding)
     seen = [one.name for one in dependencies.upstream(observed.dependencies, name)]
     for kind, body in monitors.access(
         name, source=settings.source(observed, understanding), pools=shared, upstream=seen
@@ -183,6 +182,19 @@ def _monitor(
         name, namespace, spec.monitor, images, environment, profiles, tasks=tasking.proxied(spec), claim=claim
     )
     made.writes.append(_ours(observed, DEPLOYMENTS, body))
+
+
+def _commanded(observed: Observed, understanding: Understanding) -> list[str]:
+    """The shared pools whose agents the monitor commands: those of its strategies, and those that it has pods of, or may have.
+
+    A claimed pod stays when its pool is deleted, or is no longer used. What a monitor may write on its pods gives it no right
+    that it hasn't had, and that its pool's selector doesn't give it.
+    """
+    chosen = {
+        choice.name for choice in settings.choices(observed, understanding) if choice.readiness == "Uninitialized"
+    }
+    had = monitors.commanded(observed.owned.get((ROLES.plural, names.monitor(objects.name(observed.workload)))))
+    return sorted(chosen | (tokens.pools_of(observed.pods) & (had | observed.serving.keys())) | observed.going)
 
 
 def _sweep(made: Plan, observed: Observed) -> None:

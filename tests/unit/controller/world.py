@@ -232,6 +232,7 @@ class World:
         self.resized: Object | None = None
         self.cordoned: frozenset[str] = frozenset()
         self.budgets: list[Object] = []
+        self.going: frozenset[str] = frozenset()
         self.now = NOW
         self.names = Names()
         self.own(service(item))
@@ -263,6 +264,7 @@ class World:
             resized=self.resized,
             cordoned=self.cordoned,
             budgets=self.budgets,
+            going=self.going,
         )
 
     def understood(self) -> Understanding:
