@@ -3,28 +3,13 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
 
 from understudy.api import names
 from understudy.cluster.client import Object
 from understudy.controller import objects
 from understudy.mitigation import progress as recoveries
-
-LASTS = 10.0
-"""Seconds after its detection for which a recovery that the status doesn't know counts as under way: the status follows within three
-where its monitor lives (understudy.monitor.reporting), and the next monitor says so itself.
-"""
-
-
-@dataclass(frozen=True)
-class Committed:
-    """What a gate says of the recovery that committed to it last."""
-
-    id: str
-    detected: float
-    """When the failure was detected, or the hand-over began, in unix seconds."""
-    planned: bool
-    """Whether nothing had failed."""
+from understudy.mitigation.progress import LASTS as LASTS
+from understudy.mitigation.progress import Committed
 
 
 def beside(gate: Object | None) -> Committed | None:
@@ -35,17 +20,13 @@ def beside(gate: Object | None) -> Committed | None:
 
 def under_way(workload: Object, gate: Object | None, now: float) -> bool:
     """Whether a recovery stands beside the gate that the workload's status doesn't tell of yet."""
-    found = beside(gate)
-    if found is None or now >= found.detected + LASTS:
-        return False
     told = (workload.get("status") or {}).get("recoveries") or []
-    return found.id not in {one.get("id") for one in told}
+    return recoveries.under_way(
+        beside(gate), ((one.get("id", ""), (one.get("moments") or {}).get("detected")) for one in told), now
+    )
 
 
 @functools.lru_cache(maxsize=4096)
 def _read(text: str) -> Committed | None:
     progress = recoveries.beside(text)
-    if progress is None:
-        return None
-    planned = progress.planned or progress.switchover is not None
-    return Committed(progress.id, progress.moments.get("detected", 0.0), planned)
+    return Committed.of(progress) if progress is not None else None

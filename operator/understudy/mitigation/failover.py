@@ -49,8 +49,8 @@ async def recover(progress: Progress, choices: Sequence[Choice], means: Means) -
         await retire(progress, means)
         return progress
     for index in range(min(progress.index, len(choices)), len(choices)):
-        progress.index = index
         choice = choices[index]
+        progress.index, progress.strategy = index, choice.strategy.name
         # A run that is taken up again was decided by the one before it.
         progress.charge("cluster", progress.moments.setdefault("decided", means.clock()))
         if progress.attempts:
@@ -60,12 +60,12 @@ async def recover(progress: Progress, choices: Sequence[Choice], means: Means) -
         progress.attempts.append(Attempt(strategy=choice.strategy.name, pod=pod, result=result, message=message))
         _logger.info("strategy %s with %s: %s %s", choice.strategy.name, pod or "no pod", result, message)
         if result == "Verified":
-            progress.result, progress.strategy = "Recovered", choice.strategy.name
+            progress.result = "Recovered"
             break
         progress.fail_target()
         progress.forget_attempt()
     else:
-        progress.result = "Failed"
+        progress.result, progress.strategy = "Failed", ""
     means.save(progress)
     if progress.result == "Recovered":
         await retire(progress, means)

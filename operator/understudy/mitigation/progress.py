@@ -7,7 +7,8 @@ killed at any step completes the recovery or safely does it again (DESIGN: the f
 from __future__ import annotations
 
 import uuid
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Literal
 
@@ -57,6 +58,7 @@ class Progress(Model):
     """The recoveries of others after which this is done (``spec.dependsOn``); none where something failed here."""
     result: Literal["Running", "Recovered", "Failed"] = "Running"
     strategy: str = ""
+    """The one being tried; in the end the one that recovered it, empty where none did."""
     cursor: float = 0.0
     """Up to when the time is accounted for."""
     parts: dict[Part, float] = Field(default_factory=dict)
@@ -120,6 +122,16 @@ class Progress(Model):
     def began(self) -> float:
         """When something could be done about it, in unix seconds."""
         return self.moments.get("released", self.moments.get("detected", self.cursor))
+
+    @property
+    def occasion(self) -> Literal["FailureDetected", "Rescheduling", "FollowsDependency"]:
+        """What it was begun for, as the condition Recovering has it while it is under way."""
+        return "Rescheduling" if self.planned else "FollowsDependency" if self.follows else "FailureDetected"
+
+    @property
+    def held(self) -> bool:
+        """Whether the policy's budget, or a pause, holds it: what failed is fenced, and nothing else is done."""
+        return "held" in self.moments and "released" not in self.moments
 
     def has_failed(self, uid: str) -> bool:
         """Whether a pod is one of those that failed in this recovery."""
@@ -199,6 +211,61 @@ def beside(recovery: str) -> Progress | None:
         return Progress.model_validate_json(recovery) if recovery else None
     except ValidationError:
         return None
+
+
+LASTS = 10.0
+"""Seconds after its beginning for which a recovery that only a gate tells of counts as under way, for whoever doesn't wait for its end by a
+time of their own. A status follows its gate within three where its monitor lives (understudy.monitor.reporting), and the next monitor says
+so itself; of one that was given up the gate may tell until the next one.
+"""
+
+
+@dataclass(frozen=True)
+class Committed:
+    """What a gate says, in short, of the recovery that committed to it last. Times are unix seconds."""
+
+    id: str
+    detected: float
+    """When the failure was detected, or the hand-over began."""
+    began: float
+    """When something could be done about it: later than that where the policy's budget had held it."""
+    planned: bool
+    """Whether nothing had failed."""
+    running: bool
+    """Whether it had not come to its end."""
+
+    @classmethod
+    def of(cls, progress: Progress) -> Committed:
+        """From the recovery as it stands beside the gate."""
+        return cls(
+            id=progress.id,
+            detected=progress.moments.get("detected", 0.0),
+            began=progress.began,
+            planned=progress.planned or progress.switchover is not None,
+            running=progress.result == "Running",
+        )
+
+
+Told = tuple[str, str | None]
+"""A recovery that a status tells of: its id, and when it was detected (RFC 3339) where that is known."""
+
+
+def under_way(committed: Committed | None, told: Iterable[Told], now: float | None = None) -> bool:
+    """Whether the recovery beside a gate is under way, as far as the workload's status tells: the gate is there sooner.
+
+    ``told`` are the recoveries in the status. With ``now`` (unix seconds) one counts for no longer than LASTS. Pure; by it go all who
+    read a gate beside a status: the operator, those that depend on the workload, and people.
+    """
+    if committed is None or not committed.running:
+        return False
+    if now is not None and now >= committed.began + LASTS:
+        return False
+    for id_, detected in told:
+        # Of several that failed only the last is in the status; an older one may stand beside the gate still.
+        later = detected is not None and datetime.fromisoformat(detected).timestamp() >= committed.detected
+        if id_ == committed.id or later:
+            return False
+    return True
 
 
 def waiter(recovery: str) -> Waiter | None:

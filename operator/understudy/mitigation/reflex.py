@@ -92,7 +92,7 @@ def begin(taken: TakenOver, active: PodIdentity, deadline: float) -> Progress:
         detected=taken.first,
         failed=[active],
     )
-    progress.taken_over = taken.standby
+    progress.taken_over, progress.strategy = taken.standby, ReflexFallback.name
     progress.moments["routed"] = progress.moments["first_output"] = taken.first
     return progress
 

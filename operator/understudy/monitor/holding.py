@@ -58,7 +58,7 @@ class Holding:
             except Exception:
                 self._black_box.end(progress)
                 raise
-        if "held" in progress.moments and "released" not in progress.moments:
+        if progress.held:
             progress.release(time.time())
             self._reporter.event("Normal", "RecoveryReleased", f"{progress.reason}; it is recovered now")
 

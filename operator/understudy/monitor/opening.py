@@ -60,7 +60,7 @@ class Opening:
         left = self._gate.state.recovery
         if left is not None:
             failed = [pod for pod in left.failed if pod.uid != first.uid]
-            left = left.model_copy(update={"result": "Failed", "failed": failed, "waiting": None})
+            left = left.model_copy(update={"result": "Failed", "strategy": "", "failed": failed, "waiting": None})
         try:
             await self._gate.commit(first, left)
         except (Superseded, ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:

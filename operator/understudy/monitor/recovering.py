@@ -80,8 +80,7 @@ class Recoveries:
 
     async def _carry_out(self, progress: Progress, policy: FailurePolicySpec) -> None:
         self._get_ready(policy)
-        began = "Rescheduling" if progress.planned else "FollowsDependency" if progress.follows else "FailureDetected"
-        self._reporter.condition("Recovering", "True", began, progress.reason)
+        self._reporter.condition("Recovering", "True", progress.occasion, progress.reason)
         # Why, first: that it is so is told at once.
         self._reporter.set(health="Recovering", failing_since=progress.moments.get("last_healthy"))
         try:

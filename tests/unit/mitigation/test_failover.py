@@ -110,6 +110,22 @@ async def test_a_standby_that_does_not_verify_is_followed_by_the_next_strategy_a
     assert {"w-1", "w-2"} <= set(store.deleted)
 
 
+async def test_the_strategy_that_is_being_tried_stands_beside_the_gate(monkeypatch: pytest.MonkeyPatch) -> None:
+    store = protected(pool="hot")
+    store.broken.add("w-2")
+    world = World(store)
+    means, told = world.means(), list[str]()
+    commit = means.gate.commit
+
+    async def noted(target: Instance | None, progress: Progress | None) -> GateState:
+        told.append(progress.strategy if progress is not None else "")
+        return await commit(target, progress)
+
+    monkeypatch.setattr(means.gate, "commit", noted)
+    await recover(failure(world), choices(ExecutingFallback("hot"), Restart()), means)
+    assert list(dict.fromkeys(told)) == ["Fallback/Executing", "Restart"]
+
+
 @pytest.mark.parametrize("loss", ["terminating", "gone"])
 async def test_an_understudy_that_is_lost_is_given_up_at_once(loss: str) -> None:
     store = protected(pool="spare", held=True)
@@ -135,7 +151,7 @@ async def test_when_nothing_verifies_the_recovery_has_failed_and_says_why() -> N
     store.source_makes_broken = True
     world = World(store)
     done = await recover(failure(world), choices(Restart()), world.means())
-    assert done.result == "Failed"
+    assert (done.result, done.strategy) == ("Failed", "")
     assert "within 0.3 s" in done.attempts[0].message
 
 

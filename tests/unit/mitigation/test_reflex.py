@@ -93,6 +93,9 @@ async def test_it_is_committed_once_and_only_the_detection_counts() -> None:
     done = await carried_out(begun(world), world)
     assert (done.result, done.strategy, done.epoch) == ("Recovered", "Fallback/Executing (reflex)", 2)
     assert world.store.commits == ["w-2"]
+    beside = world.store.gate.recovery
+    assert beside is not None
+    assert beside.strategy == "Fallback/Executing (reflex)", "as it was committed"
     assert world.store.deleted == world.store.gave_way == ["w-1"]
     recovery = done.to_recovery(1)
     assert recovery.parts is not None
