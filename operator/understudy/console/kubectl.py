@@ -5,16 +5,16 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
-import os
 import re
 import select
 import shutil
 import subprocess
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from understudy.console import completing
+from understudy.console.watching import Watch, waiting
 
 TIMEOUT = 15.0
 """Seconds that the API server has to answer, and a forwarding to begin."""
@@ -43,6 +43,10 @@ _FORWARDING = re.compile(r"Forwarding from 127\.0\.0\.1:(\d+) ")
 
 class Unusable(Exception):
     """What was asked for can't be done; the text says why, and what to do."""
+
+
+class Forbidden(Unusable):
+    """Whoever asks hasn't the right to it."""
 
 
 def add_options(parser: argparse.ArgumentParser, *, all_namespaces: bool = False) -> None:
@@ -113,8 +117,8 @@ class Kubectl:
         return json.loads(self._got(kind, *arguments))
 
     def find(self, kind: str, name: str, *arguments: str) -> Any:
-        """An object, or None where it isn't there. Raises Unusable with what kubectl said."""
-        text = self._got(kind, name, "--ignore-not-found", *arguments)
+        """An object, or None where it isn't there; of several names a list of those that are. Raises Unusable with what kubectl said."""
+        text = self._got(kind, name, *arguments, "--ignore-not-found")
         return json.loads(text) if text.strip() else None
 
     def patch(self, kind: str, name: str, body: Any) -> Any:
@@ -149,38 +153,26 @@ class Kubectl:
         # Without a standard input, since nobody sees what it would ask there: its output is read by this command.
         done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
         if done.returncode:
-            raise Unusable(said(done.stderr) or f"kubectl ended with {done.returncode}")
+            refused = Forbidden if "Error from server (Forbidden)" in done.stderr else Unusable
+            raise refused(said(done.stderr) or f"kubectl ended with {done.returncode}")
         return done.stdout
 
     @contextlib.contextmanager
-    def changes(self, kind: str, *arguments: str) -> Iterator[Callable[[float], bool]]:
+    def changes(self, kind: str, *arguments: str, also: Sequence[str] = ()) -> Iterator[Callable[[float], bool]]:
         """While the context lasts, waits at most so many seconds for the objects of a kind to change; whether they did.
 
-        It tells that they did and not how: whoever is told asks for all of them again. Where the watch ends, as
-        API servers end every one after a while, it is begun anew.
+        It tells that they did and not how: whoever is told asks for all of them again. Where the watch ends, as API servers end every
+        one after a while, it is begun anew. ``also`` are the kind and the arguments of another watch, which isn't missed where whoever
+        asks hasn't the right to it.
         """
-        command = self.command("get", kind, *arguments, "--watch-only", "-o", "name")
-        running: list[subprocess.Popen[bytes]] = []
 
-        def begin() -> None:
-            running.append(subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL))
-
-        def wait(within: float) -> bool:
-            output = running[-1].stdout
-            assert output is not None, "it is a pipe"
-            if not select.select([output], [], [], within)[0]:
-                return False
-            if not os.read(output.fileno(), 65536):
-                _end(running.pop())
-                time.sleep(within)  # it may end at once again, such as for want of a right
-                begin()
-            return True
-
-        begin()
-        try:
+        watches = [
+            Watch(self.command("get", *asked, "--watch-only", "-o", "name"))
+            for asked in ((kind, *arguments), also)
+            if asked
+        ]
+        with waiting(*watches) as wait:
             yield wait
-        finally:
-            _end(running.pop())
 
     @contextlib.contextmanager
     def forwarded(self, pod: str, port: int) -> Iterator[int]:
@@ -201,13 +193,6 @@ def said(text: str) -> str:
         return _NOBODY
     way_out = next((way for part, way in _WAYS_OUT.items() if part in told), "")
     return f"{told.removesuffix(_GUESS)}: {way_out}" if way_out else told
-
-
-def _end(running: subprocess.Popen[bytes]) -> None:
-    running.terminate()
-    running.wait()
-    if running.stdout is not None:
-        running.stdout.close()
 
 
 def _port(running: subprocess.Popen[str]) -> int:

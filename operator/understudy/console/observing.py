@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 from understudy.api import names
 from understudy.cluster.client import (
@@ -43,6 +43,8 @@ class Around:
     """The Events on it."""
     workloads: Sequence[Object] = ()
     """The workloads of its namespace."""
+    gates: Mapping[str, Object] = field(default_factory=dict)
+    """The NetworkPolicies of its namespace by their names: the gates are among them."""
 
 
 def around(kubectl: Kubectl, name: str) -> Around:
@@ -61,7 +63,8 @@ def around(kubectl: Kubectl, name: str) -> Around:
     selector = f"involvedObject.kind=RobotWorkload,involvedObject.name={name}"
     events = kubectl.get("events", "--field-selector", selector)["items"]
     others = [one for one in items if one["kind"] == "RobotWorkload"]
-    return Around(observed_from(item, items, Asked(kubectl)), events, others)
+    gates = {one["metadata"]["name"]: one for one in items if one["kind"] == "NetworkPolicy"}
+    return Around(observed_from(item, items, Asked(kubectl)), events, others, gates)
 
 
 def observed_from(item: Object, items: Iterable[Object], reader: Reader) -> Observed:

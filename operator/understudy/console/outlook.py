@@ -22,6 +22,7 @@ from understudy.console.drawing import coloured, plain
 from understudy.console.observing import Around
 from understudy.console.robots import DRIVEN, UNWATCHED, Problem, Robot, is_told, pool, robot, status_of
 from understudy.console.texts import age, listed, wrapped
+from understudy.console.underway import under_way
 from understudy.controller import (
     dependencies,
     inforce,
@@ -56,12 +57,14 @@ class Known:
     understanding: Understanding
     status: RobotWorkloadStatus
     said: Robot
-    """As the status has it."""
+    """As the status has it, and the gate."""
     protected: Condition
     """As it is now, by the operator's rules: it may not have said so yet, or be away."""
     events: Sequence[Object]
     workloads: Mapping[str, Object] = field(default_factory=dict)
     """Those of its namespace."""
+    gates: Mapping[str, Object] = field(default_factory=dict)
+    """Their gates, by their own names."""
 
     @classmethod
     def of(cls, around: Around) -> Known:
@@ -71,7 +74,8 @@ class Known:
         protected = protection.protected(observed, understanding)
         item = observed.workload
         others = {objects.name(one): one for one in around.workloads}
-        return cls(observed, understanding, status_of(item), robot(item), protected, around.events, others)
+        said = robot(item, observed.gate, observed.now)
+        return cls(observed, understanding, status_of(item), said, protected, around.events, others, around.gates)
 
     @property
     def considered(self) -> Sequence[tuple[Strategy, Means]]:
@@ -100,7 +104,9 @@ class Known:
     @property
     def health(self) -> str:
         """By its monitor, or UNWATCHED."""
-        return self.status.health or "Unknown" if self.is_watched else UNWATCHED
+        if not self.is_watched:
+            return UNWATCHED
+        return "Recovering" if self.said.recovering is not None else self.status.health or "Unknown"
 
     @property
     def is_well(self) -> bool:
@@ -208,6 +214,8 @@ def _drawn(entry: _Entry, columns: int | None, colours: bool) -> Iterator[str]:
 
 
 def _for(known: Known) -> str:
+    if known.is_watched and known.said.recovering is not None:
+        return f" for {age(known.said.recovering.since, known.observed.now)}"
     found = telling(known.health, known.said.active, known.status.conditions or [])
     return f" for {age(found.last_transition_time, known.observed.now)}" if found is not None else ""
 
@@ -219,7 +227,9 @@ def _state(known: Known) -> Iterator[_Entry]:
         said = f"; the last that was said is {status.health}" if status.health else ""
         yield _Entry(f"Nobody watches it, so how it is isn't known{said}.")
     elif known.health != "Healthy":
-        yield _Entry(f"{why(known.health, known.said.active, status.conditions or []).rstrip('.')}.")
+        recovering = known.said.recovering
+        reason = recovering.message if recovering else why(known.health, known.said.active, status.conditions or [])
+        yield _Entry(f"{reason.rstrip('.')}.")
         yield _Entry(f"Its health tree leaf by leaf: understudy tree -n {known.said.namespace} {known.said.name}")
     name, uid = objects.active(observed.gate)
     epoch = objects.notes(observed.gate).get(names.EPOCH, "0") if observed.gate is not None else "0"
@@ -374,7 +384,9 @@ def _dependencies(known: Known) -> Iterator[_Entry]:
         if one.name not in known.workloads:
             yield _Entry(f"on {one.name}, which is not there; {after}", "Failed")
             continue
-        health = status_of(known.workloads[one.name]).health or "Unknown"
+        status, gate = status_of(known.workloads[one.name]), known.gates.get(names.gate(one.name))
+        recovering = under_way(status, gate, known.observed.now) is not None
+        health = "Recovering" if recovering else status.health or "Unknown"
         state = "Healthy" if health in DRIVEN else "Failed"
         yield _Entry(f"on {one.name} ({health}); {after}", state)
     found = [name for name, one in known.workloads.items() if known.said.name in dependencies.named(one)]

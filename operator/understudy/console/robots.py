@@ -1,6 +1,6 @@
 """RobotWorkloads and FallbackPools as people ask for them: who drives each robot, whether it is protected, what is wrong.
 
-Everything is taken from what operator and monitor have said in the objects' status.
+Everything is taken from what operator and monitor have said in the objects' status; but of a recovery the gate tells first.
 """
 
 from __future__ import annotations
@@ -15,7 +15,9 @@ from understudy.api.conditions import Condition
 from understudy.api.healths import PAST
 from understudy.api.pools import FallbackPoolStatus
 from understudy.api.workloads import Recovery, RobotWorkloadStatus
+from understudy.cluster import gates
 from understudy.console.kubectl import Unusable
+from understudy.console.underway import UnderWay, under_way
 from understudy.controller.protection import LIMITED
 
 Object = Mapping[str, Any]
@@ -113,7 +115,7 @@ class Robot(Model):
     policy: str
     created: str | None
     health: str
-    """Of the monitor, or UNWATCHED."""
+    """Of the monitor, or UNWATCHED; Recovering also where only its gate tells so."""
     protected: bool
     active: str
     epoch: int
@@ -124,6 +126,8 @@ class Robot(Model):
     """Of its policy, that it is in; empty for none."""
     recovery_count: int
     last_recovery: LastRecovery | None
+    recovering: UnderWay | None = None
+    """The recovery under way, where its gate tells of one."""
     problems: list[Problem]
 
     @property
@@ -157,27 +161,34 @@ def status_of(item: Object) -> RobotWorkloadStatus:
         raise Unusable(_unknown("RobotWorkload", item, error)) from error
 
 
-def robot(item: Object) -> Robot:
-    """A RobotWorkload as the API server gives it. Raises Unusable."""
+def robot(item: Object, gate: dict[str, Any] | None = None, now: float = 0.0) -> Robot:
+    """A RobotWorkload as the API server gives it, with its ``gate`` where that may be read, at ``now`` (unix seconds). Raises Unusable."""
     status, metadata, spec = status_of(item), item["metadata"], item.get("spec") or {}
     said = {condition.type: condition for condition in status.conditions or []}
     protected = said.get("Protected")
     unwatched = protected is not None and protected.status == "False" and protected.reason in _UNWATCHED
+    recovering = under_way(status, gate, now) if not unwatched else None
+    active, epoch = status.active or "", status.gate.epoch if status.gate is not None else 0
+    if recovering is not None and gate is not None:
+        record = gates.read(gate)
+        active, epoch = record.active, record.epoch
+    health = "Recovering" if recovering is not None else status.health or "Unknown"
     return Robot(
         namespace=metadata["namespace"],
         name=metadata["name"],
         policy=(spec.get("failurePolicyRef") or {}).get("name", ""),
         created=metadata.get("creationTimestamp"),
-        health=UNWATCHED if unwatched else status.health or "Unknown",
+        health=UNWATCHED if unwatched else health,
         protected=protected is not None and protected.status == "True",
-        active=status.active or "",
-        epoch=status.gate.epoch if status.gate is not None else 0,
+        active=active,
+        epoch=epoch,
         standby=status.standby or "Unknown",
         strategy=status.strategy or "",
         situation=status.situation.name if status.situation is not None else "",
         recovery_count=status.recovery_count or 0,
         last_recovery=LastRecovery.of(status.recoveries[0]) if status.recoveries else None,
-        problems=problems(item, status.conditions or [], status.observed_generation),
+        recovering=recovering,
+        problems=problems(item, status.conditions or [], status.observed_generation, recovering),
     )
 
 
@@ -198,9 +209,18 @@ def pool(item: Object) -> Pool:
     )
 
 
-def problems(item: Object, conditions: Iterable[Condition], seen: int | None) -> list[Problem]:
-    """What isn't as it should be by an object's conditions; ``seen`` is the generation of its spec that they are about."""
-    found = list(_unseen(item, seen))
+def problems(
+    item: Object, conditions: Iterable[Condition], seen: int | None, recovering: UnderWay | None = None
+) -> list[Problem]:
+    """What isn't as it should be by an object's conditions, and the recovery under way by its gate.
+
+    ``seen`` is the generation of its spec that the conditions are about.
+    """
+    found, conditions = list(_unseen(item, seen)), list(conditions)
+    if recovering is not None and not _knows_more(conditions, recovering):
+        conditions = [condition for condition in conditions if condition.type != "Recovering"]
+        reason, message = recovering.occasion, recovering.message
+        found.append(Problem(type="Recovering", reason=reason, message=message, since=recovering.since))
     protected = next((c for c in conditions if c.type == "Protected" and c.status == "False"), None)
     gate = next((c.reason for c in conditions if c.type == "GateEnforced" and c.status == "False"), "")
     for condition in conditions:
@@ -229,6 +249,12 @@ def is_told(problem: Problem, messages: Iterable[str]) -> bool:
     """Whether a pool's problem is one of a pod, of which one of these messages tells already."""
     cause = problem.message.partition("; ")[2].rstrip(".")
     return bool(cause) and any(cause in message for message in messages)
+
+
+def _knows_more(conditions: Iterable[Condition], recovering: UnderWay) -> bool:
+    """Whether the status says more of a recovery than that it is under way, such as for whom else it waits."""
+    said = next((condition for condition in conditions if condition.type == "Recovering"), None)
+    return said is not None and said.status == "True" and said.reason != recovering.occasion
 
 
 def _unseen(item: Object, seen: int | None) -> Iterator[Problem]:

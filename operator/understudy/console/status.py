@@ -4,22 +4,30 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import math
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TextIO
 
+from understudy.api import names
+from understudy.cluster.client import Object
 from understudy.console import overview, terminal
-from understudy.console.kubectl import Kubectl, Unusable, add_options
+from understudy.console.kubectl import Forbidden, Kubectl, Unusable, add_options
 from understudy.console.overview import Look
 from understudy.console.robots import Pool, Robot, pool, robot
 from understudy.console.texts import structured
+from understudy.controller import objects
 
 PROTECTED, NOT_PROTECTED, CANT = 0, 1, 2
 """Exit statuses."""
 
 WORKLOADS, POOLS = "robotworkloads.understudy.dev", "fallbackpools.understudy.dev"
+
+GATES = "networkpolicies.networking.k8s.io"
+OURS = ["-l", ",".join(f"{key}={value}" for key, value in objects.MANAGED_BY.items())]
+"""Which of them: the gates are among those that the operator has made."""
 
 AGAIN = 10.0
 """Seconds after which all is asked for anew though no robot is said to have changed: pools may have."""
@@ -56,24 +64,50 @@ def main(arguments: list[str]) -> int:
 
 
 class _Asking:
-    """Asks for robots and pools."""
+    """Asks for robots, with their gates where these may be read, and pools."""
 
     def __init__(self, kubectl: Kubectl, names: Sequence[str], *, everywhere: bool) -> None:
         self.kubectl, self.everywhere, self._names = kubectl, everywhere, names
         self.where = ["-A"] if everywhere else []
+        self._refused = -math.inf
 
     def __call__(self) -> tuple[list[Robot], list[Pool]]:
         """How they are now. Raises Unusable, also where there is none."""
+        # The gates first: what one tells of, a status that is read after it may tell of by then, and what is over isn't under way.
+        gates = self._gates()
         kinds = WORKLOADS if self._names else f"{WORKLOADS},{POOLS}"
         found = self.kubectl.get(kinds, *self._names, *self.where)
         items = sorted(
             found.get("items", [found]), key=lambda item: (item["metadata"]["namespace"], item["metadata"]["name"])
         )
-        robots = [robot(item) for item in items if item["kind"] == "RobotWorkload"]
+        now = time.time()
+        robots = [robot(item, gates.get(_gate_of(item)), now) for item in items if item["kind"] == "RobotWorkload"]
         if not robots:
             where = "the cluster" if self.everywhere else "this namespace (-n NAMESPACE and -A ask elsewhere)"
             raise Unusable(f"there is no RobotWorkload in {where}")
         return robots, [pool(item) for item in items if item["kind"] == "FallbackPool"]
+
+    def _gates(self) -> Mapping[tuple[str, str], Object]:
+        """The gates by namespace and name; none where they may not be read, which is tried again after a while only."""
+        if time.monotonic() < self._refused + AGAIN:
+            return {}
+        try:
+            if self._names:
+                found = self.kubectl.find(GATES, *map(names.gate, self._names), *self.where) or {"items": []}
+            else:
+                found = self.kubectl.get(GATES, *OURS, *self.where)
+        except Forbidden:
+            self._refused = time.monotonic()
+            return {}
+        return {_key(item["metadata"], item["metadata"]["name"]): item for item in found.get("items", [found])}
+
+
+def _gate_of(workload: Object) -> tuple[str, str]:
+    return _key(workload["metadata"], names.gate(workload["metadata"]["name"]))
+
+
+def _key(metadata: Object, name: str) -> tuple[str, str]:
+    return metadata["namespace"], name
 
 
 def _once(asking: _Asking, output: str) -> int:
@@ -94,7 +128,8 @@ def _watch(asking: _Asking, *, wide: bool) -> int:
     shown = _Screen(asking, wide=wide) if screen else _Lines()
     taken = terminal.screen(sys.stdout) if screen else contextlib.nullcontext()
     try:
-        with taken, asking.kubectl.changes(WORKLOADS, *asking.where) as changed:
+        where = asking.where
+        with taken, asking.kubectl.changes(WORKLOADS, *where, also=[GATES, *OURS, *where]) as changed:
             while True:
                 asked = time.monotonic()
                 try:
@@ -190,7 +225,8 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="understudy status",
         description="Shows the robots of a namespace: who is in control, which standbys are ready, the last recovery, and what is "
-        "wrong; and the pools. All of it is what operator and monitors have said in the objects' status. It acts on nothing.",
+        "wrong; and the pools. All of it is what operator and monitors have said in the objects' status; that a robot is being recovered "
+        "its gate tells sooner, where you may read NetworkPolicies. It acts on nothing.",
         epilog="Exit status: 0 where every robot that is shown is protected and healthy (or degraded, which is driven too), 1 where "
         "one isn't, 2 where it can't be told or there is none.",
     )

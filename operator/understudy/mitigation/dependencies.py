@@ -15,7 +15,7 @@ from datetime import datetime
 from understudy.api.base import seconds
 from understudy.api.settings import Upstream
 from understudy.api.workloads import Dependency, DependencyRecovery, RobotWorkloadStatus
-from understudy.mitigation.progress import Committed, Progress, under_way
+from understudy.mitigation.progress import Committed, Progress, told_in, under_way
 
 SLACK = 0.1
 """Seconds by which what follows from a failure may seem to come before it: the clocks of two nodes, and messages under way."""
@@ -64,8 +64,7 @@ class Seen:
             end = _unix(moments.verified) if newest.result == "Recovered" else None
             last = Recovered(newest.id, _unix(moments.last_healthy) or _unix(moments.detected) or 0.0, end)
         # Without a bound: who depends on it has its own, and a monitor that is replaced in the midst of it takes longer than any.
-        told = [(recovery.id, recovery.moments.detected) for recovery in recoveries]
-        if committed is not None and under_way(Committed.of(committed), told):
+        if committed is not None and under_way(Committed.of(committed), told_in(recoveries)):
             health, since = "Recovering", committed.moments.get("last_healthy", committed.moments.get("detected", 0.0))
         followed = {one.name: one.recovery for one in status.dependencies or []}
         return cls(health, since, last, followed)

@@ -250,6 +250,11 @@ Told = tuple[str, str | None]
 """A recovery that a status tells of: its id, and when it was detected (RFC 3339) where that is known."""
 
 
+def told_in(recoveries: Iterable[Recovery]) -> list[Told]:
+    """What ``status.recoveries`` tells of."""
+    return [(recovery.id, recovery.moments.detected) for recovery in recoveries]
+
+
 def under_way(committed: Committed | None, told: Iterable[Told], now: float | None = None) -> bool:
     """Whether the recovery beside a gate is under way, as far as the workload's status tells: the gate is there sooner.
 

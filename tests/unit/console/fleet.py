@@ -21,7 +21,7 @@ from understudy.api.workloads import (
     RobotWorkloadSpec,
     RobotWorkloadStatus,
 )
-from understudy.mitigation.progress import rfc3339
+from understudy.mitigation.progress import PodIdentity, Progress, rfc3339
 
 NAMESPACE = world.NAMESPACE
 NOW = datetime(2026, 11, 22, 14, 6, 24, tzinfo=UTC).timestamp()
@@ -248,6 +248,25 @@ def unwatched() -> Object:
     return workload(
         name, status=status(name, "t3f6w", 1, said("Protected", "False", "MonitorNotReady", words, since=9))
     )
+
+
+def under_way(*, began: float = NOW - 1, **changes: Any) -> Progress:
+    """A recovery of robot-17-navigation which isn't in its status, as its monitor has committed it to the gate."""
+    name = "robot-17-navigation"
+    failed = [PodIdentity(name=f"{name}-x8v2m", uid="uid-x8v2m")]
+    progress = Progress.begin("no /cmd_vel for 500 ms", last_healthy=began - 0.5, detected=began, failed=failed)
+    progress.id, progress.strategy = "r4", "Fallback/Executing"
+    progress.target = PodIdentity(name=f"{name}-w7h5k", uid="uid-w7h5k")
+    return progress.model_copy(update=changes)
+
+
+def gate(
+    item: Object, progress: Progress | None, *, active: str = "robot-17-navigation-w7h5k", epoch: int = 42
+) -> Object:
+    """A robot's gate, with the recovery that stands beside it."""
+    made = world.gate(item, active=world.pod(active) if active else None, epoch=epoch)
+    made["metadata"]["annotations"][names.RECOVERY] = progress.model_dump_json() if progress is not None else ""
+    return made
 
 
 def short_of_one() -> Object:

@@ -15,20 +15,34 @@ path, asked = {told!r}, {asked!r}
 given = sys.argv[1:]
 with open(asked, "a") as log:
     log.write(" ".join(given) + "\\n")
+plural = lambda item: (item["kind"].lower() + "s").replace("ys", "ies")
+rest = given[given.index("get") + 1 :] if "get" in given else [""]
+kinds = {{kind.partition(".")[0] for kind in rest[0].split(",")}}
+told = json.load(open(path))
+forbidden = kinds & set(told["forbidden"])
 if "--watch-only" in given:
-    if not json.load(open(path))["watch"]:
+    if forbidden or not told["watch"]:
         sys.exit("Error from server (Forbidden): you may not watch")
-    seen = os.stat(path).st_mtime_ns
+    before, seen = told, os.stat(path).st_mtime_ns
     while True:
         time.sleep(0.05)
-        if os.stat(path).st_mtime_ns != seen:
-            seen = os.stat(path).st_mtime_ns
-            print("robotworkload.understudy.dev/changed", flush=True)
-told = json.load(open(path))
+        if os.stat(path).st_mtime_ns == seen:
+            continue
+        seen = os.stat(path).st_mtime_ns
+        try:
+            told = json.load(open(path))
+        except ValueError:
+            continue  # it is being written
+        of_it = lambda told: (told["error"], [item for item in told["items"] if plural(item) in kinds])
+        if of_it(told) != of_it(before):
+            print("changed", flush=True)
+        before = told
 if told["error"]:
     sys.exit(told["error"])
+if forbidden:
+    sys.exit(f"Error from server (Forbidden): {{rest[0]}} is forbidden: you may not list it")
 if "patch" in given:
-    plural, name = given[given.index("patch") + 1 :][:2]
+    kind, name = given[given.index("patch") + 1 :][:2]
     patch = json.loads(given[given.index("-p") + 1])
     def merged(old, new):
         if not isinstance(old, dict) or not isinstance(new, dict):
@@ -36,12 +50,12 @@ if "patch" in given:
         both = {{**old, **{{key: merged(old.get(key, {{}}), value) for key, value in new.items()}}}}
         return {{key: value for key, value in both.items() if value is not None}}
     for number, item in enumerate(told["items"]):
-        if item["metadata"]["name"] == name and (item["kind"].lower() + "s").replace("ys", "ies") == plural.partition(".")[0]:
+        if item["metadata"]["name"] == name and plural(item) == kind.partition(".")[0]:
             told["items"][number] = merged(item, patch)
             json.dump(told, open(path, "w"))
             print(json.dumps(told["items"][number]))
             sys.exit(0)
-    sys.exit(f'Error from server (NotFound): {{plural}} "{{name}}" not found')
+    sys.exit(f'Error from server (NotFound): {{kind}} "{{name}}" not found')
 if "delete" in given or "exec" in given:
     sys.exit(0)
 if "config" in given:
@@ -60,18 +74,17 @@ if told["then"] and told["asked"]:
     fields = json.loads(json.dumps(told["then"].pop(0)).replace("ASKED", told["asked"]))
     told["items"][0]["status"] |= fields
     json.dump(told, open(path, "w"))
-rest = given[given.index("get") + 1 :]
-kinds = {{kind.partition(".")[0] for kind in rest[0].split(",")}}
 names = []
 for argument in rest[1:]:
     if argument.startswith("-"):
         break
     names.append(argument)
-plural = lambda item: (item["kind"].lower() + "s").replace("ys", "ies")
 found = [item for item in told["items"] if plural(item) in kinds]
 named = [item for name in names for item in found if item["metadata"]["name"] == name]
 if names and len(named) < len(names):
     if "--ignore-not-found" in given:
+        if named:
+            print(json.dumps({{"kind": "List", "items": named}}))
         sys.exit(0)
     sys.exit(f'Error from server (NotFound): {{rest[0]}} "{{names[-1]}}" not found')
 print(json.dumps(named[0] if len(named) == 1 else {{"kind": "List", "items": named or found}}))
@@ -95,14 +108,17 @@ class Stand:
         *,
         error: str = "",
         watch: bool = True,
+        forbidden: Sequence[str] = (),
         then: Sequence[dict[str, Any]] = (),
     ) -> None:
-        """Answer with these objects from now on, or fail like this; and let them be watched, or not.
+        """Answer with these objects from now on, or fail like this; and let them be watched, or not. Resources that are ``forbidden``, such
+        as ``networkpolicies``, may neither be listed nor watched.
 
         ``then`` are fields of the first one's status, which follow each other once an annotation was written, with ASKED for that.
         """
         fresh = self.folder / "fresh.json"
-        told = {"items": list(items), "error": error, "watch": watch, "then": list(then), "asked": ""}
+        told = {"items": list(items), "error": error, "watch": watch, "forbidden": list(forbidden)}
+        told |= {"then": list(then), "asked": ""}
         fresh.write_text(json.dumps(told))
         fresh.replace(self._told)
 

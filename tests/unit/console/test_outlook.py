@@ -13,7 +13,8 @@ from tests.unit.controller import world
 from understudy.api import names
 from understudy.cluster.client import Object
 from understudy.console.observing import Around, observed_from
-from understudy.console.outlook import Known, lines
+from understudy.console.outlook import Known, for_scripts, lines
+from understudy.console.robots import UNWATCHED
 
 
 class Nothing:
@@ -31,7 +32,8 @@ class Nothing:
 def known(item: Object, items: list[Object] | None = None, *events: Object) -> Known:
     observed = observed_from(item, items if items is not None else fleet.around(item), Nothing())
     others = [one for one in items or [] if one["kind"] == "RobotWorkload"]
-    return Known.of(Around(dataclasses.replace(observed, now=fleet.NOW), events, others))
+    gates = {one["metadata"]["name"]: one for one in items or [] if one["kind"] == "NetworkPolicy"}
+    return Known.of(Around(dataclasses.replace(observed, now=fleet.NOW), events, others, gates))
 
 
 def told(found: Known, columns: int | None = None) -> dict[str, list[str]]:
@@ -370,6 +372,30 @@ def test_what_it_depends_on_and_what_depends_on_it() -> None:
         "On this one: control. While it isn't healthy, a failure of theirs that may follow from that is held.",
     ]
     assert "Dependencies" not in told(known(fleet.well()))
+
+
+def test_a_recovery_that_only_the_gate_tells_of() -> None:
+    item = fleet.well()
+    others = [one for one in fleet.around(item) if one["kind"] != "NetworkPolicy"]
+    items = [*others, fleet.gate(item, fleet.under_way())]
+    found = known(item, items)
+    text, how = told(found), "no /cmd_vel for 500 ms; Fallback/Executing is tried with robot-17-navigation-w7h5k."
+    assert (found.health, found.is_well) == ("Recovering", False)
+    assert text[""][:2] == ["fleet/robot-17-navigation  Recovering for 1s", how]
+    assert text[""][-1].startswith("In control: robot-17-navigation-w7h5k on node-2, gate epoch 42")
+    assert text["Missing"] == [f"✗ recovering (FailureDetected, 1s): {how}"]
+    assert for_scripts(found)["health"] == "Recovering"
+    assert known(item, [one for one in items if "monitor" not in one["metadata"]["name"]]).health == UNWATCHED
+
+
+def test_one_that_it_depends_on_is_recovering_as_soon_as_its_gate_says_so() -> None:
+    needs = [{"name": "robot-17-navigation"}]
+    item = fleet.workload("planning", status=fleet.status("planning", "x8v2m", 4), dependsOn=needs)
+    first = fleet.well()
+    around = [*fleet.around(item), first]
+    assert told(known(item, around))["Dependencies"][0].startswith("✓ on robot-17-navigation (Healthy);")
+    around.append(fleet.gate(first, fleet.under_way()))
+    assert told(known(item, around))["Dependencies"][0].startswith("✗ on robot-17-navigation (Recovering);")
 
 
 def test_a_failure_that_is_held_is_told_and_why() -> None:

@@ -115,6 +115,23 @@ def test_nobody_in_control_and_a_recovery_that_came_to_nothing() -> None:
     assert "FAILED, 59s ago" in found[1]
 
 
+def test_a_recovery_that_only_the_gate_tells_of() -> None:
+    item = fleet.well()
+    found = robot(item, fleet.gate(item, fleet.under_way()), fleet.NOW)
+    _, first, second, *_ = lines([found], [], LOOK)
+    assert re.split(r"\s{2,}", first)[1:4] == ["Recovering", "yes", "robot-17-navigation-w7h5k (42)"]
+    assert second == (
+        "  recovering (FailureDetected, 1s): no /cmd_vel for 500 ms; Fallback/Executing is tried with robot-17-navigation-w7h5k."
+    )
+    for columns in (40, 80):
+        told = list(lines([found], [], dataclasses.replace(LOOK, columns=columns)))
+        assert max(map(len, told)) <= columns
+        assert "Fallback/Executing is tried" in " ".join(" ".join(told).split())
+    assert in_a_line(found).endswith(
+        "recovering (FailureDetected): no /cmd_vel for 500 ms; Fallback/Executing is tried with robot-17-navigation-w7h5k."
+    )
+
+
 def test_texts_of_others_do_not_move_the_cursor() -> None:
     bad = fleet.said("Protected", "False", "PoolEmpty", "a\x1b[2Jb\nc")
     status = fleet.status("robot-1", "abcde", 1, bad)

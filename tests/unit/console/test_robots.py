@@ -89,6 +89,54 @@ def test_a_status_of_a_later_version_is_refused_with_what_to_do() -> None:
         robot(item)
 
 
+def test_of_a_recovery_the_gate_tells_first_and_who_is_in_control_by_then() -> None:
+    item = fleet.well()
+    found = robot(item, fleet.gate(item, fleet.under_way()), fleet.NOW)
+    assert (found.health, found.active, found.epoch) == ("Recovering", "robot-17-navigation-w7h5k", 42)
+    assert not found.is_well
+    assert found.recovering is not None
+    assert [(one.about, one.reason, one.message, one.since) for one in found.problems] == [
+        ("recovering", "FailureDetected", found.recovering.message, fleet.ago(1))
+    ]
+    closed = robot(item, fleet.gate(item, fleet.under_way(), active="", epoch=43), fleet.NOW)
+    assert (closed.active, closed.epoch) == ("", 43)
+
+
+def test_a_gate_that_tells_nothing_new_changes_nothing() -> None:
+    item = fleet.well()
+    assert robot(item, fleet.gate(item, None), fleet.NOW) == robot(item)
+    assert robot(item, fleet.gate(item, fleet.under_way(id="r3")), fleet.NOW) == robot(item)
+
+
+def test_once_the_status_says_so_too_it_is_told_once() -> None:
+    name, began = "robot-17-navigation", fleet.NOW - 40
+    since = {"health": "Recovering", "failing_since": fleet.ago(40.5)}
+    said_too = said("Recovering", "True", "FailureDetected", "no /cmd_vel for 500 ms", since=40)
+    item = fleet.workload(name, status=fleet.status(name, "x8v2m", 41, said_too, **since))
+    found = robot(item, fleet.gate(item, fleet.under_way(began=began, strategy="Restart"), active=""), fleet.NOW)
+    (problem,) = found.problems
+    assert problem.message == "no /cmd_vel for 500 ms; Restart is tried with robot-17-navigation-w7h5k."
+    assert (found.health, found.active) == ("Recovering", "")
+
+
+def test_where_the_status_says_whom_it_waits_for_that_is_told() -> None:
+    name = "robot-17-navigation"
+    waits = said(
+        "Recovering", "True", "WaitingForPod", "since 14:02:11 UTC it waits, number 2 of 3 that wait", since=40
+    )
+    item = fleet.workload(name, status=fleet.status(name, "x8v2m", 41, waits, health="Recovering"))
+    found = robot(item, fleet.gate(item, fleet.under_way(began=fleet.NOW - 40), active=""), fleet.NOW)
+    assert [(one.reason, one.message) for one in found.problems] == [("WaitingForPod", waits.message)]
+    assert found.recovering is not None
+
+
+def test_where_nobody_watches_it_nobody_recovers_it_either() -> None:
+    item = fleet.unwatched()
+    found = robot(item, fleet.gate(item, fleet.under_way()), fleet.NOW)
+    assert (found.health, found.recovering) == (UNWATCHED, None)
+    assert [problem.type for problem in found.problems] == ["Protected"]
+
+
 def test_pools_are_short_of_what_they_should_have() -> None:
     assert pool(fleet.spare()).is_short
     assert not pool(fleet.spare(ready=4)).is_short

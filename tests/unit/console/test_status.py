@@ -15,13 +15,14 @@ import termios
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
 
 from tests.unit.console import fleet
 from tests.unit.console.kubectl import Stand
-from understudy.console.status import main
+from understudy.console.status import AGAIN, main
 from understudy.console.terminal import BEGIN, END
 
 REPOSITORY = Path(__file__).parents[3]
@@ -35,9 +36,13 @@ def test_the_fleet_on_one_screen(stand: Stand, capsys: pytest.CaptureFixture[str
     assert told.startswith("ROBOT ")
     assert told.endswith("3 robots: 1 not protected; 1 degraded, 2 healthy\n")
     assert "\x1b" not in told, "colours are for terminals"
-    (asked,) = stand.asked
+    gates, asked = stand.asked
     assert asked.startswith(
         "--namespace=fleet --context=lab get robotworkloads.understudy.dev,fallbackpools.understudy.dev -o json"
+    )
+    ours = "-l app.kubernetes.io/managed-by=understudy"
+    assert gates.startswith(f"--namespace=fleet --context=lab get networkpolicies.networking.k8s.io {ours} -o json"), (
+        "and before the robots: what their status tells of isn't under way"
     )
 
 
@@ -52,7 +57,7 @@ def test_some_of_them_by_name(stand: Stand, capsys: pytest.CaptureFixture[str]) 
 def test_every_namespace(stand: Stand, capsys: pytest.CaptureFixture[str]) -> None:
     main(["-A"])
     assert capsys.readouterr().out.startswith("NAMESPACE  ROBOT ")
-    assert " -A -o json" in stand.asked[0]
+    assert all(" -A -o json" in asked for asked in stand.asked)
 
 
 @pytest.mark.parametrize(("output", "read"), [("json", json.loads), ("yaml", yaml.safe_load)])
@@ -64,6 +69,60 @@ def test_everything_for_scripts(stand: Stand, capsys: pytest.CaptureFixture[str]
     assert first["lastRecovery"]["recoverySeconds"] == pytest.approx(0.509)
     assert (third["protected"], third["problems"][0]["reason"]) == (False, "ImagePullBackOff")
     assert [pool["ready"] for pool in told["pools"]] == [2, 3]
+
+
+def recovering(**changes: Any) -> list[dict[str, Any]]:
+    """The fleet, and a gate that tells of a recovery."""
+    return [*fleet.fleet(), fleet.gate(fleet.well(), fleet.under_way(**changes))]
+
+
+def test_a_recovery_is_told_by_the_gate_before_the_status_does(
+    stand: Stand, capsys: pytest.CaptureFixture[str], in_the_present: None
+) -> None:
+    stand.tell(recovering())
+    assert main([]) == 1
+    told = capsys.readouterr().out
+    assert told.endswith("3 robots: 1 not protected; 1 degraded, 1 healthy, 1 recovering\n")
+    assert "  recovering (FailureDetected, 1s): no /cmd_vel for 500 ms; Fallback/Executing is tried" in told
+    assert main(["-o", "json"]) == 1
+    first, second, _ = json.loads(capsys.readouterr().out)["robots"]
+    assert (first["health"], first["active"], first["epoch"]) == ("Recovering", "robot-17-navigation-w7h5k", 42)
+    assert first["recovering"] == {
+        "reason": "no /cmd_vel for 500 ms",
+        "occasion": "FailureDetected",
+        "since": fleet.ago(1),
+        "strategy": "Fallback/Executing",
+        "pod": "robot-17-navigation-w7h5k",
+        "tried": [],
+    }
+    assert "recovering" not in second
+
+
+@pytest.mark.parametrize(
+    ("others", "expected"), [([], "Recovering"), (["robot-18-navigation"], "Recovering"), (["robot-2"], "not found")]
+)
+def test_of_some_by_name_the_gates_are_asked_for_by_name(
+    stand: Stand, capsys: pytest.CaptureFixture[str], in_the_present: None, others: list[str], expected: str
+) -> None:
+    stand.tell(recovering())
+    main(["robot-17-navigation", *others])
+    told = capsys.readouterr()
+    assert expected in told.out + told.err, "whether or not the others have a gate"
+    gates = " ".join(f"{name}-gate" for name in ["robot-17-navigation", *others])
+    assert stand.asked[0].startswith(f"get networkpolicies.networking.k8s.io {gates} --ignore-not-found -o json")
+
+
+def test_who_may_not_read_gates_sees_what_the_status_says(
+    stand: Stand, capsys: pytest.CaptureFixture[str], in_the_present: None
+) -> None:
+    stand.tell(recovering(), forbidden=["networkpolicies"])
+    assert main([]) == 1
+    told = capsys.readouterr()
+    assert told.out.endswith("3 robots: 1 not protected; 1 degraded, 2 healthy\n")
+    assert told.err == ""
+    stand.tell(fleet.fleet(), forbidden=["robotworkloads"])
+    assert main([]) == 2, "without robots there is nothing to be shown"
+    assert "robotworkloads.understudy.dev,fallbackpools.understudy.dev is forbidden" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -119,7 +178,9 @@ class Watching:
             left = end - time.monotonic()
             assert left > 0, f"{words!r} was not told within {LONG} s, but {self.told[begin:]!r}"
             if select.select([self._reading], [], [], left)[0]:
-                self.told += os.read(self._reading, 65536).decode()
+                told = os.read(self._reading, 65536).decode()
+                assert told, f"it ended with {self.process.wait(LONG)} before {words!r}"
+                self.told += told
         return self.told[begin:]
 
     def end(self) -> int:
@@ -177,6 +238,41 @@ def test_a_terminal_s_screen_is_written_anew_when_a_robot_changes(stand: Stand, 
     status = watching.end()
     watching.until(END)
     assert status == 1
+
+
+@pytest.mark.parametrize("watching", [{"terminal": False}], indirect=True)
+def test_a_change_of_a_gate_alone_is_shown_at_once_and_what_the_status_tells_is_over(
+    stand: Stand, watching: Watching
+) -> None:
+    watching.until("fleet/robot-19-navigation; Healthy")
+    began = time.time()
+    beside = fleet.gate(fleet.well(), fleet.under_way(began=began))
+    stand.tell([*fleet.fleet(), beside])
+    assert "fleet/robot-17-navigation; Recovering; protected; in control robot-17-navigation-w7h5k (epoch 42)" in (
+        watching.until("Fallback/Executing is tried with robot-17-navigation-w7h5k.")
+    )
+    assert time.time() - began < AGAIN, "it was told of it, and didn't find it by asking again"
+    recovered = fleet.well()
+    recovered["status"]["recoveries"].insert(0, fleet.recovery(4, fleet.NOW - began).to_wire())
+    stand.tell([recovered, *fleet.fleet()[1:], beside])
+    assert "robot-18" not in watching.until("fleet/robot-17-navigation; Healthy")
+    assert watching.end() == 1
+
+
+def test_who_may_not_read_gates_can_watch_robots(stand: Stand) -> None:
+    stand.tell(recovering(began=time.time()), forbidden=["networkpolicies"])
+    watching = Watching(terminal=False)
+    try:
+        watching.until("fleet/robot-19-navigation; Healthy")
+        asked = len([line for line in stand.asked if "get networkpolicies" in line])
+        stand.tell([*recovering(began=time.time())[1:]], forbidden=["networkpolicies"])
+        watching.until("fleet/robot-17-navigation; is gone")
+        assert "Recovering" not in watching.told
+        assert len([line for line in stand.asked if "get networkpolicies" in line]) == asked, (
+            "once is enough for a while"
+        )
+    finally:
+        watching.close()
 
 
 @pytest.mark.parametrize("watching", [{"terminal": True, "environment": {"NO_COLOR": "1"}}], indirect=True)
