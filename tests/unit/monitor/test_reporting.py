@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Iterator
 from typing import Any, Literal
 
 import pytest
@@ -274,15 +274,29 @@ async def test_what_was_said_before_a_write_without_an_answer_is_said_again() ->
 
 
 @contextlib.asynccontextmanager
-async def running(found: Reporter, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[None]:
-    """Its loop, which waits for a hundredth of what it does in a cluster, and a tenth for a recovery."""
-    monkeypatch.setattr(reporting, "QUIET", 0.0025)
-    monkeypatch.setattr(reporting, "UNDER_WAY", 0.3)
+async def running(
+    monkeypatch: pytest.MonkeyPatch, *, quiet: float = 0.0025, under_way: float = 0.3
+) -> AsyncIterator[tuple[Applied, Reporter]]:
+    """A reporter with its loop, which waits for a hundredth of what it does in a cluster, and a tenth for a recovery."""
+    monkeypatch.setattr(reporting, "QUIET", quiet)
+    monkeypatch.setattr(reporting, "UNDER_WAY", under_way)
+    api = Applied()
+    found = monitor_of(api)
     task = asyncio.create_task(found.run())
     try:
-        yield
+        yield api, found
     finally:
         task.cancel()
+
+
+@contextlib.contextmanager
+def recovering(found: Reporter) -> Iterator[None]:
+    """A recovery, of which everything is said in the order in which monitors do."""
+    with found.recovering():
+        found.set(health="Recovering", failing_since=999.9)
+        yield
+        found.record(done(1000.0, planned=False))
+        say_recovered(found)
 
 
 async def until(true: Callable[[], bool]) -> None:
@@ -298,15 +312,10 @@ def health(api: Applied) -> str:
 
 async def test_a_recovery_is_told_in_one_write_once_it_is_over(monkeypatch: pytest.MonkeyPatch) -> None:
     """The record beside the gate tells of it meanwhile: in a burst, in which each takes longer, that would be a write for each robot."""
-    api = Applied()
-    found = monitor_of(api)
-    async with running(found, monkeypatch):
-        with found.recovering():
-            found.set(health="Recovering", failing_since=999.9)
+    async with running(monkeypatch) as (api, found):
+        with recovering(found):
             await asyncio.sleep(0.05)
             assert api.writes == 0
-            found.record(done(1000.0, planned=False))
-            say_recovered(found)
         await until(lambda: api.writes > 0)
         await asyncio.sleep(0.02)
     assert (api.writes, health(api)) == (1, "Healthy")
@@ -314,39 +323,27 @@ async def test_a_recovery_is_told_in_one_write_once_it_is_over(monkeypatch: pyte
 
 
 async def test_one_that_takes_longer_is_told_meanwhile(monkeypatch: pytest.MonkeyPatch) -> None:
-    api = Applied()
-    found = monitor_of(api)
-    async with running(found, monkeypatch):
-        with found.recovering():
-            found.set(health="Recovering", failing_since=999.9)
+    async with running(monkeypatch) as (api, found):
+        with recovering(found):
             await until(lambda: api.writes > 0)
             assert health(api) == "Recovering"
-            found.record(done(1000.0, planned=False))
-            say_recovered(found)
         await until(lambda: health(api) == "Healthy")
     assert api.writes == 2
 
 
 async def test_what_others_wait_for_is_told_at_once_in_a_recovery_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    api = Applied()
-    found = monitor_of(api)
-    async with running(found, monkeypatch):
-        monkeypatch.setattr(reporting, "UNDER_WAY", 60.0)
-        with found.recovering():
-            found.set(health="Recovering", failing_since=999.9)
+    async with running(monkeypatch, under_way=60.0) as (api, found):
+        with recovering(found):
             await asyncio.sleep(0.02)
             found.hurry()
             await until(lambda: health(api) == "Recovering")
 
 
 async def test_what_was_to_be_said_when_a_recovery_began_waits_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    api = Applied()
-    found = monitor_of(api)
-    async with running(found, monkeypatch):
-        monkeypatch.setattr(reporting, "QUIET", 0.05)
+    async with running(monkeypatch, quiet=0.05) as (api, found):
         found.set(strategy="Restart")
         await asyncio.sleep(0.01)
-        with found.recovering():
+        with recovering(found):
             await asyncio.sleep(0.1)
             assert api.writes == 0
         await until(lambda: api.writes == 1)
