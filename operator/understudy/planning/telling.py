@@ -19,7 +19,7 @@ _HEAD = ("", "BY THE MODEL", "BY TRIAL")
 
 
 def told(size: Size) -> str:
-    """All of it, for a terminal."""
+    """All of it, for a terminal. Lines of text may be of any length; the table, which nobody breaks, fits 80 columns."""
     question, outcome, trial = size.question, size.outcome, size.trial
     demand, count = question.demand, outcome.fallbacks
     between = duration(float(f"{1 / demand.rate:.3g}"))
@@ -32,11 +32,11 @@ def told(size: Size) -> str:
             [
                 _HEAD,
                 (
-                    f"window: more than {count} failures within {question.refill:g} s",
+                    f"window: more than {count} fail within {question.refill:g} s",
                     percent(outcome.window),
                     _estimated(trial.window),
                 ),
-                ("loss: a failure finds no fallback and goes without", percent(outcome.loss), _estimated(trial.loss)),
+                ("loss: a failure goes without a fallback", percent(outcome.loss), _estimated(trial.loss)),
                 ("waiting: a failure has to wait for one", percent(outcome.waiting), _estimated(trial.waiting)),
                 (
                     "mean wait of all failures",
@@ -52,9 +52,9 @@ def told(size: Size) -> str:
         *_papers(size),
         *_pool(size),
         "",
-        f"The model: failures come independently of each other (Poisson). Loss is Erlang's B, waiting Erlang's C; the trial drew "
-        f"{trial.failures} failures,",
-        "with refills that always take the same time (the C formula takes them to vary exponentially, which makes for more waiting).",
+        "The model: independent failures (Poisson); loss by Erlang's B, waiting by his C.",
+        f"The trial: {trial.failures} failures, with refills that always take the same time. The C formula takes them to vary "
+        "exponentially, which makes for more waiting.",
     ]
     return "\n".join(lines)
 

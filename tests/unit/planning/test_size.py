@@ -19,8 +19,27 @@ def test_the_papers_example_is_told_with_its_figures_and_what_they_leave_out(cap
     assert "1000 robots, 1 per robot and hour: one every 3.6 s" in text
     assert "8.3 failures in 30 s, 5 of them not covered, all in one window in 3276 of 278256 ways: 1.18 %" in text
     assert "+0.40% CPU (4 x 1 of an instance, for 1000 robots)" in text
-    assert "more than 4 failures within 6 s" in text
+    assert "more than 4 fail within 6 s" in text
     assert "6.24 %" in next(line for line in text.splitlines() if line.startswith("loss"))
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        ["--fallbacks", "0"],
+        ["--fallbacks", "4"],
+        ["--risk", "0.01"],
+        ["--risk", "0.01", "--risk-of", "window"],
+        ["--fallbacks", "9", "--refill-seconds", "6.12345"],  # waits whose figures are long
+        ["--risk", "0.000001"],
+        ["--risk", "0.01", "--robots", "100000", "--refill-seconds", "3600.25"],
+    ],
+)
+def test_no_line_is_broken_by_a_terminal_of_80_columns(capsys, monkeypatch, more):
+    monkeypatch.setenv("COLUMNS", "80")
+    lines = printed(capsys, *more).splitlines()
+    assert [line for line in lines if len(line) > 80] == []
+    assert sum(line.startswith(("window: ", "loss: ", "waiting: ", "mean wait ")) for line in lines) == 4
 
 
 def test_as_json_everything_is_a_figure(capsys):
