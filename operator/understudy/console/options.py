@@ -1,9 +1,15 @@
-"""Options that say something only beside others are refused elsewhere: whoever gives one expects something of it."""
+"""What options have in common: those that say something only beside others are refused elsewhere, since whoever gives one expects something
+of it; and durations are read alike.
+"""
 
 from __future__ import annotations
 
 import argparse
+import contextlib
+import math
 from collections.abc import Iterable
+
+from understudy.api.base import seconds
 
 
 def only(parser: argparse.ArgumentParser, given: argparse.Namespace, holds: bool, option: str, why: str) -> None:
@@ -15,6 +21,22 @@ def only(parser: argparse.ArgumentParser, given: argparse.Namespace, holds: bool
     assert action.default is None, option
     if not holds and getattr(given, action.dest) is not None:
         parser.error(f"{'/'.join(action.option_strings)} {why}")
+
+
+def duration(text: str) -> float:
+    """The ``type`` of an option that takes a length of time above 0: a duration as manifests have them, such as ``1m30s``, or a number
+    of seconds. Comes to seconds.
+    """
+    found = math.nan
+    for read in (seconds, float):
+        with contextlib.suppress(ValueError):
+            found = read(text)
+            break
+    if not (math.isfinite(found) and found > 0):
+        raise argparse.ArgumentTypeError(
+            f"found {text!r:.50}; give a duration above 0, such as 500ms, 6s or 1m30s (a number alone is seconds)"
+        )
+    return found
 
 
 def listed(words: Iterable[str]) -> str:

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import re
 import sys
 import time
 from collections.abc import Iterator, Mapping
 from typing import Any
 
 from understudy.api import names
-from understudy.api.base import seconds
 from understudy.api.switchovers import ENDED, SwitchoverStatus, Verb, request
 from understudy.api.workloads import Recovery, RobotWorkloadStatus
-from understudy.console import terminal
+from understudy.console import options, terminal
 from understudy.console.bars import length, short
 from understudy.console.kubectl import Kubectl, Unusable, add_options
 from understudy.console.robots import UNWATCHED, robot, status_of
@@ -136,21 +134,9 @@ def _parser(verb: Verb) -> argparse.ArgumentParser:
     parser.add_argument(
         "--within",
         metavar="DURATION",
-        type=_patience,
+        type=options.duration,
         default=WITHIN,
         help="how long its end is waited for (2m), such as 30s",
     )
     add_options(parser)
     return parser
-
-
-def _patience(text: str) -> float:
-    try:
-        found = (
-            float(text) if re.fullmatch(r"[0-9]+([.][0-9]+)?", text) else seconds(text)
-        )  # seconds, where no unit says otherwise
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(str(error)) from error
-    if not found:
-        raise argparse.ArgumentTypeError(f"found {text!r}; give a duration above 0, such as 30s")
-    return found

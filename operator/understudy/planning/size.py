@@ -8,7 +8,6 @@ import math
 import sys
 from collections.abc import Callable
 
-from understudy.api.base import seconds
 from understudy.console import options, terminal
 from understudy.planning.fitting import fitted
 from understudy.planning.sizes import Question, sized
@@ -35,9 +34,9 @@ def main(arguments: list[str]) -> int:
     question = Question(
         robots=given.robots,
         failures_per_robot_hour=given.failures_per_robot_hour,
-        recovery=given.recovery_seconds,
-        refill=given.refill_seconds if given.refill_seconds is not None else given.recovery_seconds,
-        restart=given.restart_seconds if given.restart_seconds is not None else 2 * given.recovery_seconds,
+        recovery=given.recovery,
+        refill=given.refill or given.recovery,
+        restart=given.restart or 2 * given.recovery,
         cpu=given.fallback_cpu,
     )
     try:
@@ -77,21 +76,27 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--recovery-seconds",
-        type=_duration,
+        "--recovery",
+        dest="recovery",
+        type=options.duration,
         required=True,
-        metavar="SECONDS",
-        help="down-time of a robot that finds a fallback",
+        metavar="DURATION",
+        help="down-time of a robot that finds a fallback, such as 6s",
     )
     parser.add_argument(
         "--refill-seconds",
-        type=_duration,
-        metavar="SECONDS",
+        "--refill",
+        dest="refill",
+        type=options.duration,
+        metavar="DURATION",
         help="from a failure until another fallback is ready (default: as long as the recovery, as in the paper)",
     )
     parser.add_argument(
         "--restart-seconds",
-        type=_duration,
-        metavar="SECONDS",
+        "--restart",
+        dest="restart",
+        type=options.duration,
+        metavar="DURATION",
         help="down-time of a robot that is restarted instead (default: twice the recovery, as in the paper)",
     )
     parser.add_argument(
@@ -136,14 +141,6 @@ def _count(least: int, most: int) -> Callable[[str], int]:
 
 def _rate(text: str) -> float:
     return _figure(text, _number(text), "failures per hour, above 0, such as 0.2")
-
-
-def _duration(text: str) -> float:
-    try:
-        value = seconds(text)
-    except ValueError:
-        value = _number(text)
-    return _figure(text, value, "seconds, above 0, such as 6 or 1m30s")
 
 
 def _risk(text: str) -> float:

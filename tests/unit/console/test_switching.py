@@ -95,12 +95,12 @@ def test_where_the_robot_is_driven_from_home_already_it_is_done(
     assert "done: w-1 of the workload's own controller" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("given", ["0", "0s", "-3", "soon", "nan", ""])
+@pytest.mark.parametrize("given", ["0", "0s", "-3", "soon", "nan", "inf", ""])
 def test_how_long_it_waits_is_a_duration(stand: Stand, capsys: pytest.CaptureFixture[str], given: str) -> None:
     with pytest.raises(SystemExit) as ended:
         failover.main([NAME, f"--within={given}"])
     assert ended.value.code == 2
-    assert "argument --within: " in capsys.readouterr().err
+    assert f"argument --within: found {given!r}; give a duration above 0, such as 500ms" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("given", ["0.3", "300ms"])

@@ -84,6 +84,14 @@ def test_what_a_fallback_uses_and_how_fast_the_pool_is_refilled_count(capsys):
     assert slow["outcome"]["loss"] > quick["outcome"]["loss"]
 
 
+def test_durations_have_names_without_a_unit_too(capsys):
+    numbers = ["--recovery-seconds", "0.5", "--refill-seconds", "90", "--restart-seconds", "12"]
+    durations = ["--recovery", "500ms", "--refill", "1m30s", "--restart", "12s"]
+    plain, same = (printed(capsys, "--fallbacks", "4", *given, "-o", "json") for given in (numbers, durations))
+    assert same == plain
+    assert json.loads(plain)["outcome"]["down"] < 12
+
+
 def test_figures_may_be_written_as_a_pool_s_sizing_has_them(capsys):
     assert main([*PAPER, "--risk", "0.01", "--fallback-cpu", "0.4", "--refill-seconds", "90", "-o", "json"]) == 0
     plain = capsys.readouterr().out
@@ -109,12 +117,12 @@ def test_it_is_drawn(capsys, tmp_path, form):
         (["--fallbacks", "4", "--risk", "0.1"], "not allowed with argument"),
         ([], "one of the arguments --fallbacks --risk is required"),
         (["--fallbacks", "4", "--robots", "0"], "--robots: found '0'"),
-        (["--fallbacks", "4", "--recovery-seconds", "nan"], "--recovery-seconds: found 'nan'; give seconds, above 0"),
+        (["--fallbacks", "4", "--recovery-seconds", "nan"], "--recovery: found 'nan'; give a duration above 0"),
         (
             ["--fallbacks", "4", "--recovery-seconds", "6x"],
-            "--recovery-seconds: found '6x'; give seconds, above 0, such as 6",
+            "argument --recovery-seconds/--recovery: found '6x'; give a duration above 0, such as 500ms",
         ),
-        (["--fallbacks", "4", "--recovery-seconds", "0s"], "--recovery-seconds: found '0s'"),
+        (["--fallbacks", "4", "--recovery-seconds", "0s"], "--recovery: found '0s'"),
         (["--fallbacks", "4", "--fallback-cpu", "-1"], "--fallback-cpu: found '-1'; give a share, from 0 on"),
         (["--risk", "0%"], "--risk: found '0%'; give a probability, above 0"),
         (["--risk", "%"], "--risk: found '%'"),
