@@ -17,7 +17,7 @@ import tempfile
 from pathlib import Path
 
 REPOSITORY = Path(__file__).resolve().parent.parent
-START = ("README.md", "docs/README.md", "docs/site.css")
+START = ("README.md", "docs/README.md", "docs/site.css", "docs/iframe-worker.js")
 LINK = re.compile(r"(\]\()([^)\s#]+)")
 CODE = re.compile(r"`[^`]+`")
 

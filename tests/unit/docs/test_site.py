@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import re
+import shutil
+import subprocess
 from pathlib import Path
+
+import pytest
 
 from scripts import pages
 
@@ -19,6 +24,26 @@ def test_the_site_is_built_of_all_pages_and_no_link_in_it_leads_nowhere(tmp_path
     assert "failurepolicy-what-you-say-spec" in (tmp_path / "site/docs/reference/api.html").read_text()
 
 
+def test_search_works_where_a_page_is_opened_from_its_folder_and_no_page_asks_another_host_for_a_script(
+    tmp_path: Path,
+) -> None:
+    site = tmp_path / "site"
+    pages.lay_out(REPOSITORY, tmp_path / "pages")
+    assert pages.mkdocs(tmp_path / "pages", ["build", "--quiet", "--site-dir", str(site)]) == 0
+    for page in site.rglob("*.html"):
+        assert not re.search(r"<(?:script|img|iframe)\b[^>]*\bsrc=.?(?:https?:)?//", page.read_text()), page
+    browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if browser is None:
+        pytest.skip("there is no Chromium")
+    options = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", f"--user-data-dir={tmp_path}"]
+    page = f"{(site / 'docs/sizing.html').as_uri()}?q=Erlang"
+    document = subprocess.run(
+        [browser, *options, "--virtual-time-budget=8000", "--dump-dom", page],
+        env={"HOME": str(tmp_path), "PATH": "/usr/bin:/bin"}, capture_output=True, text=True, timeout=120, check=True,
+    ).stdout  # fmt: skip
+    assert re.search(r'class="md-search-result__meta">\s*[1-9][0-9]* matching document', document)
+
+
 def test_a_link_that_leads_nowhere_is_an_error(tmp_path: Path) -> None:
     pages.lay_out(REPOSITORY, tmp_path / "pages")
     with (tmp_path / "pages/docs/trees.md").open("a") as page:
@@ -32,6 +57,7 @@ def test_a_link_to_a_folder_leads_to_its_page_or_to_a_list_of_its_files(tmp_path
         "README.md": "[all](docs/README.md) [one](one) [two](two#here)",
         "docs/README.md": "[up](../README.md)",
         "docs/site.css": "",
+        "docs/iframe-worker.js": "",
         "one/README.md": "# One",
         "two/a.yaml": "a: 1",
     }.items():
@@ -39,7 +65,7 @@ def test_a_link_to_a_folder_leads_to_its_page_or_to_a_list_of_its_files(tmp_path
         (source / path).write_text(text)
     found = pages.lay_out(source, tmp_path / "pages")
     assert found == [
-        "README.md", "docs/README.md", "docs/site.css", "one/README.md", "two/a.yaml", "two/index.md"
+        "README.md", "docs/README.md", "docs/iframe-worker.js", "docs/site.css", "one/README.md", "two/a.yaml", "two/index.md"
     ]  # fmt: skip
     assert (tmp_path / "pages/README.md").read_text() == (
         "[all](docs/README.md) [one](one/README.md) [two](two/index.md#here)"
@@ -52,6 +78,7 @@ def test_a_bar_in_code_in_a_table_is_shown_without_the_backslash_that_keeps_it_i
     (source / "docs").mkdir(parents=True)
     (source / "docs" / "README.md").write_text("")
     (source / "docs" / "site.css").write_text("")
+    (source / "docs" / "iframe-worker.js").write_text("")
     text = "| a | b |\n| --- | --- |\n| `-o text\\|json` | one \\| two |\n\n`grep 'a\\|b'`\n"
     (source / "README.md").write_text(text)
     pages.lay_out(source, tmp_path / "pages")
