@@ -73,6 +73,21 @@ def test_a_robot_is_explained_by_what_is_around_it(
     assert explain.main(["robot-17-navigation"]) == 1
 
 
+def test_right_after_a_failover_it_goes_by_the_pods_that_there_are_not_by_what_was_said_of_them(
+    stand: Stand, capsys: pytest.CaptureFixture[str], in_the_present: None
+) -> None:
+    # Its standby is in control now, and nobody has said yet that there is no other.
+    item = fleet.well()
+    said = {one["type"]: one["status"] for one in item["status"]["conditions"]}
+    assert said["Protected"] == "True"
+    found = [one for one in fleet.around(item) if one["metadata"]["name"] != "robot-17-navigation-w7h5k"]
+    stand.tell(found)
+    assert explain.main(["robot-17-navigation"]) == 1
+    assert "✗ 1. Fallback from pool navigation-hot" in capsys.readouterr().out
+    stand.tell(fleet.around(item))
+    assert explain.main(["robot-17-navigation"]) == 0
+
+
 @pytest.mark.parametrize(("output", "read"), [("json", json.loads), ("yaml", yaml.safe_load)])
 def test_what_is_explained_for_scripts(
     stand: Stand, capsys: pytest.CaptureFixture[str], in_the_present: None, output: str, read: Callable[[str], Any]
