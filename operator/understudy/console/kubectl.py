@@ -9,6 +9,7 @@ import re
 import select
 import shutil
 import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
@@ -19,7 +20,16 @@ from understudy.console.watching import Watch, waiting
 TIMEOUT = 15.0
 """Seconds that the API server has to answer, and a forwarding to begin."""
 
+PATIENCE = 1.0
+"""Seconds that kubectl goes on for before what it has said is shown: a plugin may have told a code to log in by, or asked for something."""
+
 WORKLOADS = "robotworkloads.understudy.dev"
+
+_CREDENTIALS = "getting credentials: "
+"""Part of what kubectl says where the kubeconfig's plugin gave none: one that asks for something has to have a terminal."""
+
+_LOG = re.compile(rb"[IWEF]\d{4} ")
+"""How lines of kubectl's log begin: each is followed by what is meant for people."""
 
 _WAYS_OUT = {
     "connection to the server localhost:8080 was refused": "no kubeconfig was found, so kubectl asked there; name yours by --kubeconfig or "
@@ -29,6 +39,7 @@ _WAYS_OUT = {
     "context was not found": "kubectl config get-contexts lists those that there are",
     'context "': "kubectl config get-contexts lists those that there are",
     "have a resource type": "the definitions of Understudy aren't in this cluster; install the chart, or name another cluster by --context",
+    _CREDENTIALS: "log in as the kubeconfig's plugin has it, such as by kubectl get pods in a terminal, where it can ask",
     "Unauthorized": "the cluster doesn't know who you are; log in anew, or name another user's --context or --kubeconfig",
 }
 """What to do about what kubectl says that names nothing to do, by a part of it."""
@@ -95,6 +106,8 @@ class Kubectl:
         where = {"namespace": given.namespace, "context": given.context, "kubeconfig": given.kubeconfig}
         self._options = [f"--{key}={value}" for key, value in where.items() if value]
         self._given: str | None = given.namespace
+        self._stdin: int | None = subprocess.DEVNULL
+        """Nothing that it could read: of what kubectl itself asks for, such as a user's name, nobody would see the question."""
 
     @property
     def namespace(self) -> str:
@@ -133,7 +146,9 @@ class Kubectl:
         """Run a program in a container; what it wrote. Raises Unusable with what it, or kubectl, said."""
         command = self.command("exec", pod, "-c", container, "--", *program)
         try:
-            done = subprocess.run(command, capture_output=True, text=True, timeout=2 * TIMEOUT, check=False)
+            done = subprocess.run(
+                command, stdin=self._stdin, capture_output=True, text=True, timeout=2 * TIMEOUT, check=False
+            )
         except subprocess.TimeoutExpired as error:
             raise Unusable(f"{program[0]} in pod {pod} had not ended after {error.timeout:g} s") from error
         if done.returncode:
@@ -150,12 +165,14 @@ class Kubectl:
 
     def _run(self, *arguments: str) -> str:
         command = [*self.command(*arguments), f"--request-timeout={TIMEOUT:g}s"]
-        # Without a standard input, since nobody sees what it would ask there: its output is read by this command.
-        done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
-        if done.returncode:
-            refused = Forbidden if "Error from server (Forbidden)" in done.stderr else Unusable
-            raise refused(said(done.stderr) or f"kubectl ended with {done.returncode}")
-        return done.stdout
+        status, output, told = _done(command, self._stdin)
+        if status and _CREDENTIALS in told and self._stdin is not None and _somebody_answers():
+            self._stdin = None
+            status, output, told = _done(command, self._stdin)
+        if status:
+            refused = Forbidden if "Error from server (Forbidden)" in told else Unusable
+            raise refused(said(told) or f"kubectl ended with {status}")
+        return output
 
     @contextlib.contextmanager
     def changes(self, kind: str, *arguments: str, also: Sequence[str] = ()) -> Iterator[Callable[[float], bool]]:
@@ -178,11 +195,43 @@ class Kubectl:
     def forwarded(self, pod: str, port: int) -> Iterator[int]:
         """A port on this machine that leads to one of a pod, while the context lasts. Raises Unusable."""
         command = self.command("port-forward", f"pod/{pod}", f":{port}", "--address=127.0.0.1")
-        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
+        with subprocess.Popen(
+            command, stdin=self._stdin, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        ) as running:
             try:
                 yield _port(running)
             finally:
                 running.terminate()
+
+
+def _somebody_answers() -> bool:
+    """Whether there is somebody who could be asked: not where a shell wants to know how a line may go on."""
+    return sys.stdin.isatty() and not completing.is_asked()
+
+
+def _done(command: Sequence[str], stdin: int | None) -> tuple[int, str, str]:
+    """The exit status of a command, what it wrote, and what it said. What it said a while ago and goes on after is shown meanwhile."""
+    shown = heard = 0
+    with subprocess.Popen(command, stdin=stdin, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as running:
+        try:
+            while True:
+                try:
+                    output, told = running.communicate(timeout=PATIENCE)
+                except subprocess.TimeoutExpired as waiting:
+                    told = waiting.stderr or b""
+                    _show(told[shown:heard])
+                    shown, heard = heard, len(told)
+                else:
+                    return running.returncode, output.decode(), told.decode(errors="replace")
+        except BaseException:
+            running.kill()
+            raise
+
+
+def _show(told: bytes) -> None:
+    """Pass on what isn't of a log; a question has no end of line."""
+    words = b"".join(line for line in told.splitlines(keepends=True) if not _LOG.match(line))
+    print(words.decode(errors="replace"), end="", file=sys.stderr, flush=True)
 
 
 def said(text: str) -> str:
