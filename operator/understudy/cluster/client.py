@@ -33,6 +33,7 @@ LIFETIME = (200, 300)
 """Seconds after which a watch ends and begins anew; a connection that nobody tells of its end is noticed then."""
 
 _TOKEN_LIFETIME = 60.0  # seconds between reads; the kubelet renews the file long before the token ends
+_WEBHOOK = re.compile(r'failed calling webhook "([^"]+)"')
 
 
 class ApiError(Exception):
@@ -66,6 +67,15 @@ class ApiError(Exception):
         The API server says 500 to that (kubernetes/kubernetes#122480), and will say so for ever.
         """
         return self.status == 500 and self.message.startswith("failed to create typed patch object")
+
+    @property
+    def webhook(self) -> str:
+        """The admission webhook that had to be asked and didn't answer; empty where it isn't that.
+
+        The API server says 500 to that where the webhook's failurePolicy is Fail, until it answers again.
+        """
+        found = _WEBHOOK.search(self.message) if self.status >= 500 else None
+        return found[1] if found else ""
 
 
 class Expired(Exception):

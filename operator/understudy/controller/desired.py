@@ -49,6 +49,10 @@ class Delete:
 Write = Apply | Create | Patch | Delete
 
 
+UNANSWERED = "WebhookUnavailable"
+"""Reason of a Problem that says nothing of the object: whoever is to judge what is written doesn't answer."""
+
+
 @dataclass(frozen=True)
 class Problem:
     """Something that keeps an object from being accepted or built."""

@@ -11,7 +11,7 @@ from understudy.api.conditions import Condition, condition
 from understudy.api.pools import FallbackPoolSpec
 from understudy.cluster.client import Object
 from understudy.controller import fleets, instances, nodes, objects, policies, pools, poolsizes, selectors
-from understudy.controller.desired import Problem
+from understudy.controller.desired import UNANSWERED, Problem
 from understudy.controller.poolsizes import Sized
 from understudy.controller.troubles import trouble
 
@@ -60,7 +60,8 @@ def status(observed: pools.Observed, understanding: pools.Understanding, problem
     """The pool's status, but for the times of its conditions."""
     pool, spec = observed.pool, understanding.spec
     generation = objects.generation(pool)
-    found = understanding.problem or (problems[0] if problems else None)
+    # That a webhook doesn't answer says nothing of the pool.
+    found = understanding.problem or next((one for one in problems if one.reason != UNANSWERED), None)
     if found is not None:
         accepted = condition("Accepted", False, found.reason, found.message, generation=generation)
     else:

@@ -43,7 +43,7 @@ from understudy.controller import (
     workloads,
 )
 from understudy.controller.affected import Key
-from understudy.controller.desired import Images
+from understudy.controller.desired import UNANSWERED, Images, Problem
 from understudy.controller.executing import MANAGER, Executor
 from understudy.controller.judging import FORGET_REFUSAL, Judge
 from understudy.controller.observed import Observed
@@ -149,6 +149,15 @@ class Reconciler:
             return None
         observed = await self._observer.workload(item)
         understanding = understand(observed, self._images)
+        try:
+            return await self._build(key, observed, understanding)
+        except ApiError as error:
+            if (problem := _unanswered(error)) is not None:
+                resized = resizing.judged(observed, resizing.outcomes(observed, understanding))
+                await self._tell(WORKLOADS, item, statuses.status(observed, understanding, [problem], resized))
+            raise
+
+    async def _build(self, key: Key, observed: Observed, understanding: Understanding) -> float | None:
         again = None
         if (pod := probe_template(observed, understanding)) is not None:
             path = "spec.template" if observed.reference is None else "the referred controller's spec.template"
@@ -182,7 +191,15 @@ class Reconciler:
     async def _pool(self, key: Key, item: Object) -> float | None:
         observed = await self._observer.pool(item)
         understanding = pools.understand(observed, self._images)
-        again = None
+        try:
+            return await self._keep(key, observed, understanding)
+        except ApiError as error:
+            if (problem := _unanswered(error)) is not None:
+                await self._tell(POOLS, item, poolstatuses.status(observed, understanding, [problem]))
+            raise
+
+    async def _keep(self, key: Key, observed: pools.Observed, understanding: pools.Understanding) -> float | None:
+        item, again = observed.pool, None
         if understanding.built is not None:
             trial = instances.trial(understanding.built, "FallbackPool", item)
             refusal = await self._judge.judge(trial, "the pool's template")
@@ -305,6 +322,17 @@ class Reconciler:
                 await self._recorder.warning(item, reason, f"{found['type']}: {found['message']}")
             else:
                 await self._recorder.normal(item, reason, found["message"])
+
+
+def _unanswered(error: ApiError) -> Problem | None:
+    """What is told where the API server asks an admission webhook that doesn't answer: in the same words each time that it's tried."""
+    if not error.webhook:
+        return None
+    return Problem(
+        UNANSWERED,
+        f'The admission webhook "{error.webhook}" doesn\'t answer, and without it the API server takes nothing that it is to judge '
+        "(failurePolicy Fail). It is tried again until it does. Look after the webhook, or except this namespace from it",
+    )
 
 
 def _says(item: Object, status: Object) -> bool:

@@ -1,0 +1,89 @@
+"""An admission webhook of somebody that doesn't answer and has to be asked: it is told, and tried again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from tests.unit.cluster.memory import MemoryClient
+from tests.unit.controller import world
+from understudy.cluster.client import POLICIES, POOLS, WORKLOADS, ApiError, Object
+from understudy.cluster.events import Recorder
+from understudy.controller.affected import Key
+from understudy.controller.executing import Executor
+from understudy.controller.expectations import Expectations
+from understudy.controller.observing import Observer
+from understudy.controller.reconciling import Reconciler
+from understudy.controller.rollouts import Rollouts
+from understudy.controller.stores import Store
+
+WEBHOOK = "validate.policies.example"
+CAUSES = (
+    'Post "https://policies.example.svc:443/?timeout=10s": dial tcp 10.96.0.7:443: connect: connection refused',
+    'Post "https://policies.example.svc:443/?timeout=10s": context deadline exceeded',
+)
+
+
+class Guarded(MemoryClient):
+    """An API server that asks a webhook about all that is written but a status."""
+
+    def __init__(self, *stored: Object) -> None:
+        super().__init__()
+        self.stored = stored
+        self.told: list[Object] = []
+        self.words = self._words()
+
+    def _words(self) -> Iterator[str]:
+        while True:
+            for cause in CAUSES:
+                yield f'Internal error occurred: failed calling webhook "{WEBHOOK}": failed to call webhook: {cause}'
+
+    def refuse(self, *_: Any) -> ApiError:
+        return ApiError(500, "InternalError", next(self.words))
+
+    async def request(self, method: str, path: str, *, body: Any = None, **_: Any) -> Any:
+        if not path.endswith("/status"):
+            raise self.refuse()
+        self.told.append(body)
+        item = next(item for item in self.stored if item["metadata"]["name"] == body["metadata"]["name"])
+        metadata = {**item["metadata"], "resourceVersion": str(1000 + len(self.told))}
+        return {**item, "metadata": metadata, "status": body["status"]}
+
+
+class Heard(Recorder):
+    def __init__(self) -> None:
+        self.warnings: list[tuple[str, str]] = []
+
+    async def normal(self, item: Object, reason: str, message: str) -> None:
+        return
+
+    async def warning(self, item: Object, reason: str, message: str) -> None:
+        self.warnings.append((reason, message))
+
+
+@pytest.mark.parametrize("plural", ["robotworkloads", "fallbackpools"])
+@pytest.mark.parametrize("refused", ["all", "what is only tried"])
+async def test_a_webhook_that_does_not_answer_is_told_once_and_tried_again(plural: str, refused: str) -> None:
+    item, pool = world.workload(), world.spare()
+    client, store, heard = Guarded(item, pool), Store(), Heard()
+    if refused == "what is only tried":
+        client.failing = lambda method, _: client.refuse() if method == "POST" else None
+    for resource, found in ((WORKLOADS, item), (POLICIES, world.policy("spare")), (POOLS, pool)):
+        store.put(resource, found)
+    expectations = Expectations()
+    reconciler = Reconciler(
+        client, store, Observer(client, store, expectations), Executor(client, store, expectations, may_write=lambda: True),
+        heard, world.IMAGES, Rollouts(store),
+    )  # fmt: skip
+    key = Key(plural, item["metadata"]["namespace"], "w" if plural == "robotworkloads" else "spare")
+    for _ in range(3):
+        with pytest.raises(ApiError, match="failed calling webhook"):  # by which it is tried again, later each time
+            await reconciler.reconcile(key)
+    assert len(client.told) == 1, "what it fails by differs, and isn't news"
+    conditions = {one["type"]: one for one in client.told[0]["status"]["conditions"]}
+    assert (conditions["Reconciled"]["status"], conditions["Reconciled"]["reason"]) == ("False", "WebhookUnavailable")
+    assert f'"{WEBHOOK}" doesn\'t answer' in conditions["Reconciled"]["message"]
+    assert conditions["Accepted"]["status"] == "True", "that says nothing of its spec"
+    assert [reason for reason, _ in heard.warnings].count("WebhookUnavailable") == 1
