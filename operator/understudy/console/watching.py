@@ -25,7 +25,9 @@ class Watch:
     def begin(self) -> None:
         """Have it run."""
         self._begun = time.monotonic()
-        self._running = subprocess.Popen(self._command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+        self._running = subprocess.Popen(
+            self._command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+        )
 
     def begin_in_time(self) -> None:
         """The same where it has ended, but not sooner than PAUSE after it was begun last."""
