@@ -116,11 +116,12 @@ def _meant(found: str) -> str:
 
 
 def _complete() -> int:
-    """Answer a shell that asks how the line may go on. Verbs that work on files leave it to the shell."""
+    """Answer a shell that asks how the line may go on."""
     completing = importlib.import_module("understudy.console.completing")
-    found = PARTS.get(completing.verb([part for part in PARTS if part not in _IN_PODS]) or "", "")
-    if found.startswith("understudy.console."):
-        importlib.import_module(found).main([])
+    typed = [part for part in PARTS if part not in _IN_PODS]
+    found = completing.verb(typed)
+    if found in typed:
+        completing.answer_by(importlib.import_module(PARTS[found]).main)
     return 1
 
 

@@ -13,14 +13,15 @@ import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, NoReturn
 
 _ASKED = "_ARGCOMPLETE"
 """In the environment when a shell asks: the place of the word at which the command begins."""
 
 KUBECTL_FILES_TOO = ":0"
 KUBECTL_NO_FILES = ":4"
-"""What kubectl wants to read last: whether files may be meant as well."""
+KUBECTL_NO_FILES_AND_NO_SPACE = ":6"
+"""What kubectl wants to read last: whether files may be meant as well, and whether what is completed may go on, as a folder does."""
 
 Completer = Callable[..., Sequence[str]]
 
@@ -68,6 +69,19 @@ def offer(parser: argparse.ArgumentParser, completers: Mapping[str, Completer]) 
     _answer(parser)
 
 
+def answer_by(main: Callable[[list[str]], int]) -> None:
+    """Answer by the parser of a verb, which ends this process. One that asks a cluster offers the names in it (:func:`offer`); of any
+    other the parser is whole, at the latest, when it is asked to parse. Values for which there is no other word are files.
+    """
+
+    def parse(self: argparse.ArgumentParser, *_: Any, **__: Any) -> NoReturn:
+        _answer(self)
+        sys.exit(1)
+
+    argparse.ArgumentParser.parse_args = parse  # type: ignore[method-assign]
+    main([])
+
+
 def _answer(parser: argparse.ArgumentParser) -> None:
     try:
         argcomplete().autocomplete(parser, always_complete_options="long")
@@ -92,5 +106,7 @@ def for_kubectl() -> int:
         subprocess.run([sys.executable, "-m", "understudy"], env={**os.environ, **asked}, check=False)
         found = answer.read_text().split("\n") if answer.exists() else []
     said = [line.strip() for line in found if line.strip()]
-    print("\n".join([*said, KUBECTL_NO_FILES if said else KUBECTL_FILES_TOO]))
+    goes_on = any(word.endswith("/") for word in said)
+    last = KUBECTL_NO_FILES_AND_NO_SPACE if goes_on else KUBECTL_NO_FILES if said else KUBECTL_FILES_TOO
+    print("\n".join([*said, last]))
     return 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import subprocess
 import sys
@@ -9,11 +10,14 @@ from pathlib import Path
 
 import pytest
 
+from scripts.generation import commands
 from tests.unit.console import fleet
 from tests.unit.console.kubectl import Stand
-from understudy.console import completion
+from understudy.console import completing, completion
+from understudy.main import main
 
 REPOSITORY = Path(__file__).parents[3]
+VERBS = commands.parsers()
 
 
 def completed(line: str, folder: Path) -> list[str]:
@@ -32,6 +36,13 @@ def completed(line: str, folder: Path) -> list[str]:
     return answer.read_text().split() if answer.exists() else []
 
 
+def answered_to_kubectl(*words: str) -> list[str]:
+    """What kubectl reads of the program that it asks."""
+    command = [sys.executable, "-c", "from understudy.console.completing import for_kubectl; for_kubectl()"]
+    done = subprocess.run([*command, *words], capture_output=True, text=True, timeout=60, check=True)
+    return done.stdout.splitlines()
+
+
 @pytest.mark.parametrize(
     ("line", "words"),
     [
@@ -43,10 +54,43 @@ def completed(line: str, folder: Path) -> list[str]:
         ("understudy explain robot-1", ["robot-17-navigation", "robot-18-navigation", "robot-19-navigation"]),
         ("understudy status robot-17-navigation robot-18", ["robot-18-navigation"]),
         ("understudy status --context l", ["lab"]),
+        ("understudy report robot-18", ["robot-18-navigation"]),
+        ("understudy recommend --safety H", ["High"]),
+        ("understudy monitor --", []),
     ],
 )
 def test_verbs_options_and_names_are_completed(stand: Stand, tmp_path: Path, line: str, words: list[str]) -> None:
     assert completed(line, tmp_path) == words
+
+
+@pytest.mark.parametrize("verb", sorted(set(VERBS) - {"operator"}))
+def test_every_verb_is_answered_by_its_own_parser(monkeypatch: pytest.MonkeyPatch, verb: str) -> None:
+    answered: list[argparse.ArgumentParser] = []
+
+    def answer(parser: argparse.ArgumentParser) -> None:
+        answered.append(parser)
+        sys.exit()
+
+    monkeypatch.setattr(completing, "_answer", answer)
+    monkeypatch.setattr(argparse.ArgumentParser, "parse_args", argparse.ArgumentParser.parse_args)  # is put back then
+    monkeypatch.setattr(sys, "argv", ["understudy"])
+    monkeypatch.setenv("_ARGCOMPLETE", "1")
+    monkeypatch.setenv("COMP_LINE", line := f"understudy {verb} --")
+    monkeypatch.setenv("COMP_POINT", str(len(line)))
+    with pytest.raises(SystemExit):
+        main()
+    assert [parser._option_string_actions.keys() for parser in answered] == [VERBS[verb]._option_string_actions.keys()]
+
+
+def test_what_a_verb_reads_is_completed_from_the_folder(
+    stand: Stand, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "policies").mkdir()
+    (tmp_path / "policy.yaml").touch()
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(REPOSITORY / "operator"))
+    assert set(completed("understudy check polic", tmp_path)) == {"policies/", "policy.yaml"}
+    assert answered_to_kubectl("simulate", "policy.yaml", "--bag", "polici") == ["policies/", ":6"]
 
 
 def test_names_are_those_of_the_namespace_that_the_line_says(stand: Stand, tmp_path: Path) -> None:
@@ -60,9 +104,8 @@ def test_a_cluster_that_does_not_answer_completes_nothing(stand: Stand, tmp_path
 
 
 def test_kubectl_is_answered_in_its_own_way(stand: Stand) -> None:
-    command = [sys.executable, "-c", "from understudy.console.completing import for_kubectl; for_kubectl()"]
-    done = subprocess.run([*command, "explain", "robot-19"], capture_output=True, text=True, timeout=60, check=True)
-    assert done.stdout.splitlines() == ["robot-19-navigation", ":4"]
+    assert answered_to_kubectl("explain", "robot-19") == ["robot-19-navigation", ":4"]
+    assert answered_to_kubectl("check", "--str") == ["--strict", ":4"]
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
