@@ -30,6 +30,18 @@ class Finding:
     message: str
     """What was found and what would be right."""
 
+    def to_wire(self) -> dict[str, str | int]:
+        """It for programs, as it was found: nothing in it is cut or made fit for a terminal."""
+        return {
+            "file": self.file,
+            "line": self.place.line,
+            "column": self.place.column,
+            "severity": self.severity,
+            "subject": self.subject,
+            "field": self.field,
+            "message": self.message,
+        }
+
     def __str__(self) -> str:
         where = f"{self.file}:{self.place.line}:{self.place.column}"
         message = self.message if len(self.message) <= LONGEST else f"{self.message[:LONGEST]}…"

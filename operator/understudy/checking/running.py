@@ -7,12 +7,15 @@ from __future__ import annotations
 
 import argparse
 import io
+import json
 import os
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+
+import yaml
 
 from understudy.checking import documents, lending, objects, references
 from understudy.checking.documents import Manifest
@@ -49,6 +52,12 @@ class Result:
         others = f" ({_count(self.passed_over, 'object')} of other kinds passed over)" if self.passed_over else ""
         found = f"{_count(self.errors, 'error')}, {_count(self.warnings, 'warning')}"
         return f"{_count(self.checked, 'object')} checked in {_count(self.files, 'file')}{others}: {found}"
+
+    def to_wire(self) -> dict[str, Any]:
+        """All of it, for programs."""
+        counts = {"files": self.files, "checked": self.checked, "passedOver": self.passed_over}
+        found = [finding.to_wire() for finding in self.findings]
+        return {**counts, "errors": self.errors, "warnings": self.warnings, "findings": found}
 
 
 def check(files: Sequence[tuple[str, bytes]]) -> Result:
@@ -121,6 +130,16 @@ def contents(argument: str) -> Iterator[tuple[str, bytes]]:
         raise Unusable(f"{argument}: no *.yaml and no *.yml in this folder{inner}")
 
 
+def _lines(result: Result, form: str) -> Iterator[str]:
+    match form:
+        case "json":
+            yield json.dumps(result.to_wire(), indent=2)
+        case "yaml":
+            yield yaml.safe_dump(result.to_wire(), sort_keys=False).rstrip()
+        case _:
+            yield from map(str, result.findings)
+
+
 def main(arguments: list[str]) -> int:
     """Check what the arguments name; the findings go to standard output, one line each, the totals to standard error."""
     parser = argparse.ArgumentParser(
@@ -133,6 +152,13 @@ def main(arguments: list[str]) -> int:
         "files", nargs="+", metavar="FILE", help="a manifest, a folder (its *.yaml and *.yml), or - for standard input"
     )
     parser.add_argument("--strict", action="store_true", help="exit with 1 for warnings too")
+    parser.add_argument(
+        "-o",
+        "--output",
+        choices=("text", "json", "yaml"),
+        default="text",
+        help="one line for each finding, or everything as JSON or YAML",
+    )
     given = parser.parse_args(arguments)
     try:
         # What is named twice, as by a folder and a pattern, is read once.
@@ -144,8 +170,8 @@ def main(arguments: list[str]) -> int:
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
-        for finding in result.findings:
-            print(finding)
+        for line in _lines(result, given.output):
+            print(line)
         sys.stdout.flush()
     except BrokenPipeError:  # read by something like head, which has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import os
 import sys
@@ -19,6 +18,7 @@ from understudy.choosing import explaining
 from understudy.choosing.figures import Figure, Way
 from understudy.cluster.client import Object
 from understudy.console import kubectl, options, terminal
+from understudy.console.texts import structured
 from understudy.planning import comparing
 from understudy.planning.fitting import fitted
 from understudy.planning.recommendations import recommended
@@ -49,10 +49,10 @@ def main(arguments: list[str]) -> int:
         if given.plot is not None and len(found) > 1:
             names = ", ".join(one.workload.name for one in found)
             raise Unusable(f"--plot: one workload is drawn, and there are {names}: choose one by --workload")
-        if given.output == "json":
-            print(json.dumps([one.data() for one in found], indent=2))
-        else:
+        if given.output == "text":
             print(fitted("\n\n".join(comparing.told(one) for one in found), terminal.columns(sys.stdout)))
+        else:
+            print(structured([one.data() for one in found], given.output))
         if given.plot is not None:
             from understudy.planning import tradeoffs
 
@@ -126,7 +126,7 @@ def _parser() -> argparse.ArgumentParser:
         help="CPU that a waiting instance was measured to use, as a share of a working one's, such as Initialized=0.4",
     )
     parser.add_argument("--plot", metavar="FILE.png", help="draw time against CPU (needs the extra understudy[plots])")
-    parser.add_argument("-o", "--output", choices=("text", "json"), default="text", help="how it is printed")
+    parser.add_argument("-o", "--output", choices=("text", "json", "yaml"), default="text", help="how it is printed")
     parser.add_argument("-n", "--namespace", help="namespace in the cluster of workloads whose files name none")
     parser.add_argument("--context", help="the kubeconfig's context")
     parser.add_argument("--kubeconfig", help="the kubeconfig")

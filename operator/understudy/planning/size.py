@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import sys
 from collections.abc import Callable
 
 from understudy.console import options, terminal
+from understudy.console.texts import structured
 from understudy.planning.fitting import fitted
 from understudy.planning.sizes import Question, sized
 from understudy.planning.telling import told
@@ -43,11 +43,10 @@ def main(arguments: list[str]) -> int:
         if given.plot is not None:
             pictures.usable(given.plot)
         size = sized(question, given.fallbacks, given.risk, given.risk_of or RISK_OF)
-        print(
-            json.dumps(size.data(), indent=2)
-            if given.output == "json"
-            else fitted(told(size), terminal.columns(sys.stdout))
-        )
+        if given.output == "text":
+            print(fitted(told(size), terminal.columns(sys.stdout)))
+        else:
+            print(structured(size.data(), given.output))
         if given.plot is not None:
             from understudy.planning import plots
 
@@ -122,7 +121,7 @@ def _parser() -> argparse.ArgumentParser:
         f"failures than fallbacks fall into the time of a refill, as the paper asks (default: {RISK_OF})",
     )
     parser.add_argument("--plot", metavar="FILE.png", help="draw risk against cost (needs the extra understudy[plots])")
-    parser.add_argument("-o", "--output", choices=("text", "json"), default="text", help="how it is printed")
+    parser.add_argument("-o", "--output", choices=("text", "json", "yaml"), default="text", help="how it is printed")
     return parser
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import argparse
 import io
-import json
 import os
 import sys
 from pathlib import Path
 
+from understudy.console.texts import structured
 from understudy.trying import onsets, pictures, policies
 from understudy.trying.bags import Bag
 from understudy.trying.replaying import replay
@@ -49,7 +49,7 @@ def _simulated(given: argparse.Namespace) -> tuple[str, bool]:
             raise Unusable(f"--onset: {error}") from error
         found = replay(policy.tree(bag.definitions.fields), policy.debounce, bag)
         report = Report(policy, bag, found, times)
-        told = json.dumps(report.data(), indent=2) if given.output == "json" else report.text()
+        told = report.text() if given.output == "text" else structured(report.data(), given.output)
         if given.plot is not None:
             from understudy.trying import plots
 
@@ -84,5 +84,5 @@ def _parser() -> argparse.ArgumentParser:
         "up when the recording began",
     )
     parser.add_argument("--plot", metavar="FILE.png", help="draw it (needs the extra understudy[plots])")
-    parser.add_argument("-o", "--output", choices=("text", "json"), default="text", help="how it is printed")
+    parser.add_argument("-o", "--output", choices=("text", "json", "yaml"), default="text", help="how it is printed")
     return parser

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import io
+import json
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
+import yaml
 
 from tests.unit.checking.given import POLICY, WORKLOAD
 from understudy.checking.running import main
@@ -47,6 +51,29 @@ def test_errors_end_with_1_and_warnings_only_where_it_is_strict(
         "unit; write it with ms, s, m or h, such as 500ms\n"
     )
     assert told.err == "understudy check: 2 objects checked in 2 files: 1 error, 0 warnings\n"
+
+
+@pytest.mark.parametrize(("form", "read"), [("json", json.loads), ("yaml", yaml.safe_load)])
+def test_for_programs_everything_that_was_found_is_told(
+    folder: Path, capsys: pytest.CaptureFixture[str], form: str, read: Callable[[str], Any]
+) -> None:
+    (folder / "fleet" / "policy.yaml").write_text(POLICY.replace("gap: 500ms", "gap: 500"))
+    assert main(["fleet", "-o", form]) == 1
+    told = capsys.readouterr()
+    (finding,) = (found := read(told.out)).pop("findings")
+    assert found == {"files": 2, "checked": 2, "passedOver": 0, "errors": 1, "warnings": 0}
+    assert finding.pop("message").startswith("found 500, which has no unit; write it with ms, s, m or h")
+    assert finding == {
+        "file": "fleet/policy.yaml",
+        "line": 6,
+        "column": 36,
+        "severity": "error",
+        "subject": "FailurePolicy navigation",
+        "field": "spec.monitoring.yaml.topic.gap",
+    }
+    assert told.err.endswith("1 error, 0 warnings\n")
+    assert main(["fleet/workload.yml", "-o", form]) == 0
+    assert [one["severity"] for one in read(capsys.readouterr().out)["findings"]] == ["warning"]
 
 
 def test_standard_input(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -111,6 +111,12 @@ def answered(capsys: pytest.CaptureFixture[str], *arguments: str, status: int = 
     return found
 
 
+def test_as_yaml_it_is_the_same(file: Callable[..., str], capsys: pytest.CaptureFixture[str]) -> None:
+    found = answered(capsys, file())
+    assert main([file(), "-o", "yaml"]) == DONE
+    assert yaml.safe_load(capsys.readouterr().out) == found
+
+
 def order(found: dict[str, Any]) -> list[str]:
     return [one["pool"] or one["strategy"] for one in found["order"]]
 

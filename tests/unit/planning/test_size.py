@@ -3,6 +3,7 @@
 import json
 
 import pytest
+import yaml
 
 from understudy.planning.size import main
 
@@ -56,6 +57,12 @@ def test_waiting_without_end_is_null_in_json_and_said_in_words(capsys):
     assert (found["outcome"]["waiting"], found["outcome"]["wait"]) == (1, None)
     assert "without end" in printed(capsys, "--fallbacks", "1")
     assert json.loads(printed(capsys, "--fallbacks", "0", "-o", "json"))["trial"]["wait"]["mean"] is None
+
+
+def test_as_yaml_it_is_the_same(capsys):
+    for arguments in (["--fallbacks", "1"], ["--risk", "0.01"]):
+        written = yaml.safe_load(printed(capsys, *arguments, "-o", "yaml"))
+        assert written == json.loads(printed(capsys, *arguments, "-o", "json"))
 
 
 def test_a_risk_gives_the_size_by_each_measure(capsys):

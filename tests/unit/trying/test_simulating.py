@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import yaml
 from PIL import Image
 from rosbags.rosbag2 import Writer
 
@@ -77,6 +78,8 @@ def test_for_programs_it_is_json(folder: Path, capsys: pytest.CaptureFixture[str
     assert told["onsets"] == [{"at": 2.95, "delay": 0.45}]
     (leaf,) = told["leaves"]
     assert [state["state"] for state in leaf["states"]] == ["Healthy", "Failed", "Healthy"]
+    assert main(["policy.yaml", "--bag", "bag", "-o", "yaml", "--onset", "2.95"]) == 1
+    assert yaml.safe_load(capsys.readouterr().out) == told
 
 
 @pytest.mark.parametrize(
