@@ -53,6 +53,13 @@ def test_an_alert_says_how_grave_it_is_and_where_to_look(alert: Object) -> None:
     assert alert["alert"] in (CHART.parents[1] / "docs" / "metrics.md").read_text()
 
 
+@pytest.mark.parametrize("alert", alerts(), ids=lambda alert: alert["alert"])
+def test_each_alert_is_seen_to_fire_by_promtool(alert: Object) -> None:
+    suite = yaml.safe_load((CHART.parents[1] / "tests" / "e2e" / "prometheus" / "alerts_test.yaml").read_text())
+    expected = [case for test in suite["tests"] for case in test["alert_rule_test"]]
+    assert [case for case in expected if case["alertname"] == alert["alert"] and case["exp_alerts"]]
+
+
 def test_a_gate_of_which_nothing_can_be_known_is_no_alert() -> None:
     active, held = Instance(name="w-1", uid="1", running=True), Instance(name="w-2", uid="2", running=True)
     last = {"1": 99.0}
