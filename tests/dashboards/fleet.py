@@ -205,6 +205,30 @@ class Operator:
             ):
                 yield _condition(labels, condition, None, reason)
         yield from self._pools(mine, now)
+        yield from self._itself(f'{mine},namespace="understudy-system"', now)
+
+    def _itself(self, mine: str, now: float) -> Iterator[str]:
+        """Its work: little at rest, and more for a while after the node was lost."""
+        since = now - self.end - NODE_LOST
+        busy = math.exp(-since / 40) if since >= 0 else 0.0
+        done = 0.9 * (now - self.end + LENGTH) + (400 * (1 - busy) if since >= 0 else 0.0)
+        yield f"understudy_queue_length{{{mine}}} {9 * busy:.0f}"
+        for result, share in (("ok", 1.0), ("stale", 0.04)):
+            yield f'understudy_reconciliations_total{{{mine},kind="robotworkloads",result="{result}"}} {share * done:.0f}'
+        for state in ("waiting", "under_way"):
+            yield f'understudy_monitor_rollouts{{{mine},state="{state}"}} 0'
+        for method, code, share in (
+            ("GET", "200", 0.7),
+            ("PATCH", "200", 0.25),
+            ("POST", "201", 0.05),
+            ("PATCH", "409", 0.004),
+        ):
+            told = f'{mine},method="{method}",resource="pods",code="{code}"'
+            yield f"understudy_api_requests_total{{{told}}} {share * done:.0f}"
+        yield f"understudy_last_resync_timestamp_seconds{{{mine}}} {now - now % 31:.3f}"
+        for place, resource in enumerate(("pods", "networkpolicies", "deployments")):
+            heard = now - (now + 21 * place) % 60
+            yield f'understudy_watch_last_event_timestamp_seconds{{{mine},resource="{resource}"}} {heard:.3f}'
 
     def _pools(self, mine: str, now: float) -> Iterator[str]:
         lost, dry = self.end + NODE_LOST, Spell(self.end + NODE_LOST, self.end + NODE_LOST + DRY)
