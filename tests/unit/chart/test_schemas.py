@@ -17,11 +17,11 @@ import pytest
 
 from tests.conftest import program, unavailable
 from tests.support import schemas
+from tests.support.pages import PAGES
 from tests.unit.chart.conftest import CHART, Run
 
 REPOSITORY = CHART.parents[1]
 EXAMPLES = sorted((REPOSITORY / "examples").rglob("*.yaml"))
-PAGES = [REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").rglob("*.md"))]
 
 ALL_THAT_CAN_BE_SAID = (
     "admission.enabled=false",

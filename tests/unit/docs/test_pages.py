@@ -10,19 +10,14 @@ import pytest
 import yaml
 
 from tests.support.manifests import MODELS, WITH_A_LEAF_OF_ITS_OWN, covers
+from tests.support.pages import PAGES, page_name, typed
 from understudy.api.crds import root
 from understudy.api.kinds import KINDS
 from understudy.api.policies import FailurePolicySpec
 from understudy.trees.forms import load_monitoring
 from understudy.trees.texts import load_text
 
-REPOSITORY = Path(__file__).parents[3]
-PAGES = [REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").rglob("*.md"))]
 FENCE = re.compile(r"```yaml\n(.*?)```", re.DOTALL)
-
-
-def name(page: Path) -> str:
-    return str(page.relative_to(REPOSITORY))
 
 
 def manifests() -> list[Any]:
@@ -36,14 +31,14 @@ def manifests() -> list[Any]:
             items = list(yaml.safe_load_all(text))
             lent = {item["metadata"]["name"]: item["data"] for item in items if item["kind"] == "ConfigMap"}
             found += [
-                pytest.param(item, lent, id=f"{name(page)}-{item['metadata']['name']}")
+                pytest.param(item, lent, id=f"{page_name(page)}-{item['metadata']['name']}")
                 for item in items
                 if item["kind"] in MODELS
             ]
     return found
 
 
-@pytest.mark.parametrize("page", PAGES, ids=name)
+@pytest.mark.parametrize("page", PAGES, ids=page_name)
 def test_links_lead_somewhere(page: Path) -> None:
     for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text()):
         path = target.partition("#")[0]
@@ -51,7 +46,7 @@ def test_links_lead_somewhere(page: Path) -> None:
             assert (page.parent / path).exists(), target
 
 
-@pytest.mark.parametrize("page", PAGES, ids=name)
+@pytest.mark.parametrize("page", PAGES, ids=page_name)
 def test_yaml_in_pages_is_yaml(page: Path) -> None:
     for text in FENCE.findall(page.read_text()):
         list(yaml.safe_load_all(text))
@@ -78,13 +73,10 @@ def paths() -> list[Any]:
     """Where commands in pages look in a RobotWorkload."""
     found = []
     for page in PAGES:
-        for text in re.findall(r"```(?:sh|console)\n(.*?)```", page.read_text(), re.DOTALL):
-            for line in text.splitlines():
-                if re.search(r"\b(rw|robotworkloads?)\b", line) and "jsonpath" in line:
-                    found += [
-                        pytest.param(path, id=f"{name(page)}-{path}")
-                        for path in re.findall(r"\{\.((?:spec|status)\.[^}]*)\}", line)
-                    ]
+        for line in typed(page):
+            if re.search(r"\b(rw|robotworkloads?)\b", line):
+                there = re.findall(r"\{\.((?:spec|status)\.[^}]*)\}|:\.(status\.[^,\s]*)", line)
+                found += [pytest.param(path, id=f"{page_name(page)}-{path}") for path in map("".join, there)]
     return found
 
 

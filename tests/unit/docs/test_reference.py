@@ -13,6 +13,7 @@ import pytest
 import yaml
 
 from scripts.generation import commands, leaves, metrics, scenarios
+from tests.support.pages import PAGES, page_name, typed
 from understudy.main import PARTS
 from understudy.trees import vocabulary
 from understudy.trees.btcpp.library import NODES
@@ -23,7 +24,6 @@ from understudy.trees.loading import TOPIC_KEYS
 REPOSITORY = Path(__file__).parents[3]
 PACKAGE = REPOSITORY / "operator" / "understudy"
 TREES, PROCEDURES = ((REPOSITORY / "docs" / name).read_text() for name in ("trees.md", "procedures.md"))
-PAGES = [REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").rglob("*.md"))]
 VERBS = commands.parsers()
 
 
@@ -130,7 +130,7 @@ def test_the_page_is_the_same_for_whoever_writes_it(monkeypatch: pytest.MonkeyPa
     assert commands.page() == before
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(REPOSITORY)))
+@pytest.mark.parametrize("page", PAGES, ids=page_name)
 def test_verbs_and_options_that_a_page_names_are_there(page: Path) -> None:
     for verb, more in re.findall(r"`(?:kubectl )?understudy ([a-z][a-z-]*)([^`\n]*)`", page.read_text()):
         assert verb in PARTS
@@ -138,24 +138,20 @@ def test_verbs_and_options_that_a_page_names_are_there(page: Path) -> None:
         assert set(re.findall(r"(?<!\S)--?[a-z][a-z-]*", more)) <= known
 
 
-def typed() -> Iterator[Any]:
+def ours() -> Iterator[Any]:
     """Every command of ours that a page shows to be typed."""
     for page in PAGES:
-        for kind, text in re.findall(r"^ *```(sh|console)\n(.*?)```", page.read_text(), re.DOTALL | re.MULTILINE):
-            for line in text.replace("\\\n", " ").splitlines():
-                line = line.strip()
-                if kind == "console" and not line.startswith("$ "):
-                    continue
-                line = re.sub(r'"?\$\((.*?)\)"?', r"\1", line.removeprefix("$ "))
-                found = re.search(r"(?:^|\| ?|eval |kubectl )understudy ([a-z].*)", line)
-                if found is not None:
-                    yield pytest.param(found[1], id=f"{page.relative_to(REPOSITORY)}-{found[1][:40]}")
+        for line in typed(page):
+            line = re.sub(r'"?\$\((.*?)\)"?', r"\1", line)
+            found = re.search(r"(?:^|\| ?|eval |kubectl )understudy ([a-z].*)", line)
+            if found is not None:
+                yield pytest.param(found[1], id=f"{page_name(page)}-{found[1][:40]}")
 
 
-@pytest.mark.parametrize("line", list(typed()))
+@pytest.mark.parametrize("line", list(ours()))
 def test_what_a_page_says_to_type_is_understood(line: str, capsys: pytest.CaptureFixture[str]) -> None:
     words = shlex.split(line, comments=True)
-    ends = [words.index(end) for end in ("|", ">", "&&") if end in words]
+    ends = [words.index(end) for end in ("|", ">", "&&", "&") if end in words]
     verb, *arguments = words[: min(ends, default=len(words))]
     parser: argparse.ArgumentParser = VERBS[verb]
     try:

@@ -1,0 +1,85 @@
+"""What pages tell to type of Helm, Docker and our own scripts: values that the chart has, the present version, files that are there."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import subprocess
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+import yaml
+
+from tests.support.pages import PAGES, REPOSITORY, page_name, typed
+from understudy import __version__
+
+ALONE, WITH_ONE = {"--install", "--create-namespace", "--wait", "--reuse-values"}, {"--namespace", "--timeout"}
+"""Options of installing that rendering has no use for, without a value and with one."""
+
+
+def helms() -> Iterator[Any]:
+    """Each command that installs or upgrades the chart."""
+    for page in PAGES:
+        for line in typed(page):
+            if re.match(r"helm (install|upgrade) ", line):
+                yield pytest.param(line, id=f"{page_name(page)}-{line[:30]}")
+
+
+def rendering(line: str) -> list[str]:
+    """The arguments by which ``helm template`` renders what a command installs."""
+    words = iter(shlex.split(line.replace("$REGISTRY", "registry.example"), comments=True)[2:])
+    kept = []
+    for word in words:
+        if word in WITH_ONE:
+            next(words)
+        elif word not in ALONE:
+            kept.append(word)
+    return kept
+
+
+@pytest.mark.parametrize("line", list(helms()))
+def test_what_is_installed_has_the_values_that_are_said(helm: str, line: str) -> None:
+    arguments = rendering(line)
+    command = [helm, "template", *arguments, "--kube-version", "1.34"]
+    done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    objects = [item for item in yaml.safe_load_all(done.stdout) if item]
+    (operator,) = (item for item in objects if item["kind"] == "Deployment")
+    (container,) = operator["spec"]["template"]["spec"]["containers"]
+    set_to = dict(word.split("=", 1) for word in ",".join(arguments).split(",") if word.startswith("images."))
+    if repository := set_to.get("images.operator.repository"):
+        assert container["image"].startswith(f"{repository}:")
+
+
+def test_there_are_such_commands() -> None:
+    assert len(list(helms())) >= 6
+
+
+def test_a_value_that_there_is_not_is_refused(helm: str) -> None:
+    line = "helm install understudy charts/understudy --set monitors.rollout=10"
+    done = subprocess.run(
+        [helm, "template", *rendering(line)], cwd=REPOSITORY, capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode != 0
+    assert "'rollout' not allowed" in done.stderr
+
+
+@pytest.mark.parametrize("page", PAGES, ids=page_name)
+def test_images_are_of_this_version(page: Any) -> None:
+    tags = re.findall(r"understudy[-/](?:operator|monitor|\$\w+):(\d[\w.]*)", page.read_text())
+    assert set(tags) <= {__version__}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=page_name)
+def test_scripts_and_files_that_are_named_are_there(page: Any) -> None:
+    for line in typed(page):
+        words = shlex.split(line.partition("<<")[0], comments=True) if line.count("'") % 2 == 0 else line.split()
+        if not words:
+            continue
+        if words[0].startswith("scripts/"):
+            assert (REPOSITORY / words[0]).is_file(), line
+            assert words[0] != "scripts/bench" or (REPOSITORY / "bench" / f"{words[1]}.py").is_file(), line
+        for word in words:
+            if word.startswith(("examples/", "charts/")):
+                assert (REPOSITORY / word).exists(), line
