@@ -22,6 +22,9 @@ DONE, CANT = 0, 2
 _SUREST = 0.999999
 """The greatest risk that a size is found for."""
 
+_LEAST, _GREATEST = 1e-9, 1e9
+"""Between which rates and times lie that mean anything; beyond, numbers end."""
+
 RISK_OF = "loss"
 """What a risk is of where --risk-of isn't given."""
 
@@ -77,7 +80,7 @@ def _parser() -> argparse.ArgumentParser:
         "--recovery-seconds",
         "--recovery",
         dest="recovery",
-        type=options.duration,
+        type=_duration,
         required=True,
         metavar="DURATION",
         help="down-time of a robot that finds a fallback, such as 6s",
@@ -86,7 +89,7 @@ def _parser() -> argparse.ArgumentParser:
         "--refill-seconds",
         "--refill",
         dest="refill",
-        type=options.duration,
+        type=_duration,
         metavar="DURATION",
         help="from a failure until another fallback is ready (default: as long as the recovery, as in the paper)",
     )
@@ -94,7 +97,7 @@ def _parser() -> argparse.ArgumentParser:
         "--restart-seconds",
         "--restart",
         dest="restart",
-        type=options.duration,
+        type=_duration,
         metavar="DURATION",
         help="down-time of a robot that is restarted instead (default: twice the recovery, as in the paper)",
     )
@@ -139,7 +142,11 @@ def _count(least: int, most: int) -> Callable[[str], int]:
 
 
 def _rate(text: str) -> float:
-    return _figure(text, _number(text), "failures per hour, above 0, such as 0.2")
+    return _bounded(text, _number(text), "failures per hour, above 0, such as 0.2")
+
+
+def _duration(text: str) -> float:
+    return _bounded(text, options.duration(text), "a duration, such as 500ms or 6s")
 
 
 def _risk(text: str) -> float:
@@ -160,6 +167,11 @@ def _number(text: str) -> float:
         return float(text)
     except ValueError:
         return math.nan
+
+
+def _bounded(text: str, value: float, right: str) -> float:
+    right += f", from {_LEAST:g} to {_GREATEST:g}" if value > 0 else ""
+    return _figure(text, value if value >= _LEAST else math.nan, right, most=_GREATEST)
 
 
 def _figure(text: str, value: float, right: str, *, most: float = math.inf, zero: bool = False) -> float:

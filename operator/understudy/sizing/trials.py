@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import heapq
 import math
+from bisect import bisect_left
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import groupby, pairwise
 from random import Random
 
 from understudy.sizing.demands import Demand
@@ -49,11 +50,17 @@ def tried(demand: Demand, fallbacks: int, interval: float, *, failures: int = 20
     waited = waits(times, fallbacks, lambda: demand.refill)
     return Trials(
         failures=failures,
-        window=_estimate([float(count > fallbacks) for count in _counts(times, demand.refill)]),
+        window=_share(
+            [index for index, found in _spells(times, demand.refill) if len(found) > fallbacks],
+            _whole(times, demand.refill),
+        ),
         loss=_estimate(lost(times, fallbacks, lambda: demand.refill)),
         waiting=_estimate([float(wait > 0) for wait in waited]),
         wait=_estimate(waited),
-        interval=_estimate(list(_crowded(times, interval, demand.refill, fallbacks))),
+        interval=_share(
+            [index for index, found in _spells(times, interval) if _is_crowded(found, demand.refill, fallbacks)],
+            _whole(times, interval),
+        ),
     )
 
 
@@ -91,25 +98,33 @@ def _arrivals(rate: float, failures: int, draw: Random) -> Iterator[float]:
         yield now
 
 
-def _counts(times: Sequence[float], window: float) -> list[int]:
-    """Failures in each of the windows that the time is divided into."""
-    counts = [0] * max(1, int(times[-1] / window))
-    for time in times:
-        if (index := int(time / window)) < len(counts):
-            counts[index] += 1
-    return counts
+def _whole(times: Sequence[float], length: float) -> int:
+    """Spells of a length that the time up to the last failure holds, at least one."""
+    return max(1, int(times[-1] / length))
 
 
-def _crowded(times: Sequence[float], interval: float, window: float, fallbacks: int) -> Iterator[float]:
-    """For each interval, 1 where any window in it has more failures than there are fallbacks."""
-    begin = 0
-    for number in range(max(1, int(times[-1] / interval))):
-        end = begin
-        while end < len(times) and times[end] < (number + 1) * interval:
-            end += 1
-        inner = times[begin:end]
-        yield float(any(later - one < window for one, later in zip(inner, inner[fallbacks:], strict=False)))
-        begin = end
+def _spells(times: Sequence[float], length: float) -> Iterator[tuple[int, Sequence[float]]]:
+    """The failures in each of the whole spells with any, by its number. Where failures are rare or spells short, nearly all have none."""
+    number = _whole(times, length)
+    for index, found in groupby(times, lambda time: int(time / length)):
+        if index < number:
+            yield index, list(found)
+
+
+def _is_crowded(failures: Sequence[float], window: float, fallbacks: int) -> bool:
+    """Whether any window among these has more of them than there are fallbacks."""
+    return any(later - one < window for one, later in zip(failures, failures[fallbacks:], strict=False))
+
+
+def _share(found: Sequence[int], number: int) -> Estimate:
+    """How many of so many spells are those of these numbers (in order), which are all that needs to be known: see :func:`_estimate`."""
+    size = number / BATCHES
+    if size < 1:
+        return Estimate(len(found) / number, math.inf)
+    edges = [round(place * size) for place in range(BATCHES + 1)]
+    counts = [bisect_left(found, later) - bisect_left(found, one) for one, later in pairwise(edges)]
+    means = [count / (later - one) for count, (one, later) in zip(counts, pairwise(edges), strict=True)]
+    return Estimate(len(found) / number, _within(means, len(found) / number))
 
 
 def _estimate(values: Sequence[float]) -> Estimate:
@@ -122,5 +137,10 @@ def _estimate(values: Sequence[float]) -> Estimate:
         return Estimate(mean, math.inf)
     edges = [round(number * size) for number in range(BATCHES + 1)]
     means = [math.fsum(values[one:later]) / (later - one) for one, later in pairwise(edges)]
+    return Estimate(mean, _within(means, mean))
+
+
+def _within(means: Sequence[float], mean: float) -> float:
+    """Half the width of the interval of confidence, by the means of the batches and that of all."""
     spread = math.sqrt(sum((each - mean) ** 2 for each in means) / (BATCHES - 1))
-    return Estimate(mean, _SURE * spread / math.sqrt(BATCHES))
+    return _SURE * spread / math.sqrt(BATCHES)

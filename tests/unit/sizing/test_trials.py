@@ -1,12 +1,13 @@
 """The trial agrees with the formulas where both hold, and with what can be counted by hand."""
 
+import tracemalloc
 from random import Random
 
 import pytest
 
 from understudy.sizing import risks
 from understudy.sizing.demands import Demand
-from understudy.sizing.trials import _arrivals, _estimate, lost, tried, waits
+from understudy.sizing.trials import _arrivals, _estimate, _share, lost, tried, waits
 
 FLEET = Demand(1000, 1.0, 6.0)
 
@@ -55,3 +56,22 @@ def test_an_interval_is_crowded_at_least_as_often_as_one_of_its_windows():
 
 def test_the_same_trial_comes_to_the_same():
     assert tried(FLEET, 4, 30.0, failures=2_000) == tried(FLEET, 4, 30.0, failures=2_000)
+
+
+@pytest.mark.parametrize("number", [1, 19, 20, 21, 997])
+def test_a_share_of_spells_is_what_it_is_with_each_of_them_written_down(number):
+    found = [index for index in range(number) if index % 7 in (0, 3)]
+    written = _estimate([float(index in found) for index in range(number)])
+    assert _share(found, number) == written
+
+
+def test_robots_that_seldom_fail_and_are_soon_back_cost_no_memory():
+    """Of windows as long as a refill there are millions then, and failures in few."""
+    tracemalloc.start()
+    try:
+        trial = tried(Demand(1, 1.0, 7.0), 1, 30.0, failures=20_000)
+        _, most = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert trial.window.mean == pytest.approx(risks.crowded(7 / 3600, 1), abs=1e-6)
+    assert most < 20e6
