@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
+import signal
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from tests.e2e.kubectl import Kubectl
@@ -39,6 +42,29 @@ def started(kubectl: Kubectl, command: str, *arguments: str) -> subprocess.Popen
         _command(kubectl, command, *arguments),
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=_environment(),
     )  # fmt: skip
+
+
+@contextlib.contextmanager
+def watching(kubectl: Kubectl, file: Path, command: str, *arguments: str) -> Iterator[Callable[[], int]]:
+    """The same while the context lasts, with what it writes in a file. What is given ends it as Ctrl-C does; its exit status."""
+    with (
+        file.open("w") as output,
+        subprocess.Popen(
+            _command(kubectl, command, *arguments), stdout=output, stderr=subprocess.STDOUT, env=_environment()
+        ) as running,
+    ):
+
+        def end() -> int:
+            running.send_signal(signal.SIGINT)
+            status = running.wait(30)
+            print(f"\n{file.read_text()}")
+            return status
+
+        try:
+            yield end
+        finally:
+            if running.poll() is None:
+                end()  # killed outright, it would leave behind the kubectl that watches for it
 
 
 def shell_environment(kubeconfig: Path, folder: Path) -> dict[str, str]:

@@ -14,6 +14,7 @@ from mcap.reader import make_reader
 
 from tests.e2e.console import offline, understudy
 from tests.e2e.scenario import Robot, eventually
+from understudy.api.base import seconds
 from understudy.trying.bags import Bag, Taken
 
 COMMANDS, EVENTS, TREE = "/cmd_vel", "/understudy/events", "/understudy/tree"
@@ -72,6 +73,11 @@ def test_a_failure_is_kept_with_what_led_to_it(executing: Robot, tmp_path: Path)
     assert simulated.returncode == 1, simulated.stderr
     found = [datetime.fromisoformat(one["detectedWall"]) for one in json.loads(simulated.stdout)["detections"]]
     assert min(abs(one.timestamp() - detected) for one in found) < 0.1, "as its monitor did"
+    learnt = offline("learn", "--bag", str(path), "--topic", COMMANDS)
+    assert learnt.returncode == 0, learnt.stderr
+    (leaf,) = yaml.safe_load(learnt.stdout)["parallel"]
+    assert leaf["topic"]["name"] == COMMANDS
+    assert seconds(leaf["topic"]["gap"]) > 2 * 0.5, "the silence is in it: bounds are to be learnt where all was well"
     with path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
         (metadata,), summary = reader.iter_metadata(), reader.get_summary()

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import yaml
 
-from tests.e2e.console import completed, offline, understudy
-from tests.e2e.scenario import Robot
+from tests.e2e.console import completed, offline, understudy, watching
+from tests.e2e.scenario import Robot, eventually
 
 
 def judged_as_it_is(robot: Robot, file: Path) -> None:
@@ -72,6 +72,10 @@ def test_a_robot_is_told_before_and_after_a_failure(executing: Robot, tmp_path: 
     assert "1 robot: all protected; 1 healthy" in shown.stdout
     assert understudy(kubectl, "status", "robot-2-drive").returncode == 2
 
+    given = ("--robots=1", "--failures-per-robot-hour=1", f"--recovery-seconds={recovered.seconds:.3f}", "--risk=1%")
+    sized = offline("size", *given, "-o", "yaml")
+    assert yaml.safe_load(sized.stdout)["needed"]["loss"] == 1, "one fallback is enough for one robot"
+
     page = tmp_path / "report.html"
     reported = understudy(kubectl, "report", "-o", str(page), "--csv", str(tmp_path))
     assert reported.returncode == 0, reported.stderr
@@ -87,6 +91,31 @@ def test_a_robot_is_told_before_and_after_a_failure(executing: Robot, tmp_path: 
     assert (told_of["recoveries_ever"], told_of["protected"]) == (str(len(rows)), "true")
     assert float(told_of["down_seconds"]) >= last["recoverySeconds"] - 1e-6
     assert understudy(kubectl, "report", "-o", str(page), "robot-2-drive").returncode == 2
+
+
+def test_what_changes_is_told_to_whoever_watches(executing: Robot, tmp_path: Path) -> None:
+    kubectl, name, file = executing.kubectl, executing.workload, tmp_path / "watched"
+    active = executing.wait_protected()
+    executing.wait_standby()
+
+    def told(words: str) -> list[str]:
+        return [
+            line for line in file.read_text().splitlines() if f" {kubectl.namespace}/{name}; " in line and words in line
+        ]
+
+    with watching(kubectl, file, "status", "-w") as end:
+        eventually(lambda: told(f"in control {active} (epoch "), within=60, what="who is in control is told")
+        executing.delete(active, force=True)
+        new = executing.wait_recovered(1)
+        driving = f"in control {new.new} (epoch {new.epoch})"
+        eventually(lambda: told(driving), within=60, what="who took over is told")
+        eventually(lambda: told("last recovery #1 "), within=60, what="how it was recovered is told")
+        executing.wait_protected()
+        eventually(
+            lambda: "; Healthy; protected; " in told(driving)[-1], within=60, what="that it is protected is told"
+        )
+        assert end() == 0
+    assert "\x1b" not in file.read_text(), "colours are for terminals"
 
 
 def test_a_shell_takes_what_completion_gives_it() -> None:

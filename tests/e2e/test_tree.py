@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
-from tests.e2e.console import understudy
+from tests.e2e.console import understudy, watching
 from tests.e2e.scenario import Robot, eventually
 
 
@@ -41,7 +42,7 @@ def watched(robot: Robot) -> str | None:
     return said if "it wasn't healthy either" not in said else None
 
 
-def test_the_live_tree_is_asked_for_through_kubectl(executing: Robot) -> None:
+def test_the_live_tree_is_asked_for_through_kubectl(executing: Robot, tmp_path: Path) -> None:
     active = executing.wait_protected()
     shown = eventually(
         lambda: live(executing), within=60, every=2.0, what="the live tree is healthy", note=executing.describe
@@ -54,6 +55,10 @@ def test_the_live_tree_is_asked_for_through_kubectl(executing: Robot) -> None:
     said = eventually(lambda: watched(executing), within=60, what="the policy is watched beside its monitor")
     assert "understudy watch: no failure was seen\n" in said
     assert said.endswith("ended with 0\n")
+    with watching(executing.kubectl, tmp_path / "watched", "tree", "-w", executing.workload) as end:
+        drawn, who = tmp_path / "watched", f"in control: {active} (epoch 1)"
+        eventually(lambda: drawn.read_text().count(who) >= 2, within=60, what="it is drawn again and again")
+        assert end() == 0
     missing = understudy(executing.kubectl, "tree", "robot-2-drive")
     assert missing.returncode == 2
     assert '"robot-2-drive" not found' in missing.stderr
