@@ -8,11 +8,12 @@ from typing import Any
 
 import yaml
 
-from scripts.generation import commands, leaves, metrics, reference, scenarios, values
+from scripts.generation import commands, diagrams, leaves, metrics, reference, scenarios, values
 from understudy.api.crds import definitions
 
 CHART = Path("charts/understudy")
 REFERENCE = Path("docs/reference")
+IMAGES = Path("docs/images")
 SCENARIOS = Path("docs/trees-osc.md")
 PROCEDURES = Path("docs/procedures.md")
 TREES = Path("docs/trees.md")
@@ -52,6 +53,8 @@ def outputs(root: Path) -> dict[Path, str]:
     result[REFERENCE / "leaves.md"] = leaves.page(*described)
     result[REFERENCE / "cli.md"] = commands.page()
     result[REFERENCE / "metrics.md"] = metrics.page()
+    result[IMAGES / "architecture.svg"] = diagrams.architecture()
+    result[IMAGES / "failover-steps.svg"] = diagrams.failover()
     result[LIBRARY] = scenarios.library(*described)
     readme = CHART / "README.md"
     table = values.table((root / CHART / "values.yaml").read_text())

@@ -1,0 +1,49 @@
+"""The diagrams are drawn from what the code says, whole, and within their edges."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from xml.etree import ElementTree
+
+import pytest
+
+from scripts.generation import diagrams
+from tests.support.pages import PAGES
+
+SVG = "{http://www.w3.org/2000/svg}"
+DRAWN = {"architecture.svg": diagrams.architecture, "failover-steps.svg": diagrams.failover}
+
+
+@pytest.mark.parametrize("draw", DRAWN.values(), ids=DRAWN)
+def test_nothing_is_drawn_outside_and_who_can_not_see_it_is_told(draw: Callable[[], str]) -> None:
+    root = ElementTree.fromstring(draw())
+    width, height = map(float, root.attrib["viewBox"].split()[2:])
+    for box in root.iter(f"{SVG}rect"):
+        x, y, w, h = (float(box.get(name, 0)) for name in ("x", "y", "width", "height"))
+        assert 0 <= x <= x + w <= width
+        assert 0 <= y <= y + h <= height
+    for words in root.iter(f"{SVG}text"):
+        long = 0.6 * float(words.attrib["font-size"]) * len(words.text or "")
+        start = float(words.attrib["x"]) - (long / 2 if words.attrib["text-anchor"] == "middle" else 0)
+        assert -5 <= start <= start + long <= width + 5, words.text
+        assert float(words.attrib["y"]) <= height
+    for name in ("title", "desc"):
+        assert len(root.findtext(f"{SVG}{name}") or "") > 20
+
+
+@pytest.mark.parametrize("name", DRAWN)
+def test_each_is_on_a_page(name: str) -> None:
+    assert any(f"images/{name})" in page.read_text() for page in PAGES)
+
+
+def test_an_arrow_s_head_is_there() -> None:
+    for draw in DRAWN.values():
+        root = ElementTree.fromstring(draw())
+        there = {f"url(#{head.attrib['id']})" for head in root.iter(f"{SVG}marker")}
+        assert {line.attrib["marker-end"] for line in root.iter(f"{SVG}path") if "marker-end" in line.attrib} == there
+
+
+def test_a_strategy_that_the_diagram_lacks_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delitem(diagrams.STEPS, "Initialized")
+    with pytest.raises(ValueError, match="others than the diagram's"):
+        diagrams.failover()
