@@ -122,8 +122,8 @@ def failover() -> str:
         "What happens at a failure, by each strategy",
         "In every strategy the failure is detected first. With an executing standby one patch of the gate is all that follows. With an "
         "initialized one the gate is closed, state is restored, and the gate is opened for it. With an uninitialized one a pod is "
-        "claimed and its processes are started before that. A restart deletes the failed pod and waits for the next one. Then the outputs at the robot "
-        "are verified.",
+        "claimed and its processes are started before that. A restart deletes the failed pod and waits for the next "
+        "one. Then the outputs at the robot are verified.",
     )
     drawn.part("the failure, and when it is noticed")
     drawn.text((_LEFT, 22), "P fails", RED, anchor="start", size=13, bold=True)
