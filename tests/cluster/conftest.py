@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -10,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.cluster import Cluster, Object, until
-from tests.support.sharing import everybodys, shared
+from tests.support.sharing import shared
 from understudy.api.base import GROUP
 from understudy.api.kinds import KINDS
 
@@ -58,8 +59,11 @@ def release(
     Test processes that run side by side share it.
     """
     found = Release(NAME, NAMESPACE)
+    folder = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        folder = folder.parent  # that of all of them
     with shared(
-        everybodys(tmp_path_factory),
+        folder,
         "release",
         lambda: _install(cluster, helm, kubeconfig, found),
         lambda before: _restore(cluster, helm, kubeconfig, found, before),

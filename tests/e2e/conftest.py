@@ -13,7 +13,6 @@ import pytest
 from tests.e2e.faults import Stage, cluster
 from tests.e2e.kubectl import Failed, Kubectl, helm
 from tests.e2e.scenario import Robot, eventually, manifest
-from tests.support.sharing import everybodys, shared
 
 SYSTEM = "understudy-system"
 CHART = Path(__file__).parents[2] / "charts" / "understudy"
@@ -55,17 +54,9 @@ def install(kubeconfig: Path, chart: Path = CHART, *arguments: str, images: str 
 
 
 @pytest.fixture(scope="session")
-def release(kubeconfig: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Kubectl]:
-    """kubectl in the namespace of the operator, which was installed by the chart and through nothing else.
-
-    Test processes that run side by side share it.
-    """
-
-    def make() -> None:
-        install(kubeconfig)
-
-    with shared(everybodys(tmp_path_factory), "release", make, lambda _: None):
-        yield Kubectl(kubeconfig, SYSTEM)
+def release(kubeconfig: Path) -> Kubectl:
+    """kubectl in the namespace of the operator, which was installed by the chart and through nothing else."""
+    return install(kubeconfig)
 
 
 @pytest.fixture(scope="session")

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import fcntl
 import json
-import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
-
-import pytest
 
 
 @contextmanager
@@ -37,12 +34,6 @@ def shared(folder: Path, name: str, make: Callable[[], Any], restore: Callable[[
             with _turn(folder, name):
                 if _alone(holders.fileno()):
                     restore(json.loads(memory.read_text()))
-
-
-def everybodys(factory: pytest.TempPathFactory) -> Path:
-    """A folder that all test processes of a run see."""
-    folder = factory.getbasetemp()
-    return folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder
 
 
 @contextmanager
