@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import re
+import subprocess
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from understudy_demo.recovery import Recovered
 
-from tests.e2e.console import understudy
+from tests.e2e.console import REPOSITORY, shell_environment, understudy
 from tests.e2e.kubectl import Failed, Kubectl, Object
 from tests.e2e.scenario import Robot, eventually, manifest
 from tests.e2e.test_strategies import ENFORCEMENT, assert_handed_over
@@ -85,6 +88,28 @@ def test_a_failover_that_is_asked_for_is_not_noticed_by_the_robot(executing: Rob
     assert executing.wait_protected() == recovery.new
     time.sleep(3)
     assert len(executing.recoveries()) == 1, "a new monitor doesn't carry it out again"
+
+
+@pytest.mark.long
+def test_one_that_is_asked_for_as_the_page_says_without_our_command_is_the_same(
+    executing: Robot, tmp_path: Path
+) -> None:
+    kubectl, page = executing.kubectl, (REPOSITORY / "docs" / "switchover.md").read_text()
+    (typed,) = re.findall(r"```sh\n(asked=.*?)```", page, re.DOTALL)
+    executing.wait_protected()
+    executing.wait_standby()
+    environment = shell_environment(kubectl.kubeconfig, tmp_path)
+    Kubectl(Path(environment["KUBECONFIG"]), kubectl.namespace)(
+        "config", "set-context", "--current", f"--namespace={kubectl.namespace}"
+    )
+    done = subprocess.run(
+        ["bash", "-euo", "pipefail", "-c", typed.replace("robot-17-navigation", executing.workload)],
+        env=environment, capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+    print(done.stdout, done.stderr)
+    assert done.returncode == 0
+    assert "Done: " in done.stdout
+    assert_unnoticed(executing, executing.wait_recovered(1), kind="Failover")
 
 
 def test_an_initialized_standby_is_activated_before_the_switch(managed: Robot) -> None:
