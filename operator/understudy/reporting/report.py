@@ -98,7 +98,8 @@ def _period(given: argparse.Namespace, now: float) -> Span:
     else:
         try:
             begin = end - base.seconds(given.since)
-        except ValueError as error:
+            datetime.fromtimestamp(begin, UTC)
+        except (ValueError, OverflowError, OSError) as error:  # also of what reaches back beyond the calendar
             raise Unusable(f"--since: {error}") from error
     if begin >= end:
         raise Unusable(

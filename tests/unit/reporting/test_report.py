@@ -89,6 +89,8 @@ def test_every_namespace(stand: Stand, written: Path) -> None:
         (["-A"], "there is no RobotWorkload in the cluster"),
         (["robot-2"], 'robotworkloads.understudy.dev "robot-2" not found'),
         (["--since", "a while"], "--since: 'a while' is not a duration"),
+        (["--since", "99999999h"], "--since: year -9382 is out of range"),
+        (["--since", "99999999999999h"], "--since: "),
         (["--from", "yesterday"], "--from: found 'yesterday'; write a date or a moment"),
         (["--from", "2027-01-01"], "the period would begin at 2027-01-01 00:00:00Z and end at 2026-11-22 14:06:24Z"),
     ],
