@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -135,11 +136,11 @@ def test_the_pod_is_cut_off_for_so_long(cluster: Cluster, capsys: pytest.Capture
         assert inject.main([ROBOT, "partition", "--for", "500ms", "--yes"]) == 0
     told, pod = capsys.readouterr().out.splitlines(), fleet.well()["status"]["active"]
     assert cluster.made is not None
-    assert told == [
-        f"{pod}: container {cluster.made['name']} has cut it off from the network, for 0.5 s",
-        f"{pod}: it is connected again after 0.5 s",
-        f"What became of it: understudy timeline -n fleet {ROBOT}",
-    ]
+    cut, again, further = told
+    assert cut == f"{pod}: container {cluster.made['name']} has cut it off from the network, for 0.5 s"
+    (after,) = re.findall(rf"^{pod}: it is connected again after ([\d.]+) s$", again)
+    assert float(after) >= 0.5, "it is told how long that was, which on a busy machine is longer"
+    assert further == f"What became of it: understudy timeline -n fleet {ROBOT}"
 
 
 @needs_root
