@@ -112,7 +112,13 @@ class Robot:
             yield f"understudy_topic_longest_gap_seconds{{{labels}}} {self._gap(topic, rate, now):.4f}"
         for name in self.kept:
             since = max((f.at for f in self.failures if f.at <= now < f.over), default=now)
+            yield f'understudy_kept_bytes{{{mine},name="{name}"}} {7919 * len(name)}'
             yield f'understudy_kept_timestamp_seconds{{{mine},name="{name}"}} {since - 0.2 - (now * 0.37 + len(name)) % 0.8:.3f}'
+        spent = sum(failure.over > now - HOUR for failure in past)
+        yield f'understudy_budget_left{{{mine},within="1h"}} {8 - spent}'
+        yield f"understudy_degradations_total{{{mine}}} {sum(spell.begin <= now for spell in self.degraded)}"
+        if waited := sum(failure.waited > 0 for failure in past):
+            yield f'understudy_recoveries_held_total{{{mine},why="Storm"}} {waited}'
         yield from self._requests(mine, now, past)
 
     def _process(self, mine: str, now: float) -> Iterator[str]:

@@ -34,11 +34,11 @@ ALERTS = CHART / "files" / "alerts.yaml"
 Query = Callable[[str], list[Object]]
 
 SELDOM = (
-    "understudy_claim_seconds", "understudy_pool", "understudy_kept", "understudy_tree_overruns", 'result!="Recovered"', "== 0",
-    "GateEnforced",
+    "understudy_claim_seconds", "understudy_pool", "understudy_kept", "understudy_budget", "understudy_recoveries_held",
+    "understudy_tree_overruns", 'result!="Recovered"', "== 0", "GateEnforced",
 )  # fmt: skip
-"""What this robot has nothing of: no pool is shared, no state is kept, a look may never have been late, no recovery failed, nothing is
-amiss; and whether its gate is enforced isn't known for a while after a failover."""
+"""What this robot has nothing of: no pool is shared, no state is kept, its policy has no budget, nothing was held, a look may never have
+been late, no recovery failed, nothing is amiss; and whether its gate is enforced isn't known for a while after a failover."""
 
 
 @pytest.fixture(scope="module")
