@@ -9,7 +9,8 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from typing import Protocol
 
 import aiohttp
 
@@ -125,6 +126,23 @@ class Reflector:
     async def changed(self) -> None:
         """Wait for the next change."""
         await self._changed.wait()
+
+
+class Changing(Protocol):
+    """What may become another."""
+
+    async def changed(self) -> None:
+        """Wait for the next change."""
+
+
+async def any_changed(sources: Iterable[Changing]) -> None:
+    """Wait until the first of these changes."""
+    waits = [asyncio.ensure_future(source.changed()) for source in sources]
+    try:
+        await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        for task in waits:
+            task.cancel()
 
 
 def version_of(item: Object | None) -> int:

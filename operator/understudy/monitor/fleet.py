@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import logging
 import time
 from collections.abc import Callable, Sequence
@@ -13,6 +12,7 @@ from understudy.api import names
 from understudy.api.settings import WorkloadSettings
 from understudy.cluster import claims
 from understudy.cluster.client import PODS, REPLICA_SETS, ApiError, Client, Object
+from understudy.cluster.watching import any_changed
 from understudy.mitigation.interfaces import ClaimLost, Instance
 from understudy.monitor import metrics
 from understudy.monitor.faults import CrashPoints
@@ -177,12 +177,7 @@ class Fleet:
             if fitting:
                 return max(fitting, key=lambda i: (i.created, i.name))
             sources = [self._view.pods] + ([self._view.source_pods] if self._view.source_pods else [])
-            waits = [asyncio.ensure_future(source.changed()) for source in sources]
-            try:
-                await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)
-            finally:
-                for task in waits:
-                    task.cancel()
+            await any_changed(sources)
 
     async def label(self, instance: Instance) -> None:
         """Give a pod of the workload's own controller the labels by which the gate can name it."""

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import asyncio
 import logging
 import time
 from collections.abc import Sequence
 from datetime import UTC, datetime
 
 from understudy.api import names
+from understudy.cluster.watching import any_changed
 from understudy.mitigation.progress import waiter
 from understudy.mitigation.waiting import Waiter
 from understudy.monitor import metrics
@@ -84,13 +84,7 @@ class Line:
 
     async def changed(self, pool: str) -> None:
         """Return when unclaimed pods, or who waits, may be others than before."""
-        sources = (self._view.unclaimed(pool), self._view.waiting_gates)
-        waits = [asyncio.ensure_future(source.changed()) for source in sources]
-        try:
-            await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)
-        finally:
-            for task in waits:
-                task.cancel()
+        await any_changed((self._view.unclaimed(pool), self._view.waiting_gates))
 
 
 def _clock(moment: float) -> str:

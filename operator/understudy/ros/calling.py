@@ -385,10 +385,9 @@ class _Opened:
 
     def __init__(self, name: str, place: Place | None) -> None:
         from rclpy.callback_groups import CallbackGroup
-        from rclpy.context import Context
         from rclpy.executors import SingleThreadedExecutor
-        from rclpy.node import Node
-        from rclpy.parameter import Parameter
+
+        from understudy.ros.joining import own_context, plain_node
 
         class Drained(CallbackGroup):  # type: ignore[misc]
             """Keeps what is in it out of the executor's hands."""
@@ -398,19 +397,8 @@ class _Opened:
 
         self.host = place.host if place is not None else None
         self._own_context = place is None
-        if place is None:
-            self._context = Context()
-            self._context.init(args=[], initialize_logging=False)
-        else:
-            self._context = place.context
-        self.node = Node(
-            name,
-            context=self._context,
-            use_global_arguments=False,
-            enable_rosout=False,
-            start_parameter_services=False,
-            parameter_overrides=[Parameter("start_type_description_service", value=False)],
-        )
+        self._context = place.context if place is not None else own_context()
+        self.node = plain_node(name, self._context)
         self._drained = Drained()
         self._clients: dict[tuple[str, str], Any] = {}
         self._executor = SingleThreadedExecutor(context=self._context)

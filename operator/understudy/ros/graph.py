@@ -10,13 +10,12 @@ import os
 from dataclasses import dataclass
 from typing import Any
 
-from rclpy.context import Context
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.node import Node, NodeNameNonExistentError
-from rclpy.parameter import Parameter
+from rclpy.node import NodeNameNonExistentError
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from understudy.api.workloads import Output
+from understudy.ros.joining import own_context, plain_node
 from understudy.ros.types import message_class
 
 
@@ -43,18 +42,8 @@ class Graph:
         """Join the graph as node ``name``; ``domain_id`` is ROS_DOMAIN_ID where it isn't given."""
         # A client of a discovery server is told of matching endpoints only: it could never learn a topic's type.
         os.environ.setdefault("ROS_SUPER_CLIENT", "TRUE")
-        # Unlike rclpy.init, a context alone leaves the signals to the process's own loop. Without rcl's logging, which
-        # insists on a directory to write to, nothing of value is lost.
-        self._context = Context()
-        self._context.init(args=[], initialize_logging=False, domain_id=domain_id)
-        self.node = Node(
-            name,
-            context=self._context,
-            use_global_arguments=False,
-            enable_rosout=False,
-            start_parameter_services=False,
-            parameter_overrides=[Parameter("start_type_description_service", value=False)],
-        )
+        self._context = own_context(domain_id=domain_id)
+        self.node = plain_node(name, self._context)
 
     def subscribe(
         self, topic: str, type_name: str, *, depth: int, latched: bool = False, reliable: bool = False

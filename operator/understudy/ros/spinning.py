@@ -19,10 +19,9 @@ from typing import Any, Literal, TypeVar
 
 from rclpy.context import Context
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
-from rclpy.node import Node
-from rclpy.parameter import Parameter
 
 from understudy.ros.exchanging import Exchange
+from understudy.ros.joining import own_context, plain_node
 from understudy.ros.taking import Taker
 
 _logger = logging.getLogger(__name__)
@@ -46,18 +45,9 @@ class Spinning:
         self._loop = asyncio.get_running_loop()
         self._own_context = context is None
         if context is None:
-            # As in graph.py: signals stay with the process's own loop.
-            context = Context()
-            context.init(args=[], initialize_logging=False)
+            context = own_context()
         self._context = context
-        self.node = Node(
-            name,
-            context=context,
-            use_global_arguments=False,
-            enable_rosout=False,
-            start_parameter_services=False,
-            parameter_overrides=[Parameter("start_type_description_service", value=False)],
-        )
+        self.node = plain_node(name, context)
         self.taker, self.exchange = Taker(), Exchange()
         self._entities: dict[Kind, list[tuple[Any, Callable[[], None]]]] = {
             "subscription": [],

@@ -7,9 +7,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import yaml
-
-from understudy.tracker.configuration import ConfigurationError
+from understudy.tracker.configuration import ConfigurationError, from_yaml
 from understudy.tracker.images import MOST_PIXELS, Calibration, Unusable, calibration
 
 FIELD = "camera.device.calibration"
@@ -33,14 +31,7 @@ def read(file: Path) -> Calibration:
 
 def load(text: str, source: str) -> Calibration:
     """The same out of its text. Raises ConfigurationError."""
-    try:
-        found = yaml.safe_load(text)
-    except (yaml.YAMLError, ValueError) as error:  # a date such as 2020-13-45 is a ValueError
-        raise ConfigurationError(f"{source} is no YAML: {error}") from error
-    except RecursionError as error:
-        raise ConfigurationError(
-            f"{source}: lists and mappings are nested too deeply; give a file that camera_calibration wrote"
-        ) from error
+    found = from_yaml(text, source, "a file that camera_calibration wrote")
     if not isinstance(found, Mapping):
         raise ConfigurationError(f"{source}: it has no camera_matrix; give a file that camera_calibration wrote")
     width, height = _pixels(found, "image_width", source), _pixels(found, "image_height", source)

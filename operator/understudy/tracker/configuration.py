@@ -254,16 +254,19 @@ class Configuration(_Part):
         return self
 
 
-def load(text: str, source: str = "the configuration") -> Configuration:
-    """A configuration out of YAML. Raises ConfigurationError with everything that is wrong."""
+def from_yaml(text: str, source: str, right: str) -> Any:
+    """What a text says; ``right`` is what it should be. Raises ConfigurationError."""
     try:
-        found = yaml.safe_load(text)
+        return yaml.safe_load(text)
     except (yaml.YAMLError, ValueError) as error:  # a date such as 2020-13-45 is a ValueError
         raise ConfigurationError(f"{source} is no YAML: {error}") from error
     except RecursionError as error:
-        raise ConfigurationError(
-            f"{source}: lists and mappings are nested too deeply; give a mapping with camera and markers"
-        ) from error
+        raise ConfigurationError(f"{source}: lists and mappings are nested too deeply; give {right}") from error
+
+
+def load(text: str, source: str = "the configuration") -> Configuration:
+    """A configuration out of YAML. Raises ConfigurationError with everything that is wrong."""
+    found = from_yaml(text, source, "a mapping with camera and markers")
     if not isinstance(found, Mapping):
         kind = "nothing" if found is None else type(found).__name__
         raise ConfigurationError(f"{source}: found {kind}; give a mapping with camera and markers")

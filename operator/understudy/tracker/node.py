@@ -14,12 +14,11 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
-from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo, Image
 
 from understudy.motion.velocities import Velocity
+from understudy.ros.joining import own_context, plain_node
 from understudy.tracker import calibrations
 from understudy.tracker.configuration import Configuration
 from understudy.tracker.devices import Footage
@@ -54,18 +53,8 @@ class Tracker:
         self._camera = configuration.camera
         device = configuration.camera.device
         known = calibrations.read(Path(device.calibration)) if device is not None else None
-        self._context = context or Context()
-        if context is None:
-            # As in ros/graph.py: signals stay with the process.
-            self._context.init(args=[], initialize_logging=False)
-        self.node = Node(
-            "understudy_tracker",
-            context=self._context,
-            use_global_arguments=False,
-            enable_rosout=False,
-            start_parameter_services=False,
-            parameter_overrides=[Parameter("start_type_description_service", value=False)],
-        )
+        self._context = context or own_context()
+        self.node = plain_node("understudy_tracker", self._context)
         self._publishers: dict[int, tuple[Any, Any]] = {
             marker.id: (
                 self.node.create_publisher(PoseWithCovarianceStamped, f"{marker.base}/pose", 10),

@@ -6,12 +6,11 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from understudy.api.rosnames import ROS_NAME_PATTERN
 from understudy.trees.evidence import EvidenceLeaf, Said, Track
 from understudy.trees.expressions import Fields
 from understudy.trees.health import WatchedTopic
 from understudy.trees.observations import Glance, NodeState
-from understudy.trees.plans import LeafKind, LeafPlan, at_once, hold_off_of
+from understudy.trees.plans import LeafKind, LeafPlan, at_once, hold_off_of, node_of
 from understudy.trees.problems import did_you_mean
 from understudy.trees.reading import Reader, found_text
 from understudy.trees.situations import TaskActive
@@ -88,11 +87,7 @@ _EXAMPLE = "{node: /controller_server}"
 
 def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | None) -> LeafPlan | None:
     before = len(reader.problems)
-    if "node" not in value:
-        reader.problem(f"{path}.node", "missing; give the node's fully qualified name, such as /controller_server")
-    node = reader.matching(
-        value, "node", path, ROS_NAME_PATTERN, "a node's fully qualified name such as /controller_server"
-    )
+    node = node_of(reader, value, path)
     state = reader.given(value, "state", path, _state) if "state" in value else "active"
     hold_off = hold_off_of(reader, value, path)
     if node is None or len(reader.problems) > before:

@@ -8,12 +8,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from understudy.api.rosnames import ROS_NAME_PATTERN
 from understudy.trees.expressions import Fields
 from understudy.trees.health import WatchedTopic
 from understudy.trees.leaves import Leaf, State, duration
 from understudy.trees.observations import Content, Glance, Unreadable
-from understudy.trees.plans import LeafKind, LeafPlan
+from understudy.trees.plans import LeafKind, LeafPlan, node_of
 from understudy.trees.problems import did_you_mean
 from understudy.trees.reading import Reader, duration_of, found_text, whole_number_of
 from understudy.trees.situations import TaskActive, situation
@@ -254,9 +253,7 @@ def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | 
     if not any(key in value for key in ("level", "node", "says")):
         reader.problem(path, f"none of level, node and says is given; say which messages count, such as {_EXAMPLE}")
     level, says = reader.given(value, "level", path, _level), reader.given(value, "says", path, _says)
-    node = reader.matching(
-        value, "node", path, ROS_NAME_PATTERN, "a node's fully qualified name such as /controller_server"
-    )
+    node = node_of(reader, value, path, required=False)
     count = reader.given(value, "count", path, whole_number_of(MOST)) if "count" in value else 1
     window = reader.given(value, "window", path, duration_of)
     quiet = reader.given(value, "quiet", path, duration_of)

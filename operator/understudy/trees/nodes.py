@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from understudy.api.rosnames import ROS_NAME_PATTERN
 from understudy.trees.evidence import EvidenceLeaf, Said, Track
 from understudy.trees.expressions import Fields
 from understudy.trees.health import WatchedTopic
 from understudy.trees.leaves import State, duration
 from understudy.trees.observations import Glance, Present
-from understudy.trees.plans import LeafKind, LeafPlan, hold_off_of
+from understudy.trees.plans import LeafKind, LeafPlan, hold_off_of, node_of
 from understudy.trees.reading import Reader
 from understudy.trees.situations import TaskActive
 
@@ -70,11 +69,7 @@ _EXAMPLE = "{name: /controller_server}"
 
 def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | None) -> LeafPlan | None:
     before = len(reader.problems)
-    if "name" not in value:
-        reader.problem(f"{path}.name", "missing; give the node's fully qualified name, such as /controller_server")
-    node = reader.matching(
-        value, "name", path, ROS_NAME_PATTERN, "a node's fully qualified name such as /controller_server"
-    )
+    node = node_of(reader, value, path, "name")
     hold_off = hold_off_of(reader, value, path)
     if node is None or len(reader.problems) > before:
         return None

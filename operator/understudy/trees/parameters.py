@@ -9,12 +9,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from understudy.api.rosnames import ROS_NAME_PATTERN
 from understudy.trees.evidence import EvidenceLeaf, Said, Track
 from understudy.trees.expressions import Fields
 from understudy.trees.health import WatchedTopic
 from understudy.trees.observations import Glance, ParameterState, ParameterValue
-from understudy.trees.plans import LeafKind, LeafPlan, hold_off_of
+from understudy.trees.plans import LeafKind, LeafPlan, hold_off_of, node_of
 from understudy.trees.reading import Reader, found_text
 from understudy.trees.situations import TaskActive
 
@@ -158,11 +157,7 @@ _WAYS = ("equals", "one_of", "between")
 
 def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | None) -> LeafPlan | None:
     before = len(reader.problems)
-    if "node" not in value:
-        reader.problem(f"{path}.node", "missing; give the node's fully qualified name, such as /controller_server")
-    node = reader.matching(
-        value, "node", path, ROS_NAME_PATTERN, "a node's fully qualified name such as /controller_server"
-    )
+    node = node_of(reader, value, path)
     if "name" not in value:
         reader.problem(f"{path}.name", "missing; give the parameter's name, such as max_vel_x")
     name = reader.given(value, "name", path, _name)

@@ -56,6 +56,17 @@ def topic_of(reader: Reader, value: Mapping[str, Any], path: str, example: str, 
     return reader.matching(value, key, path, ROS_NAME_PATTERN, f"a fully qualified topic name such as {example}")
 
 
+def node_of(
+    reader: Reader, value: Mapping[str, Any], path: str, key: str = "node", *, required: bool = True
+) -> str | None:
+    """The node that a leaf is about, fully qualified."""
+    if required and key not in value:
+        reader.problem(f"{path}.{key}", "missing; give the node's fully qualified name, such as /controller_server")
+    return reader.matching(
+        value, key, path, ROS_NAME_PATTERN, "a node's fully qualified name such as /controller_server"
+    )
+
+
 def type_of(reader: Reader, value: Mapping[str, Any], path: str) -> str | None:
     """The type of the topic's messages."""
     return reader.matching(value, "type", path, ROS_TYPE_PATTERN.replace("(msg|srv|action)", "msg"), "package/msg/Name")

@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator
 from typing import Any
 
 from understudy.cluster.client import PODS, Client, Object
-from understudy.cluster.watching import Reflector
+from understudy.cluster.watching import Reflector, any_changed
 
 
 def pod(name: str, version: int, **labels: str) -> Object:
@@ -108,3 +108,26 @@ async def test_what_a_bookmark_has_passed_is_known() -> None:
         assert known(reflector) == {}
         reflector.put(pod("a", 21))
         assert known(reflector) == {"a": "21"}
+
+
+async def test_of_several_the_first_that_changes_is_enough_and_nobody_goes_on_waiting_for_the_others() -> None:
+    class Source:
+        def __init__(self) -> None:
+            self.event, self.waiting = asyncio.Event(), 0
+
+        async def changed(self) -> None:
+            self.waiting += 1
+            try:
+                await self.event.wait()
+            finally:
+                self.waiting -= 1
+
+    sources = [Source(), Source()]
+    waiting = asyncio.ensure_future(any_changed(sources))
+    await asyncio.sleep(0)
+    await asyncio.sleep(0)
+    assert [source.waiting for source in sources] == [1, 1]
+    sources[1].event.set()
+    await asyncio.wait_for(waiting, 5)
+    await asyncio.sleep(0)
+    assert [source.waiting for source in sources] == [0, 0]
