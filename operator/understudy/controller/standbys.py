@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from understudy.api import names
 from understudy.api.switchovers import ENDED
 from understudy.cluster.client import PODS, REPLICA_SETS, Object
@@ -31,9 +33,9 @@ def own_stands_by(observed: Observed) -> bool:
     return standins.may_stand_in(observed.workload, observed.policy)
 
 
-def keep(made: Plan, observed: Observed, pool: str, built: Object, fresh: Fresh) -> None:
+def keep(made: Plan, observed: Observed, understanding: Understanding, pool: str, fresh: Fresh) -> None:
     """As many standbys of a pool as the workload is to have, of the present template."""
-    workload, gate = observed.workload, observed.gate
+    workload, gate, built = observed.workload, observed.gate, understanding.builts[pool]
     owner = objects.owner("RobotWorkload", workload)
     if observed.refused(pool) is not None:
         return
@@ -48,6 +50,10 @@ def keep(made: Plan, observed: Observed, pool: str, built: Object, fresh: Fresh)
     if not own_stands_by(observed):
         # what a referred controller makes instead of the failed pod has no agent, so it can't be the standby
         want += sum(objects.is_active(pod, gate) for pod in mine) if want else 0
+    elif want:
+        more, replaced = _renewed(observed, understanding, pool, mine, want)
+        want += more
+        made.writes += [Delete(PODS, pod) for pod in replaced]
     change = fleets.change(
         mine,
         want=want,
@@ -65,6 +71,37 @@ def keep(made: Plan, observed: Observed, pool: str, built: Object, fresh: Fresh)
     made.writes += [Delete(PODS, pod) for pod in change.delete]
     if change.again_after is not None:
         made.later(change.again_after)
+
+
+def _renewed(
+    observed: Observed, understanding: Understanding, pool: str, mine: Sequence[Object], want: int
+) -> tuple[int, list[Object]]:
+    """How many standbys more there are to be while a pod that stands in for one is replaced, and which of these pods go now.
+
+    What the workload's own controller has made of an old template waits like any standby, and like one it goes when another is ready. That
+    is a standby more, which stays until the controller's next pod is ready.
+    """
+    gate, present = observed.gate, instances.template_hash(understanding.builts[pool])
+    if observed.active is None or standins.displaced(gate, observed.pods) != pool:
+        return 0, []
+    own = instances.template_hash(understanding.builts[""])
+    found = standins.standing_in(pool, gate, observed.pods)
+    outdated = [pod for pod in found if fleets.hash_of(pod) != own]
+    if not outdated:
+        one_more = sum(map(objects.alive, mine)) > want
+        return int(one_more and not any(map(objects.ready, found))), []
+    waiting = [pod for pod in mine if not objects.is_active(pod, gate)]
+    live = observed.owned.get(("replicasets", objects.name(observed.workload)))
+    ready = sum(objects.ready(pod) and fleets.hash_of(pod) == present for pod in waiting)
+    # Before the controller has the present template, it would make another of the old one.
+    go = ready >= want and live is not None and _template_of(live) == own and not observed.recovering
+    return 1, outdated if go else []
+
+
+def _template_of(replica_set: Object) -> str:
+    """The hash of the template that a ReplicaSet makes pods from."""
+    found: str = (replica_set["spec"]["template"]["metadata"].get("labels") or {}).get(names.TEMPLATE_HASH, "")
+    return found
 
 
 def scale(made: Plan, observed: Observed) -> None:
@@ -100,8 +137,7 @@ def awaited(observed: Observed, understanding: Understanding) -> str | None:
     built, live = understanding.builts.get(""), observed.owned.get(("replicasets", objects.name(observed.workload)))
     if built is None or live is None:
         return None
-    labels = live["spec"]["template"]["metadata"].get("labels") or {}
-    if labels.get(names.TEMPLATE_HASH) == instances.template_hash(built):
+    if _template_of(live) == instances.template_hash(built):
         return None
     if any(objects.is_active(pod, observed.gate) and names.POOL in objects.labels(pod) for pod in observed.pods):
         return None

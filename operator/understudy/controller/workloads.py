@@ -79,7 +79,7 @@ def plan(observed: Observed, understanding: Understanding, images: Images, fresh
         standbys.scale(made, observed)
     for pool in sorted(understanding.builts):
         if pool:
-            standbys.keep(made, observed, pool, understanding.builts[pool], fresh)
+            standbys.keep(made, observed, understanding, pool, fresh)
     if ("secrets", names.agent_secret(objects.name(workload))) not in observed.owned:
         secret = ownership.token(names.agent_secret(objects.name(workload)), fresh.token())
         owner = objects.owner("RobotWorkload", workload)

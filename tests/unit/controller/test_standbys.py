@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+
 import pytest
 
 from tests.unit.controller.world import (
@@ -40,7 +42,7 @@ class TestStandbys:
     def test_the_active_one_counts_so_that_instances_stay_one_more(self) -> None:
         world = World(workload(), policy("hot"), hot())
         active = standby_pod("w-s", of=world.workload)
-        world.pods = [active, source_pod("w-a")]
+        world.pods = [active, source_pod("w-a", template_hash=world.own_hash)]
         world.own(gate(world.workload, active=active, epoch=2))
         plan = world.plan()
         assert not created(plan, "pods")
@@ -77,6 +79,52 @@ class TestStandbys:
         assert not deleted(world.plan())
         world.pods[-1] = standby_pod("w-new", of=world.workload, template_hash=world.template_hash)
         assert deleted(world.plan()) == ["w-old"]
+
+    def test_an_old_one_that_stands_in_for_one_that_drives_goes_only_after_another_is_ready(self) -> None:
+        world = World(workload(), policy("hot"), hot())
+        world.build()
+        world.build()
+        active = standby_pod("w-s", of=world.workload, template_hash="old")
+        old = source_pod("w-old", template_hash="old")
+        world.own(gate(world.workload, active=active, epoch=2))
+        world.pods = [active, old]
+
+        def now(*more: Object) -> tuple[int, list[str]]:
+            world.pods = [active, *more]
+            plan = world.plan()
+            return len(created(plan, "pods")), deleted(plan)
+
+        other = standby_pod("w-t", of=world.workload, template_hash=world.template_hash)
+        starting = standby_pod("w-t", of=world.workload, template_hash=world.template_hash, ready=False)
+        own = world.own_hash
+        assert now(old) == (1, [])
+        assert now(old, starting) == (0, [])
+        assert now(old, other) == (0, ["w-old"])
+        assert now(other) == (0, []), "the workload's own controller makes the next one"
+        assert now(other, source_pod("w-new", template_hash=own, ready=False)) == (0, [])
+        assert now(other, source_pod("w-new", template_hash=own)) == (0, ["w-t"])
+        assert now(source_pod("w-new", template_hash=own)) == (0, [])
+
+    def test_an_old_one_that_stands_in_stays_in_a_recovery_and_where_the_controller_would_make_another_such(
+        self,
+    ) -> None:
+        world = World(workload(), policy("hot"), hot())
+        world.build()
+        world.build()
+        active, old = standby_pod("w-s", of=world.workload), source_pod("w-old", template_hash="old")
+        world.own(gate(world.workload, active=active, epoch=2))
+        world.pods = [active, old, standby_pod("w-t", of=world.workload, template_hash=world.template_hash)]
+        assert deleted(world.plan()) == ["w-old"]
+        live = world.owned[("replicasets", "w")]
+        labels = live["spec"]["template"]["metadata"]["labels"]
+        world.owned[("replicasets", "w")] = copy.deepcopy(live)
+        world.owned[("replicasets", "w")]["spec"]["template"]["metadata"]["labels"] = labels | {
+            names.TEMPLATE_HASH: "x"
+        }
+        assert not deleted(world.plan())
+        world.owned[("replicasets", "w")] = live
+        world.workload["status"] = {"health": "Recovering"}
+        assert not deleted(world.plan())
 
     def test_none_is_deleted_while_a_recovery_is_under_way(self) -> None:
         world = World(workload(status={"health": "Recovering"}), policy("hot"), hot())

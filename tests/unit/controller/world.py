@@ -11,7 +11,7 @@ from understudy.api import names
 from understudy.api.base import API_VERSION
 from understudy.cluster import applying
 from understudy.cluster.client import Object
-from understudy.controller import objects, pools, statuses, workloads
+from understudy.controller import instances, objects, pools, statuses, workloads
 from understudy.controller.desired import Apply, Create, Delete, Images, Patch, Plan, Problem
 from understudy.controller.observed import Observed
 from understudy.controller.references import Referred
@@ -138,13 +138,14 @@ def stamp(moment: float) -> str:
     return datetime.fromtimestamp(moment, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
-def source_pod(name: str, *, of: str = "w", **more: Any) -> Object:
+def source_pod(name: str, *, of: str = "w", template_hash: str = "", **more: Any) -> Object:
     """A pod of a workload's own ReplicaSet."""
     labels = {
         names.WORKLOAD: of,
         names.COMPONENT: "instance",
         names.SOURCE: "workload",
         names.INSTANCE: name,
+        names.TEMPLATE_HASH: template_hash,
     }
     owner = {"apiVersion": "apps/v1", "kind": "ReplicaSet", "name": of, "uid": f"uid-rs-{of}", "controller": True}
     return pod(name, labels=labels, owner=owner, **more)
@@ -293,7 +294,13 @@ class World:
         return plan
 
     @property
+    def own_hash(self) -> str:
+        """Of the template that the workload's own ReplicaSet makes pods from."""
+        return instances.template_hash(self.understood().builts[""])
+
+    @property
     def template_hash(self) -> str:
+        """Of the template of the standbys of pool hot."""
         return dict(self.understood().builts)["hot"]["metadata"]["labels"][names.TEMPLATE_HASH]
 
 

@@ -137,6 +137,8 @@ class Invariants:
         most = max([wanted, *of_late])
         if workload is not None and self._refers(pod["metadata"]["namespace"], workload):
             most += 1  # what the referred controller makes is no standby, so one in control doesn't count
+        elif workload is not None and any(map(self._is_outdated, self._server.items["pods"].values())):
+            most += 1  # one that is to go when there is another
         most += sum(other["metadata"]["uid"] in self._stragglers for other in same)
         if len(same) > most:
             whose = f"pool {pool}" + (f" has standbys of {workload}" if workload else " has free pods")
@@ -192,6 +194,20 @@ class Invariants:
                 if len(standing) != wanted and all(self._stands_by(pod) for pod in standing):
                     yield f"pool {pool} has {len(standing)} pods of {workload} instead of {wanted}"
                 yield from (f"pod {_name(pod)} isn't up" for pod in standing if not self._up(pod))
+            if all(self._stands_by(pod) for pod in self._waiting(mine)):
+                yield from self._outdated(self._waiting(mine))
+
+    def _outdated(self, waiting: Sequence[Object]) -> Iterator[str]:
+        """The pods of workloads' own controllers that wait with another template than these have by now."""
+        yield from (f"pod {_name(pod)} waits with an old template" for pod in waiting if self._is_outdated(pod))
+
+    def _is_outdated(self, pod: Object) -> bool:
+        """Whether a pod of a workload's own controller has another template than that one has by now."""
+        owner = controller_of(pod)
+        if owner is None or owner["kind"] != "ReplicaSet":
+            return False
+        live = self._server.items["replicasets"][(pod["metadata"]["namespace"], owner["name"])]
+        return _labels(pod).get(names.TEMPLATE_HASH) != _labels(live["spec"]["template"]).get(names.TEMPLATE_HASH)
 
     def _waiting(self, made: Sequence[Object]) -> list[Object]:
         """The pods that wait: those that a pool made, and those that its workloads' own controllers made since one of it drives."""
