@@ -31,6 +31,8 @@ OURS = ("localhost/understudy-operator:", "localhost/understudy-monitor:")
 
 PRESENT = "dev"
 
+OPERATORS = "app.kubernetes.io/name=understudy,app.kubernetes.io/component=operator"
+
 EXECUTING, UNINITIALIZED = "quickstart-executing", "quickstart-uninitialized"
 
 
@@ -98,7 +100,7 @@ def held(kubectl: Kubectl) -> list[Object]:
 
 
 def operators(release: Kubectl) -> list[Object]:
-    return living(release.list("pods", "app.kubernetes.io/name=understudy,app.kubernetes.io/component=operator"))
+    return living(release.list("pods", OPERATORS))
 
 
 def around(robot: Robot) -> list[Object]:
@@ -171,7 +173,7 @@ def test_an_upgrade_from_the_version_before_leaves_no_gap_at_the_robots_and_what
     active = {robot: robot.wait_protected() for robot in robots}
     # The one that waits then was made by the workload's own controller.
     active[standing] = lose(standing, active[standing], EXECUTING, number=1)
-    before = {pooled: 0, standing: 1}
+    failures = {pooled: 0, standing: 1}
     for robot in robots:
         assert robot.wait_protected() == active[robot]
     for robot, pod in active.items():
@@ -193,7 +195,7 @@ def test_an_upgrade_from_the_version_before_leaves_no_gap_at_the_robots_and_what
     assert [version(release, pod) for pod in operators(release)] == [__version__] * 2
 
     def renewed() -> bool:
-        assert {robot: len(robot.recoveries()) for robot in robots} == before, "nothing is taken for a failure"
+        assert {robot: len(robot.recoveries()) for robot in robots} == failures, "nothing is taken for a failure"
         return all_around(robots, active, PRESENT)
 
     eventually(renewed, within=240, what="all around the robots is of this version", note=pooled.describe)
@@ -220,7 +222,7 @@ def test_an_upgrade_from_the_version_before_leaves_no_gap_at_the_robots_and_what
             f"({usual.seconds * 1000:.0f} ms in {BEFORE:.0f} s before); the monitor's pod was ready after {starting(monitor):.0f} s"
         )
         assert during.sources() == [active[robot]], "one pod drove all the while"
-        assert len(robot.recoveries()) == before[robot], "and nothing was taken for a failure"
+        assert len(robot.recoveries()) == failures[robot], "and nothing was taken for a failure"
         assert (tags(monitor), version(kubectl, monitor)) == ({PRESENT}, __version__)
         assert tags(kubectl.get("pod", active[robot])) == {earlier.tag}, "the pod in control stays, with its agent"
 
@@ -228,7 +230,7 @@ def test_an_upgrade_from_the_version_before_leaves_no_gap_at_the_robots_and_what
     assert first[1] <= second[0], "their monitors were replaced one after the other"
 
     for robot, policy in robots.items():
-        assert tags(kubectl.get("pod", lose(robot, active[robot], policy, number=before[robot] + 1))) == {PRESENT}
+        assert tags(kubectl.get("pod", lose(robot, active[robot], policy, number=failures[robot] + 1))) == {PRESENT}
     for robot in robots:
         robot.wait_protected()
         eventually(
@@ -245,13 +247,17 @@ def test_going_back_to_the_version_before_leaves_the_robots_driven_and_what_this
     pooled, standing = Robot(kubectl, "robot-1"), Robot(kubectl, "robot-2")
     robots = {pooled: UNINITIALIZED, standing: EXECUTING}
     install(release.kubeconfig)
+    eventually(
+        lambda: [tags(pod) for pod in release.list("pods", OPERATORS)] == [{PRESENT}] * 2,
+        within=60, what="no operator of the version before is left, which would still build", note=lambda: release("get", "pods"),
+    )  # fmt: skip
     kubectl.apply(
         strategies() + pooled.objects(policy=UNINITIALIZED) + standing.objects(policy=EXECUTING, labels=STANDING)
     )
     active = {robot: robot.wait_protected() for robot in robots}
     # A recovery that this version has written beside the gate and into the status, as the one before must be able to read it.
     active[pooled] = lose(pooled, active[pooled], UNINITIALIZED, number=1)
-    before = {pooled: 1, standing: 0}
+    failures = {pooled: 1, standing: 0}
     assert pooled.wait_protected() == active[pooled]
 
     begun = time.time()
@@ -275,9 +281,9 @@ def test_going_back_to_the_version_before_leaves_the_robots_driven_and_what_this
             f"{policy}: {len(during.commands)} commands, the longest time without one {longest.seconds * 1000:.0f} ms"
         )
         assert during.sources() == [active[robot]], "one pod drove all the while"
-        assert len(robot.recoveries()) == before[robot], (
+        assert len(robot.recoveries()) == failures[robot], (
             "nothing was taken for a failure, and what was recorded is known"
         )
         assert tags(kubectl.get("pod", active[robot])) == {PRESENT}, "the pod in control stays, with its agent"
     for robot, policy in robots.items():
-        assert tags(kubectl.get("pod", lose(robot, active[robot], policy, number=before[robot] + 1))) == {earlier.tag}
+        assert tags(kubectl.get("pod", lose(robot, active[robot], policy, number=failures[robot] + 1))) == {earlier.tag}

@@ -72,6 +72,9 @@ WAITS_FOR = f"{GROUP}/waits-for"
 RESUMED = f"{GROUP}/resumed"
 """Annotation of a RobotWorkload: when somebody said to go on. What was spent of the budget before doesn't count, no pause is waited for."""
 
+RESUMED_FOR = f"{GROUP}/resumed-for"
+"""Annotation of a RobotWorkload: who said so and why, where they told it. Written with RESUMED, for people."""
+
 CLAIM = f"{GROUP}/claim"
 """Annotation of a pool's pod: ``<workload uid>/<recovery id>``, written once, by the claim."""
 

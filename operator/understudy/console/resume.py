@@ -7,6 +7,7 @@ import sys
 import time
 
 from understudy.api import names
+from understudy.console import signing
 from understudy.console.kubectl import WORKLOADS, Kubectl, Unusable, add_options
 from understudy.mitigation.progress import rfc3339
 
@@ -18,9 +19,11 @@ def main(arguments: list[str]) -> int:
     """Run the command."""
     given = _parser().parse_args(arguments)
     try:
+        why = _why(given)
         kubectl = Kubectl(given)
         before = kubectl.get(WORKLOADS, given.name)
-        word = {"metadata": {"annotations": {names.RESUMED: rfc3339(time.time())}}}
+        # Without a reason that of an earlier time goes: it isn't this one's.
+        word = {"metadata": {"annotations": {names.RESUMED: rfc3339(time.time()), names.RESUMED_FOR: why}}}
         item = kubectl.patch(WORKLOADS, given.name, word | {"spec": {"pause": None}})
     except Unusable as error:
         print(f"understudy resume: {error}", file=sys.stderr)
@@ -32,6 +35,14 @@ def main(arguments: list[str]) -> int:
     return DONE
 
 
+def _why(given: argparse.Namespace) -> str | None:
+    """Who resumes it and why, in words; None where that isn't told. Raises Unusable where it is empty."""
+    if given.reason is None:
+        return None
+    signing.refuse_empty(given, "resumed")
+    return f"{given.owner[:128]}: {given.reason[:256]}"
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="understudy resume",
@@ -40,5 +51,6 @@ def _parser() -> argparse.ArgumentParser:
         epilog="Exit status: 0 where it goes on, 2 where that can't be done.",
     )
     parser.add_argument("name", metavar="NAME", help="the RobotWorkload")
+    signing.add_options(parser, reason="what was found or done, for whoever asks why it goes on", required=False)
     add_options(parser)
     return parser

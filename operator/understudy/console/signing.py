@@ -9,9 +9,9 @@ from understudy.api.pauses import Pause
 from understudy.console.kubectl import Unusable
 
 
-def add_options(parser: argparse.ArgumentParser, *, reason: str) -> None:
+def add_options(parser: argparse.ArgumentParser, *, reason: str, required: bool = True) -> None:
     """Let a command be told both; ``reason`` is what its help says of the reason."""
-    parser.add_argument("--reason", metavar="TEXT", required=True, help=reason)
+    parser.add_argument("--reason", metavar="TEXT", required=required, help=reason)
     parser.add_argument(
         "--owner",
         metavar="WHO",
@@ -25,7 +25,12 @@ def signed(given: argparse.Namespace, found: str, *, before: str = "", until: st
 
     Raises Unusable where one is empty; ``found`` is how whoever wants to know will find the robot.
     """
+    refuse_empty(given, found)
+    return Pause(reason=f"{before}{given.reason}"[:256], owner=given.owner[:128], until=until)
+
+
+def refuse_empty(given: argparse.Namespace, found: str) -> None:
+    """Raise Unusable where who or why is empty; ``found`` is how whoever wants to know will find the robot."""
     for option, text in (("--reason", given.reason), ("--owner", given.owner)):
         if not text.strip():
             raise Unusable(f"{option} is empty: whoever finds it {found} will want to know")
-    return Pause(reason=f"{before}{given.reason}"[:256], owner=given.owner[:128], until=until)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 
+from understudy.api import names
 from understudy.api.pauses import Pause
 from understudy.monitor import metrics
 from understudy.monitor.reporting import Reporter
@@ -20,6 +21,8 @@ class Pauses:
     def __init__(self, view: View, reporter: Reporter) -> None:
         self._view, self._reporter = view, reporter
         self._known: tuple[Pause | None, bool] = (None, False)
+        self._resumed = ""
+        """When somebody had said to go on, while the pause was in force: what they say of it later is of its end."""
         self._adopted = True
         """Whether what an earlier monitor has said is still to be looked at."""
         self.ended = 0.0
@@ -40,6 +43,7 @@ class Pauses:
         in_force = given is not None and given.in_force(now)
         if in_force:
             self.ended = now
+            self._resumed = self._annotation(names.RESUMED)
         before = self._known
         if (given, in_force) == before and not self._adopted:
             return
@@ -53,9 +57,18 @@ class Pauses:
             said = f"It was {given.words}. That is over, and spec.pause may be taken away."
             self._reporter.condition(CONDITION, "False", "Over", said)
         if before[1] and not in_force and before[0] is not None:
-            pause, why = before[0], "it was taken away" if given is None else "its time is over"
+            pause, why = before[0], f"it was taken away{self._words()}" if given is None else "its time is over"
             _logger.warning("no longer %s: %s", pause.words, why)
             self._reporter.event("Normal", "PauseEnded", f"No longer {pause.words}; {why}")
+
+    def _words(self) -> str:
+        """Who has ended it and why, where they told it."""
+        found = self._annotation(names.RESUMED_FOR) if self._annotation(names.RESUMED) != self._resumed else ""
+        return f" by {found}" if found else ""
+
+    def _annotation(self, name: str) -> str:
+        found: str = ((self._view.object or {}).get("metadata", {}).get("annotations") or {}).get(name, "")
+        return found
 
     def _begin(self, pause: Pause, *, anew: bool) -> None:
         way_out = f"understudy resume -n {self._view.namespace} {self._view.workload}"

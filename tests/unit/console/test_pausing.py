@@ -69,3 +69,12 @@ def test_resume_ends_it_and_forgets_what_was_spent(
     assert "no longer paused by ann: a new gripper." in capsys.readouterr().out
     assert resume.main([ROBOT]) == 0
     assert "it wasn't paused." in capsys.readouterr().out
+
+
+def test_resume_says_who_and_why_where_it_is_told(stand: Stand, capsys: pytest.CaptureFixture[str]) -> None:
+    assert resume.main([ROBOT, "--reason", "the gripper grips", "--owner", "bob"]) == 0
+    assert stand.item(ROBOT)["metadata"]["annotations"][names.RESUMED_FOR] == "bob: the gripper grips"
+    assert resume.main([ROBOT]) == 0
+    assert names.RESUMED_FOR not in stand.item(ROBOT)["metadata"]["annotations"], "that was of the time before"
+    assert resume.main([ROBOT, "--reason", " "]) == 2
+    assert "--reason is empty: whoever finds it resumed will want to know" in capsys.readouterr().err

@@ -7,6 +7,7 @@ from typing import Any, cast
 
 import pytest
 
+from understudy.api import names
 from understudy.api.pauses import Pause
 from understudy.monitor.pausing import Pauses
 from understudy.monitor.reporting import Reporter
@@ -22,7 +23,7 @@ class World:
 
     def __init__(self, pause: Pause | None = None) -> None:
         nobody: Any = None
-        self.view = SimpleNamespace(spec=SimpleNamespace(pause=pause), namespace="fleet", workload="w")
+        self.view = SimpleNamespace(spec=SimpleNamespace(pause=pause), namespace="fleet", workload="w", object={})
         self.events: list[tuple[str, str]] = []
         self.reporter = Reporter(nobody, "fleet", "w", nobody)
         self.reporter.event = lambda kind, reason, message: self.events.append((reason, message))  # type: ignore[method-assign]
@@ -69,6 +70,33 @@ def test_it_ends_when_it_is_taken_away() -> None:
     assert world.pauses.on is None
     assert world.said is None
     assert world.events[-1] == ("PauseEnded", "No longer paused by ann: a new gripper; it was taken away")
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "words"),
+    [
+        ({}, {names.RESUMED: "2", names.RESUMED_FOR: "bob: it grips"}, "it was taken away by bob: it grips"),
+        ({names.RESUMED: "1"}, {names.RESUMED: "2", names.RESUMED_FOR: "bob: it grips"}, "taken away by bob: it grips"),
+        ({}, {names.RESUMED: "2"}, "it was taken away"),
+    ],
+)
+def test_who_ends_it_and_why_is_told(before: dict[str, str], after: dict[str, str], words: str) -> None:
+    world = World(GIVEN)
+    world.view.object = {"metadata": {"annotations": before}}
+    world.pauses.look(1000.0)
+    world.view.spec = SimpleNamespace(pause=None)
+    world.view.object = {"metadata": {"annotations": after}}
+    world.pauses.look(1001.0)
+    assert world.events[-1][1].endswith(words)
+
+
+def test_what_was_said_at_an_earlier_end_is_not_said_of_this_one() -> None:
+    world = World(GIVEN)
+    world.view.object = {"metadata": {"annotations": {names.RESUMED: "1", names.RESUMED_FOR: "bob: it grips"}}}
+    world.pauses.look(1000.0)
+    world.view.spec = SimpleNamespace(pause=None)
+    world.pauses.look(1001.0)
+    assert world.events[-1][1].endswith("it was taken away")
 
 
 def test_another_pause_is_told_too() -> None:
