@@ -190,7 +190,9 @@ class Invariants:
                 wanted = spec["perWorkload"]
                 if self._refers(namespace, workload):
                     wanted += sum(pod["metadata"]["uid"] in self._in_control() for pod in standing)
-                # Where one of a new template never gets up, the one before it stays.
+                # Where one of a new template never gets up, the one before it stays; and where that is the workload's own, one more.
+                if any(self._is_of(workload, pod) and not objects.ready(pod) for pod in self._waiting(mine)):
+                    wanted = max(wanted, min(len(standing), wanted + 1))
                 if len(standing) != wanted and all(self._stands_by(pod) for pod in standing):
                     yield f"pool {pool} has {len(standing)} pods of {workload} instead of {wanted}"
                 yield from (f"pod {_name(pod)} isn't up" for pod in standing if not self._up(pod))
@@ -201,13 +203,19 @@ class Invariants:
         """The pods of workloads' own controllers that wait with another template than these have by now."""
         yield from (f"pod {_name(pod)} waits with an old template" for pod in waiting if self._is_outdated(pod))
 
+    def _is_of(self, workload: str, pod: Object) -> bool:
+        """Whether a workload's own controller has made a pod."""
+        return _labels(pod).get(names.WORKLOAD) == workload and _labels(pod).get(names.SOURCE) == "workload"
+
     def _is_outdated(self, pod: Object) -> bool:
         """Whether a pod of a workload's own controller has another template than that one has by now."""
         owner = controller_of(pod)
         if owner is None or owner["kind"] != "ReplicaSet":
             return False
-        live = self._server.items["replicasets"][(pod["metadata"]["namespace"], owner["name"])]
-        return _labels(pod).get(names.TEMPLATE_HASH) != _labels(live["spec"]["template"]).get(names.TEMPLATE_HASH)
+        live = self._server.get("replicasets", (pod["metadata"]["namespace"], owner["name"]))
+        return live is not None and _labels(pod).get(names.TEMPLATE_HASH) != _labels(live["spec"]["template"]).get(
+            names.TEMPLATE_HASH
+        )
 
     def _waiting(self, made: Sequence[Object]) -> list[Object]:
         """The pods that wait: those that a pool made, and those that its workloads' own controllers made since one of it drives."""
