@@ -62,6 +62,8 @@ class Observer:
 
     def __init__(self, client: Reader, store: Store, expectations: Expectations) -> None:
         self._client, self._store, self._expectations = client, store, expectations
+        self._looked: dict[tuple[str, str], tuple[str, str]] = {}
+        """By namespace and name, for which pool a Secret that is older than it was read, and which one was there: their UIDs."""
 
     async def workload(self, item: Object) -> Observed:
         """What is so around a workload."""
@@ -189,6 +191,7 @@ class Observer:
         name, namespace = objects.name(item), item["metadata"]["namespace"]
         found = store.in_namespace(WORKLOADS, namespace)
         template, selector = await self._source(item, found)
+        secret = await self._token(item)
         gates = [store.get(NETWORK_POLICIES, namespace, names.gate(workload)) for workload in found]
         now = time.time()
         made = store.labelled(PODS, namespace, names.POOL, name)
@@ -214,8 +217,28 @@ class Observer:
             asking=[workload for workload in found.values() if self._asks(item, workload)],
             leaving=self._leaving(),
             budgets=self._budgets(namespace),
-            secret=store.get(SECRETS, namespace, names.pool_secret(name)),
+            secret=secret,
         )
+
+    async def _token(self, pool: Object) -> Object | None:
+        """The Secret for the agents of a pool's pods.
+
+        One that is older than the pool may have gone with the pool of that name before it, or with their namespace. No watch tells of that,
+        and the pool's pods wait for their Secret: it is read from the API, once.
+        """
+        place = pool["metadata"]["namespace"], names.pool_secret(objects.name(pool))
+        stored = self._store.get(SECRETS, *place)
+        if stored is None or objects.created(stored) >= objects.created(pool):
+            return stored
+        if self._looked.get(place) == (objects.uid(pool), objects.uid(stored)):
+            return stored
+        live = await self._client.find(SECRETS, *place)
+        if live is None:
+            self._store.remove(SECRETS, stored)
+        else:
+            self._store.put(SECRETS, live)
+            self._looked[place] = objects.uid(pool), objects.uid(live)
+        return self._store.get(SECRETS, *place)
 
     def _standing_in(
         self, pool: Object, workloads: Mapping[str, Object], pods: Sequence[Object], active: Collection[str]

@@ -300,3 +300,42 @@ def test_of_a_role_only_the_tokens_of_pools_are_its_pools() -> None:
     assert monitors.commanded(role) == {"spare"}
     assert monitors.commanded(None) == frozenset()
     assert ownership.controls(objects.uid(W), role)
+
+
+class Reading:
+    """Answers what is there, and how often it was asked."""
+
+    def __init__(self, live: Object | None) -> None:
+        self.live, self.asked = live, 0
+
+    async def find(self, *_: Any) -> Object | None:
+        self.asked += 1
+        return self.live
+
+
+@pytest.mark.parametrize("there", [False, True])
+async def test_of_a_pool_that_was_made_anew_it_is_found_out_whether_the_token_is_there_still(there: bool) -> None:
+    # The operator deletes it with the last pod of the pool before, or it goes with their namespace: only a list tells of that.
+    store, before = Store(), secret()
+    before["metadata"]["creationTimestamp"] = "2026-01-01T00:00:00Z"
+    anew = {**POOL, "metadata": {**POOL["metadata"], "uid": "uid-anew", "creationTimestamp": "2026-01-01T00:01:00Z"}}
+    store.put(SECRETS, before)
+    store.put(POOLS, anew)
+    reading = Reading(before if there else None)
+    observer = Observer(cast(Client, reading), store, Expectations())
+    for _ in range(2):
+        found = await observer.pool(anew)
+        assert bool(found.secret) == there
+        assert bool(created(plan(found), "secrets")) != there
+    assert reading.asked == 1
+
+
+async def test_of_a_token_that_was_made_for_the_pool_nothing_is_asked() -> None:
+    store, made, stamp = Store(), secret(), "2026-01-01T00:00:00Z"
+    made["metadata"]["creationTimestamp"] = stamp
+    store.put(SECRETS, made)
+    reading = Reading(None)
+    item = {**POOL, "metadata": {**POOL["metadata"], "creationTimestamp": stamp}}
+    found = await Observer(cast(Client, reading), store, Expectations()).pool(item)
+    assert found.secret is not None
+    assert not reading.asked
