@@ -79,23 +79,37 @@ def _renewed(
     """How many standbys more there are to be while a pod that stands in for one is replaced, and which of these pods go now.
 
     What the workload's own controller has made of an old template waits like any standby, and like one it goes when another is ready. That
-    is a standby more, which stays until the controller's next pod is ready.
+    is a standby more, which stays until the controller's next pod is ready. Where it stands in for none, as when a pod of a shared pool
+    drives, there are as many standbys as are wanted besides it, and it goes when a pool's are ready.
     """
     gate, present = observed.gate, instances.template_hash(understanding.builts[pool])
-    if observed.active is None or standins.displaced(gate, observed.pods) != pool:
+    if observed.active is None or objects.labels(observed.active).get(names.SOURCE) == "workload":
         return 0, []
+    displaced = standins.displaced(gate, observed.pods)
     own = instances.template_hash(understanding.builts[""])
-    found = standins.standing_in(pool, gate, observed.pods)
+    found = [pod for pod in observed.pods if standins.is_own(pod)]
     outdated = [pod for pod in found if fleets.hash_of(pod) != own]
     if not outdated:
-        one_more = sum(map(objects.alive, mine)) > want
+        one_more = pool == displaced and sum(map(objects.alive, mine)) > want
         return int(one_more and not any(map(objects.ready, found))), []
+    if displaced != pool and pool != _first_kept(observed, understanding, displaced):
+        return 0, []
     waiting = [pod for pod in mine if not objects.is_active(pod, gate)]
     live = observed.owned.get(("replicasets", objects.name(observed.workload)))
     ready = sum(objects.ready(pod) and fleets.hash_of(pod) == present for pod in waiting)
     # Before the controller has the present template, it would make another of the old one.
     go = ready >= want and live is not None and _template_of(live) == own and not observed.recovering
-    return 1, outdated if go else []
+    return int(pool == displaced), outdated if go else []
+
+
+def _first_kept(observed: Observed, understanding: Understanding, displaced: str) -> str:
+    """The pool by whose standbys a pod goes that stands in for none: the first that keeps some, unless the displaced one does."""
+    kept = [
+        name
+        for name in sorted(understanding.builts)
+        if name and observed.refused(name) is None and wanted(observed, name)
+    ]
+    return kept[0] if kept and displaced not in kept else ""
 
 
 def _template_of(replica_set: Object) -> str:

@@ -31,4 +31,9 @@ def standing_in(pool: str, gate: Object | None, pods: Sequence[Object]) -> list[
     """The living pods of a workload's own controller that wait for a pool whose standby drives."""
     if displaced(gate, pods) != pool:
         return []
-    return [pod for pod in pods if objects.labels(pod).get(names.SOURCE) == "workload" and objects.alive(pod)]
+    return [pod for pod in pods if is_own(pod)]
+
+
+def is_own(pod: Object) -> bool:
+    """Whether a pod is a living one of a workload's own controller."""
+    return objects.labels(pod).get(names.SOURCE) == "workload" and objects.alive(pod)

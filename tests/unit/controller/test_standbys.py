@@ -126,6 +126,38 @@ class TestStandbys:
         world.workload["status"] = {"health": "Recovering"}
         assert not deleted(world.plan())
 
+    @pytest.mark.parametrize("driving", ["of a shared pool", "of a pool that keeps none any more"])
+    def test_an_old_one_that_stands_in_for_none_goes_once_when_all_standbys_are_ready(self, driving: str) -> None:
+        pools = [hot("a-none", per_workload=0), hot(), hot("later"), spare()]
+        world = World(workload(), policy("hot", "later", "spare"), *pools)
+        world.build()
+        world.build()
+        if driving == "of a shared pool":
+            active = claimed_pod("spare-1", of=spare(), by=world.workload)
+        else:
+            active = standby_pod("w-s", of=world.workload, pool="a-none")
+        world.own(gate(world.workload, active=active, epoch=2))
+        hashes = {
+            name: built["metadata"]["labels"][names.TEMPLATE_HASH] for name, built in world.understood().builts.items()
+        }
+
+        def now(own: Object, *, ready: bool = True, template_hash: str = hashes["hot"]) -> tuple[int, list[str]]:
+            world.pods = [
+                active,
+                own,
+                standby_pod("w-t", of=world.workload, template_hash=template_hash, ready=ready),
+                standby_pod("w-u", of=world.workload, pool="later", template_hash=hashes["later"]),
+            ]
+            plan = world.plan()
+            return len(created(plan, "pods")), deleted(plan)
+
+        old = source_pod("w-old", template_hash="old")
+        assert now(old, template_hash="old") == (1, []), "the standby's own turn comes first"
+        assert now(old, ready=False) == (0, [])
+        assert now(old) == (0, ["w-old"])
+        for ready in (False, True):
+            assert now(source_pod("w-new", template_hash=world.own_hash, ready=ready)) == (0, [])
+
     def test_none_is_deleted_while_a_recovery_is_under_way(self) -> None:
         world = World(workload(status={"health": "Recovering"}), policy("hot"), hot())
         world.own(gate(world.workload, active=source_pod("w-a"), epoch=1))
