@@ -225,18 +225,21 @@ class Reconciler:
         """What is left to do for a pool that is gone, or on its way out: pods that were claimed from it drive on."""
         self._measure(key, None)
         self._counted.pop(key, None)
+        pods = self._store.labelled(PODS, key.namespace, names.POOL, key.name)
         writes = tokens.outlast(
             key.name,
             key.namespace,
             self._store.get(SECRETS, key.namespace, names.pool_secret(key.name)),
             deleted=item is not None,
-            pods=self._store.labelled(PODS, key.namespace, names.POOL, key.name),
+            pods=pods,
             workloads=self._store.in_namespace(WORKLOADS, key.namespace),
             token=self._fresh.token,
         )
         for problem in await self._executor.run(key, writes):
             _logger.warning("FallbackPool %s/%s is gone: %s", key.namespace, key.name, problem.message)
-        if item is None:
+        # While it has pods it is looked at again with each of their changes and with every list, and with it others would be forgotten each
+        # time whose names begin alike.
+        if item is None and not pods:
             self._executor.forget(key)
 
     def _measure(self, key: Key, sized: poolsizes.Sized | None) -> None:

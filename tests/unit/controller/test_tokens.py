@@ -9,6 +9,7 @@ import pytest
 from tests.unit.cluster.memory import MemoryClient
 from tests.unit.controller.test_pools import observe, plan
 from tests.unit.controller.world import (
+    IMAGES,
     NAMESPACE,
     World,
     applied,
@@ -26,12 +27,16 @@ from tests.unit.controller.world import (
 from understudy.api import names
 from understudy.cluster import applying
 from understudy.cluster.client import PODS, POOLS, ROLES, SECRETS, WORKLOADS, Client, Object
+from understudy.cluster.events import Recorder
 from understudy.controller import affected, monitors, objects, ownership, pools, resyncing, tokens
 from understudy.controller.affected import Key
 from understudy.controller.desired import Plan
+from understudy.controller.executing import Executor
 from understudy.controller.expectations import Expectations
 from understudy.controller.observing import Observer
 from understudy.controller.operating import Operator
+from understudy.controller.reconciling import Reconciler
+from understudy.controller.rollouts import Rollouts
 from understudy.controller.stores import Sight, Store
 
 W, POOL = workload(), spare()
@@ -339,3 +344,22 @@ async def test_of_a_token_that_was_made_for_the_pool_nothing_is_asked() -> None:
     found = await Observer(cast(Client, reading), store, Expectations()).pool(item)
     assert found.secret is not None
     assert not reading.asked
+
+
+async def test_a_pool_that_is_gone_has_others_forgotten_once_and_not_with_each_change_of_its_pods() -> None:
+    # Whose names begin alike: what is known of them would be found out anew, by a write, and a dispute with somebody else never be told.
+    store, client = Store(), MemoryClient()
+    working = Executor(client, store, Expectations(), may_write=lambda: True)
+    reconciler = Reconciler(
+        client, store, Observer(client, store, Expectations()), working, cast(Recorder, None), IMAGES, Rollouts(store)
+    )
+    place = ("roles", NAMESPACE, "spare-robot-monitor")
+    pod = claimed_pod("spare-1", of=POOL, by=W)
+    store.put(WORKLOADS, W)
+    store.put(PODS, pod)
+    for is_known in (True, False):
+        working._settled[place] = ("uid-role", frozenset({".rules"}))
+        await reconciler.reconcile(Key(POOLS.plural, NAMESPACE, "spare"))
+        assert (place in working._settled) == is_known
+        store.remove(PODS, pod)
+        store.remove(SECRETS, store.get(SECRETS, NAMESPACE, NAME) or secret())
