@@ -206,7 +206,8 @@ class Kubectl:
 
 def _somebody_answers() -> bool:
     """Whether there is somebody who could be asked: not where a shell wants to know how a line may go on."""
-    return sys.stdin.isatty() and not completing.is_asked()
+    # There is none at all where it was closed, as by `<&-`.
+    return sys.stdin is not None and sys.stdin.isatty() and not completing.is_asked()
 
 
 def _done(command: Sequence[str], stdin: int | None) -> tuple[int, str, str]:

@@ -153,3 +153,10 @@ def test_where_nobody_could_answer_nobody_is_asked(stand: Stand, monkeypatch: py
     with pytest.raises(Unusable, match="not a terminal: log in as the kubeconfig's plugin has it"):
         Kubectl(given).get("robotworkloads.understudy.dev", NAME)
     assert time.monotonic() - begun < 10
+
+
+def test_where_there_is_no_standard_input_nobody_is_asked(stand: Stand, monkeypatch: pytest.MonkeyPatch) -> None:
+    with_plugin(stand, ASKS)
+    monkeypatch.setattr(sys, "stdin", None)  # as Python has it after `<&-`
+    with pytest.raises(Unusable, match="not a terminal: log in as the kubeconfig's plugin has it"):
+        Kubectl(argparse.Namespace(namespace="fleet", context=None, kubeconfig=None)).get("pods")
