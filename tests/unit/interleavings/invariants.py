@@ -197,7 +197,13 @@ class Invariants:
                     yield f"pool {pool} has {len(standing)} pods of {workload} instead of {wanted}"
                 yield from (f"pod {_name(pod)} isn't up" for pod in standing if not self._up(pod))
             if all(self._stands_by(pod) for pod in self._waiting(mine)):
-                yield from self._outdated(self._waiting(mine))
+                yield from self._outdated(self._own())
+
+    def _own(self) -> list[Object]:
+        """The pods of workloads' own controllers that wait, in whoever's place."""
+        in_control, pods = self._in_control(), self._server.items["pods"].values()
+        made = [pod for pod in pods if _labels(pod).get(names.SOURCE) == "workload" and _living(pod)]
+        return [pod for pod in made if pod["metadata"]["uid"] not in in_control]
 
     def _outdated(self, waiting: Sequence[Object]) -> Iterator[str]:
         """The pods of workloads' own controllers that wait with another template than these have by now."""
