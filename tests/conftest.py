@@ -28,6 +28,8 @@ from tests.support.cluster import Cluster
 os.environ.setdefault("MUJOCO_GL", "egl")
 
 REPOSITORY = Path(__file__).resolve().parent.parent
+MACHINE_NETWORK = "UNDERSTUDY_TEST_NETWORK"
+"""Environment variable of a test process that has a network of its own: the file of the machine's, for nsenter."""
 _CLONE_NEWNS, _CLONE_NEWNET = 0x00020000, 0x40000000
 _CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "understudy"
 
@@ -68,6 +70,8 @@ def _like_a_pod() -> None:
     By its shared memory two processes that listen on the same gate port would meet whatever their networks are, and
     what a killed one leaves there would stay.
     """
+    # What loads packages runs in the machine's network: see MACHINE_NETWORK.
+    os.environ[MACHINE_NETWORK] = f"/proc/{os.getpid()}/fd/{os.open('/proc/self/ns/net', os.O_RDONLY)}"
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.unshare(_CLONE_NEWNET | _CLONE_NEWNS):
         raise pytest.UsageError(f"no network of its own for a test process: {os.strerror(ctypes.get_errno())}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import runpy
 import shlex
@@ -12,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.conftest import MACHINE_NETWORK
 from tests.support.pages import REPOSITORY
 
 PAGE = (REPOSITORY / "docs" / "how-to" / "custom-messages.md").read_text()
@@ -80,7 +82,9 @@ def test_the_user_s_types_are_there_once_their_wheel_is_installed(workspace: Pat
     environment = workspace / "environment"
     base = getattr(sys, "_base_executable", sys.executable)
     subprocess.run([base, "-m", "venv", str(environment)], check=True, timeout=120)
-    done = subprocess.run(building(workspace, environment), capture_output=True, text=True, timeout=800, check=False)
+    network = os.environ.get(MACHINE_NETWORK)
+    command = [*(["nsenter", f"--net={network}"] if network else []), *building(workspace, environment)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=800, check=False)
     assert done.returncode == 0, done.stderr
     (wheel,) = (workspace / "wheels").glob("*.whl")
     assert wheel.name.startswith("ros_jazzy_my_msgs-1.0.0-")
