@@ -496,16 +496,22 @@ def test_a_new_template_replaces_standbys_one_after_the_other(fleet: Fleet, oper
     )
 
 
-def test_claimed_pods_belong_to_their_workload_and_the_pool_is_refilled(fleet: Fleet, operator: Operator) -> None:
-    fleet.create(policy("spare", "Restart"), spare(replicas=2), workload())
+def claimed_from_a_pool(fleet: Fleet, *, replicas: int) -> Object:
+    """A pod that workload w has claimed and that drives it; its pool is filled again."""
+    fleet.create(policy("spare", "Restart"), spare(replicas=replicas), workload())
     fleet.wait_built()
-    until(lambda: len(fleet.held()) == 2, "two held pods")
+    until(lambda: len(fleet.held()) == replicas, "the pool to be filled")
     claimed = fleet.held()[0]
     fleet.make_ready(claimed)
     claimed = fleet.get("Pod", claimed["metadata"]["name"], CORE)
     fleet.claim(claimed)
     fleet.commit(claimed)
-    until(lambda: len(fleet.held()) == 2, "the pool to be refilled")
+    until(lambda: len(fleet.held()) == replicas, "the pool to be refilled")
+    return claimed
+
+
+def test_claimed_pods_belong_to_their_workload_and_the_pool_is_refilled(fleet: Fleet, operator: Operator) -> None:
+    claimed = claimed_from_a_pool(fleet, replicas=2)
     until(lambda: fleet.get("FallbackPool", "spare")["status"].get("claimed") == 1, "the claim to be counted")
     # a claimed pod drives and nobody wants another as a standby
     until(lambda: fleet.get("ReplicaSet", "w", APPS)["spec"]["replicas"] == 0, "the workload's own pod to go")
@@ -528,15 +534,7 @@ def test_a_pool_that_is_deleted_without_an_operator_leaves_the_token_of_a_claime
         return fleet.find("Secret", names.pool_secret("spare"), CORE)
 
     with Operator(fleet.cluster.kubeconfig, fleet.namespace):
-        fleet.create(policy("spare", "Restart"), spare(replicas=1), workload())
-        fleet.wait_built()
-        until(lambda: len(fleet.held()) == 1, "a held pod")
-        claimed = fleet.held()[0]
-        fleet.make_ready(claimed)
-        claimed = fleet.get("Pod", claimed["metadata"]["name"], CORE)
-        fleet.claim(claimed)
-        fleet.commit(claimed)
-        until(lambda: len(fleet.held()) == 1, "another one")
+        claimed = claimed_from_a_pool(fleet, replicas=1)
     before = token()
     assert before is not None
     fleet.cluster.delete(fleet.get("FallbackPool", "spare"))

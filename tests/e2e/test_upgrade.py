@@ -133,6 +133,15 @@ def strategies() -> list[Object]:
     return patient(found)
 
 
+def driven(kubectl: Kubectl) -> tuple[Robot, Robot, dict[Robot, str]]:
+    """A robot with a pod of the pool and one with a standby, both protected; and the pod in control of each."""
+    pooled, standing = Robot(kubectl, "robot-1"), Robot(kubectl, "robot-2")
+    kubectl.apply(
+        strategies() + pooled.objects(policy=UNINITIALIZED) + standing.objects(policy=EXECUTING, labels=STANDING)
+    )
+    return pooled, standing, {robot: robot.wait_protected() for robot in (pooled, standing)}
+
+
 def all_around(robots: dict[Robot, str], active: dict[Robot, str], tag: str) -> bool:
     """Whether monitors, discovery servers, standbys and the pool are those of a version, and ready.
 
@@ -165,12 +174,8 @@ def lose(robot: Robot, active: str, policy: str, *, number: int) -> str:
 def test_an_upgrade_from_the_version_before_leaves_no_gap_at_the_robots_and_what_it_left_is_recovered_by_this_one(
     earlier: Version, kubectl: Kubectl, release: Kubectl
 ) -> None:
-    pooled, standing = Robot(kubectl, "robot-1"), Robot(kubectl, "robot-2")
+    pooled, standing, active = driven(kubectl)
     robots = {pooled: UNINITIALIZED, standing: EXECUTING}
-    kubectl.apply(
-        strategies() + pooled.objects(policy=UNINITIALIZED) + standing.objects(policy=EXECUTING, labels=STANDING)
-    )
-    active = {robot: robot.wait_protected() for robot in robots}
     # The one that waits then was made by the workload's own controller.
     active[standing] = lose(standing, active[standing], EXECUTING, number=1)
     failures = {pooled: 0, standing: 1}
@@ -244,17 +249,13 @@ def test_an_upgrade_from_the_version_before_leaves_no_gap_at_the_robots_and_what
 def test_going_back_to_the_version_before_leaves_the_robots_driven_and_what_this_one_left_is_recovered_by_that(
     earlier: Version, kubectl: Kubectl, release: Kubectl
 ) -> None:
-    pooled, standing = Robot(kubectl, "robot-1"), Robot(kubectl, "robot-2")
-    robots = {pooled: UNINITIALIZED, standing: EXECUTING}
     install(release.kubeconfig)
     eventually(
         lambda: [tags(pod) for pod in release.list("pods", OPERATORS)] == [{PRESENT}] * 2,
         within=60, what="no operator of the version before is left, which would still build", note=lambda: release("get", "pods"),
     )  # fmt: skip
-    kubectl.apply(
-        strategies() + pooled.objects(policy=UNINITIALIZED) + standing.objects(policy=EXECUTING, labels=STANDING)
-    )
-    active = {robot: robot.wait_protected() for robot in robots}
+    pooled, standing, active = driven(kubectl)
+    robots = {pooled: UNINITIALIZED, standing: EXECUTING}
     # A recovery that this version has written beside the gate and into the status, as the one before must be able to read it.
     active[pooled] = lose(pooled, active[pooled], UNINITIALIZED, number=1)
     failures = {pooled: 1, standing: 0}
