@@ -64,6 +64,7 @@ class Follower:
 
         ``reference`` is what the arm follows, the same object until the arm has said so again.
         """
+        heard, self._heard = self._heard, reference
         # An arm that is held aside of the way follows as well, but not along the way.
         sent = None if self.strayed else self._sent.get(reference.positions.tobytes())
         if sent is not None and now - sent <= LATELY:
@@ -71,7 +72,7 @@ class Follower:
             command = self._of_its_own(self._motion.advance(seconds))
         elif sent is not None and self._unfollowed < PATIENCE:
             # An arm that says nothing is busy, and takes up later what it was sent meanwhile.
-            self._unfollowed += seconds if reference is not self._heard else 0.0
+            self._unfollowed += seconds if reference is not heard else 0.0
             self._motion.rest()
             command = self._of_its_own(self._motion.command())
         else:
@@ -79,11 +80,9 @@ class Follower:
             self.strayed = aside > ASIDE
             if self.strayed:
                 # Where it is by now it hasn't said yet: a moving arm would be called back to where it was.
-                self._heard = reference
                 return None
             self._motion.begin(place, reference.velocities)
             command = self._of_its_own(self._motion.advance(seconds))
-        self._heard = reference
         self._note(command.positions, now)
         return command
 

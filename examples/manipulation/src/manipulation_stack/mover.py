@@ -142,13 +142,12 @@ class Mover(managed.Managed):
 
     def send(self, command: Command | None) -> None:
         """Send a command to the arm; None has it stay where it is."""
-        points = []
+        trajectory = JointTrajectory(joint_names=list(JOINTS))
         if command is not None:
-            points = [
-                JointTrajectoryPoint(positions=command.positions.tolist(), velocities=command.velocities.tolist())
-            ]
-            points[0].time_from_start.nanosec = int(PERIOD * 1e9)
-        self._commands.publish(JointTrajectory(joint_names=list(JOINTS), points=points))
+            point = JointTrajectoryPoint(positions=command.positions.tolist(), velocities=command.velocities.tolist())
+            point.time_from_start.nanosec = int(PERIOD * 1e9)
+            trajectory.points = [point]
+        self._commands.publish(trajectory)
 
     def _taken(self) -> Command | None:
         for message in self._heard.taken()[-1:]:
