@@ -12,7 +12,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -24,7 +24,7 @@ from bench.scaling.senses import Application, Probes, Sidecars, Sight
 from bench.scaling.watches import Borrowed, Drain
 from tests.unit.interleavings.blanks import BlackBox, Keeping
 from understudy.api import names
-from understudy.cluster.client import NETWORK_POLICIES, POLICIES, Access, ApiError
+from understudy.cluster.client import NETWORK_POLICIES, Access, ApiError
 from understudy.cluster.events import Recorder
 from understudy.cluster.warming import keep_warm
 from understudy.cluster.watching import Reflector
@@ -75,19 +75,12 @@ class Recording(Reporter):
         return super().record(progress)
 
 
-@dataclass(frozen=True)
-class Copies:
-    """What all monitors of a namespace watch alike."""
-
-    policies: Reflector
-    waiting: Reflector
-
-
 class Monitor:
     """One robot's monitor."""
 
-    def __init__(self, robot: Robot, client: Drain, copies: Copies, state: Path) -> None:
-        self.robot, self._client, self._copies, self._state = robot, client, copies, state
+    def __init__(self, robot: Robot, client: Drain, waiting: Reflector, state: Path) -> None:
+        """``waiting`` is a copy of the gates of its namespace that wait for pods: all monitors of it watch them alike."""
+        self.robot, self._client, self._waiting, self._state = robot, client, waiting, state
         self.application = Application()
         self.supervisor: Supervisor | None = None
         self.fleet: Fleet | None = None
@@ -97,11 +90,10 @@ class Monitor:
 
     async def run(self, watching: asyncio.Event) -> None:
         """As ``understudy.monitor.running`` puts it together; ``watching`` is set once its copies are there."""
-        client, copies, namespace = self._client, self._copies, self.robot.namespace
+        client, namespace = self._client, self.robot.namespace
         async with asyncio.TaskGroup() as group:
             view = View(client, namespace, self.robot.name, on_pod=self.wake)
-            view.policies = Borrowed(copies.policies, client, POLICIES, namespace)
-            view.waiting_gates = Borrowed(copies.waiting, client, NETWORK_POLICIES, namespace, labels=names.WAITS_FOR)
+            view.waiting_gates = Borrowed(self._waiting, client, NETWORK_POLICIES, namespace, labels=names.WAITS_FOR)
             await view.run(group)
             crash_points = CrashPoints(self._state)
             self.fleet = Fleet(client, view, crash_points)
@@ -194,7 +186,7 @@ class Process:
         self._access = Access.from_kubeconfig(kubeconfig)
         self._folder = folder
         self._monitors: dict[str, Monitor] = {}
-        self._copies: dict[str, Copies] = {}
+        self._waiting: dict[str, Reflector] = {}
         self._tasks: set[asyncio.Task[None]] = set()
         self._at_once = asyncio.Semaphore(AT_ONCE)
 
@@ -247,23 +239,16 @@ class Process:
         watching = asyncio.Event()
         async with Drain(access, timeout=60) as client:
             await self._at_once.acquire()
-            if robot.namespace not in self._copies:
-                self._copies[robot.namespace] = self._copy(robot.namespace, client)
-            monitor = self._monitors[robot.key] = Monitor(robot, client, self._copies[robot.namespace], state)
+            if robot.namespace not in self._waiting:
+                copy = Reflector(client, NETWORK_POLICIES, robot.namespace, labels=names.WAITS_FOR)
+                self._waiting[robot.namespace] = copy
+                self._do(copy.run())
+            monitor = self._monitors[robot.key] = Monitor(robot, client, self._waiting[robot.namespace], state)
             running = asyncio.create_task(monitor.run(watching))
             waiting = asyncio.create_task(watching.wait())
             await asyncio.wait((running, waiting), return_when=asyncio.FIRST_COMPLETED)
             self._at_once.release()
             await running
-
-    def _copy(self, namespace: str, client: Drain) -> Copies:
-        copies = Copies(
-            Reflector(client, POLICIES, namespace),
-            Reflector(client, NETWORK_POLICIES, namespace, labels=names.WAITS_FOR),
-        )
-        for one in (copies.policies, copies.waiting):
-            self._do(one.run())
-        return copies
 
     async def _fail(self, at: float, monitor: Monitor) -> None:
         await asyncio.sleep(at - time.time())

@@ -1,4 +1,4 @@
-"""Copies of what all monitors of a fleet watch alike: each has its watch, and what it brings is read once.
+"""A copy of what all monitors of a fleet watch alike: each has its watch, and what it brings is read once.
 
 In a real fleet each monitor reads it on a machine of its own. Here they share some processors with the API server, of which is
 measured what all these watches ask of it.
@@ -7,7 +7,7 @@ measured what all these watches ask of it.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Mapping
+from collections.abc import Awaitable, Mapping
 
 import aiohttp
 
@@ -72,6 +72,6 @@ class Borrowed(Reflector):
     def put(self, item: Object) -> None:
         """Never needed: nobody writes these."""
 
-    async def changed(self) -> None:
-        """Wait for the next change."""
-        await self._original.changed()
+    def changed(self) -> Awaitable[object]:
+        """What ends with the next change."""
+        return self._original.changed()

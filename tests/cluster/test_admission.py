@@ -23,7 +23,7 @@ NOWHERE = {"containers": [{"name": "c", "image": "none.invalid/none"}], "nodeSel
 @pytest.fixture
 def monitor(cluster: Cluster, release: Release, namespace: str) -> str:
     """The user name of the monitor of MINE, with the rights that the operator gives it; its workload refers to Deployment nav2."""
-    for _, item in monitors.access(MINE, source=("Deployment", "nav2"), pools=["spare"]):
+    for _, item in monitors.access(MINE, source=("Deployment", "nav2"), policy="policy", pools=["spare"]):
         item = copy.deepcopy(item)
         for subject in item.get("subjects", ()):
             subject["namespace"] = namespace
@@ -47,7 +47,7 @@ def monitor(cluster: Cluster, release: Release, namespace: str) -> str:
 @pytest.fixture
 def statefulset_monitor(cluster: Cluster, monitor: str, namespace: str) -> str:
     """The same where the workload refers to StatefulSet nav2."""
-    for kind, item in monitors.access(MINE, source=("StatefulSet", "nav2"), pools=[]):
+    for kind, item in monitors.access(MINE, source=("StatefulSet", "nav2"), policy="policy", pools=[]):
         if kind == "Role":
             path = cluster.path(item["apiVersion"], kind, namespace, item["metadata"]["name"])
             cluster.request("PUT", path, body=item)

@@ -15,6 +15,8 @@ from tests.support.cluster import Cluster, Object, Refused, load, until
 from understudy.api.base import API_VERSION
 from understudy.api.crds import definitions
 from understudy.api.kinds import KINDS
+from understudy.cluster.client import WORKLOADS, Access, Client
+from understudy.cluster.undeclared import apply_declared
 
 MANIFESTS = Path(__file__).parent / "manifests"
 GOOD = sorted((MANIFESTS / "good").glob("*.yaml"))
@@ -174,6 +176,33 @@ def test_operator_and_monitor_each_own_their_part_of_the_status(cluster: Cluster
     assert both["recoveries"] == [recovery], "nothing is filled in that nobody said"
     without = apply("understudy-monitor", {"health": "Failed"})
     assert without == {"standby": "Executing (1/1)", "health": "Failed", "conditions": [accepted]}
+
+
+async def test_a_status_with_fields_of_a_newer_version_is_taken_but_for_these(cluster: Cluster, make) -> None:
+    workload = make("workload-of-a-deployment")
+    namespace, name = workload["metadata"]["namespace"], workload["metadata"]["name"]
+    known: Object = {
+        "health": "Healthy",
+        "gate": {"epoch": 3, "active": "a"},
+        "recoveries": [{"id": "1", "reason": "r", "result": "Recovered"}],
+        "conditions": [_condition("Accepted", "True"), _condition("Healthy", "True")],
+    }
+    said = copy.deepcopy(known) | {"mood": "bright"}
+    said["gate"]["colour"] = "green"
+    said["recoveries"][0]["cost"] = {"euro": 3}
+    said["conditions"][1]["because"] = "of it"
+    body: Object = {"apiVersion": API_VERSION, "kind": "RobotWorkload", "metadata": {"name": name}, "status": said}
+    async with Client(Access.from_kubeconfig(str(cluster.kubeconfig))) as client:
+        answer, unknown = await apply_declared(
+            client, WORKLOADS, namespace, body, manager="understudy-monitor", subresource="status"
+        )
+    assert answer["status"] == known
+    assert set(unknown) == {
+        ".status.mood",
+        ".status.gate.colour",
+        ".status.recoveries[0].cost",
+        '.status.conditions[type="Healthy"].because',
+    }
 
 
 @pytest.mark.parametrize(

@@ -960,6 +960,35 @@ def may_read(fleet: Fleet, name: str) -> list[str]:
     return next(list(rule["resourceNames"]) for rule in rules if rule["resources"] == ["robotworkloads"])
 
 
+def policies_read(fleet: Fleet, name: str = "w") -> list[str] | None:
+    """The policies that a monitor may read; None for all."""
+    rules = fleet.get("Role", names.monitor(name), RBAC)["rules"]
+    return next(rule.get("resourceNames") for rule in rules if rule["resources"] == ["failurepolicies"])
+
+
+def sign(fleet: Fleet, image: str) -> None:
+    """What a monitor of this version says of itself."""
+    said = {"status": {"monitor": {"version": "0.2.0", "image": image}}}
+    fleet.cluster.patch(fleet.get("RobotWorkload", "w"), said, subresource="status")
+
+
+def test_a_monitor_keeps_the_right_to_all_policies_until_its_image_has_said_that_it_asks_by_name(
+    fleet: Fleet, operator: Operator
+) -> None:
+    other = policy("Restart") | {"metadata": {"name": "other"}}
+    fleet.create(policy("Restart"), other, workload())
+    fleet.wait_built()
+    assert policies_read(fleet) is None
+    sign(fleet, NOWHERE)
+    until(lambda: policies_read(fleet) == ["policy"], "the right to be that of its policy")
+    fleet.cluster.patch(fleet.get("RobotWorkload", "w"), {"spec": {"failurePolicyRef": {"name": "other"}}})
+    until(lambda: policies_read(fleet) == ["other"], "the right to be that of its next policy")
+    fleet.cluster.patch(fleet.get("RobotWorkload", "w"), {"spec": {"monitor": {"image": f"{NOWHERE}-mine"}}})
+    until(lambda: policies_read(fleet) is None, "the right to all, for an image that may be older")
+    sign(fleet, f"{NOWHERE}-mine")
+    until(lambda: policies_read(fleet) == ["other"], "the right to be that of its policy again")
+
+
 def told_to_follow(fleet: Fleet, name: str) -> list[str]:
     """What a monitor is told that its workload depends on."""
     settings = json.loads(fleet.get("ConfigMap", names.settings(name), CORE)["data"]["settings.json"])

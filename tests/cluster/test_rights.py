@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 
 import pytest
 
@@ -18,8 +19,12 @@ def operator(release: Release) -> str:
     return account(release.namespace, release.operator)
 
 
-def _access(kind: str, namespace: str) -> list[Object]:
-    found = monitors.access("robot-17", source=(kind, "nav2"), pools=["spare"], upstream=["robot-17-localization"])
+def _access(
+    kind: str, namespace: str, *, policy: str | None = "hot", pools: Sequence[str] = ("spare",)
+) -> list[Object]:
+    found = monitors.access(
+        "robot-17", source=(kind, "nav2"), policy=policy, pools=pools, upstream=["robot-17-localization"]
+    )
     items = [copy.deepcopy(item) for _, item in found]
     for item in items:
         for subject in item.get("subjects", ()):
@@ -27,10 +32,13 @@ def _access(kind: str, namespace: str) -> list[Object]:
     return items
 
 
+@pytest.mark.parametrize("policy", ["hot", None])
 @pytest.mark.parametrize("kind", ["ReplicaSet", "Deployment", "StatefulSet"])
-def test_the_operator_may_give_a_monitor_its_rights(cluster: Cluster, namespace: str, operator: str, kind: str) -> None:
+def test_the_operator_may_give_a_monitor_its_rights(
+    cluster: Cluster, namespace: str, operator: str, kind: str, policy: str | None
+) -> None:
     """Kubernetes lets nobody grant what they don't hold, and the operator may not escalate."""
-    for item in _access(kind, namespace):
+    for item in _access(kind, namespace, policy=policy):
         cluster.create(item, namespace, user=operator)
 
 
@@ -133,14 +141,15 @@ OF_ALL = {
         "delete",
     },  # of which the admission policy leaves its own, see test_admission.py
     "pods.metrics.k8s.io": {"list"},
-    "networkpolicies.networking.k8s.io": {"list", "watch"},
-    "failurepolicies.understudy.dev": {"get", "list", "watch"},
     "events": {"create", "patch", "list"},  # list: what stands in a black box
     "selfsubjectreviews.authentication.k8s.io": {"create"},
     "selfsubjectaccessreviews.authorization.k8s.io": {"create"},
     "selfsubjectrulesreviews.authorization.k8s.io": {"create"},
 }
 """What a monitor may do to any object of its namespace, by kind. The last three everybody may."""
+
+WHO_WAITS = {"networkpolicies.networking.k8s.io": {"list", "watch"}}
+"""The same, where it may have to wait for a pod of a shared pool in turn with others."""
 
 
 def _rights(cluster: Cluster, namespace: str, user: str) -> list[tuple[str, set[str], set[str]]]:
@@ -156,8 +165,11 @@ def _rights(cluster: Cluster, namespace: str, user: str) -> list[tuple[str, set[
     ]
 
 
-def test_what_can_i_lists_for_a_monitor_is_its_own_workload_s(cluster: Cluster, namespace: str) -> None:
-    for item in _access("Deployment", namespace):
+@pytest.mark.parametrize("pools", [["spare"], []])
+def test_what_can_i_lists_for_a_monitor_is_its_own_workload_s(
+    cluster: Cluster, namespace: str, pools: list[str]
+) -> None:
+    for item in _access("Deployment", namespace, pools=pools):
         cluster.create(item, namespace)
     user = account(namespace, names.monitor_account("robot-17"))
     until(lambda: any(one == "pods" for one, _, _ in _rights(cluster, namespace, user)), "its role to take effect")
@@ -165,8 +177,9 @@ def test_what_can_i_lists_for_a_monitor_is_its_own_workload_s(cluster: Cluster, 
         "networkpolicies.networking.k8s.io": {names.gate("robot-17")},
         "robotworkloads.understudy.dev": {"robot-17", "robot-17-localization"},  # on which it depends
         "robotworkloads.understudy.dev/status": {"robot-17"},
+        "failurepolicies.understudy.dev": {"hot"},
         "configmaps": {names.settings("robot-17")},
-        "secrets": {names.agent_secret("robot-17"), names.pool_secret("spare")},
+        "secrets": {names.agent_secret("robot-17"), *map(names.pool_secret, pools)},
         "deployments.apps": {"nav2"},
     }
     found = _rights(cluster, namespace, user)
@@ -175,8 +188,27 @@ def test_what_can_i_lists_for_a_monitor_is_its_own_workload_s(cluster: Cluster, 
         if only:
             named.setdefault(resource, set()).update(only)
     assert named == own
-    assert {resource: verbs for resource, only, verbs in found if not only} == OF_ALL
+    of_all = OF_ALL | (WHO_WAITS if pools else {})
+    assert {resource: verbs for resource, only, verbs in found if not only} == of_all
     assert not {"create", "update", "*"} & {verb for resource, only, verbs in found if only for verb in verbs}
+
+
+def test_a_monitor_reads_its_policy_by_name_and_no_other(cluster: Cluster, namespace: str) -> None:
+    for item in _access("Deployment", namespace):
+        cluster.create(item, namespace)
+    monitor = account(namespace, names.monitor_account("robot-17"))
+    path = cluster.path("understudy.dev/v1alpha1", "FailurePolicy", namespace)
+
+    def listed(selector: dict[str, str]) -> bool:
+        try:
+            cluster.request("GET", path, params=selector, user=monitor)
+        except Refused:
+            return False
+        return True
+
+    until(lambda: listed({"fieldSelector": "metadata.name=hot"}), "the monitor's role to take effect")
+    assert not listed({"fieldSelector": "metadata.name=cold"})
+    assert not listed({})
 
 
 def _allowed(cluster: Cluster, path: str, user: str) -> bool:

@@ -139,6 +139,9 @@ PROFILES_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 POD_VARIABLE = "UNDERSTUDY_POD"
 """The name of the pod, in the environment of an instance's containers; Fast DDS puts it into the profiles."""
 
+MONITOR_IMAGE_VARIABLE = "UNDERSTUDY_MONITOR_IMAGE"
+"""What monitors are made of, for the operator; what it's made of, for a monitor."""
+
 FENCED_VARIABLE = "UNDERSTUDY_FENCED_CONTAINERS"
 UNFENCED_VARIABLE = "UNDERSTUDY_UNFENCED_CONTAINERS"
 """The containers whose application the agent can hold while their pod is cut off, and those where it can't."""

@@ -441,6 +441,13 @@ class GateStatus(Model):
     active: str = Field(default="", description="The pod in control; empty while none is.")
 
 
+class MonitorStatus(Model):
+    """The monitor that wrote this status."""
+
+    version: str = Field(default="", description="Its version of Understudy.")
+    image: str = Field(default="", description="Its image.")
+
+
 class RobotWorkloadStatus(Model):
     """What is so. The operator and the monitor each apply their own fields."""
 
@@ -485,6 +492,9 @@ class RobotWorkloadStatus(Model):
         json_schema_extra={"x-kubernetes-list-type": "atomic"},
     )
     gate: GateStatus | None = Field(default=None, description="Who may reach the robot.")
+    monitor: MonitorStatus | None = Field(
+        default=None, description="The monitor that wrote this status; absent for one before 0.2.0."
+    )
     switchover: SwitchoverStatus | None = Field(
         default=None, description="The last planned switchover, or the one that is under way."
     )

@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-from collections.abc import Callable, Iterable
+from collections.abc import Awaitable, Callable, Iterable
 from typing import Protocol
 
 import aiohttp
@@ -123,16 +123,16 @@ class Reflector:
         self._changed.set()
         self._changed = asyncio.Event()
 
-    async def changed(self) -> None:
-        """Wait for the next change."""
-        await self._changed.wait()
+    def changed(self) -> Awaitable[object]:
+        """What ends with the next change from now on, also with one that comes before it is waited for."""
+        return self._changed.wait()
 
 
 class Changing(Protocol):
     """What may become another."""
 
-    async def changed(self) -> None:
-        """Wait for the next change."""
+    def changed(self) -> Awaitable[object]:
+        """What ends with the next change."""
 
 
 async def any_changed(sources: Iterable[Changing]) -> None:

@@ -140,10 +140,15 @@ class _Examination:
 
 
 def said_by_monitors(workloads: Sequence[Object]) -> Iterator[Finding]:
-    """What the monitors see of their gates, from packets too, and of who reads the outputs."""
+    """Of which version the monitors are; what they see of their gates, from packets too, and of who reads the outputs."""
     for workload in workloads:
-        for said in (workload.get("status") or {}).get("conditions") or []:
-            name, told = objects.name(workload), said["message"]
+        name, status = objects.name(workload), workload.get("status") or {}
+        if status.get("health") and (version := (status.get("monitor") or {}).get("version")) != __version__:
+            found = f"it is of version {version}" if version else "it is of a version before 0.2.0"
+            cure = "an image of your own is built again on that of each version (docs/how-to/custom-messages.md); else its turn comes yet"
+            yield Finding(f"monitor of {name}", "WARN", f"{found}, and this command of {__version__}", cure)
+        for said in status.get("conditions") or []:
+            told = said["message"]
             if (said["type"], said["status"]) == (_ENFORCED, "False"):
                 page = "robot-outside-the-cluster" if said["reason"] == "ReaderWithoutProfile" else "network-policies"
                 yield Finding(f"gate of {name}", "FAIL", told, f"docs/how-to/{page}.md")

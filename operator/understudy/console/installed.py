@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from understudy import __version__
+from understudy.api import names
 from understudy.api.base import VERSION
 from understudy.api.crds import definitions
 from understudy.cluster.client import CRDS, DEPLOYMENTS, Object
@@ -22,7 +23,7 @@ SELECTOR = "app.kubernetes.io/name=understudy,app.kubernetes.io/component=operat
 
 _UPGRADE = "helm upgrade the chart of the version that you want, and use this command of the same version"
 _ENVIRONMENT = {
-    "monitor": "UNDERSTUDY_MONITOR_IMAGE",
+    "monitor": names.MONITOR_IMAGE_VARIABLE,
     "pull_policy": "UNDERSTUDY_IMAGE_PULL_POLICY",
     "pull_secrets": "UNDERSTUDY_IMAGE_PULL_SECRETS",
 }

@@ -91,7 +91,7 @@ def operators() -> Iterator[Right]:
         ("rbac.authorization.k8s.io", "rolebindings", "create patch delete"),
     ):
         yield from _each(group, resource, verbs, "")
-    for kind, item in monitors.access("robot", source=("ReplicaSet", "robot"), pools=["pool"]):
+    for kind, item in monitors.access("robot", source=("ReplicaSet", "robot"), policy=None, pools=["pool"]):
         if kind == "Role":
             for rule in item["rules"]:
                 for resource in rule["resources"]:

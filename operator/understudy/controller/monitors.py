@@ -59,6 +59,7 @@ def deployment(
     fixed = {
         "UNDERSTUDY_WORKLOAD": workload,
         "UNDERSTUDY_NAMESPACE": namespace,
+        names.MONITOR_IMAGE_VARIABLE: settings.image or images.monitor,
         "HOME": STATE_DIR,
         "ROS_LOG_DIR": f"{STATE_DIR}/log",
         "FASTRTPS_DEFAULT_PROFILES_FILE": robots.PROFILES_FILE,
@@ -181,13 +182,31 @@ def _tasks(
     }
 
 
+def asks_by_name(workload: Object, *deployments: Object | None) -> bool:
+    """Whether the monitor asks for its policy alone, and for who waits only where there is a pool: in all these Deployments.
+
+    One before 0.2.0 asks for all of the namespace. An image of a user's own may be of such a version for long after an upgrade of the
+    operator, and without that right it would watch nothing once it starts anew. So it's the monitor that says of which version its
+    image is.
+    """
+    said = ((workload.get("status") or {}).get("monitor") or {}).get("image")
+    images = {item["spec"]["template"]["spec"]["containers"][0].get("image") for item in deployments if item}
+    return bool(said) and images == {said}
+
+
 def access(
-    workload: str, *, source: tuple[str, str], pools: Sequence[str], upstream: Sequence[str] = ()
+    workload: str,
+    *,
+    source: tuple[str, str],
+    policy: str | None,
+    pools: Sequence[str],
+    upstream: Sequence[str] = (),
 ) -> list[tuple[str, Object]]:
     """The monitor's account, role and binding, each with its kind.
 
-    ``source`` is kind and name of the controller that replaces pods; ``pools`` are the shared pools whose agents it may
-    command; ``upstream`` the workloads that it depends on, of which it may read how they are.
+    ``source`` is kind and name of the controller that replaces pods; ``policy`` the FailurePolicy that it reads, None for one that
+    doesn't ask by name (asks_by_name); ``pools`` are the shared pools whose agents it may command; ``upstream`` the workloads that it
+    depends on, of which it may read how they are.
     """
     source_kind, source_name = source
     tokens = [names.agent_secret(workload), *(names.pool_secret(pool) for pool in sorted(pools))]
@@ -196,15 +215,16 @@ def access(
         _rule("", ["pods"], [*watch, "patch", "delete"]),
         _rule("metrics.k8s.io", ["pods"], ["list"]),
         _rule("networking.k8s.io", ["networkpolicies"], [*watch, "patch"], [names.gate(workload)]),
-        _rule("networking.k8s.io", ["networkpolicies"], ["list", "watch"]),  # who else waits for a pod of a pool
         _rule(GROUP, ["robotworkloads"], watch, [workload, *sorted(upstream)]),
         _rule(GROUP, ["robotworkloads/status"], ["patch"], [workload]),
-        _rule(GROUP, ["failurepolicies"], watch),
+        _rule(GROUP, ["failurepolicies"], watch, [policy] if policy is not None else None),
         _rule("", ["configmaps"], watch, [names.settings(workload)]),
         _rule("", ["secrets"], ["get"], tokens),
         _rule("apps", [f"{source_kind.lower()}s"], watch, [source_name]),
         _rule("", ["events"], ["list", "create", "patch"]),
     ]
+    if pools or policy is None:
+        rules.append(_rule("networking.k8s.io", ["networkpolicies"], ["list", "watch"]))  # who else waits for a pod
     if source_kind == "ReplicaSet":
         rules.append(_rule("apps", ["replicasets/scale"], ["get", "patch"], [source_name]))
     metadata = {"name": names.monitor(workload), "labels": labels(workload)}

@@ -25,6 +25,7 @@ from understudy.cluster.client import (
     Resource,
 )
 from understudy.cluster.events import Recorder
+from understudy.cluster.undeclared import apply_declared
 from understudy.controller import (
     affected,
     dependencies,
@@ -120,6 +121,8 @@ class Reconciler:
         self._fresh = fresh()
         self._counted: dict[Key, float] = {}
         """When the status of each pool was written last, in seconds of the monotonic clock."""
+        self._unknown: set[str] = set()
+        """The fields of status that a definition lacks."""
 
     async def reconcile(self, key: Key) -> float | None:
         """Bring the object to what it says; seconds after which to look again, if it must be.
@@ -307,13 +310,20 @@ class Reconciler:
         self._executor.check()
         metrics.WRITES.labels(resource.plural, "status").inc()
         try:
-            made = await self._client.apply(
-                resource, metadata["namespace"], body, manager=MANAGER, subresource="status"
+            made, unknown = await apply_declared(
+                self._client, resource, metadata["namespace"], body, manager=MANAGER, subresource="status"
             )
         except ApiError as error:
             if error.not_found or error.conflict:  # it was deleted meanwhile
                 return None
             raise
+        if told := set(unknown) - self._unknown:
+            self._unknown |= told
+            _logger.warning(
+                "the definition of %s is older than this operator and lacks %s: upgrade it (charts/understudy, or crds/)",
+                resource.plural,
+                ", ".join(sorted(told)),
+            )
         self._store.put(resource, made)
         await self._announce(item, statuses.transitions(item, status))
         return None

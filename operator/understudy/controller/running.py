@@ -144,7 +144,7 @@ def options(argv: Sequence[str]) -> tuple[argparse.Namespace, Options]:
     parser.add_argument("--kubeconfig", help="instead of the pod's own account")
     parser.add_argument(
         "--monitor-image",
-        default=environment("UNDERSTUDY_MONITOR_IMAGE"),
+        default=environment(names.MONITOR_IMAGE_VARIABLE),
         metavar="IMAGE",
         help="of monitors and agents; required, here or as UNDERSTUDY_MONITOR_IMAGE",
     )

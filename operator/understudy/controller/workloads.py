@@ -167,20 +167,23 @@ def _monitor(
     spec = understanding.spec
     assert spec is not None
     name, namespace = objects.name(observed.workload), observed.workload["metadata"]["namespace"]
-    shared = _commanded(observed, understanding)
-    seen = [one.name for one in dependencies.upstream(observed.dependencies, name)]
-    for kind, body in monitors.access(
-        name, source=settings.source(observed, understanding), pools=shared, upstream=seen
-    ):
-        made.writes.append(_ours(observed, _BY_KIND[kind], body))
     profiles = robots.config_maps(name, environment, spec.outputs, spec.gate.reflex)[1]["data"][robots.PROFILES_KEY]
+    live = observed.owned.get((DEPLOYMENTS.plural, names.monitor(name)))
     if understanding.policy_problem is not None:
-        claim = monitors.claimed(observed.owned.get(("deployments", names.monitor(name))))
+        claim = monitors.claimed(live)
     else:
         claim = policies.spec(observed.policies[spec.failure_policy_ref.name]).state.storage.claim_name
     body = monitors.deployment(
         name, namespace, spec.monitor, images, environment, profiles, tasks=tasking.proxied(spec), claim=claim
     )
+    for kind, granted in monitors.access(
+        name,
+        source=settings.source(observed, understanding),
+        policy=spec.failure_policy_ref.name if monitors.asks_by_name(observed.workload, live, body) else None,
+        pools=_commanded(observed, understanding),
+        upstream=[one.name for one in dependencies.upstream(observed.dependencies, name)],
+    ):
+        made.writes.append(_ours(observed, _BY_KIND[kind], granted))
     made.writes.append(_ours(observed, DEPLOYMENTS, body))
 
 

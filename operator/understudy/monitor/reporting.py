@@ -18,9 +18,17 @@ from understudy.api.situations import SituationStatus
 from understudy.api.states import KeptStatus
 from understudy.api.switchovers import SwitchoverStatus
 from understudy.api.tasks import TaskStatus
-from understudy.api.workloads import DependencyRecovery, GateStatus, Health, Recovery, RobotWorkloadStatus
+from understudy.api.workloads import (
+    DependencyRecovery,
+    GateStatus,
+    Health,
+    MonitorStatus,
+    Recovery,
+    RobotWorkloadStatus,
+)
 from understudy.cluster.client import WORKLOADS, ApiError, Client, Object
 from understudy.cluster.events import Recorder
+from understudy.cluster.undeclared import apply_declared
 from understudy.cluster.watching import version_of
 from understudy.mitigation.progress import Progress, rfc3339
 from understudy.monitor import metrics
@@ -66,6 +74,8 @@ class Reporter:
         """The status that was applied last."""
         self._answer: Object | None = None
         """The object as that made it; None while nobody knows."""
+        self._unknown: Sequence[str] = ()
+        """What the definition doesn't know of it."""
         self._again_from = 0.0
         self._conditions: dict[str, Condition] = {}
         self._kept: list[KeptStatus] = []
@@ -88,6 +98,8 @@ class Reporter:
         """The last healthy output before the failure that isn't over (unix seconds)."""
         self.strategy = ""
         self.gate = GateStatus()
+        self.monitor: MonitorStatus | None = None
+        """Who says all this."""
         self.generation: int | None = None
         self.reference: Object = {}
 
@@ -231,6 +243,11 @@ class Reporter:
         self._applied, self._answer = "", None
         self._changed.set()
 
+    def sign(self, monitor: MonitorStatus) -> None:
+        """Say who says all this. The operator, which goes by it, needn't wait for something else to be said."""
+        self.monitor = monitor
+        self._changed.set()
+
     def say_switchover(self, status: SwitchoverStatus) -> None:
         """Say how a planned switchover is doing."""
         if self.switchover != status:
@@ -328,6 +345,7 @@ class Reporter:
             failing_since=rfc3339(self.failing_since) if self.failing_since is not None else None,
             strategy=self.strategy,
             gate=self.gate,
+            monitor=self.monitor,
             recovery_count=self._count,
             last_recovery_time=self._last_time,
             spent=self._spent or None,
@@ -385,7 +403,15 @@ class Reporter:
             return
         # What was applied before is so no longer, even where no answer comes.
         self._applied, self._answer = "", None
-        answer = await self._client.apply(WORKLOADS, self._namespace, body, manager=MANAGER, subresource="status")
+        answer, unknown = await apply_declared(
+            self._client, WORKLOADS, self._namespace, body, manager=MANAGER, subresource="status"
+        )
+        if unknown and unknown != self._unknown:
+            _logger.warning(
+                "the definition of RobotWorkloads is older than this monitor and lacks %s: upgrade it (charts/understudy, or crds/)",
+                ", ".join(unknown),
+            )
+        self._unknown = unknown
         self._applied, self._said, self._answer = text, body["status"], answer
 
 

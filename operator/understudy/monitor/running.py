@@ -14,7 +14,9 @@ from pathlib import Path
 
 from prometheus_client import REGISTRY, generate_latest
 
+from understudy import __version__
 from understudy.api import names
+from understudy.api.workloads import MonitorStatus
 from understudy.cluster import logs, scheduling
 from understudy.cluster.client import Access, Client
 from understudy.cluster.events import Recorder
@@ -100,6 +102,7 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
         item = view.object
         if item is not None:
             reporter.adopt(item)
+        reporter.sign(MonitorStatus(version=__version__, image=os.environ.get(names.MONITOR_IMAGE_VARIABLE, "")))
         address = os.environ.get("UNDERSTUDY_POD_IP", "127.0.0.1")
         sidecars = Sidecars(client, view, address, crash_points)
         sight = Sight()

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Awaitable, Mapping
 
 from understudy.api import names
 from understudy.cluster import claims, podtables
@@ -58,9 +58,9 @@ class Unclaimed:
             watching.cancel()
             await asyncio.gather(watching, return_exceptions=True)
 
-    async def changed(self) -> None:
-        """Wait until the watch tells of a change."""
-        await self._watched.changed()
+    def changed(self) -> Awaitable[object]:
+        """What ends when the watch tells of a change."""
+        return self._watched.changed()
 
 
 def _selector(labels: Mapping[str, str]) -> str:

@@ -14,12 +14,17 @@ from understudy.api.procedures import Procedure
 from understudy.api.settings import WorkloadSettings
 from understudy.api.workloads import RobotWorkloadSpec
 from understudy.cluster.client import CONFIG_MAPS, NETWORK_POLICIES, PODS, POLICIES, WORKLOADS, Client, Object
-from understudy.cluster.watching import Reflector
+from understudy.cluster.watching import Reflector, any_changed
 from understudy.monitor.unclaimed import Unclaimed
 from understudy.trees.problems import TreeError
 from understudy.trees.procedureforms import composed
 
 _logger = logging.getLogger(__name__)
+
+POLICY_WITHIN = 10.0
+"""Seconds that a monitor waits for its policy when it begins. It may be refused for as long as the operator is away, or doesn't follow a
+spec, which names another policy than before: the gate is looked after meanwhile.
+"""
 
 
 def unloadable(*procedures: tuple[str, Procedure | None]) -> str | None:
@@ -33,6 +38,10 @@ def unloadable(*procedures: tuple[str, Procedure | None]) -> str | None:
     return None
 
 
+def _only(name: str) -> str:
+    return f"metadata.name={name}"
+
+
 class View:
     """Local copies of everything the monitor decides by."""
 
@@ -41,18 +50,22 @@ class View:
         self.client, self.namespace, self.workload = client, namespace, workload
         self._on_pod = on_pod
 
-        def only(name: str) -> str:
-            return f"metadata.name={name}"
-
-        self.workloads = Reflector(client, WORKLOADS, namespace, fields=only(workload))
-        self.policies = Reflector(client, POLICIES, namespace)
-        self.settings_maps = Reflector(client, CONFIG_MAPS, namespace, fields=only(names.settings(workload)))
-        self.gates = Reflector(client, NETWORK_POLICIES, namespace, fields=only(names.gate(workload)))
+        self.workloads = Reflector(client, WORKLOADS, namespace, fields=_only(workload), on_change=self._refer)
+        self.policies = self.watching_policy("")
+        """The policy that the workload refers to, and no other."""
+        self.settings_maps = Reflector(
+            client, CONFIG_MAPS, namespace, fields=_only(names.settings(workload)), on_change=self._queue
+        )
+        self.gates = Reflector(client, NETWORK_POLICIES, namespace, fields=_only(names.gate(workload)))
         self.pods = Reflector(client, PODS, namespace, labels=f"{names.WORKLOAD}={workload}", on_change=on_pod)
         self._unclaimed: dict[str, Unclaimed] = {}
         self.waiting_gates = Reflector(client, NETWORK_POLICIES, namespace, labels=names.WAITS_FOR)
-        """The gates whose workloads wait for a pod of a shared pool: mostly none."""
+        """The gates whose workloads wait for a pod of a shared pool: mostly none. Watched where this one could wait for one too."""
         self.source_pods: Reflector | None = None
+        self._group: asyncio.TaskGroup | None = None
+        self._referred = ""
+        self._policy_watch: asyncio.Task[None] | None = None
+        self._waiting_watch: asyncio.Task[None] | None = None
         self._policy: FailurePolicySpec | None = None
         self._policy_version = ""
         self._followed: tuple[FailurePolicySpec | None, WorkloadSettings | None, FailurePolicySpec | None] = (None,) * 3
@@ -61,13 +74,18 @@ class View:
 
     async def run(self, group: asyncio.TaskGroup) -> None:
         """Start the watches and wait until the first copies are there."""
-        watches = [self.workloads, self.policies, self.settings_maps, self.gates, self.pods]
+        self._group = group
+        watches = [self.workloads, self.settings_maps, self.gates, self.pods]
         for watch in watches:
             group.create_task(watch.run())
         for watch in watches:
             await watch.synced.wait()
-        # It isn't waited for: without it nothing is wrong, but two that wait may take turns less well.
-        group.create_task(self.waiting_gates.run())
+        try:
+            async with asyncio.timeout(POLICY_WITHIN):
+                while self._referred and not self.policies.synced.is_set():
+                    await any_changed((self.policies, self.workloads))
+        except TimeoutError:
+            _logger.warning("FailurePolicy %s can't be read yet: beginning without one", self._referred)
         while self.settings is None:
             _logger.info("waiting for ConfigMap %s", names.settings(self.workload))
             await self.settings_maps.changed()
@@ -76,6 +94,37 @@ class View:
             self.source_pods = Reflector(self.client, PODS, self.namespace, labels=labels, on_change=self._on_pod)
             group.create_task(self.source_pods.run())
             await self.source_pods.synced.wait()
+
+    def watching_policy(self, name: str) -> Reflector:
+        """A watch of a policy. By its name: the right to read all of a namespace is more than a monitor has."""
+        return Reflector(self.client, POLICIES, self.namespace, fields=_only(name))
+
+    def _refer(self) -> None:
+        """Watch the policy that the workload refers to now. Until it's there, the one before stays in force."""
+        spec = self.spec
+        if self._group is None or spec is None or spec.failure_policy_ref.name == self._referred:
+            return
+        self._take_in(self.policies.items.get(self._referred))
+        self._referred = spec.failure_policy_ref.name
+        if self._policy_watch is not None:
+            self._policy_watch.cancel()
+        self.policies = self.watching_policy(self._referred)
+        self._policy_watch = self._group.create_task(self.policies.run())
+
+    def _queue(self) -> None:
+        """Watch who waits for pods of shared pools as long as there is one that this workload may claim from.
+
+        It isn't waited for: without it nothing is wrong, but two that wait may take turns less well.
+        """
+        settings = self.settings
+        if self._group is None or settings is None:
+            return
+        shared = any(pool.readiness == "Uninitialized" for pool in settings.pools)
+        if shared and self._waiting_watch is None:
+            self._waiting_watch = self._group.create_task(self.waiting_gates.run())
+        elif not shared and self._waiting_watch is not None:
+            self._waiting_watch.cancel()
+            self._waiting_watch = None
 
     @property
     def pods_revision(self) -> tuple[int, int]:
@@ -152,7 +201,10 @@ class View:
     def _given_policy(self) -> FailurePolicySpec | None:
         """The last good policy, as it was written."""
         spec = self.spec
-        item = self.policies.items.get(spec.failure_policy_ref.name) if spec else None
+        self._take_in(self.policies.items.get(spec.failure_policy_ref.name) if spec else None)
+        return self._policy
+
+    def _take_in(self, item: Object | None) -> None:
         if item is not None and (version := item["metadata"]["uid"] + item["metadata"]["resourceVersion"]) != (
             self._policy_version
         ):
@@ -164,8 +216,7 @@ class View:
                         "FailurePolicy %s has no health tree yet, keeping the last one: see its Accepted condition",
                         item["metadata"]["name"],
                     )
-                    return self._policy
-                if self._policy is None or (problem := unloadable(*given.recoveries)) is None:
+                elif self._policy is None or (problem := unloadable(*given.recoveries)) is None:
                     self._policy = given
                 else:
                     _logger.error(
@@ -177,7 +228,6 @@ class View:
                 _logger.error(
                     "FailurePolicy %s can't be read, keeping the last one: %s", item["metadata"]["name"], error
                 )
-        return self._policy
 
     def unclaimed(self, pool: str) -> Unclaimed:
         """The unclaimed pods of a shared pool."""

@@ -44,7 +44,7 @@ def _granted() -> set[Right]:
     """What the operator grants to monitors of all sorts."""
     found: set[Right] = set()
     for kind in ("ReplicaSet", "Deployment", "StatefulSet"):
-        roles = [item for k, item in monitors.access("w", source=(kind, "s"), pools=["p"]) if k == "Role"]
+        roles = [item for k, item in monitors.access("w", source=(kind, "s"), policy=None, pools=["p"]) if k == "Role"]
         assert len(roles) == 1
         found |= _rights(roles[0]["rules"])
     return found

@@ -131,3 +131,13 @@ async def test_of_several_the_first_that_changes_is_enough_and_nobody_goes_on_wa
     await asyncio.wait_for(waiting, 5)
     await asyncio.sleep(0)
     assert [source.waiting for source in sources] == [0, 0]
+
+
+async def test_a_change_between_asking_for_it_and_waiting_for_it_is_not_missed() -> None:
+    client = Scripted(5)
+    async with following(client) as reflector:
+        await reflector.synced.wait()
+        waiting = asyncio.ensure_future(any_changed((reflector,)))
+        # It comes as soon as the wait has begun, before anything that it began has run.
+        asyncio.get_running_loop().call_soon(reflector.put, pod("a", 6))
+        await asyncio.wait_for(waiting, 5)

@@ -6,6 +6,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from tests.unit.controller import world
+from understudy import __version__
 from understudy.api import names
 from understudy.api.base import API_VERSION, Model
 from understudy.api.conditions import Condition
@@ -16,6 +17,7 @@ from understudy.api.workloads import (
     Attempt,
     GateStatus,
     Moments,
+    MonitorStatus,
     Parts,
     Recovery,
     RobotWorkloadSpec,
@@ -200,6 +202,7 @@ def status(name: str, ending: str, epoch: int, *conditions: Condition, **more: A
         "standby": "Executing (1/1)",
         "strategy": "Executing",
         "gate": GateStatus(epoch=epoch, active=active),
+        "monitor": MonitorStatus(version=__version__, image="understudy/monitor"),
         "recovery_count": 0,
         "conditions": list(told.values()),
     }

@@ -19,6 +19,7 @@ from tests.unit.console import fleet
 from understudy import __version__
 from understudy.api import names
 from understudy.api.crds import definitions
+from understudy.api.workloads import MonitorStatus
 from understudy.cluster.client import Object
 from understudy.console import clocks, findings, graphs, installed, packets, rights, testpods
 from understudy.console.clocks import Clock
@@ -444,3 +445,20 @@ def test_what_a_monitor_says_of_gate_and_readers_is_told_once(
         "robot-1", status=fleet.status("robot-1", "x", 1, fleet.said(type_, status, reason, "It is."))
     )
     assert [(one.check, one.level, one.cure) for one in said_by_monitors([item])] == expected
+
+
+@pytest.mark.parametrize(
+    ("monitor", "expected"),
+    [
+        (MonitorStatus(version=__version__, image="i"), []),
+        (MonitorStatus(version="0.1.9", image="i"), ["it is of version 0.1.9, and this command of " + __version__]),
+        (None, ["it is of a version before 0.2.0, and this command of " + __version__]),
+    ],
+)
+def test_a_monitor_of_another_version_is_told_of(monitor: MonitorStatus | None, expected: list[str]) -> None:
+    item = fleet.workload("robot-1", status=fleet.status("robot-1", "x", 1, monitor=monitor))
+    found = list(said_by_monitors([item]))
+    assert [one.found for one in found] == expected
+    assert all((one.check, one.level) == ("monitor of robot-1", "WARN") for one in found)
+    item["status"] = {"conditions": []}
+    assert list(said_by_monitors([item])) == [], "one that has said nothing yet"

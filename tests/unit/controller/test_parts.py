@@ -261,11 +261,11 @@ class TestRobots:
 
 class TestMonitors:
     def test_the_account_is_what_the_admission_policy_recognizes(self) -> None:
-        (_, account), *_ = monitors.access("w", source=("ReplicaSet", "w"), pools=[])
+        (_, account), *_ = monitors.access("w", source=("ReplicaSet", "w"), policy="p", pools=[])
         assert account["metadata"]["name"] == "w" + names.MONITOR_ACCOUNT_ENDING
 
     def test_a_referred_controller_is_read_and_never_scaled(self) -> None:
-        role = dict(monitors.access("w", source=("StatefulSet", "arm"), pools=[]))["Role"]
+        role = dict(monitors.access("w", source=("StatefulSet", "arm"), policy="p", pools=[]))["Role"]
         rules = {tuple(rule["resources"]): rule for rule in role["rules"]}
         assert rules["statefulsets",]["resourceNames"] == ["arm"]
         assert set(rules["statefulsets",]["verbs"]) == {"get", "list", "watch"}

@@ -7,6 +7,7 @@ import json
 import pytest
 
 from tests.unit.controller.world import (
+    IMAGES,
     NAMESPACE,
     World,
     applied,
@@ -372,6 +373,55 @@ def test_the_monitor_may_touch_its_own_workload_only() -> None:
     assert only["configmaps", "get"] == ["w-settings"]
     assert ("secrets", "list") not in only
     assert ("pods", "create") not in only
+
+
+def _only(world: World, resource: str, verb: str) -> list[list[str] | None]:
+    """The names for which each rule of the monitor's role lets it do that; None for all."""
+    (role,) = applied(world.plan(), "roles").values()
+    found = (rule for rule in role["rules"] if resource in rule["resources"] and verb in rule["verbs"])
+    return [rule.get("resourceNames") for rule in found]
+
+
+def _says(world: World, image: str) -> None:
+    """The monitor signs the status."""
+    world.workload["status"] = {"monitor": {"version": "0.2.0", "image": image}}
+
+
+def test_the_monitor_reads_the_policy_of_its_workload_once_it_has_said_that_it_asks_by_name() -> None:
+    world = World(workload(), policy("Restart"))
+    world.build()
+    assert _only(world, "failurepolicies", "watch") == [None], "it may be of a version that asks for all"
+    assert _only(world, "networkpolicies", "list") == [["w-gate"], None]
+    _says(world, IMAGES.monitor)
+    assert _only(world, "failurepolicies", "watch") == [["policy"]]
+    assert _only(world, "networkpolicies", "list") == [["w-gate"]], "it can't wait for a pod of a pool"
+    world.workload["spec"]["failurePolicyRef"] = {"name": "other"}
+    world.others.append(policy("Restart", name="other"))
+    assert _only(world, "failurepolicies", "watch") == [["other"]]
+
+
+def test_a_monitor_of_a_workload_with_a_shared_pool_sees_who_waits() -> None:
+    world = World(workload(), policy("spare"), spare())
+    world.build()
+    _says(world, IMAGES.monitor)
+    assert _only(world, "networkpolicies", "list") == [["w-gate"], None]
+
+
+def test_the_right_to_read_all_policies_is_there_before_a_monitor_of_another_image() -> None:
+    world = World(workload(), policy("Restart"))
+    world.build()
+    _says(world, IMAGES.monitor)
+    world.build()
+    world.workload["spec"]["monitor"] = {"image": "mine/monitor:old"}
+    order = [w.resource.plural for w in world.plan().writes if objects.name(w.body) == "w-monitor"]  # type: ignore[union-attr]
+    assert order.index("roles") < order.index("deployments")
+    assert _only(world, "failurepolicies", "watch") == [None], "it will be of another image, of whatever version"
+    world.build()
+    assert _only(world, "failurepolicies", "watch") == [None]
+    _says(world, "mine/monitor:old")
+    assert _only(world, "failurepolicies", "watch") == [["policy"]]
+    world.workload["spec"].pop("monitor")
+    assert _only(world, "failurepolicies", "watch") == [None], "as long as the one that is there may start anew"
 
 
 def test_the_monitor_starts_anew_when_the_gated_ports_change() -> None:

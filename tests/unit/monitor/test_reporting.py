@@ -13,7 +13,8 @@ from prometheus_client import REGISTRY
 from tests.unit.interleavings.apiserver import ApiServer
 from understudy.api.switchovers import SwitchoverStatus
 from understudy.api.tasks import TaskStatus
-from understudy.cluster.client import Client, Object
+from understudy.api.workloads import MonitorStatus
+from understudy.cluster.client import ApiError, Client, Object
 from understudy.mitigation.progress import PodIdentity, Progress
 from understudy.monitor import reporting
 from understudy.monitor.reporting import Reporter, switched
@@ -228,7 +229,6 @@ async def test_a_status_as_it_was_said_costs_no_writes() -> None:
 
 
 async def test_what_the_api_server_wrote_differently_is_not_repaired_for_ever() -> None:
-    """As where its definition is older than the monitor, and doesn't know a field."""
     api = Applied()
     living = monitor_of(api)
     request = api.server.request
@@ -241,6 +241,46 @@ async def test_what_the_api_server_wrote_differently_is_not_repaired_for_ever() 
     await recovered(living)
     await api.say_by("understudy-operator", {"standby": "Executing 1/1", "conditions": []})
     await looked(living, api.item)
+    assert api.writes == 1
+
+
+async def test_a_definition_that_is_older_than_the_monitor_takes_what_it_knows_and_somebody_is_told_once(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    api = Applied()
+    living = monitor_of(api)
+    living.sign(MonitorStatus(version="9.9.9", image="mine"))
+    request = api.server.request
+
+    def strict(method: str, path: str, params: Any, body: Any, content_type: str, by: str) -> Object:
+        if "monitor" in body["status"]:
+            told = "failed to create typed patch object (fleet/w): .status.monitor: field not declared in schema"
+            raise ApiError(500, "InternalError", told)
+        return request(method, path, params, body, content_type, by)
+
+    api.server.request = strict  # type: ignore[method-assign]
+    for active in ("w-2", "w-3"):
+        living.set(active=active)
+        await living.flush()
+        assert api.item["status"]["active"] == active
+        await looked(living, api.item)
+    assert api.writes == 4
+    (told,) = (record.message for record in caplog.records if record.levelname == "WARNING")
+    assert "lacks .status.monitor: upgrade it" in told
+
+
+async def test_a_status_that_is_refused_for_another_reason_is_an_error() -> None:
+    api = Applied()
+    living = monitor_of(api)
+
+    def refusing(*_: Any) -> Object:
+        raise ApiError(
+            500, "InternalError", 'failed to create typed patch object (x): duplicate entries for key [type="A"]'
+        )
+
+    api.server.request = refusing  # type: ignore[method-assign]
+    with pytest.raises(ApiError, match="duplicate entries"):
+        await living.flush()
     assert api.writes == 1
 
 

@@ -1,0 +1,54 @@
+"""A definition that is older than the operator, as where the chart was upgraded with crds.install false."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from tests.unit.cluster.memory import MemoryClient
+from tests.unit.controller import world
+from understudy.cluster.client import POLICIES, ApiError, Object
+from understudy.cluster.events import Recorder
+from understudy.controller.affected import Key
+from understudy.controller.executing import Executor
+from understudy.controller.expectations import Expectations
+from understudy.controller.observing import Observer
+from understudy.controller.reconciling import Reconciler
+from understudy.controller.rollouts import Rollouts
+from understudy.controller.stores import Store
+
+
+class Older(MemoryClient):
+    """An API server whose FailurePolicy lacks observedGeneration."""
+
+    def __init__(self, item: Object) -> None:
+        super().__init__()
+        self.item = item
+        self.told: list[Object] = []
+
+    async def request(self, method: str, path: str, *, body: Any = None, **_: Any) -> Any:
+        if not path.endswith("/status"):
+            return {}
+        if "observedGeneration" in body["status"]:
+            told = "failed to create typed patch object (fleet/policy): .status.observedGeneration: field not declared in schema"
+            raise ApiError(500, "InternalError", told)
+        self.told.append(body["status"])
+        return {**self.item, "status": body["status"]}
+
+
+async def test_what_a_definition_knows_of_a_status_is_written_and_what_it_lacks_is_logged_once(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    item = world.policy("Restart")
+    client, store, expectations = Older(item), Store(), Expectations()
+    store.put(POLICIES, item)
+    reconciler = Reconciler(
+        client, store, Observer(client, store, expectations), Executor(client, store, expectations, may_write=lambda: True),
+        Recorder(client, "understudy", "x"), world.IMAGES, Rollouts(store),
+    )  # fmt: skip
+    for _ in range(2):
+        await reconciler.reconcile(Key("failurepolicies", item["metadata"]["namespace"], "policy"))
+    assert [one["type"] for one in client.told[-1]["conditions"]] == ["Accepted"]
+    (told,) = (record.message for record in caplog.records if "is older than this operator" in record.message)
+    assert "lacks .status.observedGeneration" in told
