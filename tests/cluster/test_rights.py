@@ -9,6 +9,7 @@ import pytest
 
 from tests.cluster.conftest import Release
 from tests.support.cluster import Cluster, Object, Refused, account, until
+from tests.support.rights import OF_ALL, WHO_WAITS, Right, listed, named, of_all
 from understudy.api import names
 from understudy.controller import monitors
 
@@ -132,37 +133,8 @@ def test_a_monitor_sees_who_waits_and_commits_to_its_own_gate_only(cluster: Clus
         cluster.patch(made[1], body, user=monitor)
 
 
-OF_ALL = {
-    "pods": {
-        "get",
-        "list",
-        "watch",
-        "patch",
-        "delete",
-    },  # of which the admission policy leaves its own, see test_admission.py
-    "pods.metrics.k8s.io": {"list"},
-    "events": {"create", "patch", "list"},  # list: what stands in a black box
-    "selfsubjectreviews.authentication.k8s.io": {"create"},
-    "selfsubjectaccessreviews.authorization.k8s.io": {"create"},
-    "selfsubjectrulesreviews.authorization.k8s.io": {"create"},
-}
-"""What a monitor may do to any object of its namespace, by kind. The last three everybody may."""
-
-WHO_WAITS = {"networkpolicies.networking.k8s.io": {"list", "watch"}}
-"""The same, where it may have to wait for a pod of a shared pool in turn with others."""
-
-
-def _rights(cluster: Cluster, namespace: str, user: str) -> list[tuple[str, set[str], set[str]]]:
-    """What ``kubectl auth can-i --list`` says that a user may do: resource, names of objects (none for all), verbs."""
-    text = cluster.kubectl("auth", "can-i", "--list", f"--as={user}", f"--namespace={namespace}")
-    head, *lines = text.splitlines()
-    starts = [head.index(title) for title in ("Resources", "Non-Resource URLs", "Resource Names", "Verbs")]
-    rows = [[line[a:b].strip() for a, b in zip(starts, [*starts[1:], None], strict=True)] for line in lines]
-    return [
-        (resource, set(only.strip("[]").split()), set(verbs.strip("[]").split()))
-        for resource, _, only, verbs in rows
-        if resource
-    ]
+def _rights(cluster: Cluster, namespace: str, user: str) -> list[Right]:
+    return listed(cluster.kubectl("auth", "can-i", "--list", f"--as={user}", f"--namespace={namespace}"))
 
 
 @pytest.mark.parametrize("pools", [["spare"], []])
@@ -172,7 +144,7 @@ def test_what_can_i_lists_for_a_monitor_is_its_own_workload_s(
     for item in _access("Deployment", namespace, pools=pools):
         cluster.create(item, namespace)
     user = account(namespace, names.monitor_account("robot-17"))
-    until(lambda: any(one == "pods" for one, _, _ in _rights(cluster, namespace, user)), "its role to take effect")
+    until(lambda: any(one.resource == "pods" for one in _rights(cluster, namespace, user)), "its role to take effect")
     own = {
         "networkpolicies.networking.k8s.io": {names.gate("robot-17")},
         "robotworkloads.understudy.dev": {"robot-17", "robot-17-localization"},  # on which it depends
@@ -183,14 +155,9 @@ def test_what_can_i_lists_for_a_monitor_is_its_own_workload_s(
         "deployments.apps": {"nav2"},
     }
     found = _rights(cluster, namespace, user)
-    named: dict[str, set[str]] = {}
-    for resource, only, _ in found:
-        if only:
-            named.setdefault(resource, set()).update(only)
-    assert named == own
-    of_all = OF_ALL | (WHO_WAITS if pools else {})
-    assert {resource: verbs for resource, only, verbs in found if not only} == of_all
-    assert not {"create", "update", "*"} & {verb for resource, only, verbs in found if only for verb in verbs}
+    assert named(found) == own
+    assert of_all(found) == OF_ALL | (WHO_WAITS if pools else {})
+    assert not {"create", "update", "*"} & {verb for right in found if right.names for verb in right.verbs}
 
 
 def test_a_monitor_reads_its_policy_by_name_and_no_other(cluster: Cluster, namespace: str) -> None:
@@ -199,16 +166,16 @@ def test_a_monitor_reads_its_policy_by_name_and_no_other(cluster: Cluster, names
     monitor = account(namespace, names.monitor_account("robot-17"))
     path = cluster.path("understudy.dev/v1alpha1", "FailurePolicy", namespace)
 
-    def listed(selector: dict[str, str]) -> bool:
+    def may_list(selector: dict[str, str]) -> bool:
         try:
             cluster.request("GET", path, params=selector, user=monitor)
         except Refused:
             return False
         return True
 
-    until(lambda: listed({"fieldSelector": "metadata.name=hot"}), "the monitor's role to take effect")
-    assert not listed({"fieldSelector": "metadata.name=cold"})
-    assert not listed({})
+    until(lambda: may_list({"fieldSelector": "metadata.name=hot"}), "the monitor's role to take effect")
+    assert not may_list({"fieldSelector": "metadata.name=cold"})
+    assert not may_list({})
 
 
 def _allowed(cluster: Cluster, path: str, user: str) -> bool:

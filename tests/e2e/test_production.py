@@ -4,6 +4,7 @@ test`, and upgraded while robots are driven.
 
 from __future__ import annotations
 
+import json
 import shutil
 import time
 from collections.abc import Iterator
@@ -17,6 +18,8 @@ from tests.e2e.conftest import CHART, SYSTEM, install
 from tests.e2e.kubectl import Kubectl, Object, helm
 from tests.e2e.scenario import Robot, eventually, manifest
 from tests.e2e.test_strategies import assert_handed_over
+from tests.support.cluster import account
+from tests.support.rights import OF_ALL, WHO_WAITS, Right, listed, named, of_all
 from understudy.api import names
 
 LONGEST = 0.45
@@ -47,8 +50,44 @@ def test_the_operator_s_namespace_is_restricted(release: Kubectl) -> None:
 def test_a_robot_in_a_restricted_namespace_is_protected_and_recovered(restricted: Kubectl, strategy: str) -> None:
     robot = protected(restricted, strategy)
     old = robot.wait_protected()
+    user = account(restricted.namespace, names.monitor_account(robot.workload))
+
+    def rights() -> list[Right]:
+        return listed(restricted("auth", "can-i", "--list", f"--as={user}"))
+
+    eventually(
+        lambda: "failurepolicies.understudy.dev" not in of_all(rights()),
+        within=20, what="its monitor has said that it asks by name", note=robot.describe,
+    )  # fmt: skip
+    assert of_all(rights()) == OF_ALL | (WHO_WAITS if strategy == "uninitialized" else {})
+    assert named(rights())["failurepolicies.understudy.dev"] == {f"quickstart-{strategy}"}
     robot.fail(old, "killed")
     assert_handed_over(robot, robot.wait_recovered(1))
+
+
+def test_another_policy_is_followed_by_a_monitor_that_may_read_its_own_only(restricted: Kubectl) -> None:
+    """In a restricted namespace, as each right has to be given: the next one's comes with the change."""
+    robot = protected(restricted, "executing")
+    old = robot.wait_protected()
+    (policy,) = [item for item in manifest("strategies/executing.yaml") if item["kind"] == "FailurePolicy"]
+    policy["metadata"]["name"] = "patient"
+    policy["spec"]["monitoring"] = {"yaml": {"topic": {"name": "/cmd_vel", "gap": "4s"}}}
+    restricted.apply([policy])
+    refer = {"spec": {"failurePolicyRef": {"name": "patient"}}}
+    restricted("patch", "robotworkload", robot.workload, "--type=merge", "--patch", json.dumps(refer))
+    user = account(restricted.namespace, names.monitor_account(robot.workload))
+
+    def may_read() -> set[str]:
+        return named(listed(restricted("auth", "can-i", "--list", f"--as={user}"))).get(
+            "failurepolicies.understudy.dev", set()
+        )
+
+    eventually(lambda: may_read() == {"patient"}, within=30, what="the right is the next one's", note=robot.describe)
+    time.sleep(6)  # longer than a watch waits that was refused
+    robot.fail(old, "frozen")
+    recovery = robot.wait_recovered(1)
+    assert recovery.parts["detection"] == pytest.approx(4, abs=1), "it is found by the next policy"
+    assert_handed_over(robot, recovery)
 
 
 @pytest.mark.long
