@@ -16,10 +16,13 @@ import pytest
 
 from testcluster.images import commits
 from tests.e2e.conftest import IMAGES, SYSTEM, install
+from tests.e2e.console import understudy
 from tests.e2e.kubectl import Kubectl, Object, helm
 from tests.e2e.scenario import Robot, eventually, manifest, patient
 from tests.e2e.test_production import LONGEST, start, starting
 from tests.e2e.test_strategies import assert_handed_over
+from tests.support.cluster import account
+from tests.support.rights import listed, named
 from understudy import __version__
 from understudy.api import names
 
@@ -288,3 +291,45 @@ def test_going_back_to_the_version_before_leaves_the_robots_driven_and_what_this
         assert tags(kubectl.get("pod", active[robot])) == {PRESENT}, "the pod in control stays, with its agent"
     for robot, policy in robots.items():
         assert tags(kubectl.get("pod", lose(robot, active[robot], policy, number=failures[robot] + 1))) == {earlier.tag}
+
+
+@pytest.mark.long
+def test_a_monitor_of_a_user_s_own_image_goes_on_in_the_version_before_until_that_is_built_again(
+    earlier: Version, kubectl: Kubectl, release: Kubectl
+) -> None:
+    """It asks for all FailurePolicies of the namespace, which one of this version may not."""
+    robot = Robot(kubectl)
+    own = f"localhost/understudy-monitor:{earlier.tag}"
+
+    def pinned(workload: Object) -> None:
+        workload["spec"]["monitor"] = {"image": own}
+
+    kubectl.apply(strategies() + robot.objects(policy=EXECUTING, labels=STANDING, edit=pinned))
+    active = robot.wait_protected()
+    install(release.kubeconfig)
+    eventually(
+        lambda: [tags(pod) for pod in living(release.list("pods", OPERATORS))] == [{PRESENT}] * 2,
+        within=60, what="the operators are of this version", note=lambda: release("get", "pods"),
+    )  # fmt: skip
+    user = account(kubectl.namespace, names.monitor_account(robot.workload))
+
+    def policies_read() -> set[str] | None:
+        rights = listed(kubectl("auth", "can-i", "--list", f"--as={user}"))
+        return named(rights).get("failurepolicies.understudy.dev")
+
+    for monitor in living(robot.monitor_pods()):
+        kubectl("delete", "pod", monitor["metadata"]["name"])
+    assert robot.wait_protected() == active
+    active = lose(robot, active, EXECUTING, number=1)
+    assert [tags(monitor) for monitor in living(robot.monitor_pods())] == [{earlier.tag}]
+    assert policies_read() is None, "it has the right to all of them still"
+    assert f"monitor of {robot.workload}" in understudy(kubectl, "doctor", "--no-pods").stdout
+
+    again = {"spec": {"monitor": {"image": f"localhost/understudy-monitor:{PRESENT}"}}}
+    kubectl("patch", "robotworkload", robot.workload, "--type=merge", "--patch", json.dumps(again))
+    eventually(
+        lambda: policies_read() == {EXECUTING}, within=90, what="the new one reads its own only", note=robot.describe
+    )
+    assert robot.wait_protected() == active
+    lose(robot, active, EXECUTING, number=2)
+    assert f"monitor of {robot.workload}" not in understudy(kubectl, "doctor", "--no-pods").stdout
