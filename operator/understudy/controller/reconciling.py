@@ -198,8 +198,8 @@ class Reconciler:
             return await self._keep(key, observed, understanding)
         except ApiError as error:
             if (problem := _unanswered(error)) is not None:
-                await self._tell(POOLS, item, poolstatuses.status(observed, understanding, [problem]))
-            raise
+                await self._count(key, item, poolstatuses.status(observed, understanding, [problem]))
+            raise  # by which it is tried again, and told what wasn't yet
 
     async def _keep(self, key: Key, observed: pools.Observed, understanding: pools.Understanding) -> float | None:
         item, again = observed.pool, None

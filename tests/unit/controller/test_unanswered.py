@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from tests.unit.cluster.memory import MemoryClient
 from tests.unit.controller import world
-from understudy.cluster.client import POLICIES, POOLS, WORKLOADS, ApiError, Object
+from understudy.cluster.client import PODS, POLICIES, POOLS, WORKLOADS, ApiError, Object
 from understudy.cluster.events import Recorder
+from understudy.controller import reconciling
 from understudy.controller.affected import Key
 from understudy.controller.executing import Executor
 from understudy.controller.expectations import Expectations
@@ -63,20 +66,29 @@ class Heard(Recorder):
         self.warnings.append((reason, message))
 
 
-@pytest.mark.parametrize("plural", ["robotworkloads", "fallbackpools"])
-@pytest.mark.parametrize("refused", ["all", "what is only tried"])
-async def test_a_webhook_that_does_not_answer_is_told_once_and_tried_again(plural: str, refused: str) -> None:
-    item, pool = world.workload(), world.spare()
-    client, store, heard = Guarded(item, pool), Store(), Heard()
-    if refused == "what is only tried":
-        client.failing = lambda method, _: client.refuse() if method == "POST" else None
-    for resource, found in ((WORKLOADS, item), (POLICIES, world.policy("spare")), (POOLS, pool)):
+def reconciling_with(client: Guarded, heard: Heard) -> tuple[Reconciler, Store]:
+    """A reconciler that knows what is stored, and where it knows it from."""
+    store, expectations = Store(), Expectations()
+    for resource, found in (
+        *((WORKLOADS if item["kind"] == "RobotWorkload" else POOLS, item) for item in client.stored),
+        (POLICIES, world.policy("spare")),
+    ):
         store.put(resource, found)
-    expectations = Expectations()
     reconciler = Reconciler(
         client, store, Observer(client, store, expectations), Executor(client, store, expectations, may_write=lambda: True),
         heard, world.IMAGES, Rollouts(store),
     )  # fmt: skip
+    return reconciler, store
+
+
+@pytest.mark.parametrize("plural", ["robotworkloads", "fallbackpools"])
+@pytest.mark.parametrize("refused", ["all", "what is only tried"])
+async def test_a_webhook_that_does_not_answer_is_told_once_and_tried_again(plural: str, refused: str) -> None:
+    item, pool = world.workload(), world.spare()
+    client, heard = Guarded(item, pool), Heard()
+    if refused == "what is only tried":
+        client.failing = lambda method, _: client.refuse() if method == "POST" else None
+    reconciler, _ = reconciling_with(client, heard)
     key = Key(plural, item["metadata"]["namespace"], "w" if plural == "robotworkloads" else "spare")
     for _ in range(3):
         with pytest.raises(ApiError, match="failed calling webhook"):  # by which it is tried again, later each time
@@ -87,3 +99,22 @@ async def test_a_webhook_that_does_not_answer_is_told_once_and_tried_again(plura
     assert f'"{WEBHOOK}" doesn\'t answer' in conditions["Reconciled"]["message"]
     assert conditions["Accepted"]["status"] == "True", "that says nothing of its spec"
     assert [reason for reason, _ in heard.warnings].count("WebhookUnavailable") == 1
+
+
+async def test_a_burst_of_claims_meanwhile_is_told_once_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
+    pool = world.spare(replicas=3)
+    client = Guarded(pool)
+    reconciler, store = reconciling_with(client, Heard())
+    clock = [100.0]
+    monkeypatch.setattr(reconciling, "time", SimpleNamespace(monotonic=lambda: clock[0], time=time.time))
+    key = Key("fallbackpools", world.NAMESPACE, "spare")
+    for number in range(4):
+        store.put(PODS, world.held_pod(f"spare-{number}", of=pool, template_hash="x"))
+        with pytest.raises(ApiError, match="failed calling webhook"):
+            await reconciler.reconcile(key)
+        clock[0] += 0.1
+    assert [body["status"]["replicas"] for body in client.told] == [1]
+    clock[0] += 1.0
+    with pytest.raises(ApiError, match="failed calling webhook"):  # as each failure is tried again
+        await reconciler.reconcile(key)
+    assert [body["status"]["replicas"] for body in client.told] == [1, 4]
