@@ -43,6 +43,7 @@ def change(
     kept: Callable[[Object], bool] = lambda pod: False,
     moving: Callable[[Object], bool] = lambda pod: False,
     hold: bool = False,
+    spared: int = 0,
     update: Update = Update(),
 ) -> Change:
     """The change that leads to ``want`` pods of the present template.
@@ -52,7 +53,8 @@ def change(
     ``kept`` pods (the active one) count at any template and are never deleted. Pods of an old template go only as
     far as ready ones of the present one have come, which is make before break, unless ``update`` says otherwise. So do
     those that are ``moving``, since their node is about to go: they are replaced elsewhere first. With
-    ``hold`` (a recovery is under way, which may be about to use any of them) none is deleted that may still run.
+    ``hold`` (a recovery is under way, which may be about to use any of them) none is deleted that may still run. ``spared`` more
+    than are wanted stay where there are so many, the best of them; none is made for that.
     """
     ended = [pod for pod in pods if objects.ended(pod) and not kept(pod)]
     resting = [pod for pod in ended if now - objects.created(pod) < REST_SECONDS]
@@ -70,14 +72,15 @@ def change(
     if hold:
         # Only the last one that ended may mean something to it. The others' places are filled, so that they'd be more and more.
         return Change(create=create, delete=sorted(over, key=objects.sort_key)[:-1], again_after=again)
-    delete = over
     free = sorted(
         (pod for pod in present if not kept(pod)),
         key=lambda pod: (objects.ready(pod), hash_of(pod) == template_hash, -objects.created(pod)),
     )
-    delete += free[: max(0, len(present) - want)]
-    delete += _replaced(leaving, outdated, present, want, template_hash, update)
-    return Change(create=create, delete=delete, again_after=again)
+    going = free[: max(0, len(present) - want)] + _replaced(leaving, outdated, present, want, template_hash, update)
+    if spared:
+        going.sort(key=lambda pod: (objects.ready(pod), hash_of(pod) == template_hash, not moving(pod)))
+        going = going[: max(0, len(live) - want - spared)]
+    return Change(create=create, delete=over + going, again_after=again)
 
 
 def _replaced(

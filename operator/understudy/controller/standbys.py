@@ -46,13 +46,13 @@ def keep(made: Plan, observed: Observed, understanding: Understanding, pool: str
         and names.CLAIM not in objects.notes(pod)
         and ownership.controls(objects.uid(workload), pod)
     ]
-    want = wanted(observed, pool)
+    want, spared = wanted(observed, pool), 0
     if not own_stands_by(observed):
         # what a referred controller makes instead of the failed pod has no agent, so it can't be the standby
         want += sum(objects.is_active(pod, gate) for pod in mine) if want else 0
     elif want:
         more, replaced = _renewed(observed, understanding, pool, mine, want)
-        want += more
+        want, spared = want + more, _spared(observed, pool)
         made.writes += [Delete(PODS, pod) for pod in replaced]
     change = fleets.change(
         mine,
@@ -63,6 +63,7 @@ def keep(made: Plan, observed: Observed, understanding: Understanding, pool: str
         kept=lambda pod: objects.is_active(pod, gate),
         moving=lambda pod: nodes.on(pod, observed.leaving),
         hold=observed.recovering,
+        spared=spared,
     )
     for _ in range(change.create):
         name = fresh.name(objects.name(workload))
@@ -79,8 +80,8 @@ def _renewed(
     """How many standbys more there are to be while a pod that stands in for one is replaced, and which of these pods go now.
 
     What the workload's own controller has made of an old template waits like any standby, and like one it goes when another is ready. That
-    is a standby more, which stays until the controller's next pod is ready. Where it stands in for none, as when a pod of a shared pool
-    drives, there are as many standbys as are wanted besides it, and it goes when a pool's are ready.
+    is a standby more, which is spared until the controller's next pod is ready. Where it stands in for none, as when a pod of a shared
+    pool drives, there are as many standbys as are wanted besides it, and it goes when a pool's are ready.
     """
     gate, present = observed.gate, instances.template_hash(understanding.builts[pool])
     if observed.active is None or objects.labels(observed.active).get(names.SOURCE) == "workload":
@@ -90,8 +91,7 @@ def _renewed(
     found = [pod for pod in observed.pods if standins.is_own(pod)]
     outdated = [pod for pod in found if fleets.hash_of(pod) != own]
     if not outdated:
-        one_more = pool == displaced and sum(map(objects.alive, mine)) > want
-        return int(one_more and not any(map(objects.ready, found))), []
+        return 0, []
     if displaced != pool and pool != _first_kept(observed, understanding, displaced):
         return 0, []
     waiting = [pod for pod in mine if not objects.is_active(pod, gate)]
@@ -100,6 +100,16 @@ def _renewed(
     # Before the controller has the present template, it would make another of the old one.
     go = ready >= want and live is not None and _template_of(live) == own and not observed.recovering
     return int(pool == displaced), outdated if go else []
+
+
+def _spared(observed: Observed, pool: str) -> int:
+    """How many standbys more than are wanted stay where there are more: one while what is to stand in for one isn't ready.
+
+    It isn't told by their number whether there are: while one is replaced elsewhere, both are there.
+    """
+    if standins.displaced(observed.gate, observed.pods) != pool:
+        return 0
+    return int(not any(objects.ready(pod) for pod in observed.pods if standins.is_own(pod)))
 
 
 def _first_kept(observed: Observed, understanding: Understanding, displaced: str) -> str:

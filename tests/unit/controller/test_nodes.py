@@ -259,11 +259,8 @@ class TestStandbysOfARobot:
         return made
 
     def planned(self, made: World, *leaves: str) -> Any:
-        from tests.unit.controller.world import IMAGES
-        from understudy.controller import workloads
-
-        observed = replace(made.observed(), leaving=frozenset(leaves))
-        return workloads.plan(observed, made.understood(), IMAGES, made.names.fresh())
+        made.leaving = frozenset(leaves)
+        return made.plan()
 
     def standby(self, made: World, place: str, name: str = "w-s") -> Object:
         return on(place, standby_pod(name, of=made.workload, template_hash=made.template_hash))
@@ -275,6 +272,43 @@ class TestStandbysOfARobot:
         assert (len(created(made, "pods")), deleted(made)) == (1, [])
         assert deleted(self.planned(self.world(old, new), "m", "n")) == ["w-s"]
         assert not created(self.planned(self.world(old)), "pods")
+
+    def driven(self, per_workload: int) -> World:
+        """A robot that a standby drives since the pod of its workload's own controller failed."""
+        made = World(workload(), policy("hot", "Restart"), hot(per_workload=per_workload))
+        made.build()
+        made.build()
+        made.pods = [self.standby(made, "n", "w-a")]
+        made.own(gate(made.workload, active=made.pods[0], epoch=2))
+        return made
+
+    def now(self, made: World, *waiting: Object) -> tuple[int, list[str]]:
+        """How many are made, and which go, where these wait beside the one that drives and node m is to be emptied."""
+        made.pods = [made.pods[0], *waiting]
+        plan = self.planned(made, "m")
+        return len(created(plan, "pods")), deleted(plan)
+
+    def own(self, made: World, place: str, name: str = "w-own", **more: Any) -> Object:
+        return on(place, source_pod(name, template_hash=made.own_hash, **more))
+
+    def test_none_is_made_for_one_that_is_replaced_beside_a_stand_in_that_is_starting(self) -> None:
+        made = self.driven(per_workload=2)
+        old, new = self.standby(made, "m", "w-s"), self.standby(made, "o", "w-t")
+        starting = on("o", standby_pod("w-t", of=made.workload, template_hash=made.template_hash, ready=False))
+        own = self.own(made, "p", ready=False)
+        assert self.now(made, old, own) == (1, [])
+        assert self.now(made, old, starting, own) == (0, [])
+        assert self.now(made, old, new, own) == (0, []), "two are wanted, and so many are ready"
+        assert self.now(made, old, new, self.own(made, "p")) == (0, ["w-s"])
+
+    def test_one_that_stays_for_a_stand_in_that_is_starting_does_so_on_a_node_that_is_emptied_too(self) -> None:
+        made = self.driven(per_workload=1)
+        more = self.standby(made, "m")
+        for own in ([], [self.own(made, "o", ready=False)]):
+            assert self.now(made, more, *own) == (0, [])
+        own = self.own(made, "o", ready=False)
+        assert self.now(made, more, self.standby(made, "p", "w-t"), own) == (0, ["w-s"]), "the better one stays"
+        assert self.now(made, more, self.own(made, "o")) == (0, ["w-s"])
 
 
 class TestSpreading:

@@ -232,6 +232,7 @@ class World:
         self.dependencies: dict[str, list[str]] = {}
         self.resized: Object | None = None
         self.cordoned: frozenset[str] = frozenset()
+        self.leaving: frozenset[str] = frozenset()
         self.budgets: list[Object] = []
         self.going: frozenset[str] = frozenset()
         self.now = NOW
@@ -264,6 +265,7 @@ class World:
             dependencies=self.dependencies,
             resized=self.resized,
             cordoned=self.cordoned,
+            leaving=self.leaving,
             budgets=self.budgets,
             going=self.going,
         )
