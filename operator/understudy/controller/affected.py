@@ -269,6 +269,8 @@ def _after_node(sight: Sight, store: Store) -> Iterator[Key]:
         for label, plural in ((names.WORKLOAD, WORKLOADS), (names.POOL, POOLS)):
             if label in labels:
                 yield Key(plural.plural, namespace, labels[label])
+        if labels.get(names.SOURCE) == "workload":
+            yield from _stood_in_for(labels.get(names.WORKLOAD, ""), store, namespace)
 
 
 def _after_budget(sight: Sight, store: Store, namespace: str) -> Iterator[Key]:

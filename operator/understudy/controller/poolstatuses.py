@@ -160,7 +160,8 @@ def _available(observed: pools.Observed, spec: FallbackPoolSpec, counts: Counts)
 
 def _moving(observed: pools.Observed) -> list[Condition]:
     """Which pods are being replaced elsewhere since their node is about to go; nothing where none is."""
-    waiting = [pod for pod in observed.pods if objects.alive(pod) and objects.uid(pod) not in observed.active]
+    made = [pod for pod in observed.pods if objects.alive(pod) and objects.uid(pod) not in observed.active]
+    waiting = [*made, *observed.stand_ins]
     found = [pod for pod in waiting if names.CLAIM not in objects.notes(pod) and nodes.on(pod, observed.leaving)]
     if not found:
         return []

@@ -79,9 +79,10 @@ def _renewed(
 ) -> tuple[int, list[Object]]:
     """How many standbys more there are to be while a pod that stands in for one is replaced, and which of these pods go now.
 
-    What the workload's own controller has made of an old template waits like any standby, and like one it goes when another is ready. That
-    is a standby more, which is spared until the controller's next pod is ready. Where it stands in for none, as when a pod of a shared
-    pool drives, there are as many standbys as are wanted besides it, and it goes when a pool's are ready.
+    What the workload's own controller has made of an old template, or what is on a node that is about to go, waits like any standby, and
+    like one it goes when another is ready. That is a standby more, which is spared until the controller's next pod is ready. Where it
+    stands in for none, as when a pod of a shared pool drives, there are as many standbys as are wanted besides it: it goes for its
+    template alone, when a pool's are ready.
     """
     gate, present = observed.gate, instances.template_hash(understanding.builts[pool])
     if observed.active is None or objects.labels(observed.active).get(names.SOURCE) == "workload":
@@ -90,16 +91,26 @@ def _renewed(
     own = instances.template_hash(understanding.builts[""])
     found = [pod for pod in observed.pods if standins.is_own(pod)]
     outdated = [pod for pod in found if fleets.hash_of(pod) != own]
-    if not outdated:
+    moving = [pod for pod in found if pool == displaced and nodes.on(pod, observed.leaving) and pod not in outdated]
+    if not outdated and not moving:
         return 0, []
     if displaced != pool and pool != _first_kept(observed, understanding, displaced):
         return 0, []
-    waiting = [pod for pod in mine if not objects.is_active(pod, gate)]
+    ready = [
+        pod
+        for pod in mine
+        if objects.ready(pod)
+        and fleets.hash_of(pod) == present
+        and not objects.is_active(pod, gate)
+        and not nodes.on(pod, observed.leaving)
+    ]
     live = observed.owned.get(("replicasets", objects.name(observed.workload)))
-    ready = sum(objects.ready(pod) and fleets.hash_of(pod) == present for pod in waiting)
     # Before the controller has the present template, it would make another of the old one.
-    go = ready >= want and live is not None and _template_of(live) == own and not observed.recovering
-    return int(pool == displaced), outdated if go else []
+    go = len(ready) >= want and live is not None and _template_of(live) == own and not observed.recovering
+    # Where a template has its pods placed on such a node again, the next one is newer than those in its place: it would never end.
+    newest = max(map(objects.created, ready), default=0.0)
+    going = outdated + [pod for pod in moving if objects.created(pod) < newest]
+    return int(pool == displaced), going if go else []
 
 
 def _spared(observed: Observed, pool: str) -> int:

@@ -24,7 +24,7 @@ from tests.unit.controller.world import (
     workload,
 )
 from understudy.api import names
-from understudy.cluster.client import DISRUPTION_BUDGETS, NODES, PODS, POOLS, WORKLOADS, Object
+from understudy.cluster.client import DISRUPTION_BUDGETS, NETWORK_POLICIES, NODES, PODS, POOLS, WORKLOADS, Object
 from understudy.controller import affected, instances, nodes, objects, placing, pools, resyncing
 from understudy.controller.affected import Key
 from understudy.controller.expectations import Expectations
@@ -263,7 +263,7 @@ class TestStandbysOfARobot:
         return made.plan()
 
     def standby(self, made: World, place: str, name: str = "w-s") -> Object:
-        return on(place, standby_pod(name, of=made.workload, template_hash=made.template_hash))
+        return on(place, standby_pod(name, of=made.workload, template_hash=made.template_hash, age=50.0))
 
     def test_they_are_replaced_before_they_go_and_the_one_in_control_stays(self) -> None:
         empty = self.world()
@@ -290,6 +290,58 @@ class TestStandbysOfARobot:
 
     def own(self, made: World, place: str, name: str = "w-own", **more: Any) -> Object:
         return on(place, source_pod(name, template_hash=made.own_hash, **more))
+
+    @pytest.mark.parametrize("ready", [True, False])
+    @pytest.mark.parametrize("drives_on", ["n", "m"])
+    def test_a_stand_in_is_replaced_before_it_goes(self, drives_on: str, ready: bool) -> None:
+        made = self.driven(per_workload=1)
+        made.pods = [on(drives_on, made.pods[0])]
+        own, other = self.own(made, "m", ready=ready), self.standby(made, "o", "w-t")
+        starting = on("o", standby_pod("w-t", of=made.workload, template_hash=made.template_hash, ready=False))
+        assert self.now(made, own) == (1, [])
+        assert self.now(made, own, starting) == (0, [])
+        assert self.now(made, own, other) == (0, ["w-own"])
+        assert self.now(made, other) == (0, []), "the workload's own controller makes the next one"
+        assert self.now(made, self.own(made, "o", "w-own2", ready=False), other) == (0, [])
+        assert self.now(made, self.own(made, "o", "w-own2"), other) == (0, ["w-t"])
+
+    async def test_its_pool_says_so_and_is_looked_at_when_its_node_is_to_go(self) -> None:
+        made, store = self.driven(per_workload=1), Store()
+        driving, own, pool = made.pods[0], self.own(made, "m"), made.others[1]
+        told = [(WORKLOADS, made.workload), (NETWORK_POLICIES, made.owned["networkpolicies", "w-gate"])]
+        for resource, item in [
+            *told,
+            (POOLS, pool),
+            (PODS, driving),
+            (PODS, own),
+            (NODES, node("m")),
+            (NODES, node("o")),
+        ]:
+            store.put(resource, item)
+        seen: list[set[Key]] = []
+        store.noticed = lambda sight: seen.append(affected.keys(sight, store))
+        store.put(NODES, node("m", version=6, unschedulable=True))
+        assert seen == [{Key(POOLS.plural, "fleet", "hot"), Key(WORKLOADS.plural, "fleet", "w")}]
+        client: Any = None
+        observed = await Observer(client, store, Expectations()).pool(pool)
+        assert condition(observed, "Moving")["message"].startswith(
+            "1 of 1 waiting pods is on a node that is to be emptied"
+        )
+
+    def test_a_stand_in_stays_where_only_others_on_such_nodes_are_ready_and_in_a_recovery(self) -> None:
+        made = self.driven(per_workload=2)
+        own, others = self.own(made, "m"), [self.standby(made, "o", "w-s"), self.standby(made, "o", "w-t")]
+        assert self.now(made, own, others[0]) == (1, []), "two others are needed before it goes"
+        assert self.now(made, own, others[0], self.standby(made, "m", "w-t")) == (1, [])
+        assert self.now(made, own, *others) == (0, ["w-own"])
+        made.workload["status"] = {"health": "Recovering"}
+        assert self.now(made, own, *others) == (0, [])
+
+    def test_a_stand_in_that_is_placed_on_such_a_node_again_goes_no_more(self) -> None:
+        made = self.driven(per_workload=1)
+        own, other = self.own(made, "m", age=10.0), self.standby(made, "o", "w-t")
+        assert self.now(made, own, other) == (0, [])
+        assert deleted(self.planned(made)) == ["w-t"], "the node stays"
 
     def test_none_is_made_for_one_that_is_replaced_beside_a_stand_in_that_is_starting(self) -> None:
         made = self.driven(per_workload=2)

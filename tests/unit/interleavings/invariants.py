@@ -130,14 +130,17 @@ class Invariants:
             and _labels(other)[names.TEMPLATE_HASH] == labels[names.TEMPLATE_HASH]
             and not _claimed(other)
             and _living(other)
-            and self._emptied.get(nodes.of(other), 0.0) < self._robots.now  # else it is replaced before it goes
+            and self._stays(other)  # else it is replaced before it goes
         ]
         wanted = _size(self._server.items["fallbackpools"][(pod["metadata"]["namespace"], pool)])
         of_late = [size for since, size in self._sizes.get(pool, []) if self._robots.now - since < KNOWN]
         most = max([wanted, *of_late])
         if workload is not None and self._refers(pod["metadata"]["namespace"], workload):
             most += 1  # what the referred controller makes is no standby, so one in control doesn't count
-        elif workload is not None and any(map(self._is_outdated, self._server.items["pods"].values())):
+        elif workload is not None and any(
+            self._is_outdated(other) or (self._is_of(workload, other) and not self._stays(other))
+            for other in self._server.items["pods"].values()
+        ):
             most += 1  # one that is to go when there is another
         most += sum(other["metadata"]["uid"] in self._stragglers for other in same)
         if len(same) > most:
@@ -212,6 +215,10 @@ class Invariants:
     def _is_of(self, workload: str, pod: Object) -> bool:
         """Whether a workload's own controller has made a pod."""
         return _labels(pod).get(names.WORKLOAD) == workload and _labels(pod).get(names.SOURCE) == "workload"
+
+    def _stays(self, pod: Object) -> bool:
+        """Whether no operator may take a pod's node for one that is to be emptied."""
+        return self._emptied.get(nodes.of(pod), 0.0) < self._robots.now
 
     def _is_outdated(self, pod: Object) -> bool:
         """Whether a pod of a workload's own controller has another template than that one has by now."""

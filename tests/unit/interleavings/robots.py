@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from tests.unit.interleavings.apiserver import EPOCH, ApiServer, Place, stamp
@@ -88,6 +88,8 @@ class Robots:
     changed: Callable[[str], None] = lambda robot: None
     """Called when what reaches a robot has changed."""
     noted: Callable[[str], None] = lambda text: None
+    places: Callable[[], Sequence[str]] = lambda: NODES
+    """The nodes that take new pods: all, as where a template tolerates everything."""
     _waiting: dict[str, list[asyncio.Future[None]]] = field(default_factory=dict)
     _addresses: int = 0
 
@@ -227,7 +229,7 @@ class Robots:
             uid=uid,
             name=place[1],
             place=place,
-            node=self.choices.choice(NODES),
+            node=self.choices.choice(self.places()),
             robot=labels.get(names.WORKLOAD) or labels.get(REFERRED, ""),
             held=labels.get(names.HELD) == "true",
             ip=f"10.0.{self._addresses // 250}.{self._addresses % 250 + 1}",

@@ -35,6 +35,8 @@ class Asked(Simulation):
         lasts = super()._plan_trouble()
         for _ in range(self.choices.randint(1, 4)):
             self.later(self.choices.random() * lasts, self._somebody_asks)
+        for node in NODES:  # where none is left that isn't cordoned, nothing is moved
+            self._cordon(node, False)
         for _ in range(self.choices.randint(0, 2)):
             self.later(self.choices.random() * lasts, self._node_is_cordoned)
         return lasts
