@@ -53,8 +53,8 @@ def change(
     ``kept`` pods (the active one) count at any template and are never deleted. Pods of an old template go only as
     far as ready ones of the present one have come, which is make before break, unless ``update`` says otherwise. So do
     those that are ``moving``, since their node is about to go: they are replaced elsewhere first. With
-    ``hold`` (a recovery is under way, which may be about to use any of them) none is deleted that may still run. ``spared`` more
-    than are wanted stay where there are so many, the best of them; none is made for that.
+    ``hold`` (a recovery or a switchover is under way, which may be about to use any of them) none is deleted that may still run.
+    ``spared`` more than are wanted stay where there are so many, the best of them; none is made for that.
     """
     ended = [pod for pod in pods if objects.ended(pod) and not kept(pod)]
     resting = [pod for pod in ended if now - objects.created(pod) < REST_SECONDS]

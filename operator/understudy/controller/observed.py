@@ -4,17 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 from pydantic import ValidationError
 
 from understudy.api import names
 from understudy.api.settings import PoolChoice, WorkloadSettings
+from understudy.api.switchovers import Phase
 from understudy.cluster.client import CONFIG_MAPS, Object
 from understudy.controller import committed, objects, policies, pools, references
 from understudy.controller.desired import Problem
 
 WAITING = ("Initialized", "Executing")
 """The readinesses at which a standby of a workload's own waits."""
+
+_UNDER_WAY: tuple[Phase, ...] = ("Preparing", "Switching")
+"""The phases of a planned switchover in which an understudy is used for it."""
 
 
 @dataclass(frozen=True)
@@ -129,3 +134,17 @@ class Observed:
         """Whether a recovery is under way, as far as can be seen from here."""
         epoch = objects.notes(self.gate).get(names.EPOCH, "0") if self.gate else "0"
         return self.told_recovering or (epoch != "0" and not objects.active(self.gate)[0])
+
+    @property
+    def handing_over(self) -> bool:
+        """Whether a planned switchover is asked for, or its understudy is being prepared or takes over, by what the monitor says.
+
+        One for a drain that waits isn't under way: it may wait for as long as its node is to be emptied, for what is made meanwhile.
+        """
+        asked = objects.notes(self.workload).get(names.SWITCHOVER)
+        return bool(asked and asked != self.switchover.get("handled")) or self.switchover.get("phase") in _UNDER_WAY
+
+    @property
+    def switchover(self) -> Mapping[str, Any]:
+        """What the monitor says of the last planned switchover; nothing where there was none."""
+        return (self.workload.get("status") or {}).get("switchover") or {}

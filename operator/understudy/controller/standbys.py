@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from understudy.api import names
-from understudy.api.switchovers import ENDED
 from understudy.cluster.client import PODS, REPLICA_SETS, Object
 from understudy.controller import committed, fleets, inforce, instances, levels, nodes, objects, ownership, standins
 from understudy.controller.desired import Create, Delete, Patch, Plan
@@ -62,7 +61,7 @@ def keep(made: Plan, observed: Observed, understanding: Understanding, pool: str
         now=observed.now,
         kept=lambda pod: objects.is_active(pod, gate),
         moving=lambda pod: nodes.on(pod, observed.leaving),
-        hold=observed.recovering,
+        hold=_held(observed),
         spared=spared,
     )
     for _ in range(change.create):
@@ -106,11 +105,16 @@ def _renewed(
     ]
     live = observed.owned.get(("replicasets", objects.name(observed.workload)))
     # Before the controller has the present template, it would make another of the old one.
-    go = len(ready) >= want and live is not None and _template_of(live) == own and not observed.recovering
+    go = len(ready) >= want and live is not None and _template_of(live) == own and not _held(observed)
     # Where a template has its pods placed on such a node again, the next one is newer than those in its place: it would never end.
     newest = max(map(objects.created, ready), default=0.0)
     going = outdated + [pod for pod in moving if objects.created(pod) < newest]
     return int(pool == displaced), going if go else []
+
+
+def _held(observed: Observed) -> bool:
+    """Whether no standby is deleted: in a recovery or a planned switchover, which may be about to take any of them."""
+    return observed.recovering or observed.handing_over
 
 
 def _spared(observed: Observed, pool: str) -> int:
@@ -146,7 +150,9 @@ def scale(made: Plan, observed: Observed) -> None:
     which a pod may be started beside the one that drives.
     """
     live = observed.owned.get(("replicasets", objects.name(observed.workload)))
-    if live is None or observed.gate is None or not objects.active(observed.gate)[0] or _switching(observed.workload):
+    if live is None or observed.gate is None or not objects.active(observed.gate)[0]:
+        return
+    if observed.handing_over or observed.switchover.get("phase") == "Waiting":
         return
     driving = [p for p in observed.pods if objects.is_active(p, observed.gate) and objects.alive(p)]
     foreign = any(objects.labels(pod).get(names.SOURCE) != "workload" for pod in driving)
@@ -154,13 +160,6 @@ def scale(made: Plan, observed: Observed) -> None:
     replicas = 0 if foreign and not standing_by else 1
     if (live.get("spec") or {}).get("replicas", 1) != replicas:
         made.writes.append(Patch(REPLICA_SETS, live, {"spec": {"replicas": replicas}}, subresource="scale"))
-
-
-def _switching(workload: Object) -> bool:
-    """Whether a switchover is asked for or under way, by what its monitor says."""
-    asked = objects.notes(workload).get(names.SWITCHOVER)
-    said = (workload.get("status") or {}).get("switchover") or {}
-    return bool(asked and asked != said.get("handled")) or said.get("phase", ENDED[0]) not in ENDED
 
 
 def awaited(observed: Observed, understanding: Understanding) -> str | None:
@@ -192,8 +191,8 @@ def awaited(observed: Observed, understanding: Understanding) -> str | None:
 
 
 def sweep(made: Plan, observed: Observed) -> None:
-    """Delete standbys of pools that don't serve the workload any more; not in a recovery, which may be about to take one."""
-    if observed.recovering:
+    """Delete standbys of pools that don't serve the workload any more."""
+    if _held(observed):
         made.later(committed.LASTS)  # it may have been given up, which nothing tells
         return
     serving_now = observed.standby_pools

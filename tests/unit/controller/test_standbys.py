@@ -181,6 +181,54 @@ class TestStandbys:
         world.now += plan.again_after
         assert deleted(world.plan()) == ["w-old"]
 
+    @pytest.mark.parametrize(
+        ("phase", "goes"),
+        [("Preparing", False), ("Switching", False), ("asked for", False), ("Waiting", True), ("Done", True)],
+    )
+    @pytest.mark.parametrize(
+        "which", ["of an old template", "standing in", "too many", "of a pool that no longer serves"]
+    )
+    def test_none_is_deleted_that_a_planned_switchover_may_be_about_to_use(
+        self, which: str, phase: str, goes: bool
+    ) -> None:
+        said = {"kind": "Failover", "phase": "Done" if phase == "asked for" else phase, "handled": "failover 1"}
+        world = World(workload(status={"switchover": said}), policy("hot"), hot())
+        asked = "failover 2" if phase == "asked for" else "failover 1"
+        world.workload["metadata"]["annotations"] = {names.SWITCHOVER: asked}
+        world.build()
+        world.build()
+        own, other = world.own_hash, standby_pod("w-t", of=world.workload, template_hash=world.template_hash)
+        active = source_pod("w-a", template_hash=own)
+        if which == "standing in":  # a failback goes to it
+            active, used = standby_pod("w-s", of=world.workload), source_pod("w-a", template_hash="old")
+        elif which == "too many":
+            used = standby_pod("w-u", of=world.workload, template_hash=world.template_hash, ready=False)
+        else:
+            used = standby_pod("w-u", of=world.workload, template_hash="old")
+        if which == "of a pool that no longer serves":
+            world.others = [policy("hot"), hot(workloadSelector={"matchLabels": {"task": "other"}})]
+            other = used
+        world.own(gate(world.workload, active=active, epoch=2))
+        world.pods = [active, *{id(pod): pod for pod in (other, used)}.values()]
+        plan = world.plan()
+        assert (created(plan, "pods"), deleted(plan)) == ([], [used["metadata"]["name"]] if goes else [])
+
+    def test_the_one_that_drove_before_a_planned_switchover_stays_until_the_next_one_is_seen_to(self) -> None:
+        # Its monitor gives the gate back to it where that isn't so.
+        world = World(workload(), policy("hot"), hot())
+        world.leaving = frozenset({"n"})
+        former = standby_pod("w-s", of=world.workload, template_hash=world.template_hash) | {"spec": {"nodeName": "n"}}
+        active = standby_pod("w-t", of=world.workload, template_hash=world.template_hash)
+        switched = gate(world.workload, active=active, epoch=2)
+        progress = Progress.begin("drained", last_healthy=world.now, detected=world.now)
+        progress.switchover = "Drain"
+        world.own(switched)
+        world.pods = [former, active, source_pod("w-a", template_hash=world.own_hash)]
+        for result, gone in (("Running", []), ("Recovered", ["w-s"])):
+            progress.result = result  # type: ignore[assignment]
+            switched["metadata"]["annotations"][names.RECOVERY] = progress.model_dump_json()
+            assert deleted(world.plan()) == gone
+
     def test_those_of_a_pool_that_no_longer_serves_go_but_never_the_active_one(self) -> None:
         world = World(workload(labels={"task": "other"}), policy("hot"), hot())
         active, idle = standby_pod("w-s", of=world.workload), standby_pod("w-t", of=world.workload)
