@@ -108,6 +108,22 @@ def commitment(
     }
 
 
+async def end_recovery(client: Client, namespace: str, workload: str, *, over: GateRecord, recovery: str) -> Object:
+    """Have what stands beside it say that nobody goes on with the recovery that committed it last, over exactly the record.
+
+    ``recovery`` is its JSON from then on. Control doesn't change, and so the epoch stays; for a pod of a shared pool it waits no
+    longer. Raises ApiError: 409 when another write was first.
+    """
+    body = {
+        "metadata": {
+            "resourceVersion": over.version,
+            "labels": {names.WAITS_FOR: None},
+            "annotations": {names.RECOVERY: recovery},
+        }
+    }
+    return await client.patch(NETWORK_POLICIES, namespace, names.gate(workload), body)
+
+
 async def admit(
     client: Client, namespace: str, workload: str, *, over: GateRecord, admitted: str, admitted_uid: str
 ) -> Object:

@@ -1,26 +1,29 @@
-"""The monitor's own record of a recovery under way, in a file that lasts over a restart of its container."""
+"""The monitor's own record of a recovery under way, and of those that it gave up, in files that last over a restart of its container."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
-from pydantic import ValidationError
+from pydantic import TypeAdapter, ValidationError
 
+from understudy.mitigation.givenup import GivenUp
 from understudy.mitigation.progress import Progress
+
+_GIVEN_UP = TypeAdapter(list[GivenUp])
 
 
 class Journal:
-    """One file, replaced atomically. It isn't synced: it guards against a killed process, not against a lost node."""
+    """Files, each replaced atomically. They aren't synced: they guard against a killed process, not against a lost node."""
 
     def __init__(self, path: Path) -> None:
-        self._path = path
+        """``path`` is the file of the present recovery; what was given up is beside it."""
+        self._path, self._given_up = path, path.with_suffix(".given-up")
 
     def save(self, progress: Progress) -> None:
         """Keep the progress of the present recovery."""
-        temporary = self._path.with_suffix(".new")
-        temporary.write_text(progress.model_dump_json())
-        os.replace(temporary, self._path)
+        _replace(self._path, progress.model_dump_json())
 
     def load(self) -> Progress | None:
         """The last progress kept, or None; a damaged file counts as none."""
@@ -32,3 +35,23 @@ class Journal:
     def clear(self) -> None:
         """Forget it: the recovery is in the status."""
         self._path.unlink(missing_ok=True)
+
+    def give_up(self, given_up: Sequence[GivenUp]) -> None:
+        """Keep which recoveries aren't gone on with, although the gate may tell of them: these, and no others."""
+        if given_up:
+            _replace(self._given_up, _GIVEN_UP.dump_json(list(given_up)).decode())
+        else:
+            self._given_up.unlink(missing_ok=True)
+
+    def given_up(self) -> list[GivenUp]:
+        """Those kept; a damaged file counts as none."""
+        try:
+            return _GIVEN_UP.validate_json(self._given_up.read_text())
+        except (OSError, ValidationError):
+            return []
+
+
+def _replace(path: Path, text: str) -> None:
+    temporary = path.with_name(f"{path.name}.new")
+    temporary.write_text(text)
+    os.replace(temporary, path)

@@ -216,7 +216,7 @@ def beside(recovery: str) -> Progress | None:
 LASTS = 10.0
 """Seconds after its beginning for which a recovery that only a gate tells of counts as under way, for whoever doesn't wait for its end by a
 time of their own. A status follows its gate within three where its monitor lives (understudy.monitor.reporting), and the next monitor says
-so itself; of one that was given up the gate may tell until the next one.
+so itself; of one that was given up the gate tells until that is said there (understudy.monitor.givingup).
 """
 
 

@@ -14,8 +14,9 @@ from understudy.api import names
 from understudy.cluster import claims, gates
 from understudy.cluster.client import NETWORK_POLICIES, ApiError, Client
 from understudy.cluster.probes import ProbeReceiver
+from understudy.mitigation.givenup import GivenUp, ended
 from understudy.mitigation.interfaces import GateState, Instance, Superseded
-from understudy.mitigation.progress import Progress
+from understudy.mitigation.progress import Progress, beside
 from understudy.monitor import metrics
 from understudy.monitor.faults import CrashPoints
 from understudy.monitor.fleet import Fleet
@@ -42,14 +43,15 @@ class PolicyGate:
         """The recovery that committed last from here: its id, the epoch of that, and the text that was sent along."""
 
     @property
-    def _record(self) -> gates.GateRecord | None:
+    def record(self) -> gates.GateRecord | None:
+        """What it says, as last seen or committed; None where there is none."""
         policy = self._view.gates.items.get(names.gate(self._view.workload))
         return gates.read(policy) if policy else None
 
     @property
     def exists(self) -> bool:
         """Whether the operator has made it (and nobody has deleted it)."""
-        return self._record is not None
+        return self.record is not None
 
     @property
     def state(self) -> GateState:
@@ -59,7 +61,7 @@ class PolicyGate:
         return self._cached[1]
 
     def _read(self) -> GateState:
-        record = self._record
+        record = self.record
         if record is None:
             return GateState()
         recovery = None
@@ -81,7 +83,7 @@ class PolicyGate:
         """Open it for one instance, or close it, at the next epoch. Raises Superseded, also where somebody else has committed since the
         recovery did, or names another pod than the recovery is about.
         """
-        begun = self._record
+        begun = self.record
         if begun is None:
             raise Superseded(f"NetworkPolicy {names.gate(self._view.workload)} is gone")
         self._still_ours(begun, progress)
@@ -152,7 +154,7 @@ class PolicyGate:
 
         It is tried once: a commit matters more and may be waiting, and what is wanted is looked at again anyway.
         """
-        record = self._record
+        record = self.record
         if record is None or not record.active:
             return False
         name, uid = (standby.name, standby.uid) if standby else ("", "")
@@ -172,6 +174,39 @@ class PolicyGate:
             return False
         self._view.gates.put(policy)
         return True
+
+    def left_by(self, recovery: str) -> GivenUp | None:
+        """What may stand beside it, now or later, of a recovery (its id) that isn't gone on with from here; None for nothing."""
+        id_, epoch, sent = self._own
+        if id_ == recovery:
+            return GivenUp(id=id_, epoch=epoch, sent=sent)
+        record = self.record
+        found = beside(record.recovery) if record is not None else None
+        if record is None or found is None or found.id != recovery:
+            return None
+        return GivenUp(id=recovery, epoch=record.epoch, sent=record.recovery)
+
+    async def end_recovery(self, over: gates.GateRecord) -> None:
+        """Say that nobody goes on with the recovery that this record tells of, if that is still what it says.
+
+        It is tried once, as :meth:`admit` is, and for the same reason.
+        """
+        found = beside(over.recovery)
+        if found is None:
+            return
+        try:
+            policy = await gates.end_recovery(
+                self._client,
+                self._view.namespace,
+                self._view.workload,
+                over=over,
+                recovery=ended(found).model_dump_json(),
+            )
+        except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
+            _logger.warning("saying beside the gate that recovery %s isn't gone on with: %r", found.id, error)
+            return
+        _logger.info("beside the gate it is said that recovery %s isn't gone on with", found.id)
+        self._view.gates.put(policy)
 
     async def _reread(self, begun: gates.GateRecord, uid: str, recovery: str) -> gates.GateRecord | None:
         """The gate as it is, after a refused or unanswered commit; our own commit may have been carried out."""

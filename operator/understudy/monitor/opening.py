@@ -12,6 +12,7 @@ from understudy.api.base import seconds
 from understudy.api.policies import FailurePolicySpec
 from understudy.api.workloads import GateStatus
 from understudy.cluster.client import ApiError
+from understudy.mitigation.givenup import ended
 from understudy.mitigation.interfaces import Superseded
 from understudy.monitor.fleet import Fleet
 from understudy.monitor.gating import PolicyGate
@@ -60,7 +61,7 @@ class Opening:
         left = self._gate.state.recovery
         if left is not None:
             failed = [pod for pod in left.failed if pod.uid != first.uid]
-            left = left.model_copy(update={"result": "Failed", "strategy": "", "failed": failed, "waiting": None})
+            left = ended(left).model_copy(update={"failed": failed})
         try:
             await self._gate.commit(first, left)
         except (Superseded, ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:

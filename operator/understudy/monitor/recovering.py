@@ -48,16 +48,16 @@ class Recoveries:
         holding: Holding,
         aftermath: Aftermath,
         get_ready: Callable[[FailurePolicySpec], None],
-        forget: Callable[[], None],
+        give_up: Callable[[Progress], None],
     ) -> None:
         """``get_ready`` has by this policy what sees and is asked during a recovery: it may come before the first look.
-        ``forget`` has a new monitor not go on with one that was given up.
+        ``give_up`` has nobody go on with one, or take it to be under way.
         """
         self._view, self._reporter, self._keeping = view, reporter, keeping
         self._black_box, self._crash_points = black_box, crash_points
         self._repertoire, self._switching = repertoire, switching
         self._under_way, self._holding, self._aftermath = under_way, holding, aftermath
-        self._get_ready, self._forget = get_ready, forget
+        self._get_ready, self._give_up = get_ready, give_up
 
     async def recover(self, progress: Progress) -> None:
         """Carry a recovery out once the limits allow it."""
@@ -99,12 +99,12 @@ class Recoveries:
         self._aftermath.recovered(done, policy)
 
     def _superseded(self, progress: Progress, reason: Superseded) -> None:
-        self._forget()
+        self._give_up(progress)
         self._aftermath.superseded(progress, reason)
 
     def _stopped(self, progress: Progress, error: Exception) -> None:
         # What is tried again is another recovery; by then whoever failed may be well again, or somebody else drive.
-        self._forget()
+        self._give_up(progress)
         self._aftermath.stopped(progress, error)
 
     async def _recovered(self, progress: Progress, choices: Sequence[Choice]) -> Progress:

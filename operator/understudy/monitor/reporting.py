@@ -30,7 +30,7 @@ from understudy.cluster.client import WORKLOADS, ApiError, Client, Object
 from understudy.cluster.events import Recorder
 from understudy.cluster.undeclared import apply_declared
 from understudy.cluster.watching import version_of
-from understudy.mitigation.progress import Progress, rfc3339
+from understudy.mitigation.progress import Progress, Told, rfc3339, told_in
 from understudy.monitor import metrics
 
 _logger = logging.getLogger(__name__)
@@ -161,6 +161,11 @@ class Reporter:
     def recovery(self, id_: str) -> Recovery | None:
         """A recovery by its id; None where the status has it no longer, or never had."""
         return next((recovery for recovery in self._recoveries if recovery.id == id_), None)
+
+    @property
+    def told(self) -> list[Told]:
+        """What the status tells of recoveries."""
+        return told_in(self._recoveries)
 
     @property
     def recorded(self) -> set[str]:

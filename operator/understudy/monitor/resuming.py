@@ -5,6 +5,7 @@ It is in three places, which were written one after the other: the journal, the 
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from datetime import datetime
 
 from understudy.mitigation.journal import Journal
@@ -13,11 +14,17 @@ from understudy.monitor.gating import PolicyGate
 from understudy.monitor.reporting import Reporter
 
 
-def interrupted(journal: Journal, gate: PolicyGate, reporter: Reporter) -> Progress | None:
-    """The recovery that an earlier monitor had begun and not recorded, if there is one."""
+def interrupted(
+    journal: Journal, gate: PolicyGate, reporter: Reporter, given_up: Collection[str] = ()
+) -> Progress | None:
+    """The recovery that an earlier monitor had begun and not recorded, if there is one.
+
+    ``given_up`` are the ids of those that it had given up: whoever failed may be well again since, or somebody else drive.
+    """
     committed = gate.state.recovery
     kept = [p for p in (journal.load(), committed) if p is not None]
-    open_ones = [p for p in kept if p.id not in reporter.recorded and p.result != "Failed"]
+    over = {*reporter.recorded, *given_up}
+    open_ones = [p for p in kept if p.id not in over and p.result != "Failed"]
     if committed is not None and committed not in open_ones:
         # What came to its end by the gate had begun before what is still to be done: else another monitor has done it since.
         open_ones = [p for p in open_ones if p.id != committed.id and p.began > committed.began]

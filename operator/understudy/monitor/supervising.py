@@ -29,6 +29,7 @@ from understudy.monitor.enforcement import Enforcement
 from understudy.monitor.faults import CrashPoints
 from understudy.monitor.fleet import Fleet
 from understudy.monitor.gating import PolicyGate
+from understudy.monitor.givingup import GivingUp
 from understudy.monitor.holding import Holding
 from understudy.monitor.keeping import StateKeeping
 from understudy.monitor.labelling import Labels
@@ -115,6 +116,7 @@ class Supervisor:
         self._labels = Labels(fleet)
         self._standbys = Standbys(view, fleet, gate, sidecars, keeping, reporter, leftovers, under_way)
         sidecars.role = self._standbys.role
+        self._giving_up = GivingUp(gate, parts.journal, reporter)
         self._enforcement = Enforcement(gate, parts.probes, reporter, parts.ungated)
         self._reflexes = Reflexes(view, fleet, gate, sidecars, sight, parts.probes, reporter)
         holding = Holding(view, gate, reporter, parts.black_box, limits, under_way, self._save, self._meanwhile)
@@ -133,7 +135,7 @@ class Supervisor:
             holding,
             aftermath,
             self._get_ready,
-            self._forget,
+            self._give_up,
         )
 
     @property
@@ -150,7 +152,7 @@ class Supervisor:
 
     async def _resume(self) -> None:
         """Go on with what an earlier monitor had begun."""
-        interrupted = resuming.interrupted(self._journal, self._gate, self._reporter)
+        interrupted = resuming.interrupted(self._journal, self._gate, self._reporter, self._giving_up.ids)
         if interrupted is not None:
             _logger.warning("finishing recovery %s, begun before this monitor started", interrupted.id)
             await self._sidecars.settle(self._fleet.of_workload(), SETTLE)
@@ -322,6 +324,7 @@ class Supervisor:
 
     def _housekeeping(self) -> None:
         """What has time: labels on new pods, links to agents, whether the gate is enforced, what would be done now."""
+        self._giving_up.look()
         instances = self._fleet.of_workload()
         self._labels.follow(instances)
         self._sidecars.follow(instances)
@@ -370,6 +373,10 @@ class Supervisor:
         """What was saved isn't to be gone on with."""
         with contextlib.suppress(OSError):
             self._journal.clear()
+
+    def _give_up(self, progress: Progress) -> None:
+        self._giving_up.note(progress)
+        self._forget()
 
     def _get_ready(self, policy: FailurePolicySpec) -> None:
         """A recovery that an earlier monitor had begun comes before the first look."""

@@ -9,10 +9,13 @@ from tests.unit.interleavings.apiserver import ApiServer
 from tests.unit.interleavings.robots import Robots
 from tests.unit.interleavings.senses import GAP
 from understudy.api import names
+from understudy.api.workloads import RobotWorkloadStatus
 from understudy.cluster import gates
 from understudy.cluster.applying import controller_of
 from understudy.cluster.client import Object
 from understudy.controller import nodes, objects, poolsizes
+from understudy.mitigation import progress as recoveries
+from understudy.mitigation.progress import Committed
 
 KNOWN = 70.0
 """Seconds within which an operator knows of a pool's new size: two of its lists, and their longest waits."""
@@ -165,7 +168,7 @@ class Invariants:
 
     def unrest(self) -> list[str]:
         """What isn't as it should be in the end; nothing where every robot is driven and every pod belongs somewhere."""
-        return [*self._undriven(), *self._unfilled(), *self._leaked()]
+        return [*self._undriven(), *self._unended(), *self._unfilled(), *self._leaked()]
 
     def _undriven(self) -> Iterator[str]:
         for (namespace, workload), _ in sorted(self._server.items["robotworkloads"].items()):
@@ -174,6 +177,17 @@ class Invariants:
             found = self._robots.running.get(uid)
             if found is None or not found.through:
                 yield f"{workload} isn't driven"
+
+    def _unended(self) -> Iterator[str]:
+        """Recoveries that those who depend on a workload take to be under way, and that nobody goes on with."""
+        for (namespace, workload), item in sorted(self._server.items["robotworkloads"].items()):
+            gate = self._server.get("networkpolicies", (namespace, names.gate(workload)))
+            found = recoveries.beside(gates.read(gate).recovery) if gate is not None else None
+            if found is None:
+                continue
+            status = RobotWorkloadStatus.model_validate(item.get("status") or {})
+            if recoveries.under_way(Committed.of(found), recoveries.told_in(status.recoveries or [])):
+                yield f"recovery {found.id} stands beside the gate of {workload} as though it were under way"
 
     def _unfilled(self) -> Iterator[str]:
         pods = self._server.items["pods"].values()

@@ -70,6 +70,8 @@ class Network:
         """Called with a process that sends a request, its method and its path; not where the server is only to judge it."""
         self.cut_off: set[Process] = set()
         """Processes of which nothing arrives, and to which nothing comes."""
+        self.denied: set[Process] = set()
+        """Processes of whose writes every second one is refused for good, as by an API server that knows only a part of their roles."""
         self._waiting: dict[str, list[asyncio.Future[None]]] = {}
         self.outcomes: dict[str, int] = {}
 
@@ -142,6 +144,8 @@ class SimulatedClient(Client):
             network.sending(process, method, path)
         answer: asyncio.Future[Object] = network.loop.create_future()
         fate = "lost" if process in network.cut_off else network.fate()
+        if method != "GET" and process in network.denied and network.choices.random() < 0.5:
+            fate = "denied"
         short = f"{method} {path.rpartition('/namespaces/')[2]}"
         network.count(fate)
         if fate != "answered":
@@ -182,11 +186,13 @@ class SimulatedClient(Client):
         elif fate == "busy":
             status = network.choices.choice([429, 500, 503])
             network.later(network.delay(), answered, ApiError(status, "Busy", "try again"), process=process)
+        elif fate == "denied":
+            network.later(network.delay(), answered, ApiError(403, "Forbidden", "no role allows it"), process=process)
         elif fate == "late":
             network.later(self._seconds + network.choices.random() * 4, arrive)
         elif fate != "lost":
             network.later(network.delay(), arrive)
-        if fate not in ("answered", "refused", "busy"):
+        if fate not in ("answered", "refused", "busy", "denied"):
             network.later(self._seconds, self._gave_up, answer, process=process)
         return await answer
 

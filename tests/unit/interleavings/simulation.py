@@ -115,6 +115,7 @@ TROUBLES = {
     "operator_is_ended": 1,
     "somebody_stalls": 3,
     "somebody_is_cut_off": 2,
+    "monitor_is_denied": 2,
     "watch_falls_silent": 2,
     "kubelets_write": 4,
     "pool_is_resized": 3,
@@ -436,6 +437,15 @@ class Simulation:
         self.network.cut_off.add(process)
         self.later(seconds, self.network.cut_off.discard, process)
 
+    def _monitor_is_denied(self) -> None:
+        """The API server denies what it is asked for, which nobody asks for again by themselves: what is under way stops there."""
+        if not self.monitors:
+            return
+        process, seconds = self.choices.choice(self.monitors).process, 1 + self.choices.random() * 8
+        self.note(f"{process} is denied every second write for {seconds:.1f} s")
+        self.network.denied.add(process)
+        self.later(seconds, self.network.denied.discard, process)
+
     def _watch_falls_silent(self) -> None:
         if self.operators:
             operator = self.choices.choice(self.operators)
@@ -523,6 +533,7 @@ class Simulation:
         self.note("from here on nothing goes wrong any more")
         self.network.weather, self.robots.luck = Weather(), Luck(slow=0.0)
         self.network.cut_off.clear()
+        self.network.denied.clear()
         for monitor in self.monitors:
             monitor.fuse.left = None
         # Of two monitors of one workload its Deployment ends the older one.

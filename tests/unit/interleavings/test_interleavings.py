@@ -24,6 +24,7 @@ from understudy.cluster.client import Client, Object
 from understudy.cluster.leases import Lease
 from understudy.controller.executing import Executor
 from understudy.controller.expectations import Expectations
+from understudy.monitor.givingup import GivingUp
 from understudy.monitor.leftovers import Leftovers
 from understudy.monitor.reporting import Reporter
 
@@ -163,6 +164,11 @@ def test_a_claimed_pod_that_is_deleted_as_if_it_were_free_is_found() -> None:
 def test_a_status_that_a_dead_monitor_overwrites_for_good_is_found() -> None:
     with mock.patch.object(Reporter, "look"):
         assert found("than the status", SCARCE, "monitor_dies_at_a_step", "all_fail", weather=3.0, within=300)
+
+
+def test_a_recovery_that_stands_beside_its_gate_for_ever_is_found() -> None:
+    with mock.patch.object(GivingUp, "look"):
+        assert found("as though it were under way", EXECUTING, "second_monitor", "all_fail")
 
 
 def test_an_operator_that_goes_on_when_another_one_leads_is_found() -> None:

@@ -218,6 +218,7 @@ async def test_it_is_there_for_a_recovery_that_an_earlier_monitor_had_begun(
     view = SimpleNamespace(policy=policy_of(STATE), settings=SimpleNamespace(), spec=None, retired=False)
     quiet: Any = SimpleNamespace(
         clear=lambda: None,
+        left_by=lambda _: None,
         graph=None,
         coming=None,
         follow=lambda *_: None,

@@ -62,6 +62,9 @@ class Gate:
         self.committed: list[tuple[Instance | None, Progress]] = []
         self.refuses: Exception | None = None
 
+    def left_by(self, recovery: str) -> None:
+        return
+
     async def commit(self, target: Instance | None, progress: Progress) -> GateState:
         if self.refuses is not None:
             raise self.refuses

@@ -18,13 +18,18 @@ def begun(at: float) -> Progress:
     return Progress.begin("it ended", last_healthy=at - 1, detected=at)
 
 
-def found(journal: Progress | None, gate: Progress | None, recorded: Sequence[Progress] = ()) -> Progress | None:
+def found(
+    journal: Progress | None,
+    gate: Progress | None,
+    recorded: Sequence[Progress] = (),
+    given_up: Sequence[Progress] = (),
+) -> Progress | None:
     parts: list[Any] = [
         SimpleNamespace(load=lambda: journal),
         SimpleNamespace(state=GateState(epoch=4, recovery=gate)),
         SimpleNamespace(recorded={progress.id for progress in recorded}),
     ]
-    return interrupted(*parts)
+    return interrupted(*parts, {progress.id for progress in given_up})
 
 
 def test_a_recovery_that_was_not_recorded_is_gone_on_with_as_the_journal_has_it() -> None:
@@ -52,6 +57,15 @@ def test_one_that_was_given_up_is_not_gone_on_with_once_another_is_over() -> Non
     assert found(given_up, done, recorded=[done]) is None
     ended = given_up.model_copy(update={"result": "Failed"})
     assert found(given_up, ended) is None, "somebody was put in control since"
+
+
+def test_one_that_an_error_had_stopped_is_not_gone_on_with_although_the_gate_tells_of_it_and_a_later_one_is() -> None:
+    stopped, later = begun(100.0), begun(200.0)
+    assert found(None, stopped, given_up=[stopped]) is None
+    assert found(stopped, stopped, given_up=[stopped]) is None
+    progress = found(later, stopped, given_up=[stopped])
+    assert progress is not None
+    assert progress.id == later.id, "it hadn't come to the gate yet"
 
 
 def test_what_was_recorded_or_came_to_nothing_is_not_gone_on_with() -> None:
