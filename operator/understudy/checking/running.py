@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import io
-import json
 import os
 import sys
 from collections.abc import Iterator, Mapping, Sequence
@@ -15,8 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import yaml
-
+from understudy.api.printed import structured
 from understudy.checking import documents, lending, objects, references
 from understudy.checking.documents import Manifest
 from understudy.checking.findings import Finding
@@ -131,13 +129,10 @@ def contents(argument: str) -> Iterator[tuple[str, bytes]]:
 
 
 def _lines(result: Result, form: str) -> Iterator[str]:
-    match form:
-        case "json":
-            yield json.dumps(result.to_wire(), indent=2)
-        case "yaml":
-            yield yaml.safe_dump(result.to_wire(), sort_keys=False).rstrip()
-        case _:
-            yield from map(str, result.findings)
+    if form == "text":
+        yield from map(str, result.findings)
+    else:
+        yield structured(result.to_wire(), form)
 
 
 def main(arguments: list[str]) -> int:

@@ -14,12 +14,13 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from understudy.api import names
+from understudy.api.printed import structured
 from understudy.api.recordings import Recording, Recordings
 from understudy.console import options, terminal
 from understudy.console.drawing import plain
 from understudy.console.kubectl import Kubectl, Unusable, add_options
 from understudy.console.tables import Cell, drawn
-from understudy.console.texts import age, clock, counted, structured, wrapped
+from understudy.console.texts import age, clock, counted, wrapped
 from understudy.console.tree import asked, monitor_pod
 
 DONE, NONE, CANT = 0, 1, 2

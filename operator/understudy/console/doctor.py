@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import Any
 
 from understudy import __version__
+from understudy.api.printed import structured
 from understudy.cluster.client import WORKLOADS, Object
 from understudy.console import clocks, findings, graphs, installed, options, packets, rights, terminal, testpods
 from understudy.console.drawing import plain
@@ -16,7 +17,6 @@ from understudy.console.findings import Finding
 from understudy.console.installed import Installed
 from understudy.console.kubectl import Kubectl, Unusable, add_options
 from understudy.console.proxying import Api, Refused, proxied
-from understudy.console.texts import structured
 from understudy.controller import objects
 from understudy.controller.desired import Images
 

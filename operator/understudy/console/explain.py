@@ -5,11 +5,11 @@ from __future__ import annotations
 import argparse
 import sys
 
+from understudy.api.printed import structured
 from understudy.console import outlook, terminal
 from understudy.console.kubectl import Kubectl, Unusable, add_options
 from understudy.console.observing import around
 from understudy.console.outlook import Known
-from understudy.console.texts import structured
 
 WELL, NOT_WELL, CANT = 0, 1, 2
 """Exit statuses."""

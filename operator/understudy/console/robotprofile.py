@@ -9,11 +9,11 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from understudy.api import names
+from understudy.api.printed import structured
 from understudy.api.workloads import RobotWorkloadSpec
 from understudy.cluster.client import Object
 from understudy.console.kubectl import WORKLOADS, Kubectl, Unusable, add_options
 from understudy.console.profile import Profile
-from understudy.console.texts import structured
 from understudy.controller.robots import PROFILES_DIR
 
 DONE, CANT = 0, 2

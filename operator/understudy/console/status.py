@@ -12,12 +12,12 @@ from dataclasses import replace
 from typing import TextIO
 
 from understudy.api import names
+from understudy.api.printed import structured
 from understudy.cluster.client import Object
 from understudy.console import overview, terminal
 from understudy.console.kubectl import Forbidden, Kubectl, Unusable, add_options
 from understudy.console.overview import Look
 from understudy.console.robots import Pool, Robot, pool, robot
-from understudy.console.texts import structured
 from understudy.controller import objects
 
 PROTECTED, NOT_PROTECTED, CANT = 0, 1, 2

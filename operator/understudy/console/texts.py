@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import textwrap
 from collections.abc import Iterable
 from datetime import UTC, datetime
-from typing import Any
-
-import yaml
 
 from understudy.console.drawing import plain
 
@@ -65,8 +61,3 @@ def counted(number: int, one: str, many: str = "") -> str:
 def listed(parts: Iterable[str]) -> str:
     """Parts of a sentence with commas, without the empty ones."""
     return ", ".join(part for part in parts if part)
-
-
-def structured(told: Any, form: str) -> str:
-    """Plain values as ``json`` or ``yaml``, for programs."""
-    return json.dumps(told, indent=2) if form == "json" else yaml.safe_dump(told, sort_keys=False).rstrip()

@@ -6,10 +6,10 @@ import argparse
 import sys
 import time
 
+from understudy.api.printed import structured
 from understudy.console import options, recoveries, terminal
 from understudy.console.kubectl import Kubectl, Unusable, add_options
 from understudy.console.robots import status_of
-from understudy.console.texts import structured
 
 SHOWN, CANT = 0, 2
 """Exit statuses."""

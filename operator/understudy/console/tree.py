@@ -12,10 +12,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from understudy.api import names
+from understudy.api.printed import structured
 from understudy.console import terminal
 from understudy.console.drawing import Rates, lines
 from understudy.console.kubectl import Kubectl, Unusable, add_options
-from understudy.console.texts import structured
 
 HEALTHY, NOT_HEALTHY, CANT = 0, 1, 2
 """Exit statuses."""

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import get_args
 
 from understudy.api.pools import Readiness
+from understudy.api.printed import structured
 from understudy.api.requirements import Level
 from understudy.checking import documents, objects, running
 from understudy.checking.documents import Manifest
@@ -18,7 +19,6 @@ from understudy.choosing import explaining
 from understudy.choosing.figures import Figure, Way
 from understudy.cluster.client import Object
 from understudy.console import kubectl, options, terminal
-from understudy.console.texts import structured
 from understudy.planning import comparing
 from understudy.planning.fitting import fitted
 from understudy.planning.recommendations import recommended

@@ -7,8 +7,8 @@ import math
 import sys
 from collections.abc import Callable
 
+from understudy.api.printed import structured
 from understudy.console import options, terminal
-from understudy.console.texts import structured
 from understudy.planning.fitting import fitted
 from understudy.planning.sizes import Question, sized
 from understudy.planning.telling import told

@@ -8,7 +8,7 @@ import os
 import sys
 from pathlib import Path
 
-from understudy.console.texts import structured
+from understudy.api.printed import structured
 from understudy.trying import onsets, pictures, policies
 from understudy.trying.bags import Bag
 from understudy.trying.replaying import replay
