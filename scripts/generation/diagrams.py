@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import get_args
+from typing import Any, get_args
 
 from scripts.generation.drawing import AMBER, BLUE, INK, PALE, PURPLE, RED, Diagram
 from understudy.api.pools import Readiness
@@ -36,13 +36,9 @@ def architecture() -> str:
 
     drawn.part("the pods")
     drawn.text((560, 48), "the application's pods (your image, unchanged)", size=15, bold=True)
-    drawn.box(
-        (440, 76), (240, 84), BLUE, "#e9f2f9", title="active",
-        lines=[("drives the robot", INK), ("node 1", PALE)],
-    )  # fmt: skip
-    drawn.box(
-        (440, 232), (240, 84), PALE, "#f6f6f6", title="understudy", dashed=True, titled="#4a555f",
-        lines=[("runs in full (or waits, unstarted)", INK), ("node 2", PALE)],
+    _pod(drawn, 76, "active", "drives the robot", "node 1", BLUE, "#e9f2f9")
+    _pod(
+        drawn, 232, "understudy", "runs in full (or waits, unstarted)", "node 2", PALE, "#f6f6f6", dashed=True, titled="#4a555f"
     )  # fmt: skip
 
     drawn.part("commands")
@@ -88,23 +84,30 @@ def architecture() -> str:
     return drawn.svg()
 
 
+def _pod(drawn: Diagram, top: float, name: str, does: str, where: str, colour: str, fill: str, **look: Any) -> None:
+    """One of the application's pods, with what it does and where it runs."""
+    drawn.box((440, top), (240, 84), colour, fill, title=name, lines=[(does, INK), (where, PALE)], **look)
+
+
 PARTS = {"detection": "#e4e9ed", "cluster": "#f6d9d4", "startup": "#f5e3b3", "reinitialization": "#cfe2f1"}
 """The colour of each part of a recovery's time."""
 
 CLOSED, OPENED = (1.5, "cluster", "gate closed"), (1.7, "cluster", "gate opened for F")
 RESTORED = (2.2, "reinitialization", "state restored, brought up")
 
-STEPS: dict[str, tuple[str, tuple[tuple[float, str, str], ...]]] = {
+Steps = tuple[tuple[float, str, str], ...]
+
+
+def _anew(closing: str, starting: str) -> Steps:
+    """What is done where processes have to be started: what comes with closing the gate, and what is waited for then."""
+    return (2.1, "cluster", f"gate closed, {closing}"), (1.5, "startup", starting), RESTORED, OPENED
+
+
+STEPS: dict[str, tuple[str, Steps]] = {
     "Executing": ("F runs in full, shut out", ((2.6, "cluster", "one patch: P out, F in"),)),
     "Initialized": ("F is up and configured", (CLOSED, RESTORED, OPENED)),
-    "Uninitialized": (
-        "F is any pod of the pool",
-        ((2.1, "cluster", "gate closed, pod claimed"), (1.5, "startup", "processes begin"), RESTORED, OPENED),
-    ),
-    "Restart": (
-        "nothing waits",
-        ((2.1, "cluster", "gate closed, P deleted"), (1.5, "startup", "next pod begins"), RESTORED, OPENED),
-    ),
+    "Uninitialized": ("F is any pod of the pool", _anew("pod claimed", "processes begin")),
+    "Restart": ("nothing waits", _anew("P deleted", "next pod begins")),
 }
 """By the readiness of what waits: what that is, and what is done once the failure is noticed, each with its width, its part and words."""
 
