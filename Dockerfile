@@ -9,9 +9,13 @@ ARG BASE_IMAGE=python:3.12-slim
 
 FROM ${BASE_IMAGE} AS base
 # A user without rights and without a home; ROS writes its log below HOME.
+# The standard library is compiled here, since official images of Python have no bytecode of it, and where it runs, with a root that is
+# read-only, none can be kept: each start of a process would compile what it imports.
 RUN groupadd --gid 65532 understudy && \
     useradd --uid 65532 --gid 65532 --no-create-home --home-dir /tmp --shell /usr/sbin/nologin understudy && \
-    python3 -m venv /opt/understudy
+    python3 -m venv /opt/understudy && \
+    python3 -m compileall -q --invalidation-mode unchecked-hash -x '/(ensurepip|idlelib|lib2to3|tests?|tkinter|turtledemo|(site|dist)-packages)/' \
+        "$(python3 -c 'import sysconfig; print(sysconfig.get_path("stdlib"))')"
 ENV HOME=/tmp \
     PATH=/opt/understudy/bin:/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin \
     PIP_CONFIG_FILE=/run/secrets/pip \
@@ -37,7 +41,7 @@ FROM operator-dependencies AS monitor-dependencies
 COPY --from=requirements /requirements/monitor.txt /tmp/build/
 RUN --mount=type=secret,id=pip --mount=type=secret,id=ca \
     pip install --quiet --constraint /tmp/build/constraints.txt --requirement /tmp/build/monitor.txt
-COPY docker/understudy-discovery-server /usr/local/bin/
+COPY docker/ros-environment docker/understudy-discovery-server /usr/local/bin/
 ENV RMW_IMPLEMENTATION=rmw_fastrtps_cpp
 
 FROM monitor-dependencies AS tracker-dependencies
@@ -57,7 +61,7 @@ FROM tracker-dependencies AS tracker
 COPY --from=wheel /wheel /tmp/wheel
 RUN pip install --quiet --no-deps --no-index /tmp/wheel/*.whl && rm -r /tmp/wheel /tmp/build
 USER 65532:65532
-ENTRYPOINT ["understudy", "tracker"]
+ENTRYPOINT ["ros-environment", "understudy", "tracker"]
 
 FROM operator-dependencies AS operator
 COPY --from=wheel /wheel /tmp/wheel
@@ -69,4 +73,4 @@ FROM monitor-dependencies AS monitor
 COPY --from=wheel /wheel /tmp/wheel
 RUN pip install --quiet --no-deps --no-index /tmp/wheel/*.whl && rm -r /tmp/wheel /tmp/build
 USER 65532:65532
-ENTRYPOINT ["understudy"]
+ENTRYPOINT ["ros-environment", "understudy"]

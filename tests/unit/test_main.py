@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
 
 import pytest
@@ -50,3 +51,17 @@ def test_a_verb_that_is_not_there_is_told_by_its_name(
 def test_it_says_which_version_it_is(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     assert _run(monkeypatch, "--version") == 0
     assert capsys.readouterr().out == f"understudy {__version__}\n"
+
+
+def test_what_a_part_is_made_of_is_not_looked_through_for_garbage() -> None:
+    code = (
+        "import gc\n"
+        "from understudy import main\n"
+        "main._imported('understudy.agent.running')\n"
+        "made = [value for value in vars(main).values() if gc.is_tracked(value)]\n"
+        "looked_at = set(map(id, gc.get_objects()))\n"
+        "print(gc.isenabled(), bool(made), any(id(value) in looked_at for value in made))\n"
+    )
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == (
+        "True True False\n"
+    )
