@@ -20,10 +20,10 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from understudy.agent.outputs import Output
 from understudy.api.agents import OutputCount
 
 if TYPE_CHECKING:
-    from understudy.api.workloads import Output
     from understudy.ros.calling import Place
     from understudy.ros.graph import Graph
     from understudy.ros.watching import Watching
@@ -67,9 +67,6 @@ class Plan:
     @classmethod
     def of(cls, body: Mapping[str, Any]) -> Plan:
         """From a ``configure`` request. Raises ValueError with everything that is wrong with it."""
-        from pydantic import ValidationError
-
-        from understudy.api.workloads import Output
         from understudy.trees.forms import load_health
         from understudy.trees.problems import TreeError
 
@@ -77,10 +74,10 @@ class Plan:
         if not isinstance(grace, int | float) or isinstance(grace, bool) or not 0 <= grace < float("inf"):
             raise ValueError(f"grace {grace!r}: expected a number of seconds")
         try:
-            outputs = [Output.model_validate(output) for output in body.get("outputs", [])]
+            outputs = [Output.from_wire(output) for output in body.get("outputs", [])]
             tree = load_health(body.get("form", "yaml"), body.get("tree", {}), grace=float(grace))
             return cls(tree, outputs, bool(body.get("managed")))
-        except (TreeError, ValidationError, TypeError) as error:
+        except (TreeError, TypeError) as error:
             raise ValueError(str(error)) from error
 
     def topics(self) -> list[WatchedTopic]:

@@ -27,7 +27,8 @@ FORSAKEN = 60.0
 
 _HOUSEKEEPING = 5.0  # seconds
 
-_WARM = ("understudy.ros.watching", "understudy.ros.calling", "understudy.trees.loading")
+_PROCEDURES = "understudy.trees.procedures"
+_WARM = ("understudy.ros.watching", "understudy.ros.calling", "understudy.trees.forms", _PROCEDURES)
 _WARMING = f"import os; os.nice(19); import {', '.join(_WARM)}"
 
 
@@ -72,8 +73,8 @@ async def _run(identity: Identity, probes: ProbeSender) -> None:
         asyncio.create_task(_rest_when_forsaken(sessions, probes)),
         asyncio.create_task(sidecar.fence.run(), name="fence"),
     ]
-    if sidecar.held:
-        housekeeping.append(asyncio.create_task(_warm()))
+    # A recovery may need them at any time; until then, nobody who asks waits for them.
+    housekeeping.append(asyncio.create_task(_warm() if sidecar.held else _imported(_PROCEDURES)))
     await told.wait()
     for task in housekeeping:
         task.cancel()
@@ -113,5 +114,9 @@ async def _warm() -> None:
             with contextlib.suppress(ProcessLookupError):
                 process.kill()
     await rclpy_imported()
-    for module in _WARM:
+    await _imported(*_WARM)
+
+
+async def _imported(*modules: str) -> None:
+    for module in modules:
         await asyncio.to_thread(importlib.import_module, module)

@@ -65,12 +65,12 @@ class Readiness:
 
     def expect(self, standing: Standing | None) -> None:
         """Judge by this from now on. Raises ValueError where its check doesn't load."""
-        from understudy.trees.procedures import load_check
-
         if standing == self._standing:
             return
         checking = None
         if standing is not None and standing.check is not None:
+            from understudy.trees.procedures import load_check
+
             tree = load_check(standing.check, path="readinessCheck", places=standing.places)
             checking = Checking(tree, standing.period, self._actions)
         self._standing = standing

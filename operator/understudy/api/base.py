@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-import re
 from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 from pydantic.alias_generators import to_camel
 
+from understudy.api.lengths import DURATION_MESSAGE as DURATION_MESSAGE
+from understudy.api.lengths import DURATION_PATTERN as DURATION_PATTERN
+from understudy.api.lengths import LONGEST_TEXT as LONGEST_TEXT
+from understudy.api.lengths import seconds as seconds
 from understudy.api.names import GROUP as GROUP
+from understudy.api.rosnames import ROS_NAME_MESSAGE, ROS_NAME_PATTERN
 
 VERSION = "v1alpha1"
 API_VERSION = f"{GROUP}/{VERSION}"
@@ -40,26 +44,11 @@ def matching(pattern: str, message: str) -> dict[str, Any]:
     return {"x-kubernetes-validations": [rule]}
 
 
-DURATION_PATTERN = r"^([0-9]+(\.[0-9]+)?(ms|s|m|h))+$"
-DURATION_MESSAGE = "write a duration as a number with ms, s, m or h, such as 500ms, 1.5s or 1m30s"
-_DURATION_PART = re.compile(r"([0-9]+(?:\.[0-9]+)?)(ms|s|m|h)")
-_UNIT_SECONDS = {"ms": 0.001, "s": 1.0, "m": 60.0, "h": 3600.0}
-
 Duration = Annotated[
     str,
     Field(pattern=DURATION_PATTERN, max_length=32, json_schema_extra=matching(DURATION_PATTERN, DURATION_MESSAGE)),
 ]
 """A length of time such as ``500ms``, ``1.5s`` or ``1m30s``."""
-
-
-def seconds(duration: str) -> float:
-    """The length of a duration such as ``1m30s`` in seconds.
-
-    Raises ValueError when it isn't one.
-    """
-    if not re.fullmatch(DURATION_PATTERN, duration):
-        raise ValueError(f"{duration!r} is not a duration: write a number with ms, s, m or h, such as 500ms or 1m30s")
-    return sum(float(number) * _UNIT_SECONDS[unit] for number, unit in _DURATION_PART.findall(duration))
 
 
 PERCENTAGE_PATTERN = r"^([1-9][0-9]?([.][0-9]{1,6})?|0[.][0-9]{0,5}[1-9][0-9]{0,5})%$"
@@ -78,10 +67,6 @@ Percentage = Annotated[
 def fraction(percentage: str) -> float:
     """A percentage such as ``0.5%`` from 0 to 1."""
     return float(percentage.removesuffix("%")) / 100
-
-
-LONGEST_TEXT = 65536
-"""Characters that a tree may have that is a text: some hundred nodes and what an editor adds, far below what etcd takes."""
 
 
 class Model(BaseModel):
@@ -113,6 +98,12 @@ ObjectName = Annotated[
     ),
 ]
 """The name of a Kubernetes object (a DNS subdomain)."""
+
+RosName = Annotated[
+    str,
+    Field(pattern=ROS_NAME_PATTERN, max_length=256, json_schema_extra=matching(ROS_NAME_PATTERN, ROS_NAME_MESSAGE)),
+]
+"""A fully qualified name of a topic, service, action or node."""
 
 
 class LocalReference(Model):

@@ -14,6 +14,7 @@ from understudy.api.base import (
     LocalReference,
     Model,
     ObjectName,
+    RosName,
     matching,
     rules,
     seconds,
@@ -23,7 +24,6 @@ from understudy.api.degraded import Degraded
 from understudy.api.procedures import Procedure
 from understudy.api.recordings import BlackBox
 from understudy.api.requirements import Requirements
-from understudy.api.rosnames import RosName
 from understudy.api.situations import When
 from understudy.api.states import State
 from understudy.api.written import Form, Written, short_form, text

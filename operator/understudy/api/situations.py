@@ -6,9 +6,8 @@ from typing import Any, Self
 
 from pydantic import Field, model_validator
 
-from understudy.api.base import Model, rules
+from understudy.api.base import Model, RosName, rules
 from understudy.api.conditions import Time
-from understudy.api.rosnames import RosName
 from understudy.api.written import Written, short_form, text
 
 _ONE = "say when it is by exactly one of task, yaml (the short form), xml (BehaviorTree.CPP 4) and osc (OpenSCENARIO 2)"

@@ -6,9 +6,9 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from understudy.api.base import Duration, Model, ObjectName, matching, rules
+from understudy.api.base import Duration, Model, ObjectName, RosName, matching, rules
 from understudy.api.conditions import Time
-from understudy.api.rosnames import ROS_TYPE_MESSAGE, RosName
+from understudy.api.rosnames import ROS_TYPE_MESSAGE
 from understudy.motion.reading import ODOMETRY, POSE_TYPES
 
 MESSAGE_TYPE_PATTERN = r"^[a-zA-Z][a-zA-Z0-9_]*/msg/[A-Z][a-zA-Z0-9]*$"

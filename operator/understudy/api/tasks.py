@@ -6,8 +6,8 @@ from typing import Literal
 
 from pydantic import Field
 
-from understudy.api.base import Duration, Model, matching
-from understudy.api.rosnames import ROS_TYPE_MESSAGE, RosName
+from understudy.api.base import Duration, Model, RosName, matching
+from understudy.api.rosnames import ROS_TYPE_MESSAGE
 
 ACTION_TYPE_PATTERN = r"^[a-zA-Z][a-zA-Z0-9_]*/action/[A-Z][a-zA-Z0-9]*$"
 

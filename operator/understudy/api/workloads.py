@@ -12,6 +12,7 @@ from understudy.api.base import (
     LocalReference,
     Model,
     ObjectName,
+    RosName,
     matching,
     rules,
 )
@@ -19,7 +20,7 @@ from understudy.api.conditions import Condition, Time
 from understudy.api.pauses import Pause
 from understudy.api.policies import MOST_COUNTED
 from understudy.api.procedures import Procedure
-from understudy.api.rosnames import ROS_TYPE_MESSAGE, ROS_TYPE_PATTERN, RosName
+from understudy.api.rosnames import ROS_TYPE_MESSAGE, ROS_TYPE_PATTERN
 from understudy.api.situations import SituationStatus
 from understudy.api.states import KeptStatus, RestoredState
 from understudy.api.switchovers import Draining, Kind, SwitchoverStatus

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import NodeNameNonExistentError
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-from understudy.api.workloads import Output
 from understudy.ros.joining import own_context, plain_node
 from understudy.ros.types import message_class
 
@@ -33,6 +32,22 @@ class Endpoint:
     """Fully qualified; empty until the node's own announcement has come."""
     latched: bool = False
     """Whether it is a writer that gives its last messages to those who join late (transient local)."""
+
+
+class Crossing(Protocol):
+    """What goes between a workload and its robot: a topic, service or action, with None for the others."""
+
+    @property
+    def topic(self) -> str | None:
+        """Fully qualified, like the others."""
+
+    @property
+    def service(self) -> str | None:
+        """Whichever side serves it."""
+
+    @property
+    def action(self) -> str | None:
+        """Whichever side serves it."""
 
 
 class Graph:
@@ -122,7 +137,7 @@ class Graph:
         """What takes the requests of a service."""
         return _endpoints(self.node.get_subscriptions_info_by_topic(f"rq{service}Request", no_mangle=True))
 
-    def endpoints(self, output: Output) -> list[Endpoint]:
+    def endpoints(self, output: Crossing) -> list[Endpoint]:
         """What workloads (and robots, for services and actions) have opened for an output.
 
         Publishers of a topic; servers and clients of a service, and of an action by its send_goal service. Which of

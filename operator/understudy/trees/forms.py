@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from understudy.api.base import seconds
+from understudy.api.lengths import seconds
 from understudy.trees.btcpp.trees import load_xml
 from understudy.trees.expressions import Fields
 from understudy.trees.health import HealthTree

@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, TypeGuard
 
-from understudy.api.base import seconds
+from understudy.api.lengths import seconds
 from understudy.trees.problems import Problem, did_you_mean
 
 DEEPEST = 32

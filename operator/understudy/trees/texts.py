@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import yaml
 from yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
-from understudy.api.base import LONGEST_TEXT
+from understudy.api.lengths import LONGEST_TEXT
 from understudy.trees.forms import load_health
 from understudy.trees.places import ALONE, Beginning, nearest
 from understudy.trees.problems import Problem, TreeError

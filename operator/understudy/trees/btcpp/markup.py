@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from xml.parsers import expat
 
-from understudy.api.base import LONGEST_TEXT
+from understudy.api.lengths import LONGEST_TEXT
 from understudy.trees.places import ALONE, Beginning, Malformed
 
 DEEPEST = 64

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from understudy.api.base import LONGEST_TEXT
+from understudy.api.lengths import LONGEST_TEXT
 from understudy.trees.osc import tokens
 from understudy.trees.osc.complaints import Complaints
 from understudy.trees.osc.dialects import Dialect

@@ -1,0 +1,94 @@
+"""An agent has no models of the API in memory, of which there is one in every pod, and has what a recovery needs before it comes."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+from pydantic import ValidationError
+
+from tests.unit.agent.conftest import PACKAGE, Pod, eventually
+from understudy.agent.health import Plan
+from understudy.agent.outputs import Output
+from understudy.agent.running import _PROCEDURES, _WARM
+from understudy.api import workloads
+
+HEAVY = {"aiohttp", "antlr4", "kopf", "kubernetes", "prometheus_client", "pydantic", "scenario_execution"}
+
+CONFIGURED = """
+from understudy.agent.health import Plan
+Plan.of({"tree": {"topic": {"name": "/x", "gap": "1s"}}, "outputs": [{"topic": "/x", "type": "std_msgs/msg/Empty"}], "grace": 1})
+Plan.of({"form": "xml", "tree": '<root BTCPP_format="4"><BehaviorTree ID="A"><Topic topic="/x" gap="1s"/></BehaviorTree></root>'})
+"""
+
+
+def _modules(code: str) -> set[str]:
+    """What is loaded once this was run."""
+    environment = {**os.environ, "PYTHONPATH": str(PACKAGE), "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"}
+    shown = f"{code}\nimport json, sys\nprint(json.dumps(sorted(sys.modules)))"
+    found = subprocess.run([sys.executable, "-c", shown], env=environment, capture_output=True, text=True, check=True)
+    return set(json.loads(found.stdout))
+
+
+def test_an_agent_that_starts_has_neither_ros_nor_trees_yet() -> None:
+    found = _modules("import understudy.agent.running")
+    assert not found & {*HEAVY, "numpy", "py_trees", "rclpy", "yaml"}
+
+
+@pytest.mark.ros
+def test_an_agent_that_is_ready_for_anything_has_no_models() -> None:
+    assert not _modules(f"import understudy.agent.running, {', '.join(_WARM)}\n{CONFIGURED}") & HEAVY
+
+
+@pytest.mark.ros
+def test_a_held_agent_needs_nothing_more_of_ours_when_it_is_claimed() -> None:
+    begun = f"import understudy.agent.running, {', '.join(_WARM)}"
+    more = _modules(f"{begun}\n{CONFIGURED}") - _modules(begun)
+    assert not {name for name in more if name.startswith("understudy.")}
+
+
+async def test_procedures_are_there_before_anybody_asks_for_them(pod: Pod) -> None:
+    pod.environment = {"UNDERSTUDY_HELD_CONTAINERS": "", "UNDERSTUDY_WORKLOAD": "robot", "PYTHONVERBOSE": "1"}
+    pod.start_agent()
+    await eventually(lambda: f"import '{_PROCEDURES}'" in (pod.folder / "agent.log").read_text(errors="replace"))
+
+
+GOOD = [
+    {"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist"},
+    {"service": "/robot/snap", "type": "std_srvs/srv/Trigger", "of a newer monitor": 1},
+    {"action": "/go_to", "type": "nav2_msgs/action/NavigateToPose", "topic": None},
+]
+BAD = [
+    {},
+    {"topic": "/x"},
+    {"topic": "x", "type": "std_msgs/msg/Empty"},
+    {"topic": "/x\n", "type": "std_msgs/msg/Empty"},
+    {"topic": 3, "type": "std_msgs/msg/Empty"},
+    {"service": "/" + 256 * "x", "type": "std_srvs/srv/Trigger"},
+    {"topic": "/x", "type": "std_msgs/Empty"},
+    {"topic": "/x", "type": ["std_msgs/msg/Empty"]},
+    "/x",
+]
+
+
+@pytest.mark.parametrize("data", GOOD)
+def test_an_output_is_read_as_the_model_reads_it(data: dict[str, object]) -> None:
+    ours, model = Output.from_wire(data), workloads.Output.model_validate(data)
+    assert (ours.topic, ours.service, ours.action, ours.type, ours.name) == (
+        model.topic,
+        model.service,
+        model.action,
+        model.type,
+        model.name,
+    )
+
+
+@pytest.mark.parametrize("data", BAD)
+def test_what_the_model_refuses_is_refused(data: object) -> None:
+    with pytest.raises(ValidationError):
+        workloads.Output.model_validate(data)
+    with pytest.raises(ValueError, match="output"):
+        Plan.of({"tree": {"topic": {"name": "/x", "gap": "1s"}}, "outputs": [data]})
