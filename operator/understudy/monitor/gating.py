@@ -141,8 +141,10 @@ class PolicyGate:
             return
         id_, epoch, sent = self._own
         if id_ == progress.id:
-            # A commit that nobody answered may have been carried out.
-            if begun.epoch != epoch and begun.recovery != sent:
+            # A commit that nobody answered may have been carried out. What was sent stands beside the gate too where somebody has closed it
+            # since, and left the rest as it was.
+            carried_out = begun.recovery == sent and (tells := beside(sent)) is not None and begun.epoch == tells.epoch
+            if begun.epoch != epoch and not carried_out:
                 raise Superseded(f"the gate is at epoch {begun.epoch} by another writer, this recovery knew {epoch}")
             return
         about = [*progress.failed, progress.target, progress.former, progress.taken_over]

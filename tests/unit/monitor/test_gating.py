@@ -26,11 +26,17 @@ def recovery(failed: Instance = FAILED) -> Progress:
     )
 
 
-async def by_another(client: MemoryClient, found: View, pod: Instance | None, *, noticed: bool = True) -> None:
-    """Another writer commits, such as a second monitor or who fences by hand; this monitor's watch brings it, or hasn't yet."""
+async def by_another(
+    client: MemoryClient, found: View, pod: Instance | None, *, noticed: bool = True, kept: bool = False
+) -> None:
+    """Another writer commits, such as a second monitor or who fences by hand; this monitor's watch brings it, or hasn't yet.
+
+    The recovery that stands beside the gate is ``kept`` by who knows of epochs only.
+    """
     over = gates.read(await client.get(NETWORK_POLICIES, "fleet", "w-gate"))
     name, uid = (pod.name, pod.uid) if pod else ("", "")
-    policy = await gates.commit(client, "fleet", "w", over=over, active=name, active_uid=uid, recovery="")
+    beside = over.recovery if kept else ""
+    policy = await gates.commit(client, "fleet", "w", over=over, active=name, active_uid=uid, recovery=beside)
     if noticed:
         found.gates.put(policy)
 
@@ -52,15 +58,16 @@ async def test_a_recovery_commits_over_its_own_closing(client: MemoryClient, fou
     assert (gate.state.active, gate.state.epoch) == (STANDBY.name, 6)
 
 
+@pytest.mark.parametrize("kept", [True, False])
 @pytest.mark.parametrize("noticed", [True, False])
 @pytest.mark.parametrize("other", [THIRD, None])
 async def test_what_somebody_else_committed_since_is_not_undone(
-    client: MemoryClient, found: View, tmp_path: Path, other: Instance | None, noticed: bool
+    client: MemoryClient, found: View, tmp_path: Path, other: Instance | None, noticed: bool, kept: bool
 ) -> None:
     """Else a pod that drives would be shut out with nobody to delete it, or one that a person has fenced be let through."""
     gate, progress = await open_gate(client, found, tmp_path, FAILED), recovery()
     await gate.commit(None, progress)
-    await by_another(client, found, other, noticed=noticed)
+    await by_another(client, found, other, noticed=noticed, kept=kept)
     with pytest.raises(Superseded, match=r"the gate is at epoch 6 by another writer"):
         await gate.commit(STANDBY, progress)
     assert (gate.state.active, gate.state.epoch) == (other.name if other else "", 6)
