@@ -1,6 +1,6 @@
 """What of its workload reaches the robot, as the monitor tells an agent.
 
-It says the same as :class:`understudy.api.workloads.Output`. That one is a model of pydantic, which costs a tenth of a second and 10 MB,
+It says the same as :class:`understudy.api.workloads.Output`. That one is a model of pydantic, which costs a tenth of a second and 9 MB,
 in every pod.
 """
 
