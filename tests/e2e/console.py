@@ -67,10 +67,13 @@ def watching(kubectl: Kubectl, file: Path, command: str, *arguments: str) -> Ite
                 end()  # killed outright, it would leave behind the kubectl that watches for it
 
 
-def shell_environment(kubeconfig: Path, folder: Path) -> dict[str, str]:
-    """The environment of a user's shell: with ``understudy`` on the PATH, and a kubeconfig of its own, in which a namespace can be set."""
+def shell_environment(kubeconfig: Path, folder: Path, *, namespace: str | None = None) -> dict[str, str]:
+    """The environment of a user's shell: with ``understudy`` on the PATH, and a kubeconfig of its own, whose namespace may be set."""
     own, programs = folder / "kubeconfig", folder / "bin"
     shutil.copyfile(kubeconfig, own)
+    if namespace is not None:
+        told = ["kubectl", f"--kubeconfig={own}", "config", "set-context", "--current", f"--namespace={namespace}"]
+        subprocess.run(told, check=True, capture_output=True, timeout=30)
     programs.mkdir()
     (programs / "understudy").write_text(f'#!/bin/sh\nexec "{sys.executable}" -m understudy "$@"\n')
     (programs / "understudy").chmod(0o755)

@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 
 from tests.e2e.console import REPOSITORY, shell_environment, understudy
-from tests.e2e.kubectl import Kubectl
 from tests.e2e.scenario import Robot
 from tests.e2e.test_strategies import assert_handed_over
 
@@ -105,10 +104,7 @@ def test_the_script_for_ci_ends_well_after_a_failure_that_was_recovered(executin
     executing.wait_standby()
     kubectl("label", "namespace", kubectl.namespace, "understudy.dev/allow-inject=true")
 
-    environment = shell_environment(kubectl.kubeconfig, tmp_path)
-    Kubectl(Path(environment["KUBECONFIG"]), kubectl.namespace)(
-        "config", "set-context", "--current", f"--namespace={kubectl.namespace}"
-    )
+    environment = shell_environment(kubectl.kubeconfig, tmp_path, namespace=kubectl.namespace)
     done = subprocess.run(
         ["bash", "-c", script, "rehearse.sh", executing.workload],
         env=environment, capture_output=True, text=True, timeout=240, check=False,

@@ -98,10 +98,7 @@ def test_one_that_is_asked_for_as_the_page_says_without_our_command_is_the_same(
     (typed,) = re.findall(r"```sh\n(asked=.*?)```", page, re.DOTALL)
     executing.wait_protected()
     executing.wait_standby()
-    environment = shell_environment(kubectl.kubeconfig, tmp_path)
-    Kubectl(Path(environment["KUBECONFIG"]), kubectl.namespace)(
-        "config", "set-context", "--current", f"--namespace={kubectl.namespace}"
-    )
+    environment = shell_environment(kubectl.kubeconfig, tmp_path, namespace=kubectl.namespace)
     done = subprocess.run(
         ["bash", "-euo", "pipefail", "-c", typed.replace("robot-17-navigation", executing.workload)],
         env=environment, capture_output=True, text=True, timeout=120, check=False,
