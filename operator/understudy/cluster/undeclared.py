@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import copy
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from understudy.cluster.client import ApiError, Client, Object, Resource
@@ -35,6 +35,12 @@ async def apply_declared(
             if not error.malformed or not found:
                 raise
             unknown = sorted([*unknown, *found])
+
+
+def lacking(resource: Resource, fields: Iterable[str], writer: str) -> str:
+    """What people are told of the fields that were left out."""
+    told = ", ".join(sorted(fields))
+    return f"the definition of {resource.plural} is older than this {writer} and lacks {told}: upgrade it (charts/understudy, or crds/)"
 
 
 def without(body: Object, fields: Sequence[str]) -> Object:

@@ -25,7 +25,7 @@ from understudy.cluster.client import (
     Resource,
 )
 from understudy.cluster.events import Recorder
-from understudy.cluster.undeclared import apply_declared
+from understudy.cluster.undeclared import apply_declared, lacking
 from understudy.controller import (
     affected,
     dependencies,
@@ -319,11 +319,7 @@ class Reconciler:
             raise
         if told := set(unknown) - self._unknown:
             self._unknown |= told
-            _logger.warning(
-                "the definition of %s is older than this operator and lacks %s: upgrade it (charts/understudy, or crds/)",
-                resource.plural,
-                ", ".join(sorted(told)),
-            )
+            _logger.warning("%s", lacking(resource, told, "operator"))
         self._store.put(resource, made)
         await self._announce(item, statuses.transitions(item, status))
         return None

@@ -28,7 +28,7 @@ from understudy.api.workloads import (
 )
 from understudy.cluster.client import WORKLOADS, ApiError, Client, Object
 from understudy.cluster.events import Recorder
-from understudy.cluster.undeclared import apply_declared
+from understudy.cluster.undeclared import apply_declared, lacking
 from understudy.cluster.watching import version_of
 from understudy.mitigation.progress import Progress, Told, rfc3339, told_in
 from understudy.monitor import metrics
@@ -412,10 +412,7 @@ class Reporter:
             self._client, WORKLOADS, self._namespace, body, manager=MANAGER, subresource="status"
         )
         if unknown and unknown != self._unknown:
-            _logger.warning(
-                "the definition of RobotWorkloads is older than this monitor and lacks %s: upgrade it (charts/understudy, or crds/)",
-                ", ".join(unknown),
-            )
+            _logger.warning("%s", lacking(WORKLOADS, unknown, "monitor"))
         self._unknown = unknown
         self._applied, self._said, self._answer = text, body["status"], answer
 

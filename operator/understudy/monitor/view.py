@@ -51,7 +51,7 @@ class View:
         self._on_pod = on_pod
 
         self.workloads = Reflector(client, WORKLOADS, namespace, fields=_only(workload), on_change=self._refer)
-        self.policies = self.watching_policy("")
+        self.policies = self._watching_policy("")
         """The policy that the workload refers to, and no other."""
         self.settings_maps = Reflector(
             client, CONFIG_MAPS, namespace, fields=_only(names.settings(workload)), on_change=self._queue
@@ -95,7 +95,7 @@ class View:
             group.create_task(self.source_pods.run())
             await self.source_pods.synced.wait()
 
-    def watching_policy(self, name: str) -> Reflector:
+    def _watching_policy(self, name: str) -> Reflector:
         """A watch of a policy. By its name: the right to read all of a namespace is more than a monitor has."""
         return Reflector(self.client, POLICIES, self.namespace, fields=_only(name))
 
@@ -108,7 +108,7 @@ class View:
         self._referred = spec.failure_policy_ref.name
         if self._policy_watch is not None:
             self._policy_watch.cancel()
-        self.policies = self.watching_policy(self._referred)
+        self.policies = self._watching_policy(self._referred)
         self._policy_watch = self._group.create_task(self.policies.run())
 
     def _queue(self) -> None:

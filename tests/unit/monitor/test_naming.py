@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator
 from typing import Any
 
 import pytest
@@ -149,13 +149,6 @@ async def settled() -> None:
         await asyncio.sleep(0)
 
 
-@contextlib.contextmanager
-def hurried(monkeypatch: pytest.MonkeyPatch, seconds: float) -> Iterator[None]:
-    with monkeypatch.context() as patch:
-        patch.setattr(viewing, "POLICY_WITHIN", seconds)
-        yield
-
-
 async def test_of_policies_only_the_one_is_watched_that_the_workload_refers_to(server: Server) -> None:
     async with viewed(server) as view:
         assert policies_watched(server) == {"metadata.name=p"}
@@ -193,13 +186,13 @@ async def test_a_monitor_begins_without_a_policy_that_it_may_not_read_and_follow
 ) -> None:
     monkeypatch.setattr("understudy.cluster.watching.RETRY_FIRST", 0.01)
     server.refused.add("metadata.name=p")
-    with hurried(monkeypatch, 0.05):
-        async with viewed(server) as view:
-            assert view.policy is None
-            server.refused.clear()
-            async with asyncio.timeout(5):
-                await view.policies.synced.wait()
-            assert gap(view) == "500ms"
+    monkeypatch.setattr(viewing, "POLICY_WITHIN", 0.05)
+    async with viewed(server) as view:
+        assert view.policy is None
+        server.refused.clear()
+        async with asyncio.timeout(5):
+            await view.policies.synced.wait()
+        assert gap(view) == "500ms"
 
 
 async def test_a_monitor_that_begins_waits_for_its_policy(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
