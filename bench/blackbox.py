@@ -27,7 +27,7 @@ from bench.results import Report
 from bench.robot import Stream
 from bench.roles import Role, await_messages, environment, running
 from understudy.api.base import seconds
-from understudy.api.recordings import BlackBox
+from understudy.api.kinds.recording_spec import BlackBox
 
 STREAMS = (
     Stream("/joint_states", "sensor_msgs/msg/JointState", 100),

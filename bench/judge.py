@@ -1,6 +1,6 @@
-"""Watches a robot as the monitor does: its own view (understudy.monitor.sight) in a process with all that it imports,
-woken when it is (understudy.monitor.looking), kept state (understudy.monitor.keeping) and the black box
-(understudy.monitor.blackbox) without an API server.
+"""Watches a robot as the monitor does: its own view (understudy.monitor.observe.health_observer) in a process with all that it imports,
+woken when it is (understudy.monitor.observe.wakeups), kept state (understudy.monitor.act.state_keeping) and the black box
+(understudy.monitor.report.black_box) without an API server.
 """
 
 from __future__ import annotations
@@ -59,19 +59,20 @@ class _Judge:
         leaves: Mapping[str, str],
     ) -> None:
         import understudy.monitor.running  # noqa: F401  (what the monitor's process has in memory)
-        from understudy.api.policies import FailurePolicySpec
-        from understudy.api.workloads import RobotWorkloadSpec
-        from understudy.cluster import scheduling
-        from understudy.mitigation.interfaces import Instance
-        from understudy.mitigation.shelf import Shelf
-        from understudy.monitor.archive import Archive
-        from understudy.monitor.blackbox import BlackBox
-        from understudy.monitor.keeping import StateKeeping
-        from understudy.monitor.sight import Sight
-        from understudy.trees.forms import load_monitoring
+
+        from understudy.api.kinds.failure_policy import FailurePolicySpec
+        from understudy.api.kinds.robot_workload import RobotWorkloadSpec
+        from understudy.failover.interfaces import Instance
+        from understudy.monitor.act.state_keeping import StateKeeping
+        from understudy.monitor.observe.health_observer import Sight
+        from understudy.monitor.report.black_box import BlackBox
+        from understudy.monitor.report.recording_archive import Archive
+        from understudy.process import cpu_scheduling
+        from understudy.state.state_store import Shelf
+        from understudy.trees.languages.notations import load_monitoring
 
         end_with_parent()
-        scheduling.ask_for_short_slices()  # before any thread starts, as in the monitor
+        cpu_scheduling.ask_for_short_slices()  # before any thread starts, as in the monitor
         self.policy = FailurePolicySpec.model_validate(
             {
                 "monitoring": monitoring,
@@ -99,11 +100,11 @@ class _Judge:
         asyncio.run(self._watch())
 
     async def _watch(self) -> None:
-        """As understudy.monitor.supervising does, of which this leaves out all that isn't for noticing."""
+        """As understudy.monitor.loop does, of which this leaves out all that isn't for noticing."""
         from understudy.api.base import seconds
-        from understudy.monitor.looking import TICK, WAKE_LATE, Looks
-        from understudy.monitor.supervising import SLOW
-        from understudy.trees.debounce import Debounce
+        from understudy.monitor.loop import SLOW
+        from understudy.monitor.observe.wakeups import TICK, WAKE_LATE, Looks
+        from understudy.trees.core.debounce import Debounce
 
         answers = {"received": self._received, "seen": self._seen, "record": self._record}
         asyncio.get_running_loop().add_reader(sys.stdin, lambda: answer(sys.stdin.readline(), answers))
@@ -173,7 +174,7 @@ class _Judge:
 
     def _record(self, asked: Mapping[str, Any]) -> dict[str, Any]:
         """``black_box`` is as of a FailurePolicy."""
-        from understudy.api.recordings import BlackBox
+        from understudy.api.kinds.recording_spec import BlackBox
 
         settings = BlackBox.model_validate(asked["black_box"]) if asked["black_box"] is not None else None
         self._view.policy = self.policy.model_copy(update={"black_box": settings})

@@ -116,8 +116,8 @@ class Leaf:
 
     @property
     def window(self) -> Any:
-        """The window of a rate (understudy.trees.rates)."""
-        from understudy.trees.rates import Band, Window
+        """The window of a rate (understudy.trees.core.rate_window)."""
+        from understudy.trees.core.rate_window import Band, Window
 
         value = self.body[self.kind]
         return Window(Band.parse(value["rate"]), self._duration("window") or 0.0) if "rate" in value else None

@@ -23,7 +23,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from understudy.reporting.samples import quantile
+from understudy.cli.report.sample_statistics import quantile
 
 HERE = Path(__file__).resolve().parent
 

@@ -162,9 +162,9 @@ def spin(*nodes: Any) -> None:
 
 def message_class(type_name: str) -> Any:
     """The class of a message, or of an action's feedback."""
-    from understudy.ros import types
+    from understudy.ros.runtime import interface_types
 
-    return types.message_class(type_name)
+    return interface_types.message_class(type_name)
 
 
 def fill(message: Any, stream: Stream, spoil: str) -> None:

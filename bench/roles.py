@@ -39,8 +39,8 @@ def environment() -> None:
 
 def gate_ports(file: Path, outputs: Iterable[Mapping[str, str]]) -> dict[str, str]:
     """The environment of a process whose readers of gated outputs have ports of their own, as in the monitor."""
-    from understudy.api.workloads import Output  # here, so that it isn't in the baseline's memory
-    from understudy.ros.profiles import profiles_xml
+    from understudy.api.kinds.robot_workload import Output  # here, so that it isn't in the baseline's memory
+    from understudy.ros.dds.profiles import profiles_xml
 
     file.write_text(profiles_xml(Output(topic=output["topic"], type=output["type"]) for output in outputs))
     return {"FASTRTPS_DEFAULT_PROFILES_FILE": str(file)}

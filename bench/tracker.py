@@ -26,12 +26,12 @@ from tracker_scene.driving import PERIOD, Base, Driver
 
 from bench.results import Report
 from understudy.tracker.configuration import Configuration, load
-from understudy.tracker.images import Calibration
-from understudy.tracker.locating import Locator
-from understudy.tracker.node import odometry_of
-from understudy.trees import loading
-from understudy.trees.health import Verdict
-from understudy.trees.observations import Recorded, TopicRecord
+from understudy.tracker.image_messages import Calibration
+from understudy.tracker.robot_location import Locator
+from understudy.tracker.tracker_node import odometry_of
+from understudy.trees.core.health_tree import Verdict
+from understudy.trees.core.observations import Recorded, TopicRecord
+from understudy.trees.languages.short import health_loader
 
 ODOMETRY, COMMANDS = "/tracker/robot/odometry", "/cmd_vel"
 LATENCY = 0.06
@@ -80,7 +80,7 @@ class Supervised:
         self.base = Base(self.scene)
         self.locator = Locator(self.configuration)
         self.locator.calibrate(Calibration(np.array(Scene.matrix()).reshape(3, 3), np.zeros(5), False, 640, 480))
-        self.tree = loading.load({"motion": {"topic": ODOMETRY, "commands": COMMANDS, **self.leaf}})
+        self.tree = health_loader.load({"motion": {"topic": ODOMETRY, "commands": COMMANDS, **self.leaf}})
         self.records = {topic.name: TopicRecord(0.0, topic.contents) for topic in self.tree.topics}
         self.images = self.seen = 0
         self.locating = 0.0

@@ -20,7 +20,7 @@ import yaml
 from bench.scaling import counting
 from bench.scaling.fleets import Fleet, Robot, shared, workload
 from understudy.api import names
-from understudy.cluster.client import (
+from understudy.kube.client import (
     CRDS,
     MERGE,
     NAMESPACES,

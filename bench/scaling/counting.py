@@ -10,7 +10,7 @@ from __future__ import annotations
 import aiohttp
 
 from bench.scaling.exposition import Reading, read
-from understudy.cluster.client import Access, Object
+from understudy.kube.client import Access, Object
 
 DISPATCHED = "apiserver_flowcontrol_dispatched_requests_total"
 EVENTS, BYTES = "apiserver_watch_events_total", "apiserver_watch_events_sizes_sum"

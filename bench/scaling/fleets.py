@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from understudy.api.base import API_VERSION
-from understudy.cluster.client import Object
+from understudy.kube.client import Object
 
 IMAGE = "understudy.invalid/simulated:1"
 POOL, POLICY = "spare", "policy"

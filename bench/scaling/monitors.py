@@ -24,22 +24,22 @@ from bench.scaling.senses import Application, Probes, Sidecars, Sight
 from bench.scaling.watches import Borrowed, Drain
 from tests.unit.interleavings.blanks import BlackBox, Keeping
 from understudy.api import names
-from understudy.cluster.client import NETWORK_POLICIES, Access, ApiError
-from understudy.cluster.events import Recorder
-from understudy.cluster.warming import keep_warm
-from understudy.cluster.watching import Reflector
-from understudy.mitigation.interfaces import Instance
-from understudy.mitigation.journal import Journal
-from understudy.mitigation.progress import Progress
-from understudy.mitigation.strategies import UninitializedFallback
-from understudy.mitigation.waiting import LOOK
-from understudy.monitor import supervising
-from understudy.monitor.faults import CrashPoints
-from understudy.monitor.fleet import Fleet
-from understudy.monitor.gating import PolicyGate
-from understudy.monitor.reporting import Reporter
-from understudy.monitor.supervising import Parts, Supervisor
-from understudy.monitor.view import View
+from understudy.failover.interfaces import Instance
+from understudy.failover.journal import Journal
+from understudy.failover.pool_queue import LOOK
+from understudy.failover.progress import Progress
+from understudy.failover.strategies import UninitializedFallback
+from understudy.kube.client import NETWORK_POLICIES, Access, ApiError
+from understudy.kube.events import Recorder
+from understudy.kube.warm_connections import keep_warm
+from understudy.kube.watched_collection import Reflector
+from understudy.monitor import loop
+from understudy.monitor.act.gate_control import PolicyGate
+from understudy.monitor.act.pod_control import Fleet
+from understudy.monitor.crash_points import CrashPoints
+from understudy.monitor.loop import Parts, Supervisor
+from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.report.reporter import Reporter
 
 TICK = 10.0
 """Seconds between two looks of a monitor that nothing wakes: what it looks at is simulated here, and wakes it."""
@@ -89,7 +89,7 @@ class Monitor:
         self._claiming = False
 
     async def run(self, watching: asyncio.Event) -> None:
-        """As ``understudy.monitor.running`` puts it together; ``watching`` is set once its copies are there."""
+        """As ``understudy.monitor.process`` puts it together; ``watching`` is set once its copies are there."""
         client, namespace = self._client, self.robot.namespace
         async with asyncio.TaskGroup() as group:
             view = View(client, namespace, self.robot.name, on_pod=self.wake)
@@ -295,7 +295,7 @@ def main(kubeconfig: str) -> None:
     logging.basicConfig(level=logging.ERROR, stream=sys.stderr, format="monitors: %(name)s %(message)s")
     most = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
     resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
-    supervising.TICK = supervising.SLOW = TICK  # type: ignore[misc]
+    loop.TICK = loop.SLOW = TICK  # type: ignore[misc]
     gc.set_threshold(50_000, 20, 100)
     with tempfile.TemporaryDirectory() as folder:
         asyncio.run(_run(kubeconfig, Path(folder)))

@@ -10,11 +10,11 @@ import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from understudy.api.agents import AgentStatus
-from understudy.api.kept import KeptState, RestoreReport
-from understudy.mitigation.bringing import BringUp
-from understudy.mitigation.interfaces import Gate, Instance
-from understudy.trees.health import Verdict
+from understudy.api.protocol.agent_messages import AgentStatus
+from understudy.api.protocol.kept_state import KeptState, RestoreReport
+from understudy.failover.bring_up import BringUp
+from understudy.failover.interfaces import Gate, Instance
+from understudy.trees.core.health_tree import Verdict
 
 STARTUP = 0.1
 """Seconds from telling a claimed instance to start until its outputs flow."""

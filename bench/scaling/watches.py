@@ -11,8 +11,8 @@ from collections.abc import Awaitable, Mapping
 
 import aiohttp
 
-from understudy.cluster.client import Client, Object, Resource
-from understudy.cluster.watching import RETRY_FIRST, Reflector
+from understudy.kube.client import Client, Object, Resource
+from understudy.kube.watched_collection import RETRY_FIRST, Reflector
 
 LIFETIME = 300
 """Seconds of one watch, as in the monitor."""

@@ -10,7 +10,7 @@ what a robot outside the cluster needs, ``understudy doctor`` finds out whether 
 report`` writes what a period's recoveries came to, ``understudy completion`` has a shell complete all that, ``understudy
 tracker`` watches robots by a camera, ``understudy size`` says how many fallbacks a fleet needs, ``understudy recommend`` which
 strategies, ``understudy blackbox`` fetches what was recorded of a failure. What tries a policy without a cluster is in
-``understudy.trying``.
+``understudy.cli.simulate``.
 """
 
 from __future__ import annotations
@@ -24,34 +24,34 @@ from types import ModuleType
 from understudy import __version__
 
 PARTS = {
-    "operator": "understudy.controller.running",
-    "monitor": "understudy.monitor.running",
-    "agent": "understudy.agent.running",
-    "tasks": "understudy.tasks.running",
-    "prepare": "understudy.agent.preparing",
-    "verify": "understudy.controller.verifying",
-    "simulate": "understudy.trying.simulating",
-    "watch": "understudy.trying.watching",
-    "learn": "understudy.trying.learning",
-    "check": "understudy.checking.running",
-    "tree": "understudy.console.tree",
-    "status": "understudy.console.status",
-    "timeline": "understudy.console.timeline",
-    "explain": "understudy.console.explain",
-    "pause": "understudy.console.pause",
-    "resume": "understudy.console.resume",
-    "failover": "understudy.console.failover",
-    "failback": "understudy.console.failback",
-    "fence": "understudy.console.fence",
-    "inject": "understudy.console.inject",
-    "robot-profile": "understudy.console.robotprofile",
-    "doctor": "understudy.console.doctor",
-    "completion": "understudy.console.completion",
-    "blackbox": "understudy.console.blackbox",
-    "tracker": "understudy.tracker.running",
-    "size": "understudy.planning.size",
-    "recommend": "understudy.planning.recommend",
-    "report": "understudy.reporting.report",
+    "operator": "understudy.controller.runtime.process",
+    "monitor": "understudy.monitor.process",
+    "agent": "understudy.agent.process",
+    "tasks": "understudy.action_proxy.process",
+    "prepare": "understudy.agent.prepare",
+    "verify": "understudy.controller.runtime.installation_test",
+    "simulate": "understudy.cli.simulate.simulate",
+    "watch": "understudy.cli.simulate.watch",
+    "learn": "understudy.cli.simulate.learn",
+    "check": "understudy.cli.check.command",
+    "tree": "understudy.cli.inspect.tree",
+    "status": "understudy.cli.inspect.status",
+    "timeline": "understudy.cli.inspect.timeline",
+    "explain": "understudy.cli.inspect.explain",
+    "pause": "understudy.cli.control.pause",
+    "resume": "understudy.cli.control.resume",
+    "failover": "understudy.cli.control.failover",
+    "failback": "understudy.cli.control.failback",
+    "fence": "understudy.cli.control.fence",
+    "inject": "understudy.cli.inject.command",
+    "robot-profile": "understudy.cli.control.robot_profile",
+    "doctor": "understudy.cli.doctor.command",
+    "completion": "understudy.cli.completion.command",
+    "blackbox": "understudy.cli.inspect.blackbox",
+    "tracker": "understudy.tracker.process",
+    "size": "understudy.cli.plan.size",
+    "recommend": "understudy.cli.plan.recommend",
+    "report": "understudy.cli.report.command",
 }
 """The module of each verb, whose ``main`` is given the arguments behind it."""
 
@@ -132,7 +132,7 @@ def _meant(found: str) -> str:
 
 def _complete() -> int:
     """Answer a shell that asks how the line may go on."""
-    completing = importlib.import_module("understudy.console.completing")
+    completing = importlib.import_module("understudy.cli.completion.answers")
     typed = [part for part in PARTS if part not in _IN_PODS]
     found = completing.verb(typed)
     if found in typed:

@@ -9,7 +9,7 @@ from typing import Any
 import yaml
 
 from scripts.generation import commands, diagrams, leaves, metrics, reference, scenarios, values
-from understudy.api.crds import definitions
+from understudy.api.schema.definitions import definitions
 
 CHART = Path("charts/understudy")
 REFERENCE = Path("docs/reference")
@@ -17,7 +17,7 @@ IMAGES = Path("docs/images")
 SCENARIOS = Path("docs/trees-osc.md")
 PROCEDURES = Path("docs/procedures.md")
 TREES = Path("docs/trees.md")
-LIBRARY = Path("operator/understudy/trees/osc/lib_osc/understudy.osc")
+LIBRARY = Path("operator/understudy/trees/languages/osc/lib_osc/understudy.osc")
 
 
 class _Dumper(yaml.SafeDumper):

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any, get_args
 
 from scripts.generation.drawing import AMBER, BLUE, INK, PALE, PURPLE, RED, Diagram
-from understudy.api.pools import Readiness
-from understudy.console.bars import NAMES
+from understudy.api.kinds.fallback_pool import Readiness
+from understudy.cli.common.time_bars import NAMES
 
 
 def architecture() -> str:

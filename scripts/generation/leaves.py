@@ -7,14 +7,14 @@ from itertools import groupby
 from typing import Any
 
 from scripts.generation import scenarios
-from understudy.trees.btcpp.markup import Element
-from understudy.trees.loading import load
-from understudy.trees.osc.library import ACTIONS, ENUMS, MODIFIERS, Argument, Behavior
-from understudy.trees.osc.steps import DECORATORS, LOOKS, STEPS, WATCHED
-from understudy.trees.problems import Problem, TreeError
-from understudy.trees.procedures import load_procedure
-from understudy.trees.spelling import names_of
-from understudy.trees.structures import structure_of
+from understudy.trees.languages.btcpp.xml_elements import Element
+from understudy.trees.languages.flow_values import structure_of
+from understudy.trees.languages.osc.library import ACTIONS, ENUMS, MODIFIERS, Argument, Behavior
+from understudy.trees.languages.osc.steps import DECORATORS, LOOKS, STEPS, WATCHED
+from understudy.trees.languages.short.health_loader import load
+from understudy.trees.languages.short.procedure_loader import load_procedure
+from understudy.trees.languages.step_spelling import names_of
+from understudy.trees.source.problems import Problem, TreeError
 
 _INTRODUCTION = """\
 # Leaves, steps and what stands around them

@@ -8,11 +8,11 @@ from types import ModuleType
 from prometheus_client.core import Metric
 from prometheus_client.metrics import MetricWrapperBase
 
-from understudy.controller import metrics as operator
-from understudy.controller.fleetmetrics import FleetMetrics
-from understudy.controller.stores import Store
-from understudy.monitor import metrics as monitor
-from understudy.monitor.topicmetrics import TopicMetrics
+from understudy.controller.runtime import operator_metrics as operator
+from understudy.controller.runtime.object_store import Store
+from understudy.controller.status.fleet_metrics import FleetMetrics
+from understudy.monitor.report import monitor_metrics as monitor
+from understudy.monitor.report.topic_metrics import TopicMetrics
 
 _INTRODUCTION = """\
 # Metrics reference

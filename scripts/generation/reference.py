@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from typing import Any
 
 from understudy.api.base import API_VERSION
-from understudy.api.crds import PRESERVE, VALIDATIONS, root
-from understudy.api.kinds import KINDS, Kind
+from understudy.api.schema.definitions import PRESERVE, VALIDATIONS, root
+from understudy.api.schema.printed_kinds import KINDS, Kind
 
 Schema = dict[str, Any]
 

@@ -6,11 +6,9 @@ import re
 from collections.abc import Mapping
 from fractions import Fraction
 
-from understudy.trees import vocabulary
-from understudy.trees.btcpp import steps as xml
-from understudy.trees.btcpp.markup import Element, parse
-from understudy.trees.kinds import ADDED
-from understudy.trees.osc.library import (
+from understudy.trees.languages.btcpp import steps as xml
+from understudy.trees.languages.btcpp.xml_elements import Element, parse
+from understudy.trees.languages.osc.library import (
     ACTIONS,
     COMPOSITIONS,
     ENUMS,
@@ -20,8 +18,10 @@ from understudy.trees.osc.library import (
     Argument,
     Behavior,
 )
-from understudy.trees.osc.steps import DECORATORS, LOOKS, PROCEDURES, STEPS
-from understudy.trees.osc.units import OWN, UNITS
+from understudy.trees.languages.osc.steps import DECORATORS, LOOKS, PROCEDURES, STEPS
+from understudy.trees.languages.osc.units import OWN, UNITS
+from understudy.trees.leaves import procedure_vocabulary
+from understudy.trees.leaves.registry import ADDED
 
 _HEADER = f"""\
 # What health trees (docs/trees-osc.md) and procedures (docs/procedures.md) can have: actions are leaves, modifiers stand in the with:
@@ -161,7 +161,15 @@ def languages() -> str:
     tags = {**own, "sequence": "Sequence", "selector": "Fallback"}  # and not what means the same
     operators = {key: f"`{operator}:`" for operator, key in COMPOSITIONS.items()}
     lines = ["| in the short form | in XML | in OpenSCENARIO 2 |", "| --- | --- | --- |"]
-    for key in ("sequence", "parallel", "selector", "inverter", *DECORATORS, *vocabulary.STEPS, *vocabulary.LOOKS):
+    for key in (
+        "sequence",
+        "parallel",
+        "selector",
+        "inverter",
+        *DECORATORS,
+        *procedure_vocabulary.STEPS,
+        *procedure_vocabulary.LOOKS,
+    ):
         node = xml.PROCEDURES.nodes[tags[key]]
         ports = _listed([port for port, where in node.ports.items() if where])
         scenario = operators.get(key)

@@ -13,7 +13,7 @@ import pytest
 from tests.support.cluster import Cluster, Object, until
 from tests.support.sharing import shared
 from understudy.api.base import GROUP
-from understudy.api.kinds import KINDS
+from understudy.api.schema.printed_kinds import KINDS
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 NAME = "understudy"

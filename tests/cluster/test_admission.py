@@ -11,7 +11,7 @@ from tests.cluster.conftest import Release
 from tests.support.cluster import Cluster, Object, Refused, account, until
 from understudy.api import names
 from understudy.api.base import API_VERSION
-from understudy.controller import monitors
+from understudy.controller.desired import monitor_deployment
 
 MINE = "robot-17"
 OTHER = "robot-18"
@@ -23,7 +23,7 @@ NOWHERE = {"containers": [{"name": "c", "image": "none.invalid/none"}], "nodeSel
 @pytest.fixture
 def monitor(cluster: Cluster, release: Release, namespace: str) -> str:
     """The user name of the monitor of MINE, with the rights that the operator gives it; its workload refers to Deployment nav2."""
-    for _, item in monitors.access(MINE, source=("Deployment", "nav2"), policy="policy", pools=["spare"]):
+    for _, item in monitor_deployment.access(MINE, source=("Deployment", "nav2"), policy="policy", pools=["spare"]):
         item = copy.deepcopy(item)
         for subject in item.get("subjects", ()):
             subject["namespace"] = namespace
@@ -47,7 +47,7 @@ def monitor(cluster: Cluster, release: Release, namespace: str) -> str:
 @pytest.fixture
 def statefulset_monitor(cluster: Cluster, monitor: str, namespace: str) -> str:
     """The same where the workload refers to StatefulSet nav2."""
-    for kind, item in monitors.access(MINE, source=("StatefulSet", "nav2"), policy="policy", pools=[]):
+    for kind, item in monitor_deployment.access(MINE, source=("StatefulSet", "nav2"), policy="policy", pools=[]):
         if kind == "Role":
             path = cluster.path(item["apiVersion"], kind, namespace, item["metadata"]["name"])
             cluster.request("PUT", path, body=item)

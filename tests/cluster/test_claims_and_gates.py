@@ -10,8 +10,9 @@ from collections.abc import AsyncIterator
 import pytest
 
 from understudy.api import names
-from understudy.cluster import claims, gates
-from understudy.cluster.client import NAMESPACES, NETWORK_POLICIES, PODS, Access, ApiError, Client
+from understudy.kube import claims
+from understudy.kube.client import NAMESPACES, NETWORK_POLICIES, PODS, Access, ApiError, Client
+from understudy.kube.gates import network_policy
 
 pytestmark = pytest.mark.cluster
 
@@ -80,11 +81,11 @@ async def test_of_many_commits_at_one_epoch_exactly_one_wins(client: Client, spa
     workload = "robot"
     policy = await client.create(NETWORK_POLICIES, space, gates_body(workload))
     for epoch in range(5):
-        record = gates.read(policy)
+        record = network_policy.read(policy)
         assert record.epoch == epoch
         outcomes = await asyncio.gather(
             *(
-                gates.commit(
+                network_policy.commit(
                     client, space, workload, over=record, active=f"robot-{i}", active_uid=f"uid-{i}", recovery=""
                 )
                 for i in range(CONTENDERS)
@@ -94,10 +95,10 @@ async def test_of_many_commits_at_one_epoch_exactly_one_wins(client: Client, spa
         won = [o for o in outcomes if isinstance(o, dict)]
         assert len(won) == 1
         policy = await client.get(NETWORK_POLICIES, space, names.gate(workload))
-        after = gates.read(policy)
+        after = network_policy.read(policy)
         assert after.epoch == epoch + 1
-        assert after.active == gates.read(won[0]).active
-        assert gates.selected(policy) == (after.active,), "selector and record say the same"
+        assert after.active == network_policy.read(won[0]).active
+        assert network_policy.selected(policy) == (after.active,), "selector and record say the same"
 
 
 async def test_a_standby_is_let_through_beside_the_one_in_control_until_the_next_commit(
@@ -105,31 +106,37 @@ async def test_a_standby_is_let_through_beside_the_one_in_control_until_the_next
 ) -> None:
     gate = await client.create(NETWORK_POLICIES, space, gates_body("robot"))
     with pytest.raises(ValueError, match="closed"):
-        await gates.admit(client, space, "robot", over=gates.read(gate), admitted="robot-b", admitted_uid="uid-b")
-    opened = await gates.commit(
-        client, space, "robot", over=gates.read(gate), active="robot-a", active_uid="uid-a", recovery=""
+        await network_policy.admit(
+            client, space, "robot", over=network_policy.read(gate), admitted="robot-b", admitted_uid="uid-b"
+        )
+    opened = await network_policy.commit(
+        client, space, "robot", over=network_policy.read(gate), active="robot-a", active_uid="uid-a", recovery=""
     )
-    before = gates.read(opened)
-    both = await gates.admit(client, space, "robot", over=before, admitted="robot-b", admitted_uid="uid-b")
-    assert gates.selected(both) == ("robot-a", "robot-b")
-    assert (gates.read(both).epoch, gates.read(both).active) == (before.epoch, "robot-a"), "control is where it was"
+    before = network_policy.read(opened)
+    both = await network_policy.admit(client, space, "robot", over=before, admitted="robot-b", admitted_uid="uid-b")
+    assert network_policy.selected(both) == ("robot-a", "robot-b")
+    assert (network_policy.read(both).epoch, network_policy.read(both).active) == (before.epoch, "robot-a"), (
+        "control is where it was"
+    )
     with pytest.raises(ApiError) as refused:
-        await gates.admit(client, space, "robot", over=before, admitted="robot-c", admitted_uid="uid-c")
+        await network_policy.admit(client, space, "robot", over=before, admitted="robot-c", admitted_uid="uid-c")
     assert refused.value.status == 409, "what was seen before another write doesn't count"
-    without = await gates.admit(client, space, "robot", over=gates.read(both), admitted="", admitted_uid="")
-    assert gates.selected(without) == ("robot-a",)
-    again = await gates.admit(
-        client, space, "robot", over=gates.read(without), admitted="robot-b", admitted_uid="uid-b"
+    without = await network_policy.admit(
+        client, space, "robot", over=network_policy.read(both), admitted="", admitted_uid=""
     )
-    switched = await gates.commit(
-        client, space, "robot", over=gates.read(again), active="robot-b", active_uid="uid-b", recovery=""
+    assert network_policy.selected(without) == ("robot-a",)
+    again = await network_policy.admit(
+        client, space, "robot", over=network_policy.read(without), admitted="robot-b", admitted_uid="uid-b"
     )
-    assert gates.selected(switched) == ("robot-b",), "one write fences the one and leaves the other"
-    assert gates.read(switched).admitted == ""
-    closed = await gates.commit(
-        client, space, "robot", over=gates.read(switched), active="", active_uid="", recovery=""
+    switched = await network_policy.commit(
+        client, space, "robot", over=network_policy.read(again), active="robot-b", active_uid="uid-b", recovery=""
     )
-    assert gates.selected(closed) == ()
+    assert network_policy.selected(switched) == ("robot-b",), "one write fences the one and leaves the other"
+    assert network_policy.read(switched).admitted == ""
+    closed = await network_policy.commit(
+        client, space, "robot", over=network_policy.read(switched), active="", active_uid="", recovery=""
+    )
+    assert network_policy.selected(closed) == ()
 
 
 async def test_the_gates_of_those_that_wait_for_a_pod_are_found_by_their_label(client: Client, space: str) -> None:
@@ -140,10 +147,12 @@ async def test_the_gates_of_those_that_wait_for_a_pod_are_found_by_their_label(c
         return [item["metadata"]["name"] for item in found["items"]]
 
     assert await waiting() == []
-    closed = await gates.commit(
-        client, space, "robot", over=gates.read(gate), active="", active_uid="", recovery="", waits_for="spare"
+    closed = await network_policy.commit(
+        client, space, "robot", over=network_policy.read(gate), active="", active_uid="", recovery="", waits_for="spare"
     )
     assert closed["metadata"]["labels"][names.WAITS_FOR] == "spare"
     assert await waiting() == [names.gate("robot")]
-    await gates.commit(client, space, "robot", over=gates.read(closed), active="", active_uid="", recovery="")
+    await network_policy.commit(
+        client, space, "robot", over=network_policy.read(closed), active="", active_uid="", recovery=""
+    )
     assert await waiting() == []

@@ -29,12 +29,12 @@ from tests.cluster.test_operator import CORE, NETWORK, Fleet, leader, policy, pr
 from tests.support.cluster import Cluster, Object, Refused, until
 from understudy.api import names
 from understudy.api.base import API_VERSION
-from understudy.cluster.client import Access, Client
-from understudy.mitigation.interfaces import ClaimLost
-from understudy.monitor.faults import CrashPoints
-from understudy.monitor.fleet import Fleet as Instances
-from understudy.monitor.gating import PolicyGate
-from understudy.monitor.view import View
+from understudy.failover.interfaces import ClaimLost
+from understudy.kube.client import Access, Client
+from understudy.monitor.act.gate_control import PolicyGate
+from understudy.monitor.act.pod_control import Fleet as Instances
+from understudy.monitor.crash_points import CrashPoints
+from understudy.monitor.observe.cluster_view import View
 
 pytestmark = pytest.mark.cluster
 

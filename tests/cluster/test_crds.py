@@ -13,10 +13,10 @@ import pytest
 from tests.cluster.conftest import Release
 from tests.support.cluster import Cluster, Object, Refused, load, until
 from understudy.api.base import API_VERSION
-from understudy.api.crds import definitions
-from understudy.api.kinds import KINDS
-from understudy.cluster.client import WORKLOADS, Access, Client
-from understudy.cluster.undeclared import apply_declared
+from understudy.api.schema.definitions import definitions
+from understudy.api.schema.printed_kinds import KINDS
+from understudy.kube.client import WORKLOADS, Access, Client
+from understudy.kube.undeclared_fields import apply_declared
 
 MANIFESTS = Path(__file__).parent / "manifests"
 GOOD = sorted((MANIFESTS / "good").glob("*.yaml"))

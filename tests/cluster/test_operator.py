@@ -29,12 +29,16 @@ from tests.cluster.conftest import REPOSITORY, Release
 from tests.support.cluster import Cluster, Object, Refused, until
 from understudy.api import names
 from understudy.api.base import API_VERSION
-from understudy.cluster import claims, gates
-from understudy.cluster.client import Access, Client
-from understudy.controller import following, handlers, monitors, objects, running
-from understudy.controller.desired import Images
-from understudy.controller.reconciling import TOGETHER_SECONDS
-from understudy.planning import size
+from understudy.cli.plan import size
+from understudy.controller.desired import monitor_deployment
+from understudy.controller.desired.plan import Images
+from understudy.controller.observed import kube_objects
+from understudy.controller.reconcile.reconciler import TOGETHER_SECONDS
+from understudy.controller.runtime import kopf_handlers, watches
+from understudy.controller.runtime import process as running
+from understudy.kube import claims
+from understudy.kube.client import Access, Client
+from understudy.kube.gates import network_policy
 
 APPS, CORE, NETWORK, RBAC = "apps/v1", "v1", "networking.k8s.io/v1", "rbac.authorization.k8s.io/v1"
 POLICY = "policy/v1"
@@ -192,9 +196,9 @@ class Fleet:
 
         async def run() -> None:
             async with Client(Access.from_kubeconfig(str(self.cluster.kubeconfig))) as client:
-                record = gates.read(self.gate(workload))
+                record = network_policy.read(self.gate(workload))
                 active, uid = (pod["metadata"]["name"], pod["metadata"]["uid"]) if pod else ("", "")
-                await gates.commit(
+                await network_policy.commit(
                     client, self.namespace, workload, over=record, active=active, active_uid=uid, recovery=""
                 )
 
@@ -522,11 +526,14 @@ def test_claimed_pods_belong_to_their_workload_and_the_pool_is_refilled(fleet: F
     time.sleep(3)
     assert claimed["metadata"]["uid"] in identities(fleet.instances())
     assert fleet.get("Secret", names.pool_secret("spare"), CORE)["metadata"]["uid"] == token["metadata"]["uid"]
-    assert "spare" in monitors.commanded(fleet.get("Role", names.monitor("w"), RBAC))
+    assert "spare" in monitor_deployment.commanded(fleet.get("Role", names.monitor("w"), RBAC))
     fleet.cluster.delete(fleet.get("Pod", claimed["metadata"]["name"], CORE))
     until(lambda: fleet.get("ReplicaSet", "w", APPS)["spec"]["replicas"] == 1, "the workload's own pod to come back")
     until(lambda: fleet.find("Secret", names.pool_secret("spare"), CORE) is None, "its agent's token to go")
-    until(lambda: "spare" not in monitors.commanded(fleet.get("Role", names.monitor("w"), RBAC)), "the right to go")
+    until(
+        lambda: "spare" not in monitor_deployment.commanded(fleet.get("Role", names.monitor("w"), RBAC)),
+        "the right to go",
+    )
 
 
 def test_a_pool_that_is_deleted_without_an_operator_leaves_the_token_of_a_claimed_pod(fleet: Fleet) -> None:
@@ -553,7 +560,7 @@ def test_the_token_that_a_pool_of_an_earlier_version_owns_is_taken_from_it(fleet
         fleet.create(spare(replicas=0))
         token = until(lambda: fleet.find("Secret", names.pool_secret("spare"), CORE), "its token")
         assert token is not None
-        owner = objects.owner("FallbackPool", fleet.get("FallbackPool", "spare"))
+        owner = kube_objects.owner("FallbackPool", fleet.get("FallbackPool", "spare"))
         fleet.cluster.patch(token, {"metadata": {"ownerReferences": [owner], "labels": {names.POOL: None}}})
 
         def released() -> bool:
@@ -731,8 +738,8 @@ def test_silent_watches_are_made_up_for_by_lists(fleet: Fleet, monkeypatch: pyte
     async def silent(*_: object) -> None:
         await asyncio.Event().wait()
 
-    monkeypatch.setattr(handlers, "watch", silent)
-    monkeypatch.setattr(following, "watch", silent)
+    monkeypatch.setattr(kopf_handlers, "watch", silent)
+    monkeypatch.setattr(watches, "watch", silent)
     with Operator(fleet.cluster.kubeconfig, fleet.namespace, resync_every=0.5):
         fleet.create(policy("hot"), hot(), workload())
         fleet.wait_built()

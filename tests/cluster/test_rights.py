@@ -11,7 +11,7 @@ from tests.cluster.conftest import Release
 from tests.support.cluster import Cluster, Object, Refused, account, until
 from tests.support.rights import OF_ALL, WHO_WAITS, Right, listed, named, of_all
 from understudy.api import names
-from understudy.controller import monitors
+from understudy.controller.desired import monitor_deployment
 
 
 @pytest.fixture
@@ -23,7 +23,7 @@ def operator(release: Release) -> str:
 def _access(
     kind: str, namespace: str, *, policy: str | None = "hot", pools: Sequence[str] = ("spare",)
 ) -> list[Object]:
-    found = monitors.access(
+    found = monitor_deployment.access(
         "robot-17", source=(kind, "nav2"), policy=policy, pools=pools, upstream=["robot-17-localization"]
     )
     items = [copy.deepcopy(item) for _, item in found]

@@ -15,7 +15,7 @@ from mcap.reader import make_reader
 from tests.e2e.console import offline, understudy
 from tests.e2e.scenario import Robot, eventually
 from understudy.api.base import seconds
-from understudy.trying.bags import Bag, Taken
+from understudy.cli.simulate.bags import Bag, Taken
 
 COMMANDS, EVENTS, TREE = "/cmd_vel", "/understudy/events", "/understudy/tree"
 KEPT = 5.0

@@ -22,11 +22,11 @@ from tests.e2e.kubectl import Kubectl, Object
 from tests.e2e.past import EVERY, Monitor, Operator, Recovery, every, openmetrics
 from tests.e2e.scenario import Robot, eventually
 from tests.support.prometheus import SOURCE, asked, built, fill, promtool, serving
-from understudy.console.kubectl import Unusable
-from understudy.reporting.expressions import came_to, selector
-from understudy.reporting.measured import measured
-from understudy.reporting.prometheus import Prometheus
-from understudy.reporting.records import Span
+from understudy.cli.common.kubectl import Unusable
+from understudy.cli.report.prometheus_client import Prometheus
+from understudy.cli.report.prometheus_figures import measured
+from understudy.cli.report.promql import came_to, selector
+from understudy.cli.report.recovery_records import Span
 
 pytestmark = [pytest.mark.long, pytest.mark.local_only]  # this machine must reach pods by their addresses
 

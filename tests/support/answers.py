@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from typing import Any
 
-from understudy.cluster.client import ApiError, Object
+from understudy.kube.client import ApiError, Object
 
 COLUMNS = ("Name", "Ready", "Status", "Restarts", "Age", "IP", "Node", "Nominated Node", "Readiness Gates")
 """Of a table of pods (Kubernetes 1.34)."""

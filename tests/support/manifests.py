@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from understudy.api.policies import FailurePolicySpec
-from understudy.api.pools import FallbackPoolSpec
-from understudy.api.workloads import RobotWorkloadSpec
+from understudy.api.kinds.failure_policy import FailurePolicySpec
+from understudy.api.kinds.fallback_pool import FallbackPoolSpec
+from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 
 MODELS = {"RobotWorkload": RobotWorkloadSpec, "FailurePolicy": FailurePolicySpec, "FallbackPool": FallbackPoolSpec}
 

@@ -10,11 +10,11 @@ import sys
 
 import pytest
 
-from understudy.cluster import scheduling
+from understudy.process import cpu_scheduling
 
 READS = """
 import ctypes, struct, sys, threading
-from understudy.cluster import scheduling
+from understudy.process import cpu_scheduling as scheduling
 print(scheduling.ask_for_short_slices())
 
 def slice_of_this_thread():
@@ -35,15 +35,15 @@ def kernel() -> tuple[int, int]:
     return int(major), int(minor.split("-")[0])
 
 
-@pytest.mark.skipif(platform.machine() not in scheduling._NUMBERS, reason="another processor")
+@pytest.mark.skipif(platform.machine() not in cpu_scheduling._NUMBERS, reason="another processor")
 @pytest.mark.skipif(os.sched_getscheduler(0) != os.SCHED_OTHER, reason="somebody chose another policy for the tests")
 @pytest.mark.skipif(kernel() < (6, 12), reason="this kernel takes no notice of slices")
 def test_a_process_and_its_later_threads_get_short_slices() -> None:
-    number = scheduling._NUMBERS[platform.machine()][1]
+    number = cpu_scheduling._NUMBERS[platform.machine()][1]
     told = subprocess.run(
         [sys.executable, "-c", READS, str(number)], capture_output=True, text=True, timeout=60, check=True
     ).stdout.split()
-    assert told == ["True", str(scheduling.SLICE), str(scheduling.SLICE)]
+    assert told == ["True", str(cpu_scheduling.SLICE), str(cpu_scheduling.SLICE)]
 
 
 def test_a_refusal_is_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -54,9 +54,9 @@ def test_a_refusal_is_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
             return -1
 
     monkeypatch.setattr(ctypes, "CDLL", Refusing)
-    assert scheduling.ask_for_short_slices() is False
+    assert cpu_scheduling.ask_for_short_slices() is False
 
 
 def test_an_unknown_processor_is_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(platform, "machine", lambda: "riscv64")
-    assert scheduling.ask_for_short_slices() is False
+    assert cpu_scheduling.ask_for_short_slices() is False

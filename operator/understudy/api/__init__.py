@@ -1,1 +1,4 @@
-"""The kinds of ``understudy.dev``: models, names and conditions. Imports nothing else of ours."""
+"""The kinds of `understudy.dev` and the vocabulary that all parts share.
+
+It imports nothing else of ours and makes no calls.
+"""

@@ -7,12 +7,12 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field
 from pydantic.alias_generators import to_camel
 
-from understudy.api.lengths import DURATION_MESSAGE as DURATION_MESSAGE
-from understudy.api.lengths import DURATION_PATTERN as DURATION_PATTERN
-from understudy.api.lengths import LONGEST_TEXT as LONGEST_TEXT
-from understudy.api.lengths import seconds as seconds
+from understudy.api.durations import DURATION_MESSAGE as DURATION_MESSAGE
+from understudy.api.durations import DURATION_PATTERN as DURATION_PATTERN
+from understudy.api.durations import LONGEST_TEXT as LONGEST_TEXT
+from understudy.api.durations import seconds as seconds
 from understudy.api.names import GROUP as GROUP
-from understudy.api.rosnames import ROS_NAME_MESSAGE, ROS_NAME_PATTERN
+from understudy.api.ros_names import ROS_NAME_MESSAGE, ROS_NAME_PATTERN
 
 VERSION = "v1alpha1"
 API_VERSION = f"{GROUP}/{VERSION}"

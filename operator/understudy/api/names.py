@@ -64,7 +64,7 @@ RECOVERY = f"{GROUP}/recovery"
 """Annotation of the gate: the recovery that committed it, as JSON, so that a new monitor can finish it."""
 
 SWITCHOVER = f"{GROUP}/switchover"
-"""Annotation of a RobotWorkload: a switchover that somebody asks for (api/switchovers.py)."""
+"""Annotation of a RobotWorkload: a switchover that somebody asks for (api/kinds/switchover_spec.py)."""
 
 WAITS_FOR = f"{GROUP}/waits-for"
 """On a gate while its workload waits for a pod of a shared pool: that pool. Other monitors find by it who waits besides theirs."""

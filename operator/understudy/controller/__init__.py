@@ -1,1 +1,1 @@
-"""The operator: pure functions from what is observed to what should be, and the shell that makes it so."""
+"""The operator: pure functions from what is observed to what should exist, and the shell that applies the result."""

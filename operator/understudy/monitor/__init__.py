@@ -1,1 +1,4 @@
-"""The monitor of one workload: watches it, and switches, restores and verifies by itself when it fails."""
+"""The monitor of one workload, as a pipeline: observe, judge, decide, act, report.
+
+Each stage has a room; `loop.py` connects them.
+"""

@@ -21,8 +21,8 @@ from pydantic import (
 )
 
 from understudy.api.base import seconds
-from understudy.api.rosnames import ROS_NAME_PATTERN
-from understudy.trees.problems import did_you_mean
+from understudy.api.ros_names import ROS_NAME_PATTERN
+from understudy.trees.source.problems import did_you_mean
 
 Dictionary = Literal[
     "DICT_4X4_50",

@@ -1,1 +1,4 @@
-"""Health trees: their notations, validation and exact deadlines. No Kubernetes calls, no ROS."""
+"""Health trees, procedures and checks as behaviour trees.
+
+No ROS and no Kubernetes calls: what is observed is handed in.
+"""

@@ -16,8 +16,8 @@ from pathlib import Path
 
 import pytest
 
-from understudy.api import holding
-from understudy.cluster.agents import AgentLink
+from understudy.api.protocol import hold_script
+from understudy.kube.agent_client import AgentLink
 
 UID = "0b5d9f5e-7c1e-4a8e-9f2b-5d2f3f6f9a10"
 TOKEN = b"correct horse battery staple"
@@ -66,7 +66,7 @@ class Pod:
     def start_container(
         self, command: Sequence[str], args: Sequence[str] = (), *, container: str = "app", inside: Sequence[str] = ()
     ) -> subprocess.Popen[bytes]:
-        wrapped = holding.held_command(container, command, args, [], directory=str(self.volume))
+        wrapped = hold_script.held_command(container, command, args, [], directory=str(self.volume))
         with (self.folder / f"{container}.log").open("ab") as log:
             process = subprocess.Popen([*inside, *wrapped], stdout=log, stderr=log, start_new_session=True)
         self._processes.append(process)

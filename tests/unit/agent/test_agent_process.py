@@ -10,10 +10,10 @@ from types import SimpleNamespace
 import pytest
 
 from tests.unit.agent.conftest import TOKEN, UID, Pod, eventually
-from understudy.agent import running
-from understudy.api import agents as wire
-from understudy.cluster.agents import AgentGone, AgentRefused
-from understudy.cluster.probes import ProbeReceiver, ProbeSender
+from understudy.agent import process as running
+from understudy.api.protocol import agent_messages as wire
+from understudy.kube.agent_client import AgentGone, AgentRefused
+from understudy.kube.gates.probes import ProbeReceiver, ProbeSender
 
 SAY = ["sh", "-c", 'echo "domain $ROS_DOMAIN_ID, $GREETING"; exec sleep 60']
 XML = '<root BTCPP_format="4"><BehaviorTree ID="A"><Topic topic="/x" gap="1s"/></BehaviorTree></root>'

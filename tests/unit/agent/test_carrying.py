@@ -17,13 +17,13 @@ from nav_msgs.msg import Odometry
 from rclpy.serialization import deserialize_message, serialize_message
 
 from tests.unit.dds import keep_to_itself
-from understudy.agent.carrying import composed
-from understudy.agent.restoring import Restorer
-from understudy.api.kept import KeptSample, KeptState, Motion, RestoreReport
-from understudy.motion.poses import DRIFT, Pose
-from understudy.motion.reading import Reading
-from understudy.ros.calling import Caller
-from understudy.ros.graph import Graph
+from understudy.agent.pose_restoration import composed
+from understudy.agent.state_restoration import Restorer
+from understudy.api.protocol.kept_state import KeptSample, KeptState, Motion, RestoreReport
+from understudy.kinematics.pose_decoding import Reading
+from understudy.kinematics.poses import DRIFT, Pose
+from understudy.ros.actions.instance_calls import Caller
+from understudy.ros.runtime.graph_node import Graph
 
 pytestmark = pytest.mark.ros
 

@@ -17,13 +17,13 @@ from pathlib import Path
 import pytest
 
 from tests.unit.agent.conftest import PACKAGE, Pod, eventually
-from understudy.agent import fencing
-from understudy.agent.fencing import Address, Fence, Questions
-from understudy.agent.sessions import Operation, Peer, Refused, Sessions
-from understudy.api import agents as wire
-from understudy.api import fencing as script
+from understudy.agent import isolation
+from understudy.agent.control_channel import Operation, Peer, Refused, Sessions
+from understudy.agent.isolation import Address, Fence, Questions
 from understudy.api import names
-from understudy.api.agents import AgentStatus
+from understudy.api.protocol import agent_messages as wire
+from understudy.api.protocol import freeze_script as script
+from understudy.api.protocol.agent_messages import AgentStatus
 
 COUNTING = """
 import sys, time
@@ -71,7 +71,7 @@ async def answers(address: Address, within: float) -> bool:
     questions.ask(address, begun)
     while not (found := questions.answers(begun)):
         if time.monotonic() - begun > within:
-            assert questions.answers(begun + fencing.ANSWER) == [(address, begun, False)], "it is given up"
+            assert questions.answers(begun + isolation.ANSWER) == [(address, begun, False)], "it is given up"
             return False
         await asyncio.sleep(0.01)
     assert found[0][:2] == (address, begun)
@@ -92,9 +92,9 @@ async def test_who_accepts_and_who_refuses_answers_and_who_is_silent_does_not(si
 
 def test_the_api_servers_address_is_that_of_the_pods_environment() -> None:
     environment = {"KUBERNETES_SERVICE_HOST": "10.96.0.1", "KUBERNETES_SERVICE_PORT": "443"}
-    assert fencing.apiserver(environment) == Address("10.96.0.1", 443, accept=True)
-    assert fencing.apiserver({}) is None
-    assert fencing.apiserver({**environment, "KUBERNETES_SERVICE_HOST": "api.example"}) is None
+    assert isolation.apiserver(environment) == Address("10.96.0.1", 443, accept=True)
+    assert isolation.apiserver({}) is None
+    assert isolation.apiserver({**environment, "KUBERNETES_SERVICE_HOST": "api.example"}) is None
 
 
 class Application:
@@ -277,7 +277,7 @@ async def test_a_claimed_pod_can_be_held_where_its_robot_chooses_by_strength(pod
     assert (pod.volume / script.fence_name("app")).is_fifo()
     status = await link.wait_for(lambda s: s.phase != "Held", 25)
     assert status.unfenced == "nobody has answered its agent yet"
-    assert fencing.built(pod.volume, ["app", "lamp"]) == ("app",), "and an agent that is restarted knows"
+    assert isolation.built(pod.volume, ["app", "lamp"]) == ("app",), "and an agent that is restarted knows"
 
 
 async def test_an_agent_says_that_its_application_is_held(pod: Pod, links) -> None:

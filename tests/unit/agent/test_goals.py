@@ -9,9 +9,9 @@ import uuid
 
 import pytest
 
+from tests.unit.action_proxy.conftest import ABORTED, ACTION, CANCELED, HERE, SUCCEEDED, TYPE, start  # noqa: F401
 from tests.unit.agent.conftest import Pod, eventually
-from tests.unit.tasks.conftest import ABORTED, ACTION, CANCELED, HERE, SUCCEEDED, TYPE, start  # noqa: F401
-from understudy.cluster.agents import AgentRefused
+from understudy.kube.agent_client import AgentRefused
 
 pytestmark = pytest.mark.ros
 
@@ -22,8 +22,8 @@ TREE = {"topic": {"name": "/cmd_vel", "type": "std_msgs/msg/String", "gap": "300
 @pytest.fixture
 def dds(monkeypatch: pytest.MonkeyPatch, tmp_path):
     """This machine's loopback; the application and the agent are in the partition of their pod."""
-    from understudy.api.tasks import Task
-    from understudy.ros.profiles import instance_profiles_xml
+    from understudy.api.kinds.task_spec import Task
+    from understudy.ros.dds.profiles import instance_profiles_xml
 
     (tmp_path / "profiles.xml").write_text(instance_profiles_xml([Task(action=ACTION, type=TYPE)]))
     for name, value in {

@@ -16,11 +16,11 @@ pytest.importorskip("rclpy")
 from tests.unit.agent.conftest import Pod
 from tests.unit.agent.test_procedures import OUTPUTS, TREE, WITHIN, localize
 from tests.unit.agent.test_restoring import pose
-from understudy.api.kept import LARGEST, KeptSample, KeptState, NotRestored, ParameterValues
-from understudy.cluster.agents import AgentGone, AgentLink
-from understudy.mitigation.interfaces import Instance
-from understudy.monitor.faults import CrashPoints
-from understudy.monitor.sidecars import Sidecars
+from understudy.api.protocol.kept_state import LARGEST, KeptSample, KeptState, NotRestored, ParameterValues
+from understudy.failover.interfaces import Instance
+from understudy.kube.agent_client import AgentGone, AgentLink
+from understudy.monitor.crash_points import CrashPoints
+from understudy.monitor.observe.agent_connections import Sidecars
 
 pytestmark = pytest.mark.ros
 

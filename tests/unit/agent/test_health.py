@@ -16,7 +16,7 @@ import pytest
 
 from tests.unit.agent.conftest import Pod, eventually
 from tests.unit.ros.network import network
-from understudy.api.agents import AgentStatus
+from understudy.api.protocol.agent_messages import AgentStatus
 
 pytestmark = pytest.mark.ros
 

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from understudy.agent.holds import Holds
-from understudy.api import holding
+from understudy.agent.held_containers import Holds
+from understudy.api.protocol import hold_script
 
 SHELLS = [
     pytest.param(
@@ -36,7 +36,7 @@ def hold(shell, tmp_path):
     processes = []
 
     def start(command, args=(), warm_paths=(), env=None):
-        _, *rest = holding.held_command("app", command, args, warm_paths, directory=str(tmp_path))
+        _, *rest = hold_script.held_command("app", command, args, warm_paths, directory=str(tmp_path))
         with (tmp_path / "out").open("a") as out:
             process = subprocess.Popen([*shell, *rest], stdout=out, stderr=subprocess.STDOUT, env=env)
         processes.append(process)
@@ -56,14 +56,14 @@ def wait_until(condition, within=DEADLINE):
 
 
 def write_env(folder: Path, environment) -> None:
-    (folder / ".env").write_text(holding.env_file(environment))
-    (folder / ".env").rename(folder / holding.env_name("app"))
+    (folder / ".env").write_text(hold_script.env_file(environment))
+    (folder / ".env").rename(folder / hold_script.env_name("app"))
 
 
 def wake(folder: Path) -> bool:
     """As the agent does it: says whether somebody was waiting."""
     try:
-        fd = os.open(folder / holding.wake_name("app"), os.O_WRONLY | os.O_NONBLOCK)
+        fd = os.open(folder / hold_script.wake_name("app"), os.O_WRONLY | os.O_NONBLOCK)
     except OSError:
         return False
     with contextlib.suppress(BrokenPipeError):  # its reader has just gone
@@ -250,16 +250,16 @@ def test_arguments_may_look_like_anything(hold, tmp_path):
 
 
 def test_the_script_has_nothing_that_the_kubelet_expands():
-    assert "$(" not in holding.HOLD_SCRIPT
-    assert "$$" not in holding.HOLD_SCRIPT
+    assert "$(" not in hold_script.HOLD_SCRIPT
+    assert "$$" not in hold_script.HOLD_SCRIPT
 
 
 def test_a_container_without_a_command_is_refused():
     with pytest.raises(ValueError, match="container app: command is missing"):
-        holding.held_command("app", [], ["--flag"], [])
+        hold_script.held_command("app", [], ["--flag"], [])
 
 
 @pytest.mark.parametrize(("name", "value"), [("", "x"), ("A=B", "x"), ("A", "x\0y")])
 def test_impossible_variables_are_refused(name, value):
     with pytest.raises(ValueError, match="environment variable"):
-        holding.env_file({name: value})
+        hold_script.env_file({name: value})

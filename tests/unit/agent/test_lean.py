@@ -11,15 +11,15 @@ import pytest
 from pydantic import ValidationError
 
 from tests.unit.agent.conftest import PACKAGE, Pod, eventually
-from understudy.agent.health import Plan
-from understudy.agent.outputs import Output
-from understudy.agent.running import _PROCEDURES, _WARM
-from understudy.api import workloads
+from understudy.agent.instance_health import Plan
+from understudy.agent.output_topics import Output
+from understudy.agent.process import _PROCEDURES, _WARM
+from understudy.api.kinds import robot_workload
 
 HEAVY = {"aiohttp", "antlr4", "kopf", "kubernetes", "prometheus_client", "pydantic", "scenario_execution"}
 
 CONFIGURED = """
-from understudy.agent.health import Plan
+from understudy.agent.instance_health import Plan
 Plan.of({"tree": {"topic": {"name": "/x", "gap": "1s"}}, "outputs": [{"topic": "/x", "type": "std_msgs/msg/Empty"}], "grace": 1})
 Plan.of({"form": "xml", "tree": '<root BTCPP_format="4"><BehaviorTree ID="A"><Topic topic="/x" gap="1s"/></BehaviorTree></root>'})
 """
@@ -34,18 +34,18 @@ def _modules(code: str) -> set[str]:
 
 
 def test_an_agent_that_starts_has_neither_ros_nor_trees_yet() -> None:
-    found = _modules("import understudy.agent.running")
+    found = _modules("import understudy.agent.process")
     assert not found & {*HEAVY, "numpy", "py_trees", "rclpy", "yaml"}
 
 
 @pytest.mark.ros
 def test_an_agent_that_is_ready_for_anything_has_no_models() -> None:
-    assert not _modules(f"import understudy.agent.running, {', '.join(_WARM)}\n{CONFIGURED}") & HEAVY
+    assert not _modules(f"import understudy.agent.process, {', '.join(_WARM)}\n{CONFIGURED}") & HEAVY
 
 
 @pytest.mark.ros
 def test_a_held_agent_needs_nothing_more_of_ours_when_it_is_claimed() -> None:
-    begun = f"import understudy.agent.running, {', '.join(_WARM)}"
+    begun = f"import understudy.agent.process, {', '.join(_WARM)}"
     more = _modules(f"{begun}\n{CONFIGURED}") - _modules(begun)
     assert not {name for name in more if name.startswith("understudy.")}
 
@@ -76,7 +76,7 @@ BAD = [
 
 @pytest.mark.parametrize("data", GOOD)
 def test_an_output_is_read_as_the_model_reads_it(data: dict[str, object]) -> None:
-    ours, model = Output.from_wire(data), workloads.Output.model_validate(data)
+    ours, model = Output.from_wire(data), robot_workload.Output.model_validate(data)
     assert (ours.topic, ours.service, ours.action, ours.type, ours.name) == (
         model.topic,
         model.service,
@@ -89,6 +89,6 @@ def test_an_output_is_read_as_the_model_reads_it(data: dict[str, object]) -> Non
 @pytest.mark.parametrize("data", BAD)
 def test_what_the_model_refuses_is_refused(data: object) -> None:
     with pytest.raises(ValidationError):
-        workloads.Output.model_validate(data)
+        robot_workload.Output.model_validate(data)
     with pytest.raises(ValueError, match="output"):
         Plan.of({"tree": {"topic": {"name": "/x", "gap": "1s"}}, "outputs": [data]})

@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import pytest
 
-from understudy.agent import leases
-from understudy.agent.leases import HELD, Lease, State
+from understudy.agent import permit
+from understudy.agent.permit import HELD, Lease, State
 
 NOW = 1000.0
 
@@ -53,7 +53,7 @@ def apiserver_alone(found: Lease) -> None:
         found.apiserver(now, True)
         return True
 
-    pass_time(found, leases.WITHOUT_MONITOR + 2, answer=reached)
+    pass_time(found, permit.WITHOUT_MONITOR + 2, answer=reached)
 
 
 TABLE: dict[State, tuple[State, State, State, State, State]] = {
@@ -90,7 +90,7 @@ def test_silence_is_acted_upon_within_half_a_second_whenever_it_begins(phase: fl
         if found.ask(now) != "Nobody" and now < cut:
             found.answered(now)
         assert now < cut + 2
-    assert leases.PATIENCE - leases.PERIOD <= now - cut <= 0.5
+    assert permit.PATIENCE - permit.PERIOD <= now - cut <= 0.5
 
 
 def test_a_shorter_silence_is_not() -> None:
@@ -133,7 +133,7 @@ def test_the_api_server_must_be_reached_all_the_time() -> None:
         found.apiserver(now, (now - NOW) % 20 > 1)
         return True
 
-    pass_time(found, 10 * leases.WITHOUT_MONITOR, answer=now_and_then)
+    pass_time(found, 10 * permit.WITHOUT_MONITOR, answer=now_and_then)
     assert found.state == "Back"
 
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from tests.unit.agent.conftest import Pod, eventually
-from understudy.cluster.agents import AgentLink, AgentRefused
-from understudy.trees.procedureforms import compose
+from understudy.kube.agent_client import AgentLink, AgentRefused
+from understudy.trees.languages.procedure_notations import compose
 
 pytestmark = pytest.mark.ros
 

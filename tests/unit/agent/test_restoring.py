@@ -14,10 +14,17 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.serialization import deserialize_message, serialize_message
 
 from tests.unit.dds import keep_to_itself
-from understudy.agent.restoring import Restorer, stamped
-from understudy.agent.sessions import Peer, Refused
-from understudy.api.kept import KeptSample, KeptState, LifecycleState, NotRestored, ParameterValues, RestoreReport
-from understudy.ros.calling import Caller, CallFailed
+from understudy.agent.control_channel import Peer, Refused
+from understudy.agent.state_restoration import Restorer, stamped
+from understudy.api.protocol.kept_state import (
+    KeptSample,
+    KeptState,
+    LifecycleState,
+    NotRestored,
+    ParameterValues,
+    RestoreReport,
+)
+from understudy.ros.actions.instance_calls import Caller, CallFailed
 
 pytestmark = pytest.mark.ros
 

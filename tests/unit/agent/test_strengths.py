@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from understudy.agent.strengths import Strengths
-from understudy.api.strengths import BEGIN, PER_SECOND, STRONGEST, strength
+from understudy.agent.writer_strength import Strengths
+from understudy.api.protocol.ownership_strength import BEGIN, PER_SECOND, STRONGEST, strength
 
 START = BEGIN + 1000.0
 FILE = "<dds><ownershipStrength><value>{}</value></ownershipStrength><name>x</name></dds>"

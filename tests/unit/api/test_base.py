@@ -6,8 +6,8 @@ import pytest
 from pydantic import ValidationError
 
 from understudy.api.base import Model, matching, rules, seconds
-from understudy.api.policies import Limits, Strategy
-from understudy.api.workloads import RobotWorkloadSpec
+from understudy.api.kinds.failure_policy import Limits, Strategy
+from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 
 
 @pytest.mark.parametrize(

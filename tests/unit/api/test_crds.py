@@ -9,9 +9,9 @@ import pytest
 from pydantic import Field
 
 from understudy.api.base import Duration, Model, rules
-from understudy.api.crds import PRESERVE, VALIDATIONS, definition, definitions, root, structural
-from understudy.api.kinds import KINDS, LONGEST_NAME, Kind
 from understudy.api.names import MONITOR_ACCOUNT_ENDING, discovery, gate, held, standby, standby_reference
+from understudy.api.schema.definitions import PRESERVE, VALIDATIONS, definition, definitions, root, structural
+from understudy.api.schema.printed_kinds import KINDS, LONGEST_NAME, Kind
 
 BY_NAME = {kind.name: kind for kind in KINDS}
 

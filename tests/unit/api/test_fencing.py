@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from understudy.api import fencing
+from understudy.api.protocol import freeze_script
 
 COUNTING = """
 import os, signal, subprocess, sys, time
@@ -50,17 +50,17 @@ def caught(pid: int) -> int:
 class Container:
     """A container's process as the kubelet would start it, in a process namespace of its own where ``scope`` is all."""
 
-    def __init__(self, folder: Path, shell: list[str], scope: fencing.Scope, *, fifo: bool = True) -> None:
+    def __init__(self, folder: Path, shell: list[str], scope: freeze_script.Scope, *, fifo: bool = True) -> None:
         self.folder, self.shell, self.scope = folder, shell, scope
         self.output = folder / "output"
-        self.fifo = folder / fencing.fence_name("drive")
+        self.fifo = folder / freeze_script.fence_name("drive")
         if fifo:
             os.mkfifo(self.fifo, 0o666)
         self.process: subprocess.Popen[str] | None = None
 
     def start(self, program: str = COUNTING, *, begun: bool = True) -> None:
         command = [sys.executable, "-c", program, str(self.output)]
-        made = fencing.fenced_command("drive", command, [], scope=self.scope, directory=str(self.folder))
+        made = freeze_script.fenced_command("drive", command, [], scope=self.scope, directory=str(self.folder))
         namespace = ["unshare", "--pid", "--fork", "--mount-proc", "--kill-child"] if self.scope == "all" else []
         self.process = subprocess.Popen(
             [*namespace, *self.shell, *made[1:]], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -77,11 +77,11 @@ class Container:
         within(lambda: self.written() > before + 2)
 
     def hold(self) -> None:
-        (self.folder / fencing.HELD_NAME).touch()
+        (self.folder / freeze_script.HELD_NAME).touch()
         self.wake()
 
     def let_go(self) -> None:
-        (self.folder / fencing.HELD_NAME).unlink()
+        (self.folder / freeze_script.HELD_NAME).unlink()
         self.wake()
 
     def wake(self) -> None:
@@ -165,7 +165,7 @@ def test_all_processes_stop_at_once_and_go_on_as_the_same_ones(container: Contai
 
 
 def test_one_that_starts_while_it_is_held_waits(container: Container) -> None:
-    (container.folder / fencing.HELD_NAME).touch()
+    (container.folder / freeze_script.HELD_NAME).touch()
     container.start(begun=False)
     time.sleep(0.4)
     assert not container.application()
@@ -281,9 +281,9 @@ def removed(group: Path) -> bool:
 
 def test_an_empty_command_is_refused() -> None:
     with pytest.raises(ValueError, match="container drive: command is missing"):
-        fencing.fenced_command("drive", [], ["--fast"], scope="all")
+        freeze_script.fenced_command("drive", [], ["--fast"], scope="all")
 
 
 def test_the_kubelet_finds_nothing_to_expand() -> None:
-    assert "$(" not in fencing.FENCE_SCRIPT
-    assert "$$" not in fencing.FENCE_SCRIPT
+    assert "$(" not in freeze_script.FENCE_SCRIPT
+    assert "$$" not in freeze_script.FENCE_SCRIPT

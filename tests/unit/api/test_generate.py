@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from scripts.generation import outputs, reference, values
-from understudy.api.kinds import KINDS
+from understudy.api.schema.printed_kinds import KINDS
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 

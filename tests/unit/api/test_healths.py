@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from understudy.api.conditions import Condition, Status, condition
-from understudy.api.healths import telling, why
+from understudy.api.health_reasons import telling, why
 
 
 def said(type_: str, status: Status, reason: str) -> Condition:

@@ -6,8 +6,8 @@ import json
 
 import pytest
 
-from understudy.api.agents import MAX_LINE, ProtocolError, encode
-from understudy.api.kept import (
+from understudy.api.protocol.agent_messages import MAX_LINE, ProtocolError, encode
+from understudy.api.protocol.kept_state import (
     LARGEST,
     KeptSample,
     KeptState,

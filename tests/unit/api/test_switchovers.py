@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from understudy.api.switchovers import Verb, parse, request
+from understudy.api.kinds.switchover_spec import Verb, parse, request
 
 AT = 1795356131.123456
 

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.counting import falls_below, first_from, least_count, most_count, worst_gap
-from understudy.trees.rates import Band, Window
+from understudy.trees.core.rate_window import Band, Window
 
 STEADY = [n / 10 for n in range(100)]
 

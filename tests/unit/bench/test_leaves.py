@@ -8,7 +8,7 @@ import pytest
 from bench import detection, manipulator
 from bench.detection import FAILURES, Failure, due, plan
 from bench.leaves import LEAVES, STREAMS, own_fault, topics, tree
-from understudy.trees.loading import load
+from understudy.trees.languages.short.health_loader import load
 
 BY_PATH = {leaf.path: leaf for leaf in LEAVES}
 

@@ -12,7 +12,7 @@ from bench.scaling.arrivals import poisson, spread
 from bench.scaling.exposition import Reading, read
 from bench.scaling.fleets import fleets, shared, workload
 from bench.scaling.growth import exponent, extrapolated
-from understudy.checking.running import check
+from understudy.cli.check.command import check
 
 TEXT = """
 # HELP apiserver_watch_events_total Number of events sent in watch clients

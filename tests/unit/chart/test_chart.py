@@ -13,7 +13,7 @@ import yaml
 
 from tests.unit.chart.conftest import CHART, Object, Render, one
 from understudy.api import names
-from understudy.api.crds import definitions
+from understudy.api.schema.definitions import definitions
 
 
 @pytest.mark.parametrize("values", [(), ("--values", str(CHART / "production.yaml"))], ids=["as-it-is", "production"])

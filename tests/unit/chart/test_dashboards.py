@@ -18,9 +18,9 @@ from tests.dashboards.fleet import fleet
 from tests.e2e.past import Source
 from tests.unit.chart.conftest import CHART
 from tests.unit.chart.test_monitoring import OTHERS, alerts
-from understudy.api.workloads import Health
-from understudy.reporting.expressions import came
-from understudy.reporting.records import Span
+from understudy.api.kinds.robot_workload import Health
+from understudy.cli.report.promql import came
+from understudy.cli.report.recovery_records import Span
 
 BOARDS = {path.stem: json.loads(path.read_text()) for path in (CHART / "files" / "dashboards").glob("*.json")}
 PANELS = [pytest.param(panel, id=f"{name}: {panel['title']}") for name, b in BOARDS.items() for panel in b["panels"]]

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from tests.unit.chart.conftest import Render, one
 from understudy import __version__
-from understudy.console import installed, rights
-from understudy.console.installed import Installed
+from understudy.cli.doctor import installation_check, rights_check
+from understudy.cli.doctor.installation_check import Installed
 
 
 def test_the_chart_s_deployment_is_found_and_says_of_what_pods_are_made(render: Render) -> None:
     found = Installed(one(render("images.monitorPullSecrets[0].name=key"), "Deployment"))
     labels = found.item["metadata"]["labels"]
     assert all(
-        labels[key] == value for key, _, value in (term.partition("=") for term in installed.SELECTOR.split(","))
+        labels[key] == value
+        for key, _, value in (term.partition("=") for term in installation_check.SELECTOR.split(","))
     )
     assert found.version == __version__
     assert found.account == "system:serviceaccount:system:understudy-operator"
@@ -30,4 +31,4 @@ def test_the_operator_is_asked_for_no_right_that_the_chart_doesn_t_give(render: 
         for resource in rule["resources"]
         for verb in rule["verbs"]
     }
-    assert {(right.group, right.resource, right.verb) for right in rights.operators()} <= given
+    assert {(right.group, right.resource, right.verb) for right in rights_check.operators()} <= given

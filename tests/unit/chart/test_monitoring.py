@@ -12,10 +12,11 @@ import yaml
 from scripts.generation.metrics import exposed
 from tests.unit.chart.conftest import CHART, Object, Render, one
 from understudy.api import names
-from understudy.api.workloads import Health
-from understudy.controller import fleetmetrics, monitors
-from understudy.mitigation.interfaces import Instance
-from understudy.monitor.enforcement import judge
+from understudy.api.kinds.robot_workload import Health
+from understudy.controller.desired import monitor_deployment
+from understudy.controller.status import fleet_metrics
+from understudy.failover.interfaces import Instance
+from understudy.monitor.judge.gate_enforcement import judge
 
 ALERTS = yaml.safe_load((CHART / "files" / "alerts.yaml").read_text())
 DASHBOARDS = {path.name: json.loads(path.read_text()) for path in (CHART / "files" / "dashboards").glob("*.json")}
@@ -40,7 +41,7 @@ def test_every_series_that_is_asked_for_is_told_by_someone(expression: str) -> N
 
 @pytest.mark.parametrize("expression", expressions())
 def test_states_and_conditions_that_are_asked_for_are_those_that_there_are(expression: str) -> None:
-    for label, known in (("health", get_args(Health)), ("condition", fleetmetrics.CONDITIONS)):
+    for label, known in (("health", get_args(Health)), ("condition", fleet_metrics.CONDITIONS)):
         for value in re.findall(rf'\b{label}=~?"([^"$]+)"', expression):
             assert set(value.split("|")) <= set(known)
 
@@ -77,7 +78,7 @@ def test_a_gate_of_which_nothing_can_be_known_is_no_alert() -> None:
 
 def test_every_monitor_is_selected_and_says_of_which_workload_it_is(render: Render) -> None:
     watching = one(render("metrics.podMonitors.enabled=true"), "PodMonitor", "understudy-monitors")["spec"]
-    assert watching["selector"]["matchLabels"].items() <= monitors.labels("w").items()
+    assert watching["selector"]["matchLabels"].items() <= monitor_deployment.labels("w").items()
     (relabelled,) = watching["podMetricsEndpoints"][0]["relabelings"]
     discovered = re.sub(r"[^a-zA-Z0-9_]", "_", names.MONITORED)
     assert relabelled["sourceLabels"] == [f"__meta_kubernetes_pod_label_{discovered}"]

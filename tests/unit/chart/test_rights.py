@@ -8,9 +8,10 @@ from typing import Any
 import pytest
 
 from tests.unit.chart.conftest import Render, one
-from understudy.cluster.client import EVENTS, LEASES, NODES, PODS, POLICIES, POOLS, WORKLOADS, Resource
-from understudy.controller import following, handlers, monitors, resyncing
-from understudy.controller.executing import RESIZE
+from understudy.controller.desired import monitor_deployment
+from understudy.controller.reconcile.executor import RESIZE
+from understudy.controller.runtime import kopf_handlers, resync, watches
+from understudy.kube.client import EVENTS, LEASES, NODES, PODS, POLICIES, POOLS, WORKLOADS, Resource
 
 Right = tuple[str, str, str]
 """API group, resource and verb."""
@@ -44,7 +45,11 @@ def _granted() -> set[Right]:
     """What the operator grants to monitors of all sorts."""
     found: set[Right] = set()
     for kind in ("ReplicaSet", "Deployment", "StatefulSet"):
-        roles = [item for k, item in monitors.access("w", source=(kind, "s"), policy=None, pools=["p"]) if k == "Role"]
+        roles = [
+            item
+            for k, item in monitor_deployment.access("w", source=(kind, "s"), policy=None, pools=["p"])
+            if k == "Role"
+        ]
         assert len(roles) == 1
         found |= _rights(roles[0]["rules"])
     return found
@@ -52,9 +57,9 @@ def _granted() -> set[Right]:
 
 def _used() -> set[Right]:
     """What the operator's own code asks for."""
-    found = set.union(*(_each(resource, "list", "watch") for resource in handlers.WATCHED))
-    found |= set.union(*(_each(resource, "watch") for resource, _ in following.WATCHED))
-    for resource, _ in resyncing.LISTED:
+    found = set.union(*(_each(resource, "list", "watch") for resource in kopf_handlers.WATCHED))
+    found |= set.union(*(_each(resource, "watch") for resource, _ in watches.WATCHED))
+    for resource, _ in resync.LISTED:
         found |= _each(resource, "get", "list")
         if resource not in (*OURS, NODES):  # what it makes, changes and clears away
             found |= _each(resource, "create", "patch", "delete")

@@ -22,14 +22,15 @@ from tests.unit.controller.world import (
     workload,
 )
 from understudy.api import names
-from understudy.api.settings import WorkloadSettings
-from understudy.api.workloads import RobotWorkloadStatus
-from understudy.cluster.client import PODS, POLICIES, POOLS, WORKLOADS, Object
-from understudy.controller import affected, policies, poolstatuses
-from understudy.controller.desired import Plan
-from understudy.controller.expectations import Expectations
-from understudy.controller.observing import Observer
-from understudy.controller.stores import Sight, Store
+from understudy.api.kinds.robot_workload import RobotWorkloadStatus
+from understudy.api.protocol.monitor_settings import WorkloadSettings
+from understudy.controller.desired.plan import Plan
+from understudy.controller.pods.expectations import Expectations
+from understudy.controller.reconcile import change_index
+from understudy.controller.reconcile.observer import Observer
+from understudy.controller.runtime.object_store import Sight, Store
+from understudy.controller.status import policy_status, pool_status
+from understudy.kube.client import PODS, POLICIES, POOLS, WORKLOADS, Object
 
 UP: Object = {"yaml": {"set_lifecycle": {"node": "/nav", "state": "inactive"}}}
 
@@ -204,8 +205,8 @@ def test_where_the_strategies_are_written_out_the_order_is_told_without_a_reason
 
 
 def test_a_policy_tells_in_short_that_it_leaves_them() -> None:
-    assert policies.in_short(auto(), {"hot": hot()}) == "Auto"
-    (said,) = policies.conditions(auto(), {"hot": hot()}, {})
+    assert policy_status.in_short(auto(), {"hot": hot()}) == "Auto"
+    (said,) = policy_status.conditions(auto(), {"hot": hot()}, {})
     assert said.status == "True"
 
 
@@ -232,14 +233,14 @@ async def test_a_pool_wants_no_standbys_for_workloads_that_others_were_chosen_fo
     observer = Observer(None, stored(auto(), written, mine, other), Expectations())  # type: ignore[arg-type]
     for pool, desired in ((hot(), 1), (warm(), 2)):
         observed = await observer.pool(pool)
-        assert poolstatuses.count(observed, policies.pool_spec(pool)).desired == desired
+        assert pool_status.count(observed, policy_status.pool_spec(pool)).desired == desired
 
 
 def test_a_change_of_any_pool_may_mean_another_order() -> None:
     store = stored(auto(), workload("w"))
     held = held_pod("s-1", of=spare())
     for sight in (Sight(POOLS, None, hot()), Sight(PODS, None, held)):
-        assert affected.Key("robotworkloads", "fleet", "w") in affected.keys(sight, store)
+        assert change_index.Key("robotworkloads", "fleet", "w") in change_index.keys(sight, store)
 
 
 def test_another_order_may_mean_other_numbers_for_each_pool() -> None:
@@ -249,7 +250,7 @@ def test_another_order_may_mean_other_numbers_for_each_pool() -> None:
         workload("w", status={"strategies": "Executing (hot)"}),
     )
     for old, new, expected in ((before, after, {"hot", "warm", "spare"}), (before, before, set())):
-        found = affected.keys(Sight(WORKLOADS, old, new), store)
+        found = change_index.keys(Sight(WORKLOADS, old, new), store)
         assert {key.name for key in found if key.plural == "fallbackpools"} == expected
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from understudy.controller.contention import AT_ONCE, EVERY, Contention
+from understudy.controller.reconcile.contention import AT_ONCE, EVERY, Contention
 
 PLACE = ("deployments", "fleet", "w-monitor")
 

@@ -8,15 +8,17 @@ from typing import Any, cast
 import pytest
 
 from tests.unit.controller.world import IMAGES, World, applied, policy, workload
-from understudy.api.settings import WorkloadSettings
-from understudy.cluster.client import POLICIES, WORKLOADS, Client, Object
-from understudy.controller import affected, dependencies, statuses
-from understudy.controller.affected import Key
-from understudy.controller.expectations import Expectations
-from understudy.controller.observed import Observed
-from understudy.controller.observing import Observer
-from understudy.controller.stores import Sight, Store
-from understudy.controller.understanding import understand
+from understudy.api.protocol.monitor_settings import WorkloadSettings
+from understudy.controller.desired.workload_plan import understand
+from understudy.controller.observed import dependency_graph
+from understudy.controller.observed.observation import Observed
+from understudy.controller.pods.expectations import Expectations
+from understudy.controller.reconcile import change_index
+from understudy.controller.reconcile.change_index import Key
+from understudy.controller.reconcile.observer import Observer
+from understudy.controller.runtime.object_store import Sight, Store
+from understudy.controller.status import workload_status
+from understudy.kube.client import POLICIES, WORKLOADS, Client, Object
 
 CIRCLE = {"a": ["b"], "b": ["c"], "c": ["a"], "d": ["a"], "e": []}
 LADDER = {"control": ["localization", "planning"], "planning": ["localization"], "localization": []}
@@ -29,50 +31,50 @@ def needing(name: str, *others: str, **more: Any) -> Object:
 class TestCircles:
     @pytest.mark.parametrize("name", ["a", "b", "c"])
     def test_a_circle_reads_the_same_for_each_that_is_in_it(self, name: str) -> None:
-        assert dependencies.circle(CIRCLE, name) == ["a", "b", "c", "a"]
+        assert dependency_graph.circle(CIRCLE, name) == ["a", "b", "c", "a"]
 
     def test_who_only_depends_on_a_circle_is_not_in_it(self) -> None:
-        assert dependencies.circle(CIRCLE, "d") is None
-        assert dependencies.first_circle(CIRCLE, "d") == ["a", "b", "c", "a"]
+        assert dependency_graph.circle(CIRCLE, "d") is None
+        assert dependency_graph.first_circle(CIRCLE, "d") == ["a", "b", "c", "a"]
 
     def test_a_workload_that_depends_on_itself(self) -> None:
-        assert dependencies.circle({"a": ["a"]}, "a") == ["a", "a"]
+        assert dependency_graph.circle({"a": ["a"]}, "a") == ["a", "a"]
 
     def test_the_shortest_of_several_is_told(self) -> None:
         known = {"a": ["b", "d"], "b": ["c"], "c": ["a"], "d": ["a"]}
-        assert dependencies.circle(known, "a") == ["a", "d", "a"]
-        assert dependencies.circle(known, "c") == ["a", "b", "c", "a"]
+        assert dependency_graph.circle(known, "a") == ["a", "d", "a"]
+        assert dependency_graph.circle(known, "c") == ["a", "b", "c", "a"]
 
     def test_two_ways_to_one_workload_are_no_circle(self) -> None:
-        assert all(dependencies.circle(LADDER, name) is None for name in LADDER)
+        assert all(dependency_graph.circle(LADDER, name) is None for name in LADDER)
 
     def test_a_name_with_nothing_behind_it_ends_the_way(self) -> None:
-        assert dependencies.circle({"a": ["missing"]}, "a") is None
+        assert dependency_graph.circle({"a": ["missing"]}, "a") is None
 
 
 class TestOrder:
     def test_each_comes_after_what_it_depends_on(self) -> None:
-        found = dependencies.upstream(LADDER, "control")
+        found = dependency_graph.upstream(LADDER, "control")
         assert [(one.name, one.depends_on) for one in found] == [("localization", []), ("planning", ["localization"])]
 
     def test_what_is_depended_on_through_others_is_in_it(self) -> None:
         known = {"d": ["c"], "c": ["b"], "b": ["a"], "a": []}
-        assert [one.name for one in dependencies.upstream(known, "d")] == ["a", "b", "c"]
+        assert [one.name for one in dependency_graph.upstream(known, "d")] == ["a", "b", "c"]
 
     def test_what_is_not_there_yet_is_in_it(self) -> None:
-        assert [one.name for one in dependencies.upstream({"a": ["later"]}, "a")] == ["later"]
+        assert [one.name for one in dependency_graph.upstream({"a": ["later"]}, "a")] == ["later"]
 
     @pytest.mark.parametrize("name", ["a", "d"])
     def test_there_is_none_where_it_would_be_a_circle(self, name: str) -> None:
-        assert dependencies.upstream(CIRCLE, name) == []
+        assert dependency_graph.upstream(CIRCLE, name) == []
 
     def test_a_long_chain_is_no_trouble(self) -> None:
         known = {str(n): [str(n + 1)] for n in range(300)}
-        assert len(dependencies.upstream(known, "0")) == 300
+        assert len(dependency_graph.upstream(known, "0")) == 300
 
 
-def told(known: dependencies.Graph, name: str) -> tuple[str, str, str]:
-    (found,) = dependencies.resolved(known, workload(name))
+def told(known: dependency_graph.Graph, name: str) -> tuple[str, str, str]:
+    (found,) = dependency_graph.resolved(known, workload(name))
     return found.status, found.reason, found.message
 
 
@@ -100,7 +102,7 @@ class TestCondition:
         assert "localization, planning" in told(LADDER, "control")[2]
 
     def test_nothing_is_told_of_one_that_depends_on_none(self) -> None:
-        assert dependencies.resolved(LADDER, workload("localization")) == []
+        assert dependency_graph.resolved(LADDER, workload("localization")) == []
 
 
 class Nobody:
@@ -125,7 +127,7 @@ async def test_one_that_is_being_deleted_is_missing() -> None:
     going = workload("a")
     going["metadata"]["deletionTimestamp"] = "2026-11-22T14:00:00Z"
     found = await observed(needing("w", "a"), going)
-    status = statuses.status(found, understand(found, IMAGES), [])
+    status = workload_status.status(found, understand(found, IMAGES), [])
     assert "DependencyNotFound" in [one["reason"] for one in status["conditions"]]
 
 
@@ -164,7 +166,7 @@ def keys(old: Object | None, new: Object | None, *there: Object) -> set[str]:
     store = Store()
     for one in there:
         store.put(WORKLOADS, one)
-    found = affected.keys(Sight(WORKLOADS, old, new), store)
+    found = change_index.keys(Sight(WORKLOADS, old, new), store)
     return {key.name for key in found if key.plural == Key(WORKLOADS.plural, "", "").plural}
 
 

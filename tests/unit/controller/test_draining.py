@@ -24,11 +24,13 @@ from tests.unit.controller.world import (
     workload,
 )
 from understudy.api import names
-from understudy.api.switchovers import Drain, request
-from understudy.cluster.client import DISRUPTION_BUDGETS, NODES, PODS, WORKLOADS, Object
-from understudy.controller import affected, nodes, objects, statuses
-from understudy.controller.affected import Key
-from understudy.controller.stores import Store
+from understudy.api.kinds.switchover_spec import Drain, request
+from understudy.controller.observed import kube_objects, leaving_nodes
+from understudy.controller.reconcile import change_index
+from understudy.controller.reconcile.change_index import Key
+from understudy.controller.runtime.object_store import Store
+from understudy.controller.status import workload_status
+from understudy.kube.client import DISRUPTION_BUDGETS, NODES, PODS, WORKLOADS, Object
 
 BUDGETS = "poddisruptionbudgets"
 
@@ -75,7 +77,7 @@ def budget(name: str, **labels: str) -> Object:
 def test_evictions_of_the_instance_in_control_wait_and_of_no_other() -> None:
     made = world()
     (found,) = applied(made.plan(), BUDGETS).values()
-    assert objects.name(found) == "w-in-control"
+    assert kube_objects.name(found) == "w-in-control"
     assert found["spec"] == {
         "minAvailable": 1,
         "unhealthyPodEvictionPolicy": "AlwaysAllow",
@@ -174,7 +176,7 @@ def test_a_drain_is_told_by_events() -> None:
     made = world()
     made.cordoned = frozenset({"node-1"})
     made.workload["status"] = {"conditions": []}
-    found = [c for c in statuses.transitions(made.workload, made.status()) if c["type"] == "Draining"]
+    found = [c for c in workload_status.transitions(made.workload, made.status()) if c["type"] == "Draining"]
     assert [c["reason"] for c in found] == ["Held"]
 
 
@@ -189,7 +191,7 @@ def test_a_drain_is_told_by_events() -> None:
     ],
 )
 def test_what_counts_as_to_be_emptied(spec: Object, is_cordoned: bool) -> None:
-    assert nodes.is_cordoned({"spec": spec}) == is_cordoned
+    assert leaving_nodes.is_cordoned({"spec": spec}) == is_cordoned
 
 
 def node(version: int, **spec: Any) -> Object:
@@ -203,7 +205,7 @@ def test_of_a_node_only_that_is_kept_and_only_a_change_of_that_means_something()
     store.put(PODS, on("node-1", source_pod("w-1")))
     store.put(PODS, on("node-2", source_pod("v-1", of="v")))
     store.put(PODS, on("node-1", pod("stranger")))
-    store.noticed = lambda sight: seen.append(affected.keys(sight, store))
+    store.noticed = lambda sight: seen.append(change_index.keys(sight, store))
     store.put(NODES, node(1, podCIDR="10.0.0.0/24"))
     store.put(NODES, node(2))
     store.put(NODES, node(3, unschedulable=True))
@@ -220,7 +222,7 @@ def test_of_a_node_only_that_is_kept_and_only_a_change_of_that_means_something()
 def test_a_budget_of_somebody_else_means_something_to_every_workload_of_its_namespace() -> None:
     store, seen = Store(), []
     store.put(WORKLOADS, workload())
-    store.noticed = lambda sight: seen.append(affected.keys(sight, store))
+    store.noticed = lambda sight: seen.append(change_index.keys(sight, store))
     theirs = budget("theirs")
     store.put(DISRUPTION_BUDGETS, theirs)
     theirs = {**theirs, "metadata": {**theirs["metadata"], "resourceVersion": "6"}, "status": {"currentHealthy": 1}}
@@ -230,7 +232,7 @@ def test_a_budget_of_somebody_else_means_something_to_every_workload_of_its_name
 
 def test_a_pod_that_is_started_for_a_switchover_beside_the_one_that_drives_is_left() -> None:
     made = world("spare", "Restart")
-    made.others = [item for item in made.others if objects.name(item) != "hot"]
+    made.others = [item for item in made.others if kube_objects.name(item) != "hot"]
     driving = on("node-2", claimed_pod("s-1", of=spare(), by=made.workload))
     made.build()
     made.pods = [driving]

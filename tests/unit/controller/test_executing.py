@@ -3,9 +3,15 @@ from __future__ import annotations
 import copy
 from typing import Any
 
-from tests.unit.cluster.memory import MemoryClient
+from tests.unit.kube.memory import MemoryClient
 from understudy.api import names
-from understudy.cluster.client import (
+from understudy.controller.desired.plan import Apply, Create
+from understudy.controller.pods.expectations import Expectations
+from understudy.controller.reconcile.change_index import Key
+from understudy.controller.reconcile.contention import AT_ONCE
+from understudy.controller.reconcile.executor import Executor
+from understudy.controller.runtime.object_store import Store
+from understudy.kube.client import (
     CONFIG_MAPS,
     NETWORK_POLICIES,
     PODS,
@@ -15,12 +21,6 @@ from understudy.cluster.client import (
     Object,
     Resource,
 )
-from understudy.controller.affected import Key
-from understudy.controller.contention import AT_ONCE
-from understudy.controller.desired import Apply, Create
-from understudy.controller.executing import Executor
-from understudy.controller.expectations import Expectations
-from understudy.controller.stores import Store
 
 KEY = Key(WORKLOADS.plural, "fleet", "w")
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from prometheus_client import CollectorRegistry
 
 from tests.unit.controller.world import custom, workload
-from understudy.cluster.client import POOLS, WORKLOADS, Object
-from understudy.controller.fleetmetrics import FleetMetrics
-from understudy.controller.stores import Store
+from understudy.controller.runtime.object_store import Store
+from understudy.controller.status.fleet_metrics import FleetMetrics
+from understudy.kube.client import POOLS, WORKLOADS, Object
 
 
 def told(*workloads: Object, pools: tuple[Object, ...] = (), leading: bool = True) -> CollectorRegistry:

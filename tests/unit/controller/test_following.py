@@ -10,9 +10,9 @@ import aiohttp
 import pytest
 
 from tests.unit.controller.world import pod
-from understudy.cluster.client import CONFIG_MAPS, NODES, PODS, Client, Expired, Object, Resource
-from understudy.controller import following
-from understudy.controller.resyncing import TREES
+from understudy.controller.runtime import watches
+from understudy.controller.runtime.resync import TREES
+from understudy.kube.client import CONFIG_MAPS, NODES, PODS, Client, Expired, Object, Resource
 
 Event = tuple[str, Object]
 BOOKMARK = "BOOKMARK"
@@ -60,7 +60,7 @@ async def watched(client: Scripted, *namespaces: str) -> list[tuple[str, bool]]:
             raise KeyError("spec")
         seen.append((item["metadata"]["name"], gone))
 
-    task = asyncio.create_task(following.watch(client, see, namespaces))
+    task = asyncio.create_task(watches.watch(client, see, namespaces))
     async with asyncio.timeout(5):
         await client.over.wait()
     task.cancel()
@@ -72,7 +72,7 @@ async def test_a_watch_goes_on_where_the_last_one_ended() -> None:
     first = [told("ADDED", "a", 3), told(BOOKMARK, "", 7), told("DELETED", "a", 9)]
     client = Scripted((first, None), ([], None))
     assert await watched(client) == [("a", False), ("a", True)]
-    assert client.begun == [following.BEGINNING, "9", "9"]
+    assert client.begun == [watches.BEGINNING, "9", "9"]
 
 
 async def test_until_a_bookmark_it_may_have_brought_what_is_there_in_part_only() -> None:
@@ -81,20 +81,20 @@ async def test_until_a_bookmark_it_may_have_brought_what_is_there_in_part_only()
         ([told("ADDED", "a", 9), told("ADDED", "b", 3)], aiohttp.ClientPayloadError("broken")), ([], None)
     )
     await watched(client)
-    assert client.begun == [following.BEGINNING] * 3
+    assert client.begun == [watches.BEGINNING] * 3
 
 
 async def test_a_version_that_is_too_old_begins_anew() -> None:
     client = Scripted(([told(BOOKMARK, "", 7)], None), ([], Expired()))
     await watched(client)
-    assert client.begun == [following.BEGINNING, "7", following.BEGINNING]
+    assert client.begun == [watches.BEGINNING, "7", watches.BEGINNING]
 
 
 @pytest.mark.parametrize("error", [aiohttp.ServerDisconnectedError(), TimeoutError(), OSError("down")])
 async def test_an_error_ends_nothing(error: Exception) -> None:
     client = Scripted(([told(BOOKMARK, "", 7)], error), ([told("ADDED", "b", 8)], None))
     assert await watched(client) == [("b", False)]
-    assert client.begun == [following.BEGINNING, "7", "8"]
+    assert client.begun == [watches.BEGINNING, "7", "8"]
 
 
 async def test_an_object_that_surprises_does_not_keep_others_from_being_seen() -> None:

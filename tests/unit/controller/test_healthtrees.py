@@ -8,11 +8,13 @@ import pytest
 
 from tests.unit.controller.world import NAMESPACE, TREE, policy, workload
 from understudy.api import names
-from understudy.api.policies import FailurePolicySpec, in_force
-from understudy.cluster.client import CONFIG_MAPS, POLICIES, WORKLOADS, Object
-from understudy.controller import affected, policies, resyncing
-from understudy.controller.affected import Key
-from understudy.controller.stores import Sight, Store
+from understudy.api.kinds.failure_policy import FailurePolicySpec, in_force
+from understudy.controller.reconcile import change_index
+from understudy.controller.reconcile.change_index import Key
+from understudy.controller.runtime import resync
+from understudy.controller.runtime.object_store import Sight, Store
+from understudy.controller.status import policy_status
+from understudy.kube.client import CONFIG_MAPS, POLICIES, WORKLOADS, Object
 
 GOOD = "topic: {name: /cmd_vel, type: geometry_msgs/msg/Twist, gap: 500ms}"
 BAD = "topic: {name: /cmd_vel, gap: 500 parsecs}"
@@ -34,7 +36,7 @@ def referring(key: str = "health.yaml", **more: Any) -> Object:
 
 
 def status(found: Object, maps: dict[str, Object]) -> Object:
-    return policies.status(found, pools={}, config_maps=maps, users=[])
+    return policy_status.status(found, pools={}, config_maps=maps, users=[])
 
 
 def untimed(status: Object) -> list[Object]:
@@ -77,10 +79,10 @@ def test_without_a_good_tree_the_last_one_stays_in_force(maps: dict[str, Object]
 
 
 def test_a_workload_is_told_of_its_policys_tree() -> None:
-    found = policies.problem(referring(), {})
+    found = policy_status.problem(referring(), {})
     assert found is not None
     assert found.reason == "TreeNotFound"
-    assert policies.problem(referring(), trees(health_yaml=GOOD)) is None
+    assert policy_status.problem(referring(), trees(health_yaml=GOOD)) is None
 
 
 def test_what_is_in_the_policy_again_is_not_kept_beside_it() -> None:
@@ -111,12 +113,12 @@ def test_a_change_concerns_the_policies_that_refer_to_it_and_whom_they_protect()
     store.put(POLICIES, policy("Restart", name="other"))
     store.put(WORKLOADS, workload())
     (config_map,) = trees(health_yaml=GOOD).values()
-    found = affected.keys(Sight(CONFIG_MAPS, None, config_map), store)
+    found = change_index.keys(Sight(CONFIG_MAPS, None, config_map), store)
     assert found == {Key(POLICIES.plural, NAMESPACE, "policy"), Key(WORKLOADS.plural, NAMESPACE, "w")}
-    assert not affected.keys(Sight(CONFIG_MAPS, None, {"metadata": {**config_map["metadata"], "name": "x"}}), store)
+    assert not change_index.keys(Sight(CONFIG_MAPS, None, {"metadata": {**config_map["metadata"], "name": "x"}}), store)
 
 
 def test_only_what_is_lent_is_kept() -> None:
     for label, kept in (("true", True), ("false", False), (None, False)):
         (config_map,) = trees(label=label).values()
-        assert resyncing.kept(CONFIG_MAPS, config_map) is kept
+        assert resync.kept(CONFIG_MAPS, config_map) is kept

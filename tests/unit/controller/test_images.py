@@ -9,8 +9,9 @@ import pytest
 
 from tests.unit.controller import world
 from tests.unit.controller.world import IMAGES, NOW, TEMPLATE, Names, World, applied, created, hot, policy, workload
-from understudy.cluster.client import Object
-from understudy.controller import pools, running
+from understudy.controller.pods import pool_pods
+from understudy.controller.runtime import process as running
+from understudy.kube.client import Object
 
 SECRET = [{"name": "registry"}]
 
@@ -53,8 +54,8 @@ def test_without_secrets_nothing_is_said_of_them() -> None:
 
 def test_the_pods_of_a_shared_pool_are_pulled_by_them_too() -> None:
     images = replace(IMAGES, pull_secrets=("registry",))
-    observed = pools.Observed(pool=world.spare(replicas=1), workloads={}, pods=[], owned={}, now=NOW)
-    plan = pools.plan(observed, pools.understand(observed, images), Names().fresh())
+    observed = pool_pods.Observed(pool=world.spare(replicas=1), workloads={}, pods=[], owned={}, now=NOW)
+    plan = pool_pods.plan(observed, pool_pods.understand(observed, images), Names().fresh())
     (pod,) = created(plan, "pods")
     assert pod["spec"]["imagePullSecrets"] == SECRET
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from tests.unit.cluster.memory import MemoryClient
+from tests.unit.kube.memory import MemoryClient
 from understudy.api import names
-from understudy.cluster.client import ApiError, Object
-from understudy.controller.judging import Judge
+from understudy.controller.reconcile.template_validation import Judge
+from understudy.kube.client import ApiError, Object
 
 POD: Object = {"metadata": {"name": "w-check", "namespace": "fleet", "labels": {names.TEMPLATE_HASH: "abc"}}}
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 
 from tests.unit.controller.world import World, applied, hot, policy, spare, workload
-from understudy.cluster.client import Object
+from understudy.kube.client import Object
 
 
 def monitor(world: World) -> Object:

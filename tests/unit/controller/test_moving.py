@@ -10,11 +10,12 @@ import pytest
 
 from tests.unit.controller.test_pools import created, deleted, observe, present
 from tests.unit.controller.world import IMAGES, Names, held_pod, spare
-from understudy.cluster.client import Object
-from understudy.controller import objects, pools
-from understudy.controller.affected import Key
-from understudy.controller.desired import Plan
-from understudy.controller.expectations import Expectations
+from understudy.controller.desired.plan import Plan
+from understudy.controller.observed import kube_objects
+from understudy.controller.pods import pool_pods
+from understudy.controller.pods.expectations import Expectations
+from understudy.controller.reconcile.change_index import Key
+from understudy.kube.client import Object
 
 NODES = ("a", "b", "c")
 KEY = Key("fallbackpools", "fleet", "spare")
@@ -38,15 +39,17 @@ class Cluster:
     def operate(self) -> None:
         """One look at some earlier state, with the nodes as they are; what was asked for and not seen counts."""
         view = self.draw.choice(self._seen)
-        self._known |= {objects.name(pod) for pod in view}
+        self._known |= {kube_objects.name(pod) for pod in view}
         # A store doesn't go back: what it knows to be gone, or to be there, stays so.
-        view = [pod for pod in view if objects.name(pod) in self.pods]
+        view = [pod for pod in view if kube_objects.name(pod) in self.pods]
         expected = self._expectations.count(KEY, "spare", observed=self._known.__contains__)
-        unseen = [self.pods[name] for name in self._known if name in self.pods and name not in map(objects.name, view)]
+        unseen = [
+            self.pods[name] for name in self._known if name in self.pods and name not in map(kube_objects.name, view)
+        ]
         observed = replace(observe(self.pool, [*view, *unseen], expected=expected), leaving=frozenset(self.leaving))
-        plan: Plan = pools.plan(observed, pools.understand(observed, IMAGES), self._names.fresh())
+        plan: Plan = pool_pods.plan(observed, pool_pods.understand(observed, IMAGES), self._names.fresh())
         for body in created(plan, "pods"):
-            name = objects.name(body)
+            name = kube_objects.name(body)
             staying = [node for node in NODES if node not in self.leaving] or [""]
             pod = held_pod(name, of=self.pool, template_hash=self._hash, ready=False)
             self.pods[name] = pod | {"spec": {"nodeName": self.draw.choice(staying)}}

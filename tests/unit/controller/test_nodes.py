@@ -24,12 +24,15 @@ from tests.unit.controller.world import (
     workload,
 )
 from understudy.api import names
-from understudy.cluster.client import DISRUPTION_BUDGETS, NETWORK_POLICIES, NODES, PODS, POOLS, WORKLOADS, Object
-from understudy.controller import affected, instances, nodes, objects, placing, pools, resyncing
-from understudy.controller.affected import Key
-from understudy.controller.expectations import Expectations
-from understudy.controller.observing import Observer
-from understudy.controller.stores import Store
+from understudy.controller.observed import kube_objects, leaving_nodes
+from understudy.controller.pods import instance_pod, pod_placement, pool_pods
+from understudy.controller.pods.expectations import Expectations
+from understudy.controller.reconcile import change_index
+from understudy.controller.reconcile.change_index import Key
+from understudy.controller.reconcile.observer import Observer
+from understudy.controller.runtime import resync
+from understudy.controller.runtime.object_store import Store
+from understudy.kube.client import DISRUPTION_BUDGETS, NETWORK_POLICIES, NODES, PODS, POOLS, WORKLOADS, Object
 
 
 def node(name: str, *, version: int = 5, taint: str = "", **spec: Any) -> Object:
@@ -56,7 +59,7 @@ def held(pool: Object, *places: str, ready: bool = True, prefix: str = "spare") 
     ]
 
 
-def leaving(observed: pools.Observed, *names: str) -> pools.Observed:
+def leaving(observed: pool_pods.Observed, *names: str) -> pool_pods.Observed:
     return replace(observed, leaving=frozenset(names))
 
 
@@ -73,16 +76,16 @@ class TestWhichNodesLeave:
         ],
     )
     def test_those_that_are_emptied_and_those_that_were_lost(self, found: Object, leaves: bool) -> None:
-        assert nodes.is_leaving(found) is leaves
+        assert leaving_nodes.is_leaving(found) is leaves
 
     def test_where_no_other_is_left_all_stays_as_it_is(self) -> None:
         lost = [node("n", taint="node.kubernetes.io/unreachable"), node("m", unschedulable=True)]
-        assert nodes.leaving(lost) == frozenset()
-        assert nodes.leaving([*lost, node("o")]) == {"n", "m"}
+        assert leaving_nodes.leaving(lost) == frozenset()
+        assert leaving_nodes.leaving([*lost, node("o")]) == {"n", "m"}
 
     def test_of_a_node_nothing_else_is_kept(self) -> None:
         store = Store()
-        assert resyncing.kept(NODES, node("n"))
+        assert resync.kept(NODES, node("n"))
         store.put(NODES, node("n", unschedulable=True, podCIDR="10.0.0.0/24"))
         found = store.get(NODES, "", "n")
         assert found is not None
@@ -95,7 +98,7 @@ class TestWhichNodesLeave:
         store.put(PODS, held(pool, "n")[0])
         store.put(PODS, on("n", standby_pod("w-s", of=workload())))
         store.put(PODS, on("other", standby_pod("x-s", of=workload("x"))))
-        store.noticed = lambda sight: told.append(affected.keys(sight, store))
+        store.noticed = lambda sight: told.append(change_index.keys(sight, store))
         store.put(NODES, node("n"))
         store.put(NODES, node("n", version=6) | {"status": {}})
         store.put(NODES, node("n", version=7, unschedulable=True))
@@ -111,7 +114,7 @@ class TestWhichNodesLeave:
         store, told = Store(), []
         store.put(PODS, held(spare(), "n")[0])
         store.put(NODES, node("n", unschedulable=True))
-        store.noticed = lambda sight: told.append(affected.keys(sight, store))
+        store.noticed = lambda sight: told.append(change_index.keys(sight, store))
         store.put(NODES, node("m", version=9))
         assert told == [{Key(POOLS.plural, "fleet", "spare")}]
 
@@ -187,7 +190,7 @@ class TestASharedPool:
 class TestEvictions:
     """Of waiting pods: whether the API server refuses them for now."""
 
-    def budget(self, observed: pools.Observed) -> Object | None:
+    def budget(self, observed: pool_pods.Observed) -> Object | None:
         return applied(plan(observed), "poddisruptionbudgets").get("spare-held")
 
     def moving(self, pool: Object, *, since: float) -> Object:
@@ -213,7 +216,7 @@ class TestEvictions:
         unrelated = [{"spec": {"selector": {"matchLabels": {"app": "other"}}}}, {"spec": {}}]
         assert self.budget(replace(observe(pool), budgets=unrelated)) is not None
 
-    def let_go(self, observed: pools.Observed) -> bool:
+    def let_go(self, observed: pool_pods.Observed) -> bool:
         live = {("poddisruptionbudgets", "spare-held"): {"metadata": {"name": "spare-held"}}}
         return "spare-held" in deleted(plan(replace(observed, owned=live)))
 
@@ -244,7 +247,7 @@ class TestEvictions:
         store.put(POOLS, pool)
         metadata = {"name": "theirs", "namespace": "fleet", "uid": "u", "resourceVersion": "3"}
         store.put(DISRUPTION_BUDGETS, {"metadata": metadata, "spec": {}})
-        ours = {**metadata, "name": "ours", "uid": "v", "ownerReferences": [objects.owner("FallbackPool", pool)]}
+        ours = {**metadata, "name": "ours", "uid": "v", "ownerReferences": [kube_objects.owner("FallbackPool", pool)]}
         store.put(DISRUPTION_BUDGETS, {"metadata": ours, "spec": {}})
         (found,) = (await Observer(client, store, Expectations()).pool(pool)).budgets
         assert found["metadata"]["name"] == "theirs"
@@ -319,7 +322,7 @@ class TestStandbysOfARobot:
         ]:
             store.put(resource, item)
         seen: list[set[Key]] = []
-        store.noticed = lambda sight: seen.append(affected.keys(sight, store))
+        store.noticed = lambda sight: seen.append(change_index.keys(sight, store))
         store.put(NODES, node("m", version=6, unschedulable=True))
         assert seen == [{Key(POOLS.plural, "fleet", "hot"), Key(WORKLOADS.plural, "fleet", "w")}]
         client: Any = None
@@ -389,14 +392,14 @@ class TestSpreading:
     @pytest.mark.parametrize(("when", "ours"), [("ScheduleAnyway", 0), ("DoNotSchedule", 1)])
     def test_a_workload_s_own_constraint_is_kept_and_none_of_its_kind_put_beside_it(self, when: str, ours: int) -> None:
         given = {"maxSkew": 3, "topologyKey": "kubernetes.io/hostname", "whenUnsatisfiable": when}
-        recipe = instances.Recipe(workload="w", namespace="robots", images=IMAGES, secret="w-agent")
+        recipe = instance_pod.Recipe(workload="w", namespace="robots", images=IMAGES, secret="w-agent")
         template = {
             "spec": {
                 "containers": [{"name": "app", "image": "app", "command": ["app"]}],
                 "topologySpreadConstraints": [given],
             }
         }
-        found = instances.build(template, recipe)["spec"]["topologySpreadConstraints"]
+        found = instance_pod.build(template, recipe)["spec"]["topologySpreadConstraints"]
         assert found[0] == given
         assert [one["labelSelector"]["matchLabels"] for one in found[1:]] == [{names.WORKLOAD: "w"}] * ours
 
@@ -412,4 +415,4 @@ class TestSpreading:
 
     def test_a_lost_node_is_left_soon(self) -> None:
         seconds = {t["tolerationSeconds"] for t in self.pod()["spec"]["tolerations"]}
-        assert seconds == {placing.LOST_SECONDS}
+        assert seconds == {pod_placement.LOST_SECONDS}

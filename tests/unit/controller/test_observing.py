@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any, cast
 
 from tests.unit.controller.world import hot, standby_pod, workload
-from understudy.cluster.client import PODS, POOLS, WORKLOADS, Client
-from understudy.controller.affected import Key
-from understudy.controller.expectations import Expectations
-from understudy.controller.observing import Observer
-from understudy.controller.stores import Store
+from understudy.controller.pods.expectations import Expectations
+from understudy.controller.reconcile.change_index import Key
+from understudy.controller.reconcile.observer import Observer
+from understudy.controller.runtime.object_store import Store
+from understudy.kube.client import PODS, POOLS, WORKLOADS, Client
 
 
 async def test_a_standby_that_is_seen_while_a_deployment_is_read_counts_once() -> None:

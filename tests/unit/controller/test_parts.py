@@ -8,23 +8,16 @@ import pytest
 
 from tests.unit.controller.world import IMAGES, TEMPLATE, hot, pod, policy, spare
 from understudy.api import names
-from understudy.api.workloads import Ros
-from understudy.cluster.client import Object
-from understudy.controller import (
-    discovery,
-    gates,
-    instances,
-    monitors,
-    placing,
-    policies,
-    references,
-    robots,
-    selectors,
-)
-from understudy.controller.troubles import trouble
+from understudy.api.kinds.robot_workload import Ros
+from understudy.controller.desired import discovery_server, gate_policies, monitor_deployment, ros_environment
+from understudy.controller.observed import selectors, workload_reference
+from understudy.controller.observed.pod_diagnosis import trouble
+from understudy.controller.pods import instance_pod, pod_placement
+from understudy.controller.status import policy_status
+from understudy.kube.client import Object
 
 ENVIRONMENT = {"ROS_DOMAIN_ID": "7", "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp", "ROS_DISCOVERY_SERVER": "10.0.0.1:11811"}
-RECIPE = instances.Recipe(
+RECIPE = instance_pod.Recipe(
     workload="w", namespace="fleet", images=IMAGES, secret="w-agent", environment=ENVIRONMENT, pool="hot"
 )
 
@@ -36,18 +29,18 @@ def environment(container: Object) -> dict[str, str]:
 class TestInstances:
     def test_the_users_template_is_not_changed(self) -> None:
         before = copy.deepcopy(TEMPLATE)
-        instances.build(TEMPLATE, RECIPE)
+        instance_pod.build(TEMPLATE, RECIPE)
         assert before == TEMPLATE
 
     def test_the_users_environment_wins(self) -> None:
         template = copy.deepcopy(TEMPLATE)
         template["spec"]["containers"][0]["env"] = [{"name": "ROS_DOMAIN_ID", "value": "42"}]
-        app = instances.build(template, RECIPE)["spec"]["containers"][0]
+        app = instance_pod.build(template, RECIPE)["spec"]["containers"][0]
         assert [entry["value"] for entry in app["env"] if entry["name"] == "ROS_DOMAIN_ID"] == ["42"]
         assert environment(app)["ROS_DISCOVERY_SERVER"] == "10.0.0.1:11811"
 
     def test_the_agent_runs_without_rights(self) -> None:
-        agent = instances.build(TEMPLATE, RECIPE)["spec"]["containers"][-1]
+        agent = instance_pod.build(TEMPLATE, RECIPE)["spec"]["containers"][-1]
         assert agent["name"] == names.AGENT_CONTAINER
         context = agent["securityContext"]
         assert context["runAsNonRoot"]
@@ -56,16 +49,16 @@ class TestInstances:
         assert not context["allowPrivilegeEscalation"]
 
     def test_the_agent_sees_the_whole_graph(self) -> None:
-        agent = instances.build(TEMPLATE, RECIPE)["spec"]["containers"][-1]
+        agent = instance_pod.build(TEMPLATE, RECIPE)["spec"]["containers"][-1]
         assert environment(agent)["ROS_SUPER_CLIENT"] == "TRUE"
-        assert "ROS_SUPER_CLIENT" not in environment(instances.build(TEMPLATE, RECIPE)["spec"]["containers"][0])
+        assert "ROS_SUPER_CLIENT" not in environment(instance_pod.build(TEMPLATE, RECIPE)["spec"]["containers"][0])
 
     def test_the_hash_changes_with_whatever_changes_the_pod(self) -> None:
-        first = instances.template_hash(instances.build(TEMPLATE, RECIPE))
-        assert first == instances.template_hash(instances.build(copy.deepcopy(TEMPLATE), RECIPE))
+        first = instance_pod.template_hash(instance_pod.build(TEMPLATE, RECIPE))
+        assert first == instance_pod.template_hash(instance_pod.build(copy.deepcopy(TEMPLATE), RECIPE))
         other = copy.deepcopy(TEMPLATE)
         other["spec"]["containers"][0]["image"] = "app:2"
-        assert first != instances.template_hash(instances.build(other, RECIPE))
+        assert first != instance_pod.template_hash(instance_pod.build(other, RECIPE))
 
     def test_instances_prefer_other_nodes_and_keep_the_users_preferences(self) -> None:
         template = copy.deepcopy(TEMPLATE)
@@ -74,7 +67,7 @@ class TestInstances:
             "podAntiAffinity": {"preferredDuringSchedulingIgnoredDuringExecution": [own]},
             "nodeAffinity": {"x": "y"},
         }
-        affinity = instances.build(template, RECIPE)["spec"]["affinity"]
+        affinity = instance_pod.build(template, RECIPE)["spec"]["affinity"]
         preferred = affinity["podAntiAffinity"]["preferredDuringSchedulingIgnoredDuringExecution"]
         assert preferred[0] == own
         assert preferred[1]["podAffinityTerm"]["labelSelector"] == {"matchLabels": {names.WORKLOAD: "w"}}
@@ -83,12 +76,12 @@ class TestInstances:
         assert affinity["nodeAffinity"] == {"x": "y"}
 
     def test_a_lost_node_is_left_soon_unless_the_user_says_otherwise(self) -> None:
-        (not_ready, unreachable) = instances.build(TEMPLATE, RECIPE)["spec"]["tolerations"]
-        assert not_ready["tolerationSeconds"] == unreachable["tolerationSeconds"] == placing.LOST_SECONDS
+        (not_ready, unreachable) = instance_pod.build(TEMPLATE, RECIPE)["spec"]["tolerations"]
+        assert not_ready["tolerationSeconds"] == unreachable["tolerationSeconds"] == pod_placement.LOST_SECONDS
         template = copy.deepcopy(TEMPLATE)
         own = {"key": "node.kubernetes.io/unreachable", "operator": "Exists", "tolerationSeconds": 600}
         template["spec"]["tolerations"] = [own]
-        found = instances.build(template, RECIPE)["spec"]["tolerations"]
+        found = instance_pod.build(template, RECIPE)["spec"]["tolerations"]
         assert found == [own, not_ready]
 
     @pytest.mark.parametrize(
@@ -102,7 +95,7 @@ class TestInstances:
         ],
     )
     def test_what_can_not_be_an_instance_is_said_with_its_place(self, spec: Object, word: str) -> None:
-        found = instances.problem({"spec": spec}, held=False, path="spec.template")
+        found = instance_pod.problem({"spec": spec}, held=False, path="spec.template")
         assert found is not None
         assert found.startswith("spec.template.spec")
         assert word in found
@@ -110,7 +103,7 @@ class TestInstances:
 
 class TestGates:
     def test_everything_but_the_gated_ports_is_open_to_all_but_the_own_instances(self) -> None:
-        (found,) = gates.standby_policies("w", ["192.168.7.0/24"], None)
+        (found,) = gate_policies.standby_policies("w", ["192.168.7.0/24"], None)
         spec = found["spec"]
         assert spec["podSelector"] == {"matchLabels": {names.WORKLOAD: "w"}}
         assert [(p["protocol"], p["port"], p["endPort"]) for p in spec["egress"][0]["ports"]] == [
@@ -127,7 +120,7 @@ class TestGates:
         assert "ports" not in spec["ingress"][0]
 
     def test_the_gate_allows_everything_to_the_one_it_names(self) -> None:
-        spec = gates.closed_gate("w", epoch=0)["spec"]
+        spec = gate_policies.closed_gate("w", epoch=0)["spec"]
         assert (spec["policyTypes"], spec["egress"]) == (["Egress"], [{}])
 
 
@@ -179,13 +172,13 @@ class TestSelectors:
 class TestPolicies:
     def test_strategies_in_short(self) -> None:
         found = policy("hot", "spare", "gone", "Restart")
-        assert policies.in_short(found, {"hot": hot(), "spare": spare()}) == (
+        assert policy_status.in_short(found, {"hot": hot(), "spare": spare()}) == (
             "Executing, Uninitialized, Fallback/gone, Restart"
         )
 
     def test_a_bad_tree_is_refused_with_its_place(self) -> None:
         found = policy("Restart", tree={"parallel": [{"topic": {"name": "/scan", "gap": "500 parsecs"}}]})
-        (accepted,) = policies.conditions(found, {}, {})
+        (accepted,) = policy_status.conditions(found, {}, {})
         assert (accepted.status, accepted.reason) == ("False", "TreeInvalid")
         assert "spec.monitoring.yaml.parallel[0].topic" in accepted.message
 
@@ -193,23 +186,23 @@ class TestPolicies:
         found = policy("Restart")
         tree = '<root BTCPP_format="4">\n<BehaviorTree ID="A">\n  <Topic topic="/scan" gap="500 parsecs"/></BehaviorTree></root>'
         found["spec"]["monitoring"] = {"xml": tree}
-        (accepted,) = policies.conditions(found, {}, {})
+        (accepted,) = policy_status.conditions(found, {}, {})
         assert (accepted.status, accepted.reason) == ("False", "TreeInvalid")
         assert accepted.message.startswith(
             "spec.monitoring.xml, line 3, column 3: <Topic> gap: '500 parsecs' is not a duration"
         )
         found["spec"]["monitoring"] = {"xml": tree.replace("500 parsecs", "500ms")}
-        assert policies.problem(found, {}) is None
+        assert policy_status.problem(found, {}) is None
 
     def test_a_bad_tree_in_openscenario_is_refused_with_its_line(self) -> None:
         found = policy("Restart")
         tree = 'import osc.understudy\nscenario healthy:\n    do topic("/scan", gap: 500parsec)\n'
         found["spec"]["monitoring"] = {"osc": tree}
-        (accepted,) = policies.conditions(found, {}, {})
+        (accepted,) = policy_status.conditions(found, {}, {})
         assert (accepted.status, accepted.reason) == ("False", "TreeInvalid")
         assert accepted.message.startswith("spec.monitoring.osc, line 3, column 28: topic() gap: found 500parsec, and")
         found["spec"]["monitoring"] = {"osc": tree.replace("500parsec", "500ms")}
-        assert policies.problem(found, {}) is None
+        assert policy_status.problem(found, {}) is None
 
     @pytest.mark.parametrize(
         "monitoring",
@@ -218,54 +211,54 @@ class TestPolicies:
     def test_no_tree_and_two_trees_are_refused(self, monitoring: Object) -> None:
         found = policy("Restart")
         found["spec"]["monitoring"] = monitoring
-        (accepted,) = policies.conditions(found, {}, {})
+        (accepted,) = policy_status.conditions(found, {}, {})
         assert (accepted.status, accepted.reason) == ("False", "SpecInvalid")
         assert "give exactly one of yaml, xml, osc and configMapKeyRef" in accepted.message
 
     def test_a_missing_pool_is_told_with_what_was_meant(self) -> None:
-        (accepted,) = policies.conditions(policy("hott"), {"hot": hot()}, {})
+        (accepted,) = policy_status.conditions(policy("hott"), {"hot": hot()}, {})
         assert (accepted.status, accepted.reason) == ("False", "PoolNotFound")
         assert 'did you mean "hot"?' in accepted.message
 
     def test_a_good_one_is_accepted(self) -> None:
-        assert policies.conditions(policy("hot", "Restart"), {"hot": hot()}, {})[0].status == "True"
+        assert policy_status.conditions(policy("hot", "Restart"), {"hot": hot()}, {})[0].status == "True"
 
     def test_waiting_for_a_standby_of_one_s_own_is_told_to_be_in_vain(self) -> None:
         found = policy("hot", "spare")
         found["spec"]["strategies"][1]["waitFor"] = "10s"
         given = {"hot": hot(), "spare": spare()}
-        assert policies.conditions(found, given, {})[0].status == "True"
+        assert policy_status.conditions(found, given, {})[0].status == "True"
         found["spec"]["strategies"][0]["waitFor"] = "1s"
-        (accepted,) = policies.conditions(found, given, {})
+        (accepted,) = policy_status.conditions(found, given, {})
         assert (accepted.status, accepted.reason) == ("False", "PoolNotShared")
         assert accepted.message.startswith("spec.strategies[0].waitFor: FallbackPool hot is Executing")
-        assert policies.problem(found, {}) is None, "the rest of the policy is followed"
+        assert policy_status.problem(found, {}) is None, "the rest of the policy is followed"
 
 
 class TestRobots:
     def test_managed_external_and_multicast(self) -> None:
-        managed = robots.ros_environment(Ros(), "10.0.0.1")
+        managed = ros_environment.ros_environment(Ros(), "10.0.0.1")
         assert managed["ROS_DISCOVERY_SERVER"] == "10.0.0.1:11811"
-        assert robots.ros_environment(Ros(), "fd00::1")["ROS_DISCOVERY_SERVER"] == "[fd00::1]:11811"
+        assert ros_environment.ros_environment(Ros(), "fd00::1")["ROS_DISCOVERY_SERVER"] == "[fd00::1]:11811"
         external = Ros.model_validate({"domainId": 5, "discovery": {"mode": "External", "server": "h:1"}})
-        assert robots.ros_environment(external, None)["ROS_DISCOVERY_SERVER"] == "h:1"
-        assert robots.ros_environment(external, None)["ROS_DOMAIN_ID"] == "5"
+        assert ros_environment.ros_environment(external, None)["ROS_DISCOVERY_SERVER"] == "h:1"
+        assert ros_environment.ros_environment(external, None)["ROS_DOMAIN_ID"] == "5"
         multicast = Ros.model_validate({"discovery": {"mode": "Multicast"}})
-        assert "ROS_DISCOVERY_SERVER" not in robots.ros_environment(multicast, None)
+        assert "ROS_DISCOVERY_SERVER" not in ros_environment.ros_environment(multicast, None)
 
     def test_a_service_without_an_address_is_none(self) -> None:
-        assert discovery.address(None) is None
-        assert discovery.address({"spec": {"clusterIP": "None"}}) is None
-        assert discovery.address({"spec": {"clusterIP": "10.0.0.1"}}) == "10.0.0.1"
+        assert discovery_server.address(None) is None
+        assert discovery_server.address({"spec": {"clusterIP": "None"}}) is None
+        assert discovery_server.address({"spec": {"clusterIP": "10.0.0.1"}}) == "10.0.0.1"
 
 
 class TestMonitors:
     def test_the_account_is_what_the_admission_policy_recognizes(self) -> None:
-        (_, account), *_ = monitors.access("w", source=("ReplicaSet", "w"), policy="p", pools=[])
+        (_, account), *_ = monitor_deployment.access("w", source=("ReplicaSet", "w"), policy="p", pools=[])
         assert account["metadata"]["name"] == "w" + names.MONITOR_ACCOUNT_ENDING
 
     def test_a_referred_controller_is_read_and_never_scaled(self) -> None:
-        role = dict(monitors.access("w", source=("StatefulSet", "arm"), policy="p", pools=[]))["Role"]
+        role = dict(monitor_deployment.access("w", source=("StatefulSet", "arm"), policy="p", pools=[]))["Role"]
         rules = {tuple(rule["resources"]): rule for rule in role["rules"]}
         assert rules["statefulsets",]["resourceNames"] == ["arm"]
         assert set(rules["statefulsets",]["verbs"]) == {"get", "list", "watch"}
@@ -315,5 +308,5 @@ class TestReferences:
         other = {"metadata": {"name": "x-1", "uid": "r2", "ownerReferences": [{"uid": "z", "controller": True}]}}
         mine = pod("a", owner={"uid": "r1", "controller": True})
         pods = [mine, pod("b", owner={"uid": "r2", "controller": True}), pod("c")]
-        assert references.controlled(deployment, [own, other], pods) == [mine]
-        assert references.controlled({"metadata": {"uid": "r2"}}, [], pods) == [pods[1]]
+        assert workload_reference.controlled(deployment, [own, other], pods) == [mine]
+        assert workload_reference.controlled({"metadata": {"uid": "r2"}}, [], pods) == [pods[1]]

@@ -27,15 +27,18 @@ from tests.unit.controller.world import (
     workload,
 )
 from understudy.api import names
-from understudy.cluster import claims
-from understudy.cluster.client import NETWORK_POLICIES, PODS, POOLS, WORKLOADS, Client, Object
-from understudy.controller import affected, instances, objects, ownership, pools, poolstatuses
-from understudy.controller.desired import Plan
-from understudy.controller.expectations import LASTS, Expectations
-from understudy.controller.observing import Observer
-from understudy.controller.stores import Store
-from understudy.mitigation.progress import Progress
-from understudy.mitigation.waiting import Waiter
+from understudy.controller.desired.plan import Plan
+from understudy.controller.observed import kube_objects, ownership
+from understudy.controller.pods import instance_pod, pool_pods
+from understudy.controller.pods.expectations import LASTS, Expectations
+from understudy.controller.reconcile import change_index
+from understudy.controller.reconcile.observer import Observer
+from understudy.controller.runtime.object_store import Store
+from understudy.controller.status import pool_status
+from understudy.failover.pool_queue import Waiter
+from understudy.failover.progress import Progress
+from understudy.kube import claims
+from understudy.kube.client import NETWORK_POLICIES, PODS, POOLS, WORKLOADS, Client, Object
 
 
 def observe(
@@ -50,10 +53,10 @@ def observe(
     source: Object | None = None,
     source_selector: Object | None = None,
     waiting: Sequence[Waiter] = (),
-) -> pools.Observed:
-    return pools.Observed(
+) -> pool_pods.Observed:
+    return pool_pods.Observed(
         pool=pool,
-        workloads={objects.name(item): item for item in workloads},
+        workloads={kube_objects.name(item): item for item in workloads},
         pods=pods,
         owned=owned or {},
         now=now,
@@ -65,21 +68,21 @@ def observe(
     )
 
 
-def plan(observed: pools.Observed) -> Plan:
-    return pools.plan(observed, pools.understand(observed, IMAGES), Names().fresh())
+def plan(observed: pool_pods.Observed) -> Plan:
+    return pool_pods.plan(observed, pool_pods.understand(observed, IMAGES), Names().fresh())
 
 
 def present(pool: Object) -> str:
-    built = pools.understand(observe(pool), IMAGES).built
+    built = pool_pods.understand(observe(pool), IMAGES).built
     assert built is not None
-    return instances.template_hash(built)
+    return instance_pod.template_hash(built)
 
 
-def status(observed: pools.Observed) -> Object:
-    return poolstatuses.status(observed, pools.understand(observed, IMAGES), [])
+def status(observed: pool_pods.Observed) -> Object:
+    return pool_status.status(observed, pool_pods.understand(observed, IMAGES), [])
 
 
-def condition(observed: pools.Observed, type_: str) -> Object:
+def condition(observed: pool_pods.Observed, type_: str) -> Object:
     found: Object = next(c for c in status(observed)["conditions"] if c["type"] == type_)
     return found
 
@@ -93,7 +96,7 @@ def test_an_empty_pool_is_filled() -> None:
         assert labels[names.HELD] == "true"
         assert names.WORKLOAD not in labels
         assert labels[names.PART] == claims.part(pod["metadata"]["name"])
-        assert ownership.controls(objects.uid(pool), pod)
+        assert ownership.controls(kube_objects.uid(pool), pod)
 
 
 def test_pods_that_were_created_and_not_seen_yet_count() -> None:
@@ -129,12 +132,12 @@ def test_a_claimed_pod_gets_into_control_before_another_is_started_in_its_place(
     pool = spare(replicas=1)
     claimed = claimed_pod("robot-1-claimed", of=pool, by=workload())
     claimed["metadata"].setdefault("annotations", {})[names.CLAIMED_AT] = str(int(NOW - ago))
-    active = frozenset({objects.uid(claimed)}) if drives else frozenset()
+    active = frozenset({kube_objects.uid(claimed)}) if drives else frozenset()
     found = plan(observe(pool, [claimed], active=active))
     assert len(created(found, "pods")) == made
     if not made:
         assert found.again_after is not None
-        assert 0 < found.again_after <= pools.FIRST_THE_CLAIMED
+        assert 0 < found.again_after <= pool_pods.FIRST_THE_CLAIMED
 
 
 def claimed_ago(pool: Object, name: str, ago: float) -> Object:
@@ -150,7 +153,7 @@ def test_where_claims_keep_coming_the_pool_fills_up_behind_them() -> None:
     claims = [claimed_ago(pool, f"robot-{ago}-claimed", ago) for ago in (1, 3, 60)]
     found = plan(observe(pool, [left, *claims]))
     assert len(created(found, "pods")) == 1, "in the place of the one that was claimed a minute ago"
-    assert found.again_after == pytest.approx(pools.FIRST_THE_CLAIMED - 3, abs=1), "when the next one is due"
+    assert found.again_after == pytest.approx(pool_pods.FIRST_THE_CLAIMED - 3, abs=1), "when the next one is due"
 
 
 def test_claims_of_which_the_pods_are_all_there_hold_nothing_back() -> None:
@@ -236,7 +239,7 @@ class TestAChangeOfTheTemplate:
         pool = spare(replicas=4, updateStrategy={"minReady": least})
         pods = self.pods(pool, old=old, new=new, starting=4 - new)
         made = plan(observe(pool, pods))
-        left = [pod for pod in pods if objects.name(pod) not in deleted(made) and objects.ready(pod)]
+        left = [pod for pod in pods if kube_objects.name(pod) not in deleted(made) and kube_objects.ready(pod)]
         could = sum(pod["metadata"]["labels"][names.TEMPLATE_HASH] == self.claimable(made) for pod in left)
         assert could >= min(least, 4, max(old, new))
         assert len(left) >= min(least, 4, old + new)
@@ -447,10 +450,12 @@ class TestNumbers:
         ready["metadata"]["resourceVersion"] = "99"
         for resource, found in ((PODS, driving), (PODS, own), (NETWORK_POLICIES, gate(item, active=driving, epoch=2))):
             store.put(resource, found)
-        seen: list[set[affected.Key]] = []
-        store.noticed = lambda sight: seen.append(affected.keys(sight, store))
+        seen: list[set[change_index.Key]] = []
+        store.noticed = lambda sight: seen.append(change_index.keys(sight, store))
         store.put(PODS, ready)
-        assert seen == [{affected.Key("fallbackpools", "fleet", "hot"), affected.Key("robotworkloads", "fleet", "w")}]
+        assert seen == [
+            {change_index.Key("fallbackpools", "fleet", "hot"), change_index.Key("robotworkloads", "fleet", "w")}
+        ]
 
     async def test_what_a_referred_controller_makes_is_no_standby(self) -> None:
         item, pool = workload(workloadRef={"kind": "Deployment", "name": "nav2"}), hot(per_workload=1)
@@ -459,12 +464,12 @@ class TestNumbers:
         assert numbers(seen[0]) == {"replicas": 0, "desired": 1, "ready": 0, "claimed": 1}
 
 
-def numbers(observed: pools.Observed) -> Object:
+def numbers(observed: pool_pods.Observed) -> Object:
     found = status(observed)
     return {key: found[key] for key in ("replicas", "desired", "ready", "claimed")}
 
 
-async def sight(*items: Object) -> list[pools.Observed]:
+async def sight(*items: Object) -> list[pool_pods.Observed]:
     """What is seen of the pools among these objects, as the operator's stores have it."""
     store = Store()
     resources = {"RobotWorkload": WORKLOADS, "FallbackPool": POOLS, "NetworkPolicy": NETWORK_POLICIES, "Pod": PODS}
@@ -477,9 +482,9 @@ async def sight(*items: Object) -> list[pools.Observed]:
 def test_gates_tell_which_pods_are_driving() -> None:
     item = workload()
     active = source_pod("w-a")
-    assert objects.active(gate(item, active=active, epoch=1)) == ("w-a", "uid-w-a")
-    assert objects.active(gate(item)) == ("", "")
-    assert objects.active(None) == ("", "")
+    assert kube_objects.active(gate(item, active=active, epoch=1)) == ("w-a", "uid-w-a")
+    assert kube_objects.active(gate(item)) == ("", "")
+    assert kube_objects.active(None) == ("", "")
 
 
 def test_standbys_that_are_not_ready_say_where_it_is_told_why() -> None:
@@ -511,13 +516,13 @@ class TestAPoolThatHasRunDry:
         posing = self.gate(self.place("x"))  # each speaks for itself only
         posing["metadata"]["annotations"] = self.gate(self.place("w", priority=1000))["metadata"]["annotations"]
         gates = [*map(self.gate, places), gate(workload("w")), posing]
-        assert [w.workload for w in pools.queue("spare", gates, NOW)] == ["b", "c", "a"]
-        assert pools.queue("other", gates, NOW) == []
+        assert [w.workload for w in pool_pods.queue("spare", gates, NOW)] == ["b", "c", "a"]
+        assert pool_pods.queue("other", gates, NOW) == []
 
     def test_a_note_that_can_not_be_read_is_none(self) -> None:
         found = self.gate(self.place("a"))
         found["metadata"]["annotations"][names.RECOVERY] = "{"
-        assert pools.queue("spare", [found], NOW) == []
+        assert pool_pods.queue("spare", [found], NOW) == []
 
     def test_it_says_who_waits_in_order(self) -> None:
         waiting = [self.place("b", priority=100), self.place("a")]

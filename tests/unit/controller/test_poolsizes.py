@@ -10,14 +10,15 @@ import pytest
 
 from tests.unit.controller.test_pools import condition, created, deleted, observe, plan, present, status
 from tests.unit.controller.world import IMAGES, NOW, held_pod, policy, spare, stamp, workload
-from understudy.cluster.client import POLICIES, POOLS, WORKLOADS, Object
-from understudy.controller import affected, pools, poolsizes
-from understudy.controller.affected import Key
-from understudy.controller.expectations import Expectations
-from understudy.controller.observing import Observer
-from understudy.controller.poolsizes import Seen
-from understudy.controller.stores import Sight, Store
-from understudy.sizing.steering import REST
+from understudy.advice.adaptive_size import REST
+from understudy.controller.pods import pool_pods, pool_size
+from understudy.controller.pods.expectations import Expectations
+from understudy.controller.pods.pool_size import Seen
+from understudy.controller.reconcile import change_index
+from understudy.controller.reconcile.change_index import Key
+from understudy.controller.reconcile.observer import Observer
+from understudy.controller.runtime.object_store import Sight, Store
+from understudy.kube.client import POLICIES, POOLS, WORKLOADS, Object
 
 HOUR = 3600.0
 
@@ -51,10 +52,10 @@ def robot(name: str = "w", *recoveries: Object, age: float = 10 * HOUR, count: i
 
 
 def seen(*asking: Object, history: float = 24 * HOUR) -> Seen:
-    return poolsizes.seen("spare", asking, NOW - history, NOW)
+    return pool_size.seen("spare", asking, NOW - history, NOW)
 
 
-def observed(pool: Object, *asking: Object, now: float = NOW, pods: list[Object] | None = None) -> pools.Observed:
+def observed(pool: Object, *asking: Object, now: float = NOW, pods: list[Object] | None = None) -> pool_pods.Observed:
     return replace(observe(pool, pods or [], workloads=asking, now=now), asking=asking)
 
 
@@ -153,7 +154,7 @@ class TestTheSize:
     def test_it_is_looked_at_again_since_that_nothing_fails_tells_something_too(self) -> None:
         pool = sized(min=0)
         pool["status"] = kept(0)
-        assert plan(observed(pool)).again_after == poolsizes.LOOK_AGAIN
+        assert plan(observed(pool)).again_after == pool_size.LOOK_AGAIN
 
     def test_a_spec_that_can_not_be_understood_keeps_what_was_decided(self) -> None:
         pool = told(sized(), robot("w"))
@@ -166,12 +167,12 @@ class TestTheSize:
         pool = spare(replicas=3)
         pool["status"] = kept(7)
         found = status(observed(pool, robot("w")))
-        assert found["desired"] == poolsizes.size(pool) == 3
+        assert found["desired"] == pool_size.size(pool) == 3
         assert "sizing" not in found
 
     def test_before_it_was_decided_it_is_the_least(self) -> None:
-        assert poolsizes.size(sized(min=2)) == 2
-        assert poolsizes.size(told(sized(min=2, max=2), robot("w"))) == 2
+        assert pool_size.size(sized(min=2)) == 2
+        assert pool_size.size(told(sized(min=2, max=2), robot("w"))) == 2
 
 
 class TestWhatIsSaid:
@@ -225,13 +226,13 @@ class TestWhatIsSaid:
 
     def test_a_change_is_told_once(self) -> None:
         pool = told(sized(), robot("w"))
-        found = poolsizes.sized(pool, pools.understand(observed(pool), IMAGES).spec, [], NOW)  # type: ignore[arg-type]
+        found = pool_size.sized(pool, pool_pods.understand(observed(pool), IMAGES).spec, [], NOW)  # type: ignore[arg-type]
         assert found is not None
-        assert poolsizes.change(found) is None
+        assert pool_size.change(found) is None
         pool["status"]["sizing"]["size"] = 0
-        found = poolsizes.sized(pool, pools.understand(observed(pool), IMAGES).spec, [robot("w")], NOW)  # type: ignore[arg-type]
+        found = pool_size.sized(pool, pool_pods.understand(observed(pool), IMAGES).spec, [robot("w")], NOW)  # type: ignore[arg-type]
         assert found is not None
-        text = poolsizes.change(found)
+        text = pool_size.change(found)
         assert text is not None
         assert text.startswith("from 0 to 1 pods: 1 robot asked for none")
 
@@ -268,9 +269,9 @@ class TestWhoTakesFromIt:
             store.put(POOLS, pool)
         before, after = robot("w"), robot("w", *failed(1))
         key = Key(POOLS.plural, "fleet", "spare")
-        assert affected.keys(Sight(WORKLOADS, before, after), store) == {Key(WORKLOADS.plural, "fleet", "w"), key}
+        assert change_index.keys(Sight(WORKLOADS, before, after), store) == {Key(WORKLOADS.plural, "fleet", "w"), key}
         same = before | {"status": before["status"] | {"health": "Healthy"}}
-        assert affected.keys(Sight(WORKLOADS, before, same), store) == {Key(WORKLOADS.plural, "fleet", "w")}
+        assert change_index.keys(Sight(WORKLOADS, before, same), store) == {Key(WORKLOADS.plural, "fleet", "w")}
 
 
 def test_counting_a_fleet_takes_little() -> None:

@@ -18,8 +18,9 @@ from tests.unit.controller.world import (
     standby_pod,
     workload,
 )
-from understudy.cluster.client import Object
-from understudy.controller import instances, policies
+from understudy.controller.pods import instance_pod
+from understudy.controller.status import policy_status
+from understudy.kube.client import Object
 
 INACTIVE = {"yaml": {"set_lifecycle": {"node": "/amcl", "state": "inactive"}}, "within": "20s"}
 CHECK = {"yaml": {"lifecycle_is": {"node": "/amcl", "state": "inactive"}}, "period": "2s"}
@@ -54,7 +55,7 @@ def test_a_mistake_in_bring_up_is_told_and_what_is_there_stays() -> None:
 def test_a_mistake_in_a_recovery_is_told_in_the_policy() -> None:
     found = policy("Restart", "Restart")
     found["spec"]["strategies"][1]["recovery"] = {"yaml": {"restore_state": {"onyl": ["/amcl_pose"]}}}
-    problem = policies.problem(found, {})
+    problem = policy_status.problem(found, {})
     assert problem is not None
     assert problem.reason == "TreeInvalid"
     assert problem.message == (
@@ -93,7 +94,7 @@ def standing(spec: Object) -> tuple[World, Object]:
     world.build()
     built = world.understood().builts["warm"]
     driving = source_pod("w-a")
-    ready = standby_pod("w-s", of=workload(), pool="warm", template_hash=instances.template_hash(built))
+    ready = standby_pod("w-s", of=workload(), pool="warm", template_hash=instance_pod.template_hash(built))
     world.pods = [driving, ready]
     world.own(gate(world.workload, active=driving, epoch=1))
     world.others = [policy("warm"), changed(spec)]
@@ -178,13 +179,13 @@ def test_a_mistake_in_another_language_is_told_with_its_place() -> None:
     found["spec"]["strategies"][0]["recovery"] = {
         "osc": "import osc.understudy\nscenario back:\n    do restore_stat()\n"
     }
-    problem = policies.problem(found, {})
+    problem = policy_status.problem(found, {})
     assert problem is not None
     assert problem.message == (
         "spec.strategies[0].recovery.osc, line 3, column 8: restore_stat(): unknown behaviour, did you mean 'restore_state'?"
     )
     pool = warm(readinessCheck=in_xml('<SetLifecycle node="/amcl" state="active"/>') | {"period": "1s"})
-    refused = policies.pool_problem(pool)
+    refused = policy_status.pool_problem(pool)
     assert refused is not None
     assert refused.message == (
         "spec.readinessCheck.xml, line 3, column 1: <SetLifecycle>: isn't for checks: a check only looks; it belongs into a procedure"
@@ -202,5 +203,5 @@ def test_standbys_stay_where_a_procedure_is_written_in_another_language_and_does
     short = World(workload(), policy("warm"), warm())
     other = in_xml('<SetLifecycle node="/amcl" state="inactive"/>')
     world = World(workload(), policy("warm"), hot("warm", readiness="Initialized", initialization=other))
-    hashes = [instances.template_hash(one.understood().builts["warm"]) for one in (short, world)]
+    hashes = [instance_pod.template_hash(one.understood().builts["warm"]) for one in (short, world)]
     assert hashes[0] == hashes[1]

@@ -19,8 +19,8 @@ from tests.unit.controller.world import (
     standby_pod,
     workload,
 )
-from understudy.cluster.client import Object
-from understudy.controller import statuses
+from understudy.controller.status import workload_status
+from understudy.kube.client import Object
 
 
 def world(*others: Object, standby: Object | None = None, **active: object) -> World:
@@ -87,7 +87,7 @@ def test_not_protected_while_the_monitor_would_recover_nothing(
     protected = found.condition("Protected")
     assert (protected["status"], protected["reason"]) == ("False", reason)
     assert protected["message"] == f"That is so. {outlook}"
-    told = [c["type"] for c in statuses.transitions({"status": before}, found.status())]
+    told = [c["type"] for c in workload_status.transitions({"status": before}, found.status())]
     assert "Protected" not in told, "the monitor tells of it"
     said["status"] = {"True": "False", "False": "True"}[status]
     assert found.condition("Protected")["status"] == "True"

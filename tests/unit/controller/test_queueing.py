@@ -6,7 +6,7 @@ import asyncio
 
 import pytest
 
-from understudy.controller.queueing import Queue
+from understudy.controller.runtime.work_queue import Queue
 
 
 async def drain(queue: Queue[str], wait: float = 0.02) -> list[str]:

@@ -6,11 +6,13 @@ import copy
 from typing import Any
 
 from tests.unit.controller.world import workload
-from understudy.api import fencing, names
-from understudy.api.workloads import RobotWorkloadSpec
-from understudy.cluster.client import Object
-from understudy.controller import instances, reflexes, robots, tasking
-from understudy.controller.desired import Images
+from understudy.api import names
+from understudy.api.kinds.robot_workload import RobotWorkloadSpec
+from understudy.api.protocol import freeze_script
+from understudy.controller.desired import action_proxy_container, reflex_validation, ros_environment
+from understudy.controller.desired.plan import Images
+from understudy.controller.pods import instance_pod
+from understudy.kube.client import Object
 
 CMD_VEL = {"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist"}
 LAMP = {"topic": "/lamp", "type": "std_msgs/msg/Bool"}
@@ -24,7 +26,7 @@ def spec(outputs: list[Object], *, accept: list[str] | None = None, **more: Any)
 
 
 def problem(found: RobotWorkloadSpec) -> str:
-    return reflexes.problem(found, found.template or {}) or ""
+    return reflex_validation.problem(found, found.template or {}) or ""
 
 
 def test_one_topic_is_safe() -> None:
@@ -53,19 +55,21 @@ def test_pods_that_cannot_be_given_a_strength_are_refused() -> None:
     assert own.template is not None
     template = copy.deepcopy(own.template)
     template["spec"]["containers"][0]["env"] = [{"name": names.PROFILES_VARIABLE, "value": "/mine.xml"}]
-    assert names.PROFILES_VARIABLE in (reflexes.problem(own, template) or "")
+    assert names.PROFILES_VARIABLE in (reflex_validation.problem(own, template) or "")
 
 
 def test_a_strength_is_put_in_before_any_process_starts_and_the_robot_chooses_by_it() -> None:
     found = spec([CMD_VEL])
-    profiles = tasking.instance_profiles(found)
+    profiles = action_proxy_container.instance_profiles(found)
     assert f"<value>${{{names.STRENGTH_VARIABLE}}}</value>" in profiles
-    recipe = instances.Recipe(
+    recipe = instance_pod.Recipe(
         workload="w", namespace="fleet", images=Images("monitor"), secret="w-agent", profiles=profiles
     )
-    pod = instances.build(found.template or {}, recipe)["spec"]
+    pod = instance_pod.build(found.template or {}, recipe)["spec"]
     assert [c["name"] for c in pod["initContainers"]] == [names.INIT_CONTAINER]
-    robot = robots.config_maps("w", {}, found.outputs, found.gate.reflex)[1]["data"][robots.PROFILES_KEY]
+    robot = ros_environment.config_maps("w", {}, found.outputs, found.gate.reflex)[1]["data"][
+        ros_environment.PROFILES_KEY
+    ]
     assert "<kind>EXCLUSIVE</kind>" in robot
 
 
@@ -73,14 +77,14 @@ def built(**more: Any) -> Object:
     found = spec([CMD_VEL])
     template = copy.deepcopy(found.template or {})
     template["spec"] |= more
-    recipe = instances.Recipe(
+    recipe = instance_pod.Recipe(
         workload="w",
         namespace="fleet",
         images=Images("monitor"),
         secret="w-agent",
-        profiles=tasking.instance_profiles(found),
+        profiles=action_proxy_container.instance_profiles(found),
     )
-    pod: Object = instances.build(template, recipe)["spec"]
+    pod: Object = instance_pod.build(template, recipe)["spec"]
     return pod
 
 
@@ -96,7 +100,7 @@ def test_the_agent_can_hold_containers_whose_command_is_known() -> None:
         ]
     )
     drive, lamp, agent = pod["containers"]
-    assert drive["command"] == fencing.fenced_command("drive", ["python3", "drive.py"], ["--fast"], scope="all")
+    assert drive["command"] == freeze_script.fenced_command("drive", ["python3", "drive.py"], ["--fast"], scope="all")
     assert "args" not in drive
     assert (lamp.get("command"), lamp["args"]) == (None, ["--on"])
     assert environment(agent)[names.FENCED_VARIABLE] == "drive"
@@ -121,8 +125,8 @@ def test_a_sidecar_among_the_init_containers_is_of_the_robots_graph_and_not_held
 def test_a_sidecar_of_a_held_pod_is_left_as_it_is() -> None:
     bridge = {"name": "bridge", "image": "b", "restartPolicy": "Always"}
     template = {"spec": {"containers": [{"name": "drive", "image": "i", "command": ["d"]}], "initContainers": [bridge]}}
-    recipe = instances.Recipe(workload="", namespace="n", images=Images("m"), secret="s", pool="spare", held=True)
-    assert instances.build(template, recipe)["spec"]["initContainers"] == [bridge]
+    recipe = instance_pod.Recipe(workload="", namespace="n", images=Images("m"), secret="s", pool="spare", held=True)
+    assert instance_pod.build(template, recipe)["spec"]["initContainers"] == [bridge]
 
 
 def test_in_a_shared_process_namespace_the_rest_of_the_pod_is_left_alone() -> None:
@@ -133,8 +137,8 @@ def test_in_a_shared_process_namespace_the_rest_of_the_pod_is_left_alone() -> No
 
 def test_without_a_reflex_the_command_is_the_users() -> None:
     plain = RobotWorkloadSpec.model_validate(workload("w")["spec"])
-    recipe = instances.Recipe(workload="w", namespace="fleet", images=Images("monitor"), secret="w-agent")
+    recipe = instance_pod.Recipe(workload="w", namespace="fleet", images=Images("monitor"), secret="w-agent")
     before = (plain.template or {})["spec"]["containers"][0]
-    after = instances.build(plain.template or {}, recipe)["spec"]["containers"]
+    after = instance_pod.build(plain.template or {}, recipe)["spec"]["containers"]
     assert after[0].get("command") == before.get("command")
     assert names.FENCED_VARIABLE not in environment(after[1])

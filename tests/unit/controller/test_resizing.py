@@ -9,12 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.unit.controller.world import World, gate, policy, source_pod, workload
-from understudy.api.degraded import Resize
+from understudy.api.kinds.degraded_spec import Resize
 from understudy.api.quantities import amount
-from understudy.cluster.client import STRATEGIC, Object
-from understudy.controller import resizing
-from understudy.controller.desired import Patch, Problem
-from understudy.controller.resizing import Outcome
+from understudy.controller.desired.plan import Patch, Problem
+from understudy.controller.reconcile import in_place_resize
+from understudy.controller.reconcile.in_place_resize import Outcome
+from understudy.kube.client import STRATEGIC, Object
 
 SLOW = {"requests": {"cpu": "50m"}, "limits": {"cpu": "200m", "memory": "256Mi"}}
 
@@ -44,7 +44,7 @@ def asking(*actions: Object) -> Object:
 
 
 def outcomes(made: World) -> list[Outcome]:
-    return resizing.outcomes(made.observed(), made.understood())
+    return in_place_resize.outcomes(made.observed(), made.understood())
 
 
 def only(made: World) -> Outcome:
@@ -81,7 +81,7 @@ def test_what_has_it_already_is_left_alone_and_told() -> None:
     made = world(MORE, pod=running(resources=enough))
     found = only(made)
     assert found.write is None
-    said = resizing.judged(made.observed(), [found])
+    said = in_place_resize.judged(made.observed(), [found])
     assert said is not None
     assert (said.status, said.reason) == ("True", "Resized")
     assert said.message == "container app of pod w-a has cpu 1500m."
@@ -91,7 +91,7 @@ def test_nothing_is_done_once_it_is_no_longer_degraded_or_the_policy_is_not_acce
     made = world(MORE)
     made.resized = None
     assert outcomes(made) == []
-    assert resizing.judged(made.observed(), []) is None
+    assert in_place_resize.judged(made.observed(), []) is None
     made = world(MORE)
     made.others[0]["spec"]["degraded"]["monitoring"]["yaml"] = {"topik": {}}
     assert outcomes(made) == []
@@ -152,9 +152,9 @@ def test_it_is_done_when_the_container_has_it_and_not_when_its_spec_says_so() ->
 def test_what_the_api_server_refuses_is_told_and_the_rest_is_said_of_what_is_not_done() -> None:
     made = world(MORE, {"resize": {"container": "understudy-agent", "cpu": "20m"}})
     first, second = outcomes(made)
-    refused = resizing.refused(first, Problem("Forbidden", "Pod w-a: exceeded quota"))
+    refused = in_place_resize.refused(first, Problem("Forbidden", "Pod w-a: exceeded quota"))
     assert (refused.reason, refused.write) == ("Refused", None)
-    said = resizing.judged(made.observed(), [refused, second])
+    said = in_place_resize.judged(made.observed(), [refused, second])
     assert said is not None
     assert (said.status, said.reason) == ("False", "Refused")
     assert "exceeded quota" in said.message
@@ -170,14 +170,14 @@ def test_nothing_is_ever_lowered_or_limited_anew_and_once_is_enough(
     requests: dict[str, str], limits: dict[str, str], amounts: dict[str, str]
 ) -> None:
     before = {"requests": requests, "limits": limits}
-    more = resizing.raised(before, amounts)
+    more = in_place_resize.raised(before, amounts)
     after = {kind: {**before[kind], **more.get(kind, {})} for kind in before}
     for kind in before:
         for resource, had in before[kind].items():
             assert amount(after[kind][resource]) >= amount(had)
     assert after["limits"].keys() == limits.keys()
     assert all(amount(after["requests"][resource]) >= amount(given_) for resource, given_ in amounts.items())
-    assert resizing.raised(after, amounts) == {}
+    assert in_place_resize.raised(after, amounts) == {}
 
 
 @pytest.mark.parametrize("resize", [{}, {"container": "app"}, {"cpu": "0"}, {"cpu": "1 core"}, {"memory": "1"}])
@@ -191,13 +191,13 @@ class TestStatus:
         made = world(MORE)
         active = source_pod("w-a")
         made.own(gate(made.workload, active=active, epoch=1))
-        from understudy.controller import statuses
-        from understudy.controller.reconciling import _says
+        from understudy.controller.reconcile.reconciler import _says
+        from understudy.controller.status import workload_status
 
-        said = resizing.judged(made.observed(), outcomes(made))
-        status = statuses.status(made.observed(), made.understood(), (), said)
+        said = in_place_resize.judged(made.observed(), outcomes(made))
+        status = workload_status.status(made.observed(), made.understood(), (), said)
         assert [c["type"] for c in status["conditions"]][-1] == "Resized"
         item = {"status": {**status, "conditions": status["conditions"]}}
         assert _says(item, status)
-        without = statuses.status(made.observed(), made.understood(), ())
+        without = workload_status.status(made.observed(), made.understood(), ())
         assert not _says(item, without), "what isn't so any more is taken back"

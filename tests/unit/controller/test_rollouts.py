@@ -6,14 +6,15 @@ import pytest
 
 from tests.unit.controller import world
 from understudy.api import names
-from understudy.cluster import applying
-from understudy.cluster.client import CONFIG_MAPS, DEPLOYMENTS, PODS, WORKLOADS, Object
-from understudy.controller import metrics, objects
-from understudy.controller.affected import Key
-from understudy.controller.desired import Apply, Write
-from understudy.controller.rollouts import HOLD, LOOK, Rollouts
-from understudy.controller.running import options
-from understudy.controller.stores import Store
+from understudy.controller.desired.plan import Apply, Write
+from understudy.controller.observed import kube_objects
+from understudy.controller.reconcile.change_index import Key
+from understudy.controller.reconcile.rollouts import HOLD, LOOK, Rollouts
+from understudy.controller.runtime import operator_metrics
+from understudy.controller.runtime.object_store import Store
+from understudy.controller.runtime.process import options
+from understudy.kube import apply
+from understudy.kube.client import CONFIG_MAPS, DEPLOYMENTS, PODS, WORKLOADS, Object
 
 VERSIONS = iter(range(1000, 1_000_000))
 
@@ -32,7 +33,7 @@ class Fleet:
         for number in self.robots:
             self.store.put(WORKLOADS, world.workload(f"w-{number}"))
             for name in self.deployments(number):
-                self.put(DEPLOYMENTS, applying.stamped(self.deployment(name, "1")))
+                self.put(DEPLOYMENTS, apply.stamped(self.deployment(name, "1")))
                 self.pod(number, name, "1")
 
     @staticmethod
@@ -62,7 +63,7 @@ class Fleet:
         for pod in self.store.labelled(PODS, world.NAMESPACE, names.MONITORED, f"w-{number}"):
             self.store.remove(PODS, {**pod, "metadata": {**pod["metadata"], "resourceVersion": str(next(VERSIONS))}})
         for name in self.deployments(number):
-            self.put(DEPLOYMENTS, applying.stamped(self.deployment(name, image)))
+            self.put(DEPLOYMENTS, apply.stamped(self.deployment(name, image)))
             self.pod(number, name, image, ready=ready)
 
     def asks(self, number: int, image: str = "2") -> tuple[int, float | None]:
@@ -70,12 +71,12 @@ class Fleet:
         settings: Object = {"metadata": {"name": "settings"}}
         writes: list[Write] = [Apply(DEPLOYMENTS, self.deployment(name, image)) for name in self.deployments(number)]
         admitted, again = self.rollouts.admitted(key(number), [Apply(CONFIG_MAPS, settings), *writes])
-        assert any(objects.name(write.body) == "settings" for write in admitted if isinstance(write, Apply))
+        assert any(kube_objects.name(write.body) == "settings" for write in admitted if isinstance(write, Apply))
         return len(admitted) - 1, again
 
 
 def counted(state: str) -> float | None:
-    return metrics.REGISTRY.get_sample_value("understudy_monitor_rollouts", {"state": state})
+    return operator_metrics.REGISTRY.get_sample_value("understudy_monitor_rollouts", {"state": state})
 
 
 def test_a_share_of_the_fleet_is_replaced_at_once_and_the_next_ones_follow_when_it_is_ready() -> None:

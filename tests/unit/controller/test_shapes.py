@@ -9,8 +9,9 @@ import pytest
 
 from tests.unit.controller.world import IMAGES, NOW, TEMPLATE, Names, World, hot, policy, spare, workload
 from understudy.api import names
-from understudy.cluster.client import Object
-from understudy.controller import pools, poolstatuses
+from understudy.controller.pods import pool_pods
+from understudy.controller.status import pool_status
+from understudy.kube.client import Object
 
 
 def containing(**container: Any) -> Object:
@@ -25,10 +26,10 @@ def specifying(**spec: Any) -> Object:
 
 def accepted_of_pool(template: Object) -> Object:
     pool = spare(template=copy.deepcopy(template))
-    observed = pools.Observed(pool=pool, workloads={}, pods=[], owned={}, now=NOW)
-    understanding = pools.understand(observed, IMAGES)
-    pools.plan(observed, understanding, Names().fresh())
-    found: Object = poolstatuses.status(observed, understanding, [])["conditions"][0]
+    observed = pool_pods.Observed(pool=pool, workloads={}, pods=[], owned={}, now=NOW)
+    understanding = pool_pods.understand(observed, IMAGES)
+    pool_pods.plan(observed, understanding, Names().fresh())
+    found: Object = pool_status.status(observed, understanding, [])["conditions"][0]
     return found
 
 

@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.unit.controller.world import workload
-from understudy.cluster.client import WORKLOADS, Object
-from understudy.controller.sharing import REMEMBERED_SECONDS, Sharing
-from understudy.controller.stores import Store
+from understudy.controller.runtime.interning import REMEMBERED_SECONDS, Sharing
+from understudy.controller.runtime.object_store import Store
+from understudy.kube.client import WORKLOADS, Object
 
 VALUES = st.recursive(
     st.none() | st.booleans() | st.integers(-2, 2) | st.floats(-2, 2) | st.sampled_from(["", "a", "b", "1", "true"]),

@@ -23,12 +23,14 @@ from tests.unit.controller.world import (
     standby_pod,
     workload,
 )
-from understudy.api.settings import WorkloadSettings
-from understudy.cluster.client import POLICIES, POOLS, WORKLOADS, Object
-from understudy.controller import affected, objects, policies
-from understudy.controller.expectations import Expectations
-from understudy.controller.observing import Observer
-from understudy.controller.stores import Store
+from understudy.api.protocol.monitor_settings import WorkloadSettings
+from understudy.controller.observed import kube_objects
+from understudy.controller.pods.expectations import Expectations
+from understudy.controller.reconcile import change_index
+from understudy.controller.reconcile.observer import Observer
+from understudy.controller.runtime.object_store import Store
+from understudy.controller.status import policy_status
+from understudy.kube.client import POLICIES, POOLS, WORKLOADS, Object
 
 WHEN: Object = {"task": {"action": "/carry"}}
 
@@ -285,7 +287,7 @@ def test_a_policy_without_situations_says_nothing_of_them() -> None:
 
 
 def test_a_pool_that_no_situation_finds_is_told_with_its_place() -> None:
-    (found,) = policies.conditions(CARRYING, {"warm": warm(), "spare": spare()}, {})
+    (found,) = policy_status.conditions(CARRYING, {"warm": warm(), "spare": spare()}, {})
     assert (found.status, found.reason) == ("False", "PoolNotFound")
     assert found.message.startswith('spec.situations[0].strategies[0].poolRef.name: FallbackPool "hot" is not in')
 
@@ -293,14 +295,14 @@ def test_a_pool_that_no_situation_finds_is_told_with_its_place() -> None:
 def test_a_wait_for_a_standby_of_one_s_own_is_told_with_its_place() -> None:
     asked = situational(("carrying", ("hot",)))
     asked["spec"]["situations"][0]["strategies"][0]["waitFor"] = "5s"
-    (found,) = policies.conditions(asked, {"hot": hot(), "warm": warm(), "spare": spare()}, {})
+    (found,) = policy_status.conditions(asked, {"hot": hot(), "warm": warm(), "spare": spare()}, {})
     assert found.message.startswith("spec.situations[0].strategies[0].waitFor: FallbackPool hot is Executing")
 
 
 def test_a_tree_that_does_not_load_is_told_with_its_place() -> None:
     asked = situational(("carrying", ("hot",)))
     asked["spec"]["situations"][0]["when"] = {"yaml": {"topik": {}}}
-    found = policies.problem(asked, {})
+    found = policy_status.problem(asked, {})
     assert found is not None
     assert found.message.startswith("spec.situations[0].when.yaml.topik: unknown key 'topik'")
 
@@ -321,7 +323,7 @@ async def test_a_pool_wants_no_standby_of_a_workload_in_whose_situation_it_does_
 
 
 def test_pods_of_a_shared_pool_that_a_situation_names_concern_its_workloads() -> None:
-    assert affected.policies.named_pools(CARRYING) == ["warm", "spare", "hot", "spare"]
+    assert change_index.policy_status.named_pools(CARRYING) == ["warm", "spare", "hot", "spare"]
     assert created(world().plan(), "pods") == []
 
 
@@ -356,11 +358,13 @@ def test_in_whatever_order_situations_and_standbys_come_there_is_no_moment_witho
         assert made.condition("Protected")["status"] == "True"
         plan = made.build()
         gone = {name for name in deleted(plan) if name != "w-in-control"}
-        taken = {pod["metadata"]["labels"].get("understudy.dev/pool") for pod in made.pods if objects.name(pod) in gone}
+        taken = {
+            pod["metadata"]["labels"].get("understudy.dev/pool") for pod in made.pods if kube_objects.name(pod) in gone
+        }
         assert not taken & {*before, *order(plan)}, "the monitor may take one of them still"
-        made.pods = [pod for pod in made.pods if objects.name(pod) not in gone]
+        made.pods = [pod for pod in made.pods if kube_objects.name(pod) not in gone]
         made.pods += [
-            {**pod, "status": {"phase": "Running"}, "metadata": {"uid": objects.name(pod), **pod["metadata"]}}
+            {**pod, "status": {"phase": "Running"}, "metadata": {"uid": kube_objects.name(pod), **pod["metadata"]}}
             for pod in created(plan, "pods")
         ]
         assert made.condition("Protected")["status"] == "True"

@@ -22,8 +22,8 @@ from tests.unit.controller.world import (
     workload,
 )
 from understudy.api import names
-from understudy.cluster.client import Object
-from understudy.mitigation.progress import Progress
+from understudy.failover.progress import Progress
+from understudy.kube.client import Object
 
 
 class TestStandbys:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from tests.unit.controller.world import World, policy, workload
-from understudy.cluster.client import Object
-from understudy.controller import statuses
-from understudy.controller.desired import Problem
+from understudy.controller.desired.plan import Problem
+from understudy.controller.status import workload_status
+from understudy.kube.client import Object
 
 
 def test_a_taken_name_is_told_in_both_conditions() -> None:
@@ -18,12 +18,12 @@ def test_a_taken_name_is_told_in_both_conditions() -> None:
 def test_a_condition_keeps_its_time_until_its_status_changes() -> None:
     found = World(workload(), policy("Restart"))
     found.build()
-    first = statuses.timed(found.workload, found.status())
+    first = workload_status.timed(found.workload, found.status())
     for condition in first["conditions"]:
         condition["lastTransitionTime"] = "2020-01-01T00:00:00Z"
     found.workload["status"] = first
     found.monitors = []
-    second = {c["type"]: c for c in statuses.timed(found.workload, found.status())["conditions"]}
+    second = {c["type"]: c for c in workload_status.timed(found.workload, found.status())["conditions"]}
     assert second["Accepted"]["lastTransitionTime"] == "2020-01-01T00:00:00Z"
     assert second["Protected"]["lastTransitionTime"] != "2020-01-01T00:00:00Z"
 
@@ -34,7 +34,7 @@ class TestTransitions:
             return {"type": found[0], "status": found[1], "reason": found[2]}
 
         live = {"status": {"conditions": [wire(found) for found in before]}}
-        return len(statuses.transitions(live, {"conditions": [wire(after)]}))
+        return len(workload_status.transitions(live, {"conditions": [wire(after)]}))
 
     def test_what_is_only_not_finished_yet_is_no_event(self) -> None:
         assert self.told([], ("Protected", "False", "MonitorNotReady")) == 0

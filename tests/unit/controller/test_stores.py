@@ -8,7 +8,13 @@ import pytest
 
 from tests.unit.controller.world import held_pod, hot, pod, policy, source_pod, spare, standby_pod, workload
 from understudy.api import names
-from understudy.cluster.client import (
+from understudy.controller.observed import kube_objects, pod_diagnosis
+from understudy.controller.pods.expectations import LASTS, Expectations
+from understudy.controller.reconcile import change_index
+from understudy.controller.reconcile.change_index import Key
+from understudy.controller.runtime.object_store import Sight, Store
+from understudy.controller.runtime.resync import kept
+from understudy.kube.client import (
     CONFIG_MAPS,
     DEPLOYMENTS,
     NETWORK_POLICIES,
@@ -19,11 +25,6 @@ from understudy.cluster.client import (
     WORKLOADS,
     Object,
 )
-from understudy.controller import affected, objects, troubles
-from understudy.controller.affected import Key
-from understudy.controller.expectations import LASTS, Expectations
-from understudy.controller.resyncing import kept
-from understudy.controller.stores import Sight, Store
 
 
 def at(item: Object, version: int) -> Object:
@@ -119,8 +120,8 @@ def test_of_a_pods_status_only_what_tells_how_it_is_is_kept() -> None:
     store.put(PODS, at(item, 1))
     kept = store.get(PODS, "fleet", "a")
     assert kept is not None
-    assert objects.ready(kept)
-    assert troubles.trouble(kept) == troubles.trouble(item) is not None
+    assert kube_objects.ready(kept)
+    assert pod_diagnosis.trouble(kept) == pod_diagnosis.trouble(item) is not None
     assert "10.0.0.1" not in str(kept)
 
 
@@ -146,7 +147,7 @@ class TestAffected:
         return store
 
     def keys(self, sight: Sight) -> set[tuple[str, str]]:
-        return {(key.plural, key.name) for key in affected.keys(sight, self.store())}
+        return {(key.plural, key.name) for key in change_index.keys(sight, self.store())}
 
     def test_an_instance_means_its_workload(self) -> None:
         assert self.keys(Sight(PODS, None, source_pod("w-a"))) == {("robotworkloads", "w")}
@@ -166,7 +167,7 @@ class TestAffected:
         for others, known in ((0, True), (1, False)):
             if others:
                 store.put(PODS, held_pod("spare-b", of=pool))
-            found = {(key.plural, key.name) for key in affected.keys(first, store)}
+            found = {(key.plural, key.name) for key in change_index.keys(first, store)}
             assert ("fallbackpools", "spare") in found
             assert (("robotworkloads", "w") in found) is known
 
@@ -178,7 +179,7 @@ class TestAffected:
             store = self.store()
             store.put(POOLS, at(pool, 11))
             store.put(PODS, other)
-            found = affected.keys(Sight(PODS, None, held_pod("spare-a", of=spare())), store)
+            found = change_index.keys(Sight(PODS, None, held_pod("spare-a", of=spare())), store)
             assert Key("robotworkloads", "fleet", "w") in found
 
     @pytest.mark.parametrize("others", [0, 1])
@@ -198,7 +199,7 @@ class TestAffected:
             return labelled(*given)
 
         monkeypatch.setattr(store, "labelled", looking)
-        found = affected.of(Sight(PODS, before, claimed), store)
+        found = change_index.of(Sight(PODS, before, claimed), store)
         assert len(looks) == 1
         assert found.is_claim is bool(others)
         assert (Key("robotworkloads", "fleet", "w") in found.keys) is not bool(others)
@@ -231,8 +232,8 @@ class TestAffected:
         store.put(WORKLOADS, workload("r", workloadRef={"kind": "Deployment", "name": "nav2"}))
         owner = {"kind": "ReplicaSet", "name": "nav2-5d8f", "uid": "u", "controller": True}
         new = pod("nav2-5d8f-x", labels={"pod-template-hash": "5d8f"}, owner=owner)
-        assert affected.referring(PODS, new, store) == {Key("robotworkloads", "fleet", "r")}
-        assert affected.referring(PODS, pod("stranger"), store) == set()
+        assert change_index.referring(PODS, new, store) == {Key("robotworkloads", "fleet", "r")}
+        assert change_index.referring(PODS, pod("stranger"), store) == set()
 
     def test_a_referred_controller_means_also_the_pools_that_copy_its_template(self) -> None:
         store = Store()
@@ -240,8 +241,8 @@ class TestAffected:
         store.put(POOLS, spare(templateFrom={"workload": "r"}))
         found = {Key("robotworkloads", "fleet", "r"), Key("fallbackpools", "fleet", "spare")}
         deployment = {"kind": "Deployment", "metadata": {"name": "nav2", "namespace": "fleet"}}
-        assert affected.referring(DEPLOYMENTS, deployment, store) == found
-        assert set(affected.unlisted(store)) == found
+        assert change_index.referring(DEPLOYMENTS, deployment, store) == found
+        assert set(change_index.unlisted(store)) == found
 
 
 def test_expectations_last_until_they_are_settled_or_too_old() -> None:

@@ -7,12 +7,13 @@ from typing import Any
 from tests.unit.controller import world
 from understudy.api import names
 from understudy.api.conditions import Condition
-from understudy.api.policies import StormGuard
-from understudy.cluster.client import NETWORK_POLICIES, WORKLOADS, Object
-from understudy.controller import affected, policies, statuses, storms
-from understudy.controller.affected import Key
-from understudy.controller.stores import Sight, Store
-from understudy.mitigation.progress import Progress, rfc3339
+from understudy.api.kinds.failure_policy import StormGuard
+from understudy.controller.reconcile import change_index
+from understudy.controller.reconcile.change_index import Key
+from understudy.controller.runtime.object_store import Sight, Store
+from understudy.controller.status import policy_status, storm_detection, workload_status
+from understudy.failover.progress import Progress, rfc3339
+from understudy.kube.client import NETWORK_POLICIES, WORKLOADS, Object
 
 NOW = 1000.0
 GUARD = StormGuard(percent=50, workloads=3, within="10s")
@@ -27,7 +28,7 @@ def judged(*workloads: Object, live: Condition | None = None) -> tuple[Condition
     policy = world.policy("Restart")
     if live is not None:
         policy["status"] = {"conditions": [live.to_wire()]}
-    return storms.judge(policy, GUARD, [(workload, None) for workload in workloads], NOW)
+    return storm_detection.judge(policy, GUARD, [(workload, None) for workload in workloads], NOW)
 
 
 def gate(of: Object, progress: Progress | None) -> Object:
@@ -67,22 +68,24 @@ def test_those_that_failed_a_moment_ago_count_whatever_became_of_it_and_it_is_lo
 def test_a_planned_hand_over_is_no_failure() -> None:
     handed = robot(0)
     handed["status"]["recoveries"] = [{"moments": {"detected": rfc3339(NOW - 1)}, "planned": True}]
-    assert storms.counted_until(handed, None, NOW, 10.0) is None
+    assert storm_detection.counted_until(handed, None, NOW, 10.0) is None
     progress = Progress.begin("slow", last_healthy=NOW - 1, detected=NOW - 1, planned=True)
-    assert storms.counted_until(robot(1), gate(robot(1), progress), NOW, 10.0) is None
+    assert storm_detection.counted_until(robot(1), gate(robot(1), progress), NOW, 10.0) is None
 
 
 def test_a_failure_that_only_its_gate_tells_of_counts_like_one_that_the_status_tells_of() -> None:
     workload = robot(0, failed=NOW - 50)
     progress = Progress.begin("crashed", last_healthy=NOW - 1, detected=NOW - 0.5)
-    assert storms.counted_until(workload, gate(workload, None), NOW, 10.0) is None
-    until = storms.counted_until(workload, gate(workload, progress), NOW, 10.0)
+    assert storm_detection.counted_until(workload, gate(workload, None), NOW, 10.0) is None
+    until = storm_detection.counted_until(workload, gate(workload, progress), NOW, 10.0)
     assert until is not None
     assert round(until, 6) == NOW + 9.5
-    assert storms.counted_until(workload, gate(workload, progress), NOW + 9.5, 10.0) is None, "given up, or told since"
+    assert storm_detection.counted_until(workload, gate(workload, progress), NOW + 9.5, 10.0) is None, (
+        "given up, or told since"
+    )
     unreadable = gate(workload, None)
     unreadable["metadata"]["annotations"][names.RECOVERY] = "{"
-    assert storms.counted_until(workload, unreadable, NOW, 10.0) is None
+    assert storm_detection.counted_until(workload, unreadable, NOW, 10.0) is None
 
 
 def test_what_is_paused_neither_fails_nor_counts_as_well() -> None:
@@ -103,10 +106,10 @@ def test_it_is_told_when_it_begins_and_ends_and_not_before() -> None:
     calm, storm = judged(*fleet(0, 6))[0], judged(*fleet(6, 6))[0]
 
     def status(said: Condition) -> Object:
-        return policies.status(policy, pools={}, config_maps={}, users=[], storm=said)
+        return policy_status.status(policy, pools={}, config_maps={}, users=[], storm=said)
 
     def told(live: Object, desired: Object) -> list[tuple[str, str]]:
-        found = statuses.transitions(live, desired)
+        found = workload_status.transitions(live, desired)
         return [(c["type"], c["status"]) for c in found if c["type"] == "Storm"]
 
     assert told({}, status(calm)) == []
@@ -116,18 +119,18 @@ def test_it_is_told_when_it_begins_and_ends_and_not_before() -> None:
 
 def test_a_policy_with_a_guard_is_looked_at_when_a_workloads_health_is_another_and_others_are_not() -> None:
     store, policy = Store(), world.policy("Restart")
-    store.put(affected.POLICIES, policy)
+    store.put(change_index.POLICIES, policy)
     key = Key("failurepolicies", world.NAMESPACE, "policy")
     well, failed = robot(0), robot(0, "Failed")
-    assert key not in affected.keys(Sight(WORKLOADS, well, failed), store)
+    assert key not in change_index.keys(Sight(WORKLOADS, well, failed), store)
     guarded = world.policy("Restart")
     guarded["spec"]["limits"] = {"stormGuard": {"percent": 40}}
     guarded["metadata"]["resourceVersion"] = "999"
-    store.put(affected.POLICIES, guarded)
-    assert key in affected.keys(Sight(WORKLOADS, well, failed), store)
-    assert key not in affected.keys(Sight(WORKLOADS, failed, failed), store)
+    store.put(change_index.POLICIES, guarded)
+    assert key in change_index.keys(Sight(WORKLOADS, well, failed), store)
+    assert key not in change_index.keys(Sight(WORKLOADS, failed, failed), store)
     store.put(WORKLOADS, well)
     first = gate(well, Progress.begin("crashed", last_healthy=NOW - 1, detected=NOW))
-    assert key in affected.keys(Sight(NETWORK_POLICIES, gate(well, None), first), store), "its gate tells first"
+    assert key in change_index.keys(Sight(NETWORK_POLICIES, gate(well, None), first), store), "its gate tells first"
     opened = {**first, "spec": {"podSelector": {}}}
-    assert key not in affected.keys(Sight(NETWORK_POLICIES, first, opened), store), "of the same recovery"
+    assert key not in change_index.keys(Sight(NETWORK_POLICIES, first, opened), store), "of the same recovery"

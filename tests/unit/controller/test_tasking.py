@@ -10,15 +10,16 @@ import pytest
 
 from tests.unit.controller.world import IMAGES, TEMPLATE, World, applied, hot, policy, workload
 from understudy.api import names
-from understudy.api.tasks import Task
-from understudy.api.workloads import RobotWorkloadSpec
-from understudy.cluster.client import Object
-from understudy.controller import instances, tasking
-from understudy.ros.profiles import instance_profiles_xml
+from understudy.api.kinds.robot_workload import RobotWorkloadSpec
+from understudy.api.kinds.task_spec import Task
+from understudy.controller.desired import action_proxy_container
+from understudy.controller.pods import instance_pod
+from understudy.kube.client import Object
+from understudy.ros.dds.profiles import instance_profiles_xml
 
 TASKS = [{"action": "/goto", "type": "test_msgs/action/Fibonacci"}]
 PROFILES = instance_profiles_xml([Task.model_validate(TASKS[0])])
-RECIPE = instances.Recipe(workload="w", namespace="fleet", images=IMAGES, secret="w-agent", profiles=PROFILES)
+RECIPE = instance_pod.Recipe(workload="w", namespace="fleet", images=IMAGES, secret="w-agent", profiles=PROFILES)
 
 
 def env(container: Object, name: str) -> Any:
@@ -31,7 +32,7 @@ def mounts(container: Object) -> dict[str, str]:
 
 class TestPods:
     def test_the_application_and_its_agent_read_the_profiles_with_the_pods_name(self) -> None:
-        spec = instances.build(TEMPLATE, RECIPE)["spec"]
+        spec = instance_pod.build(TEMPLATE, RECIPE)["spec"]
         for container in spec["containers"]:
             path = env(container, names.PROFILES_VARIABLE)["value"]
             assert path == f"{mounts(container)[names.INSTANCE_PROFILES_VOLUME]}/{names.PROFILES_KEY}"
@@ -44,7 +45,7 @@ class TestPods:
         recipe = dataclasses.replace(RECIPE, profiles=PROFILES + f"<!-- ${{{names.STRENGTH_VARIABLE}}} -->")
         template = copy.deepcopy(TEMPLATE)
         template["spec"]["initContainers"] = [{"name": "mine", "image": "app"}]
-        spec = instances.build(template, recipe)["spec"]
+        spec = instance_pod.build(template, recipe)["spec"]
         first, second = spec["initContainers"]
         assert (first["name"], first["args"], second["name"]) == (names.INIT_CONTAINER, ["prepare"], "mine")
         for container in spec["containers"]:
@@ -53,19 +54,19 @@ class TestPods:
 
     def test_other_profiles_are_other_pods(self) -> None:
         other = dataclasses.replace(RECIPE, profiles=PROFILES.replace("goto", "dock"))
-        hashes = {instances.template_hash(instances.build(TEMPLATE, recipe)) for recipe in (RECIPE, other)}
+        hashes = {instance_pod.template_hash(instance_pod.build(TEMPLATE, recipe)) for recipe in (RECIPE, other)}
         assert len(hashes) == 2
 
     def test_a_container_keeps_profiles_of_its_own_and_it_is_said(self) -> None:
         template = copy.deepcopy(TEMPLATE)
         template["spec"]["containers"][0]["env"] = [{"name": names.PROFILES_VARIABLE, "value": "/mine.xml"}]
-        app = instances.build(template, RECIPE)["spec"]["containers"][0]
+        app = instance_pod.build(template, RECIPE)["spec"]["containers"][0]
         assert [e["value"] for e in app["env"] if e["name"] == names.PROFILES_VARIABLE] == ["/mine.xml"]
         spec = RobotWorkloadSpec.model_validate(workload("w", tasks=TASKS)["spec"])
-        words = tasking.problem("w", spec, template)
+        words = action_proxy_container.problem("w", spec, template)
         assert f"container {template['spec']['containers'][0]['name']} sets {names.PROFILES_VARIABLE}" in words
         assert "w-instance-profiles" in words
-        assert tasking.problem("w", spec, TEMPLATE) == ""
+        assert action_proxy_container.problem("w", spec, TEMPLATE) == ""
 
 
 class TestWorkloads:
@@ -95,6 +96,8 @@ class TestWorkloads:
     def test_a_referred_controllers_pods_have_no_proxy_and_it_is_said(self) -> None:
         reference = {"kind": "Deployment", "name": "arm"}
         spec = RobotWorkloadSpec.model_validate(workload("w", tasks=TASKS, workloadRef=reference)["spec"])
-        assert tasking.instance_profiles(spec) == ""
-        assert not tasking.proxied(spec)
-        assert "the pods of Deployment arm serve /goto themselves" in tasking.problem("w", spec, TEMPLATE)
+        assert action_proxy_container.instance_profiles(spec) == ""
+        assert not action_proxy_container.proxied(spec)
+        assert "the pods of Deployment arm serve /goto themselves" in action_proxy_container.problem(
+            "w", spec, TEMPLATE
+        )

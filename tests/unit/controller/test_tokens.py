@@ -6,7 +6,6 @@ from typing import Any, cast
 
 import pytest
 
-from tests.unit.cluster.memory import MemoryClient
 from tests.unit.controller.test_pools import observe, plan
 from tests.unit.controller.world import (
     IMAGES,
@@ -24,20 +23,25 @@ from tests.unit.controller.world import (
     standby_pod,
     workload,
 )
+from tests.unit.kube.memory import MemoryClient
 from understudy.api import names
-from understudy.cluster import applying
-from understudy.cluster.client import PODS, POOLS, ROLES, SECRETS, WORKLOADS, Client, Object
-from understudy.cluster.events import Recorder
-from understudy.controller import affected, monitors, objects, ownership, pools, resyncing, tokens
-from understudy.controller.affected import Key
-from understudy.controller.desired import Plan
-from understudy.controller.executing import Executor
-from understudy.controller.expectations import Expectations
-from understudy.controller.observing import Observer
-from understudy.controller.operating import Operator
-from understudy.controller.reconciling import Reconciler
-from understudy.controller.rollouts import Rollouts
-from understudy.controller.stores import Sight, Store
+from understudy.controller.desired import monitor_deployment
+from understudy.controller.desired.plan import Plan
+from understudy.controller.observed import kube_objects, ownership
+from understudy.controller.pods import claim_tokens, pool_pods
+from understudy.controller.pods.expectations import Expectations
+from understudy.controller.reconcile import change_index
+from understudy.controller.reconcile.change_index import Key
+from understudy.controller.reconcile.executor import Executor
+from understudy.controller.reconcile.observer import Observer
+from understudy.controller.reconcile.reconciler import Reconciler
+from understudy.controller.reconcile.rollouts import Rollouts
+from understudy.controller.runtime import resync
+from understudy.controller.runtime.object_store import Sight, Store
+from understudy.controller.runtime.workers import Operator
+from understudy.kube import apply
+from understudy.kube.client import PODS, POOLS, ROLES, SECRETS, WORKLOADS, Client, Object
+from understudy.kube.events import Recorder
 
 W, POOL = workload(), spare()
 NAME = names.pool_secret("spare")
@@ -49,25 +53,25 @@ def secret(*, owner: Object | None = None, labels: Object | None = None) -> Obje
     (made,) = created(plan(observe(POOL)), "secrets")
     metadata = {**made["metadata"], "uid": "uid-secret", "resourceVersion": "40"}
     if owner is not None:
-        metadata |= {"ownerReferences": [owner], "labels": dict(objects.MANAGED_BY)}
+        metadata |= {"ownerReferences": [owner], "labels": dict(kube_objects.MANAGED_BY)}
     return {**made, "metadata": metadata | ({"labels": labels} if labels is not None else {})}
 
 
-def observed(live: Object | None, pool: Object = POOL, *pods: Object) -> pools.Observed:
+def observed(live: Object | None, pool: Object = POOL, *pods: Object) -> pool_pods.Observed:
     found = observe(pool, pods)
-    return pools.Observed(**{**vars(found), "secret": live})
+    return pool_pods.Observed(**{**vars(found), "secret": live})
 
 
 def outlast(
     *pods: Object, live: Object | None = None, going: bool = False, workloads: tuple[Object, ...] = (W,)
 ) -> Plan:
-    writes = tokens.outlast(
+    writes = claim_tokens.outlast(
         "spare",
         NAMESPACE,
         live,
         deleted=going,
         pods=pods,
-        workloads={objects.name(item): item for item in workloads},
+        workloads={kube_objects.name(item): item for item in workloads},
         token=lambda: "another",
     )
     return Plan(writes=writes)
@@ -78,10 +82,10 @@ def outlast(
 
 def test_nobody_owns_a_pool_s_token_so_that_nobody_s_end_takes_it_along() -> None:
     made = secret()
-    assert applying.controller_of(made) is None
+    assert apply.controller_of(made) is None
     assert "ownerReferences" not in made["metadata"]
-    assert resyncing.listed(SECRETS, made)
-    assert objects.labels(made)[names.POOL] == "spare"
+    assert resync.listed(SECRETS, made)
+    assert kube_objects.labels(made)[names.POOL] == "spare"
 
 
 def test_a_token_that_is_there_stays_and_costs_no_write() -> None:
@@ -93,7 +97,7 @@ def test_a_token_that_is_there_stays_and_costs_no_write() -> None:
 @pytest.mark.parametrize("pool", [spare(), spare(template={"spec": {"containers": []}})], ids=["accepted", "refused"])
 def test_a_token_that_an_earlier_version_made_is_taken_from_the_pool(pool: Object) -> None:
     other = {"apiVersion": "v1", "kind": "ConfigMap", "name": "somebody-s", "uid": "u"}
-    live = secret(owner=objects.owner("FallbackPool", POOL))
+    live = secret(owner=kube_objects.owner("FallbackPool", POOL))
     assert patched(plan(observed(live, pool)), "secrets")[NAME]["metadata"] == {
         "labels": {names.POOL: "spare"},
         "ownerReferences": None,
@@ -104,7 +108,7 @@ def test_a_token_that_an_earlier_version_made_is_taken_from_the_pool(pool: Objec
 
 def test_a_pool_that_was_made_anew_takes_over_the_token_of_the_one_before() -> None:
     # Those that were claimed from that one have it, and would be refused with another.
-    before = objects.owner("FallbackPool", {**POOL, "metadata": {**POOL["metadata"], "uid": "uid-before"}})
+    before = kube_objects.owner("FallbackPool", {**POOL, "metadata": {**POOL["metadata"], "uid": "uid-before"}})
     assert not created(plan(observed(secret())), "secrets")
     assert not created(plan(observed(secret(owner=before))), "secrets")
     assert patched(plan(observed(secret(owner=before))), "secrets")
@@ -113,7 +117,7 @@ def test_a_pool_that_was_made_anew_takes_over_the_token_of_the_one_before() -> N
 def test_a_workload_s_token_is_not_taken_for_that_of_a_pool() -> None:
     """Those of a workload spare-pool and of a pool spare have one name."""
     theirs = workload("spare-pool")
-    live = secret(owner=objects.owner("RobotWorkload", theirs))
+    live = secret(owner=kube_objects.owner("RobotWorkload", theirs))
     assert not patched(plan(observed(live)), "secrets")
     assert not deleted(outlast(live=live))
 
@@ -122,17 +126,15 @@ async def test_a_secret_of_that_name_which_is_somebody_s_own_is_left_alone() -> 
     client = MemoryClient()
     (made,) = created(plan(observe(POOL)), "secrets")
     await client.create(SECRETS, NAMESPACE, {"kind": "Secret", "metadata": {"name": NAME}})
-    with pytest.raises(
-        applying.Taken, match=f'Secret "{NAME}" exists in namespace fleet and belongs to nobody of ours'
-    ):
-        await applying.create(client, SECRETS, NAMESPACE, made)
+    with pytest.raises(apply.Taken, match=f'Secret "{NAME}" exists in namespace fleet and belongs to nobody of ours'):
+        await apply.create(client, SECRETS, NAMESPACE, made)
 
 
 async def test_one_that_an_earlier_attempt_has_made_is_found() -> None:
     client = MemoryClient()
     (made,) = created(plan(observe(POOL)), "secrets")
-    first = await applying.create(client, SECRETS, NAMESPACE, made)
-    assert await applying.create(client, SECRETS, NAMESPACE, made) == first
+    first = await apply.create(client, SECRETS, NAMESPACE, made)
+    assert await apply.create(client, SECRETS, NAMESPACE, made) == first
 
 
 # -- when the pool is gone ----------------------------------------------------------------------------------------------
@@ -185,7 +187,7 @@ def test_one_that_is_gone_is_made_anew_for_whoever_drives() -> None:
 
 def test_of_a_pool_that_waits_for_what_holds_it_the_token_stays_and_is_nobody_s() -> None:
     assert not outlast(live=secret(), going=True).writes
-    assert patched(outlast(live=secret(owner=objects.owner("FallbackPool", POOL)), going=True), "secrets")
+    assert patched(outlast(live=secret(owner=kube_objects.owner("FallbackPool", POOL)), going=True), "secrets")
 
 
 # -- who looks when -----------------------------------------------------------------------------------------------------
@@ -193,7 +195,7 @@ def test_of_a_pool_that_waits_for_what_holds_it_the_token_stays_and_is_nobody_s(
 
 def test_a_token_that_came_or_went_has_its_pool_looked_at() -> None:
     for sight in (Sight(SECRETS, secret(), None), Sight(SECRETS, None, secret())):
-        assert affected.keys(sight, Store()) == {Key(POOLS.plural, NAMESPACE, "spare")}
+        assert change_index.keys(sight, Store()) == {Key(POOLS.plural, NAMESPACE, "spare")}
 
 
 @pytest.mark.parametrize(
@@ -224,7 +226,7 @@ async def test_what_a_pool_has_left_behind_while_no_operator_was_there_is_looked
 
 def commanded(world: World) -> frozenset[str]:
     (role,) = applied(world.plan(), "roles").values()
-    return monitors.commanded(role)
+    return monitor_deployment.commanded(role)
 
 
 def protected() -> World:
@@ -302,9 +304,9 @@ async def test_a_pod_that_may_just_have_been_claimed_keeps_the_right_to_command_
 
 def test_of_a_role_only_the_tokens_of_pools_are_its_pools() -> None:
     (role,) = applied(World(workload(), policy("spare", "hot"), hot(), spare()).plan(), "roles").values()
-    assert monitors.commanded(role) == {"spare"}
-    assert monitors.commanded(None) == frozenset()
-    assert ownership.controls(objects.uid(W), role)
+    assert monitor_deployment.commanded(role) == {"spare"}
+    assert monitor_deployment.commanded(None) == frozenset()
+    assert ownership.controls(kube_objects.uid(W), role)
 
 
 class Reading:

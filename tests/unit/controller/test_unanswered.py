@@ -9,18 +9,18 @@ from typing import Any
 
 import pytest
 
-from tests.unit.cluster.memory import MemoryClient
 from tests.unit.controller import world
-from understudy.cluster.client import PODS, POLICIES, POOLS, WORKLOADS, ApiError, Object
-from understudy.cluster.events import Recorder
-from understudy.controller import reconciling
-from understudy.controller.affected import Key
-from understudy.controller.executing import Executor
-from understudy.controller.expectations import Expectations
-from understudy.controller.observing import Observer
-from understudy.controller.reconciling import Reconciler
-from understudy.controller.rollouts import Rollouts
-from understudy.controller.stores import Store
+from tests.unit.kube.memory import MemoryClient
+from understudy.controller.pods.expectations import Expectations
+from understudy.controller.reconcile import reconciler as reconciling
+from understudy.controller.reconcile.change_index import Key
+from understudy.controller.reconcile.executor import Executor
+from understudy.controller.reconcile.observer import Observer
+from understudy.controller.reconcile.reconciler import Reconciler
+from understudy.controller.reconcile.rollouts import Rollouts
+from understudy.controller.runtime.object_store import Store
+from understudy.kube.client import PODS, POLICIES, POOLS, WORKLOADS, ApiError, Object
+from understudy.kube.events import Recorder
 
 WEBHOOK = "validate.policies.example"
 CAUSES = (

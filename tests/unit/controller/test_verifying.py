@@ -7,9 +7,9 @@ from datetime import UTC, datetime
 
 import pytest
 
-from understudy.api.crds import definitions
-from understudy.cluster.client import Object
-from understudy.controller.verifying import definition_problem, operator_problem
+from understudy.api.schema.definitions import definitions
+from understudy.controller.runtime.installation_test import definition_problem, operator_problem
+from understudy.kube.client import Object
 
 NOW = 1_800_000_000.0
 WANTED = definitions()[min(definitions())]

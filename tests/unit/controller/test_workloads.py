@@ -25,9 +25,10 @@ from tests.unit.controller.world import (
     workload,
 )
 from understudy.api import names
-from understudy.cluster.client import Object
-from understudy.controller import objects, workloads
-from understudy.controller.references import Referred
+from understudy.controller.desired import workload_objects
+from understudy.controller.observed import kube_objects
+from understudy.controller.observed.workload_reference import Referred
+from understudy.kube.client import Object
 
 
 def every_object(world: World) -> list[Object]:
@@ -40,14 +41,14 @@ def test_all_parts_of_a_workload_are_built() -> None:
     plan = world.plan()
     assert set(applied(plan, "replicasets")) == {"w"}
     assert set(applied(plan, "networkpolicies")) == {"w-standby"}
-    assert [objects.name(body) for body in created(plan, "networkpolicies")] == ["w-gate"]
+    assert [kube_objects.name(body) for body in created(plan, "networkpolicies")] == ["w-gate"]
     assert set(applied(plan, "configmaps")) == {"w-robot-env", "w-robot-profiles", "w-settings"}
     assert set(applied(plan, "deployments")) == {"w-monitor", "w-discovery"}
     assert set(applied(plan, "services")) == {"w-discovery"}
     assert set(applied(plan, "serviceaccounts")) == {"w-understudy-monitor"}
     assert set(applied(plan, "roles")) == set(applied(plan, "rolebindings")) == {"w-monitor"}
-    assert [objects.name(body) for body in created(plan, "secrets")] == ["w-agent"]
-    assert [objects.name(body) for body in created(plan, "pods")] == ["w-new01"]
+    assert [kube_objects.name(body) for body in created(plan, "secrets")] == ["w-agent"]
+    assert [kube_objects.name(body) for body in created(plan, "pods")] == ["w-new01"]
 
 
 def test_everything_is_owned_by_the_workload_and_blocks_nothing() -> None:
@@ -177,12 +178,12 @@ class TestBadInputKeepsWhatProtects:
         import dataclasses
 
         from tests.unit.controller.world import IMAGES
-        from understudy.controller.desired import Problem
+        from understudy.controller.desired.plan import Problem
 
         world = self.built(policy("hot"), hot())
         world.workload["spec"]["template"]["spec"]["containers"][0]["image"] = " bad"
         understood = dataclasses.replace(world.understood(), problem=Problem("TemplateInvalid", "its own words"))
-        assert workloads.plan(world.observed(), understood, IMAGES, world.names.fresh()).writes == []
+        assert workload_objects.plan(world.observed(), understood, IMAGES, world.names.fresh()).writes == []
 
     def test_a_stored_spec_that_does_not_fit_the_kind_changes_nothing(self) -> None:
         world = self.built(policy("hot"), hot())
@@ -280,7 +281,7 @@ class TestReference:
     def test_pods_of_a_workload_that_is_gone_lose_the_labels_but_ours_keep_them(self) -> None:
         labelled = self.user_pod("nav2-1-x", labels={names.WORKLOAD: "w", names.INSTANCE: "nav2-1-x"})
         ours = [source_pod("w-a"), standby_pod("w-s", of=workload())]
-        assert set(patched(workloads.abandoned("w", [labelled, *ours]), "pods")) == {"nav2-1-x"}
+        assert set(patched(workload_objects.abandoned("w", [labelled, *ours]), "pods")) == {"nav2-1-x"}
 
     def test_its_standbys_would_not_be_adopted(self) -> None:
         plan = self.world(Referred(self.deployment(), [])).plan()
@@ -413,7 +414,7 @@ def test_the_right_to_read_all_policies_is_there_before_a_monitor_of_another_ima
     _says(world, IMAGES.monitor)
     world.build()
     world.workload["spec"]["monitor"] = {"image": "mine/monitor:old"}
-    order = [w.resource.plural for w in world.plan().writes if objects.name(w.body) == "w-monitor"]  # type: ignore[union-attr]
+    order = [w.resource.plural for w in world.plan().writes if kube_objects.name(w.body) == "w-monitor"]  # type: ignore[union-attr]
     assert order.index("roles") < order.index("deployments")
     assert _only(world, "failurepolicies", "watch") == [None], "it will be of another image, of whatever version"
     world.build()

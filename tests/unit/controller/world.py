@@ -9,13 +9,16 @@ from typing import Any
 
 from understudy.api import names
 from understudy.api.base import API_VERSION
-from understudy.cluster import applying
-from understudy.cluster.client import Object
-from understudy.controller import instances, objects, pools, statuses, workloads
-from understudy.controller.desired import Apply, Create, Delete, Images, Patch, Plan, Problem
-from understudy.controller.observed import Observed
-from understudy.controller.references import Referred
-from understudy.controller.understanding import Understanding, understand
+from understudy.controller.desired import workload_objects
+from understudy.controller.desired.plan import Apply, Create, Delete, Images, Patch, Plan, Problem
+from understudy.controller.desired.workload_plan import Understanding, understand
+from understudy.controller.observed import kube_objects
+from understudy.controller.observed.observation import Observed
+from understudy.controller.observed.workload_reference import Referred
+from understudy.controller.pods import instance_pod, pool_pods
+from understudy.controller.status import workload_status
+from understudy.kube import apply
+from understudy.kube.client import Object
 
 NAMESPACE = "fleet"
 NOW = 1_700_000_000.0
@@ -33,8 +36,8 @@ class Names:
     def __init__(self) -> None:
         self._count = itertools.count(1)
 
-    def fresh(self) -> pools.Fresh:
-        return pools.Fresh(name=lambda prefix: f"{prefix}-new{next(self._count):02}", token=lambda: "token")
+    def fresh(self) -> pool_pods.Fresh:
+        return pool_pods.Fresh(name=lambda prefix: f"{prefix}-new{next(self._count):02}", token=lambda: "token")
 
 
 def custom(kind: str, name: str, spec: Object, *, labels: Mapping[str, str] | None = None, **metadata: Any) -> Object:
@@ -153,47 +156,53 @@ def source_pod(name: str, *, of: str = "w", template_hash: str = "", **more: Any
 
 def standby_pod(name: str, *, of: Object, pool: str = "hot", template_hash: str = "", **more: Any) -> Object:
     labels = {
-        names.WORKLOAD: objects.name(of),
+        names.WORKLOAD: kube_objects.name(of),
         names.COMPONENT: "instance",
         names.POOL: pool,
         names.INSTANCE: name,
         names.TEMPLATE_HASH: template_hash,
     }
-    return pod(name, labels=labels, owner=objects.owner("RobotWorkload", of), **more)
+    return pod(name, labels=labels, owner=kube_objects.owner("RobotWorkload", of), **more)
 
 
 def held_pod(name: str, *, of: Object, template_hash: str = "", **more: Any) -> Object:
     labels = {
         names.COMPONENT: "instance",
-        names.POOL: objects.name(of),
+        names.POOL: kube_objects.name(of),
         names.HELD: "true",
         names.INSTANCE: name,
         names.TEMPLATE_HASH: template_hash,
     }
-    return pod(name, labels=labels, owner=objects.owner("FallbackPool", of), **more)
+    return pod(name, labels=labels, owner=kube_objects.owner("FallbackPool", of), **more)
 
 
 def claimed_pod(name: str, *, of: Object, by: Object, **more: Any) -> Object:
     """A pod of a shared pool after its claim."""
     labels = {
         names.COMPONENT: "instance",
-        names.POOL: objects.name(of),
-        names.WORKLOAD: objects.name(by),
+        names.POOL: kube_objects.name(of),
+        names.WORKLOAD: kube_objects.name(by),
         names.INSTANCE: name,
     }
     return pod(
-        name, labels=labels, owner=objects.owner("RobotWorkload", by), annotations={names.CLAIM: "uid-w/1"}, **more
+        name, labels=labels, owner=kube_objects.owner("RobotWorkload", by), annotations={names.CLAIM: "uid-w/1"}, **more
     )
 
 
 def gate(of: Object, *, active: Object | None = None, epoch: int = 0) -> Object:
-    from understudy.controller import gates, ownership
+    from understudy.controller.desired import gate_policies
+    from understudy.controller.observed import ownership
 
-    made = ownership.ours(gates.closed_gate(objects.name(of), epoch=epoch), objects.owner("RobotWorkload", of), of)
+    made = ownership.ours(
+        gate_policies.closed_gate(kube_objects.name(of), epoch=epoch), kube_objects.owner("RobotWorkload", of), of
+    )
     made["metadata"] |= {"uid": "uid-gate", "resourceVersion": "20"}
     if active is not None:
-        made["metadata"]["annotations"] |= {names.ACTIVE: objects.name(active), names.ACTIVE_UID: objects.uid(active)}
-        made["spec"]["podSelector"]["matchLabels"][names.INSTANCE] = objects.name(active)
+        made["metadata"]["annotations"] |= {
+            names.ACTIVE: kube_objects.name(active),
+            names.ACTIVE_UID: kube_objects.uid(active),
+        }
+        made["spec"]["podSelector"]["matchLabels"][names.INSTANCE] = kube_objects.name(active)
     return made
 
 
@@ -202,11 +211,11 @@ def service(of: Object, address: str = "10.96.0.9") -> Object:
         "apiVersion": "v1",
         "kind": "Service",
         "metadata": {
-            "name": names.discovery(objects.name(of)),
+            "name": names.discovery(kube_objects.name(of)),
             "namespace": NAMESPACE,
             "uid": "uid-service",
             "resourceVersion": "3",
-            "ownerReferences": [objects.owner("RobotWorkload", of)],
+            "ownerReferences": [kube_objects.owner("RobotWorkload", of)],
         },
         "spec": {"clusterIP": address},
     }
@@ -242,12 +251,12 @@ class World:
     def own(self, item: Object) -> None:
         plurals = {"NetworkPolicy": "networkpolicies"}
         plural = plurals.get(item["kind"], f"{item['kind'].lower()}s")
-        self.owned[(plural, objects.name(item))] = item
+        self.owned[(plural, kube_objects.name(item))] = item
 
     def observed(self) -> Observed:
         kinds: dict[str, dict[str, Object]] = {"FailurePolicy": {}, "FallbackPool": {}}
         for item in self.others:
-            kinds[item["kind"]][objects.name(item)] = item
+            kinds[item["kind"]][kube_objects.name(item)] = item
         return Observed(
             workload=self.workload,
             now=self.now,
@@ -274,10 +283,10 @@ class World:
         return understand(self.observed(), IMAGES)
 
     def plan(self) -> Plan:
-        return workloads.plan(self.observed(), self.understood(), IMAGES, self.names.fresh())
+        return workload_objects.plan(self.observed(), self.understood(), IMAGES, self.names.fresh())
 
     def status(self, *problems: Problem) -> Object:
-        return statuses.status(self.observed(), self.understood(), problems)
+        return workload_status.status(self.observed(), self.understood(), problems)
 
     def condition(self, type_: str, *problems: Problem) -> Object:
         found: Object = next(c for c in self.status(*problems)["conditions"] if c["type"] == type_)
@@ -288,9 +297,13 @@ class World:
         plan = self.plan()
         for write in plan.writes:
             if isinstance(write, Apply | Create) and write.resource.plural != "pods":
-                stamped = applying.stamped(write.body) if isinstance(write, Apply) else write.body
-                metadata = {"uid": f"uid-{objects.name(write.body)}", "resourceVersion": "30", **stamped["metadata"]}
-                key = (write.resource.plural, objects.name(write.body))
+                stamped = apply.stamped(write.body) if isinstance(write, Apply) else write.body
+                metadata = {
+                    "uid": f"uid-{kube_objects.name(write.body)}",
+                    "resourceVersion": "30",
+                    **stamped["metadata"],
+                }
+                key = (write.resource.plural, kube_objects.name(write.body))
                 spec = {**self.owned.get(key, {}).get("spec", {}), **stamped.get("spec", {})}
                 self.owned[key] = {**stamped, "metadata": metadata, **({"spec": spec} if spec else {})}
         return plan
@@ -298,7 +311,7 @@ class World:
     @property
     def own_hash(self) -> str:
         """Of the template that the workload's own ReplicaSet makes pods from."""
-        return instances.template_hash(self.understood().builts[""])
+        return instance_pod.template_hash(self.understood().builts[""])
 
     @property
     def template_hash(self) -> str:
@@ -307,7 +320,9 @@ class World:
 
 
 def applied(plan: Plan, plural: str) -> dict[str, Object]:
-    return {objects.name(w.body): w.body for w in plan.writes if isinstance(w, Apply) and w.resource.plural == plural}
+    return {
+        kube_objects.name(w.body): w.body for w in plan.writes if isinstance(w, Apply) and w.resource.plural == plural
+    }
 
 
 def created(plan: Plan, plural: str) -> list[Object]:
@@ -315,8 +330,10 @@ def created(plan: Plan, plural: str) -> list[Object]:
 
 
 def deleted(plan: Plan) -> list[str]:
-    return [objects.name(w.item) for w in plan.writes if isinstance(w, Delete)]
+    return [kube_objects.name(w.item) for w in plan.writes if isinstance(w, Delete)]
 
 
 def patched(plan: Plan, plural: str) -> dict[str, Object]:
-    return {objects.name(w.item): w.body for w in plan.writes if isinstance(w, Patch) and w.resource.plural == plural}
+    return {
+        kube_objects.name(w.item): w.body for w in plan.writes if isinstance(w, Patch) and w.resource.plural == plural
+    }

@@ -11,12 +11,12 @@ import pytest
 import yaml
 
 from tests.support.manifests import MODELS, covers
-from understudy.api.policies import FailurePolicySpec
-from understudy.checking import running
+from understudy.api.kinds.failure_policy import FailurePolicySpec
+from understudy.cli.check import command as running
 from understudy.main import PARTS
-from understudy.trees.forms import load_monitoring
-from understudy.trees.loading import load
-from understudy.trees.procedures import load_procedure
+from understudy.trees.languages.notations import load_monitoring
+from understudy.trees.languages.short.health_loader import load
+from understudy.trees.languages.short.procedure_loader import load_procedure
 
 REPOSITORY = Path(__file__).parents[3]
 EXAMPLES = {

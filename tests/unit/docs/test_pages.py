@@ -11,11 +11,11 @@ import yaml
 
 from tests.support.manifests import MODELS, WITH_A_LEAF_OF_ITS_OWN, covers
 from tests.support.pages import PAGES, page_name, typed
-from understudy.api.crds import root
-from understudy.api.kinds import KINDS
-from understudy.api.policies import FailurePolicySpec
-from understudy.trees.forms import load_monitoring
-from understudy.trees.texts import load_text
+from understudy.api.kinds.failure_policy import FailurePolicySpec
+from understudy.api.schema.definitions import root
+from understudy.api.schema.printed_kinds import KINDS
+from understudy.trees.languages.notations import load_monitoring
+from understudy.trees.languages.text_files import load_text
 
 FENCE = re.compile(r"```yaml\n(.*?)```", re.DOTALL)
 

@@ -15,11 +15,11 @@ import yaml
 from scripts.generation import commands, leaves, metrics, scenarios
 from tests.support.pages import PAGES, page_name, typed
 from understudy.main import PARTS
-from understudy.trees import vocabulary
-from understudy.trees.btcpp.library import NODES
-from understudy.trees.btcpp.trees import load_xml
-from understudy.trees.kinds import LEAVES
-from understudy.trees.loading import TOPIC_KEYS
+from understudy.trees.languages.btcpp.library import NODES
+from understudy.trees.languages.btcpp.loader import load_xml
+from understudy.trees.languages.short.health_loader import TOPIC_KEYS
+from understudy.trees.leaves import procedure_vocabulary
+from understudy.trees.leaves.registry import LEAVES
 
 REPOSITORY = Path(__file__).parents[3]
 PACKAGE = REPOSITORY / "operator" / "understudy"
@@ -37,7 +37,12 @@ def sections(page: str) -> dict[str, str]:
 def test_every_leaf_and_step_is_there_with_each_of_its_values() -> None:
     found = sections(leaves.page(TREES, PROCEDURES))
     kinds = {kind: leaf.keys for kind, leaf in LEAVES.items()}
-    for kind, keys in {"topic": TOPIC_KEYS, **kinds, **vocabulary.STEPS, **vocabulary.LOOKS}.items():
+    for kind, keys in {
+        "topic": TOPIC_KEYS,
+        **kinds,
+        **procedure_vocabulary.STEPS,
+        **procedure_vocabulary.LOOKS,
+    }.items():
         for key in keys:
             assert f"| `{key}` |" in found[kind]
 

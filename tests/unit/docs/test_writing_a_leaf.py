@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 import yaml
 
-from tests.unit.trying.recording import every, write
+from tests.unit.cli.simulate.recording import every, write
 
 REPOSITORY = Path(__file__).parents[3]
 PAGE = (REPOSITORY / "docs" / "how-to" / "writing-a-leaf.md").read_text()
@@ -167,7 +167,7 @@ def test_what_is_generated_is_the_same_with_it(site: Path) -> None:
     program = (
         "from scripts.generation.scenarios import library\nfrom pathlib import Path\n"
         "pages = [Path('docs', page).read_text() for page in ('trees.md', 'procedures.md')]\n"
-        "assert library(*pages) == Path('operator/understudy/trees/osc/lib_osc/understudy.osc').read_text()\n"
+        "assert library(*pages) == Path('operator/understudy/trees/languages/osc/lib_osc/understudy.osc').read_text()\n"
     )
     environment = {
         **os.environ,

@@ -18,28 +18,30 @@ from tests.unit.interleavings.robots import Robots
 from tests.unit.interleavings.scheduling import Killed, Process
 from tests.unit.interleavings.senses import Probes, Sidecars, Sight
 from understudy.api import names
-from understudy.cluster import gates
-from understudy.cluster.client import NETWORK_POLICIES, NODES, PODS, ApiError, Client, Expired, Object, Resource
-from understudy.cluster.events import Recorder
-from understudy.cluster.leases import LeadershipLost, Lease, Timing
-from understudy.controller import affected, following, handlers, running
-from understudy.controller.desired import Images
-from understudy.controller.executing import Executor
-from understudy.controller.expectations import Expectations
-from understudy.controller.observing import Observer
-from understudy.controller.operating import Operator
-from understudy.controller.pools import Fresh
-from understudy.controller.reconciling import Reconciler
-from understudy.controller.rollouts import Rollouts
-from understudy.controller.stores import Sight as Seen
-from understudy.controller.stores import Store
-from understudy.mitigation.journal import Journal
-from understudy.monitor.faults import CrashPoints
-from understudy.monitor.fleet import Fleet
-from understudy.monitor.gating import PolicyGate
-from understudy.monitor.reporting import Reporter
-from understudy.monitor.supervising import Parts, Supervisor
-from understudy.monitor.view import View
+from understudy.controller.desired.plan import Images
+from understudy.controller.pods.expectations import Expectations
+from understudy.controller.pods.pool_pods import Fresh
+from understudy.controller.reconcile import change_index
+from understudy.controller.reconcile.executor import Executor
+from understudy.controller.reconcile.observer import Observer
+from understudy.controller.reconcile.reconciler import Reconciler
+from understudy.controller.reconcile.rollouts import Rollouts
+from understudy.controller.runtime import kopf_handlers, watches
+from understudy.controller.runtime import process as running
+from understudy.controller.runtime.object_store import Sight as Seen
+from understudy.controller.runtime.object_store import Store
+from understudy.controller.runtime.workers import Operator
+from understudy.failover.journal import Journal
+from understudy.kube.client import NETWORK_POLICIES, NODES, PODS, ApiError, Client, Expired, Object, Resource
+from understudy.kube.events import Recorder
+from understudy.kube.gates import network_policy
+from understudy.kube.leader_election import LeadershipLost, Lease, Timing
+from understudy.monitor.act.gate_control import PolicyGate
+from understudy.monitor.act.pod_control import Fleet
+from understudy.monitor.crash_points import CrashPoints
+from understudy.monitor.loop import Parts, Supervisor
+from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.report.reporter import Reporter
 
 NAMESPACE = "fleet"
 RESYNC = 30.0
@@ -118,7 +120,7 @@ class Monitor:
         return
 
     async def run(self) -> None:
-        """As ``understudy.monitor.running`` puts it together."""
+        """As ``understudy.monitor.process`` puts it together."""
         client = self._network.client(self.process)
         async with asyncio.TaskGroup() as group:
             view = self._view = View(client, NAMESPACE, self.workload, on_pod=self.wake)
@@ -158,7 +160,7 @@ class Monitor:
             return
         old, new = (int(found["metadata"]["resourceVersion"]) for found in (before, gate))
         if new < old:
-            epochs = [gates.read(found).epoch for found in (before, gate)]
+            epochs = [network_policy.read(found).epoch for found in (before, gate)]
             self._broken(f"{self.process} knew epoch {epochs[0]} of its gate, and then {epochs[1]}")
 
     def mistaken(self, server: ApiServer) -> Iterator[str]:
@@ -235,7 +237,7 @@ class OperatorProcess:
         self._told_to_end = network.loop.create_future()
 
     def _enqueue(self, sight: Seen) -> None:
-        for key in sorted(affected.keys(sight, self._store)):  # a set's order differs from run to run
+        for key in sorted(change_index.keys(sight, self._store)):  # a set's order differs from run to run
             self._operator._add(key)
 
     def mistaken(self, server: ApiServer) -> Iterator[str]:
@@ -246,8 +248,8 @@ class OperatorProcess:
             yield from _differences(str(self.process), known, found)
 
     async def run(self) -> None:
-        """As ``understudy.controller.running`` puts it together."""
-        watched = [*handlers.WATCHED, *(resource for resource, labels in following.WATCHED if labels is None)]
+        """As ``understudy.controller.runtime.process`` puts it together."""
+        watched = [*kopf_handlers.WATCHED, *(resource for resource, labels in watches.WATCHED if labels is None)]
         work = [*map(self._watch, watched), self._operator.keep_listing()]
         tasks = [
             asyncio.create_task(one) for one in (*work, running._lead(self._lease, self._operator), self._until_told())

@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from tests.unit.interleavings.ownership import PERIOD, Writer
-from understudy.agent import preparing
-from understudy.agent.fencing import ANSWER, Address, Fence
-from understudy.agent.strengths import Strengths
+from understudy.agent import prepare as preparing
+from understudy.agent.isolation import ANSWER, Address, Fence
+from understudy.agent.writer_strength import Strengths
 from understudy.api import names
 
 ANSWERS = 0.002

@@ -13,7 +13,7 @@ from datetime import UTC, datetime
 from typing import Any, NamedTuple
 
 from tests.support.answers import json_patched
-from understudy.cluster.client import APPLY, JSON, ApiError, Object
+from understudy.kube.client import APPLY, JSON, ApiError, Object
 
 EPOCH = 1_700_000_000.0
 """Unix seconds at which virtual time begins."""

@@ -6,7 +6,7 @@ import contextlib
 from collections.abc import AsyncIterator
 from typing import Any
 
-from understudy.api.kept import KeptState
+from understudy.api.protocol.kept_state import KeptState
 
 
 class BlackBox:

@@ -9,13 +9,14 @@ from tests.unit.interleavings.apiserver import ApiServer
 from tests.unit.interleavings.robots import Robots
 from tests.unit.interleavings.senses import GAP
 from understudy.api import names
-from understudy.api.workloads import RobotWorkloadStatus
-from understudy.cluster import gates
-from understudy.cluster.applying import controller_of
-from understudy.cluster.client import Object
-from understudy.controller import nodes, objects, poolsizes
-from understudy.mitigation import progress as recoveries
-from understudy.mitigation.progress import Committed
+from understudy.api.kinds.robot_workload import RobotWorkloadStatus
+from understudy.controller.observed import kube_objects, leaving_nodes
+from understudy.controller.pods import pool_size
+from understudy.failover import progress as recoveries
+from understudy.failover.progress import Committed
+from understudy.kube.apply import controller_of
+from understudy.kube.client import Object
+from understudy.kube.gates import network_policy
 
 KNOWN = 70.0
 """Seconds within which an operator knows of a pool's new size: two of its lists, and their longest waits."""
@@ -56,7 +57,7 @@ class Invariants:
             sizes = self._sizes.setdefault(_name(new), [(self._robots.now, _size(old))])
             sizes += [(self._robots.now, _size(old)), (self._robots.now, _size(new))]
         elif plural == "nodes" and new is not None:
-            self._emptied[_name(new)] = math.inf if nodes.is_cordoned(new) else self._robots.now + KNOWN
+            self._emptied[_name(new)] = math.inf if leaving_nodes.is_cordoned(new) else self._robots.now + KNOWN
         elif plural == "networkpolicies" and new is not None and _name(new).endswith("-gate"):
             self._gate(old, new)
 
@@ -84,12 +85,12 @@ class Invariants:
 
     def _gate(self, old: Object | None, new: Object) -> None:
         """Each commit is of the next epoch, and lets exactly the pod through that it names."""
-        after = gates.read(new)
-        through = gates.selected(new)
+        after = network_policy.read(new)
+        through = network_policy.selected(new)
         if through != self._named(after):
             self._broken(f"{_name(new)} lets {through} through and names {after.active!r}")
         if old is not None:
-            before = gates.read(old)
+            before = network_policy.read(old)
             changed = self._control(old) != self._control(new)
             if after.epoch != before.epoch + changed and (changed or after.epoch != before.epoch + 1):
                 self._broken(f"{_name(new)} went from epoch {before.epoch} to {after.epoch}")
@@ -102,13 +103,13 @@ class Invariants:
         if len(routed) > self.most_through:
             self._broken(f"{_name(new)} lets several through at once: {', '.join(routed)}")
 
-    def _named(self, record: gates.GateRecord) -> tuple[str, ...]:
+    def _named(self, record: network_policy.GateRecord) -> tuple[str, ...]:
         """The instances that a gate names."""
         return (record.active,) if record.active else ()
 
     def _control(self, gate: Object) -> object:
         """What another epoch is needed for to change."""
-        return gates.read(gate).active_uid, gates.selected(gate)
+        return network_policy.read(gate).active_uid, network_policy.selected(gate)
 
     def _routed(self, workload: str, through: tuple[str, ...]) -> list[str]:
         found = []
@@ -173,7 +174,7 @@ class Invariants:
     def _undriven(self) -> Iterator[str]:
         for (namespace, workload), _ in sorted(self._server.items["robotworkloads"].items()):
             gate = self._server.get("networkpolicies", (namespace, names.gate(workload)))
-            uid = gates.read(gate).active_uid if gate is not None else ""
+            uid = network_policy.read(gate).active_uid if gate is not None else ""
             found = self._robots.running.get(uid)
             if found is None or not found.through:
                 yield f"{workload} isn't driven"
@@ -182,7 +183,7 @@ class Invariants:
         """Recoveries that those who depend on a workload take to be under way, and that nobody goes on with."""
         for (namespace, workload), item in sorted(self._server.items["robotworkloads"].items()):
             gate = self._server.get("networkpolicies", (namespace, names.gate(workload)))
-            found = recoveries.beside(gates.read(gate).recovery) if gate is not None else None
+            found = recoveries.beside(network_policy.read(gate).recovery) if gate is not None else None
             if found is None:
                 continue
             status = RobotWorkloadStatus.model_validate(item.get("status") or {})
@@ -196,9 +197,9 @@ class Invariants:
             spec = item["spec"]
             if spec["readiness"] == "Uninitialized":
                 free = [pod for pod in mine if names.HELD in _labels(pod)]
-                if len(free) != poolsizes.size(item):
-                    yield f"pool {pool} has {len(free)} free pods instead of {poolsizes.size(item)}"
-                yield from (f"pod {_name(pod)} isn't ready" for pod in free if not objects.ready(pod))
+                if len(free) != pool_size.size(item):
+                    yield f"pool {pool} has {len(free)} free pods instead of {pool_size.size(item)}"
+                yield from (f"pod {_name(pod)} isn't ready" for pod in free if not kube_objects.ready(pod))
                 yield from self._misjudged(item, len(free))
                 continue
             yield from self._misjudged(item, len(self._waiting(mine)))
@@ -208,7 +209,7 @@ class Invariants:
                 if self._refers(namespace, workload):
                     wanted += sum(pod["metadata"]["uid"] in self._in_control() for pod in standing)
                 # Where one of a new template never gets up, the one before it stays; and where that is the workload's own, one more.
-                if any(self._is_of(workload, pod) and not objects.ready(pod) for pod in self._waiting(mine)):
+                if any(self._is_of(workload, pod) and not kube_objects.ready(pod) for pod in self._waiting(mine)):
                     wanted = max(wanted, min(len(standing), wanted + 1))
                 if len(standing) != wanted and all(self._stands_by(pod) for pod in standing):
                     yield f"pool {pool} has {len(standing)} pods of {workload} instead of {wanted}"
@@ -232,7 +233,7 @@ class Invariants:
 
     def _stays(self, pod: Object) -> bool:
         """Whether no operator may take a pod's node for one that is to be emptied."""
-        return self._emptied.get(nodes.of(pod), 0.0) < self._robots.now
+        return self._emptied.get(leaving_nodes.of(pod), 0.0) < self._robots.now
 
     def _is_outdated(self, pod: Object) -> bool:
         """Whether a pod of a workload's own controller has another template than that one has by now."""
@@ -277,7 +278,9 @@ class Invariants:
 
     def _in_control(self) -> set[str]:
         policies = self._server.items["networkpolicies"]
-        return {gates.read(policy).active_uid for (_, name), policy in policies.items() if name.endswith("-gate")}
+        return {
+            network_policy.read(policy).active_uid for (_, name), policy in policies.items() if name.endswith("-gate")
+        }
 
     def _leaked(self) -> Iterator[str]:
         in_control = self._in_control()

@@ -14,7 +14,7 @@ import aiohttp
 from tests.support.answers import tabled
 from tests.unit.interleavings.apiserver import ApiServer, selecting, told
 from tests.unit.interleavings.scheduling import Process, VirtualLoop
-from understudy.cluster.client import TABLE, ApiError, Client, Expired, Object, Resource
+from understudy.kube.client import TABLE, ApiError, Client, Expired, Object, Resource
 
 
 @dataclass

@@ -25,10 +25,11 @@ from tests.unit.interleavings.reflexsenses import ReflexMonitor, ReflexSidecars
 from tests.unit.interleavings.robots import Robots
 from tests.unit.interleavings.scheduling import Process
 from tests.unit.interleavings.simulation import TROUBLES, Outcome, Scene, Simulation
-from understudy.agent import preparing
-from understudy.api import names, strengths
-from understudy.api.workloads import Reflex
-from understudy.cluster import gates
+from understudy.agent import prepare
+from understudy.api import names
+from understudy.api.kinds.robot_workload import Reflex
+from understudy.api.protocol import ownership_strength
+from understudy.kube.gates import network_policy
 
 FIRST = 1_000_000
 """From this seed on runs are of the reflex."""
@@ -103,8 +104,8 @@ class Reflexive(Simulation):
         return made
 
     def patches(self) -> Iterator[tuple[Any, str, Any]]:
-        yield strengths, "BEGIN", EPOCH - 3600.0
-        yield preparing, "time", SimpleNamespace(time=lambda: self.mine.prepared_at)
+        yield ownership_strength, "BEGIN", EPOCH - 3600.0
+        yield prepare, "time", SimpleNamespace(time=lambda: self.mine.prepared_at)
 
     def _told(self, robot: str) -> None:
         for monitor in self.monitors:
@@ -151,7 +152,7 @@ class Reflexive(Simulation):
     def _standby(self, workload: str) -> str:
         """The standby that is let through, or else any."""
         gate = self.server.get("networkpolicies", (NAMESPACE, names.gate(workload)))
-        if gate is not None and (admitted := gates.read(gate).admitted_uid):
+        if gate is not None and (admitted := network_policy.read(gate).admitted_uid):
             return admitted
         others = [
             uid for uid, r in self.robots.running.items() if r.robot == workload and uid != self._active(workload)

@@ -20,13 +20,13 @@ from tests.unit.interleavings.ownership import Reader, Writer
 from tests.unit.interleavings.robots import NODES, Robots, Running
 from tests.unit.interleavings.scheduling import Process
 from tests.unit.interleavings.simulation import ROBOTS
-from understudy.agent.fencing import Fence
-from understudy.agent.strengths import Strengths
+from understudy.agent.isolation import Fence
+from understudy.agent.writer_strength import Strengths
 from understudy.api import names
 from understudy.api.base import seconds
-from understudy.api.workloads import Reflex
-from understudy.cluster import gates
-from understudy.ros import ownership
+from understudy.api.kinds.robot_workload import Reflex
+from understudy.kube.gates import network_policy
+from understudy.ros.dds import exclusive_ownership
 
 ADDRESS = ROBOTS.partition("/")[0]
 """Of the robots."""
@@ -224,7 +224,7 @@ class ReflexRobots(Robots):
         fence.contacts = sessions
         strengths = Strengths(folder, clock=functools.partial(self.clock, found.node))
         agent = Agent(found.uid, folder, strengths, fence, sessions, self.choices.random)
-        agent.prepare(f"<profile>{ownership.instance_writer(self.reflex)}</profile>")
+        agent.prepare(f"<profile>{exclusive_ownership.instance_writer(self.reflex)}</profile>")
         self.agents[found.uid] = agent
 
     def start(self, uid: str, workload: str) -> None:
@@ -311,7 +311,7 @@ class ReflexRobots(Robots):
     def _enforce_at(self, node: str, workload: str) -> None:
         if self.reaches(node, "API server") and node not in self._stale:
             policy = self.server.get("networkpolicies", (NAMESPACE, names.gate(workload)))
-            self._enforced[node, workload] = gates.selected(policy) if policy is not None else ()
+            self._enforced[node, workload] = network_policy.selected(policy) if policy is not None else ()
             self._route(workload)
 
     def _catch_up(self, node: str) -> None:

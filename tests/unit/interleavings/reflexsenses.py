@@ -14,14 +14,14 @@ from tests.unit.interleavings.reflexrobots import ReflexRobots
 from tests.unit.interleavings.robots import Robots, Running
 from tests.unit.interleavings.scheduling import Process
 from tests.unit.interleavings.senses import GAP, Outputs, Probes, Sidecars, Sight
-from understudy.agent.sessions import Peer
-from understudy.api.agents import SILENCE, AgentStatus
-from understudy.cluster.agents import AgentGone
-from understudy.cluster.client import Client
-from understudy.mitigation.interfaces import Instance
-from understudy.monitor.leases import Leases
-from understudy.monitor.sidecars import ANSWER_LATE
-from understudy.monitor.supervising import Parts
+from understudy.agent.control_channel import Peer
+from understudy.api.protocol.agent_messages import SILENCE, AgentStatus
+from understudy.failover.interfaces import Instance
+from understudy.kube.agent_client import AgentGone
+from understudy.kube.client import Client
+from understudy.monitor.act.permits import Leases
+from understudy.monitor.loop import Parts
+from understudy.monitor.observe.agent_connections import ANSWER_LATE
 
 
 class ReflexSight(Sight):

@@ -7,11 +7,11 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from tests.unit.interleavings.robots import Robots, Running
-from understudy.api.agents import AgentStatus
-from understudy.api.kept import KeptState, RestoreReport
-from understudy.mitigation.bringing import BringUp
-from understudy.mitigation.interfaces import Instance, NotVerified
-from understudy.trees.health import Verdict
+from understudy.api.protocol.agent_messages import AgentStatus
+from understudy.api.protocol.kept_state import KeptState, RestoreReport
+from understudy.failover.bring_up import BringUp
+from understudy.failover.interfaces import Instance, NotVerified
+from understudy.trees.core.health_tree import Verdict
 
 GAP = 0.5
 """Seconds of silence after which an instance in control has failed."""

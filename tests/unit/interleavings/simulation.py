@@ -28,12 +28,13 @@ from tests.unit.interleavings.network import Network, Weather
 from tests.unit.interleavings.robots import NODES, REFERRED, Luck, Robots, Running
 from tests.unit.interleavings.scheduling import Killed, Process, VirtualLoop, current
 from understudy.api import conditions, names
-from understudy.api.switchovers import request
-from understudy.cluster import applying, gates, leases
-from understudy.cluster.client import Object
-from understudy.controller import objects
-from understudy.mitigation import progress
-from understudy.monitor import supervising
+from understudy.api.kinds.switchover_spec import request
+from understudy.controller.observed import kube_objects
+from understudy.failover import progress
+from understudy.kube import apply, leader_election
+from understudy.kube.client import Object
+from understudy.kube.gates import network_policy
+from understudy.monitor import loop as supervising
 
 REPLICAS = ("a", "b")
 """Of the operator."""
@@ -354,7 +355,7 @@ class Simulation:
 
     def _active(self, workload: str) -> str:
         gate = self.server.get("networkpolicies", (NAMESPACE, names.gate(workload)))
-        return gates.read(gate).active_uid if gate is not None else ""
+        return network_policy.read(gate).active_uid if gate is not None else ""
 
     def _break(self, uid: str, how: str) -> None:
         found = self.robots.running.get(uid)
@@ -504,7 +505,7 @@ class Simulation:
             (plural, place)
             for plural in ("networkpolicies", "replicasets", "configmaps")
             for place, item in sorted(self.server.items[plural].items())
-            if objects.MANAGED_BY.items() <= objects.labels(item).items()
+            if kube_objects.MANAGED_BY.items() <= kube_objects.labels(item).items()
         ]
         plural, place = self.choices.choice(found)
         self.note(f"{plural} {place[1]}: deleted by somebody")
@@ -512,7 +513,7 @@ class Simulation:
         if place[1].endswith("-gate"):
             self.invariants.failed.clear()  # with its gate goes the record of what has failed
         for pod_place, pod in sorted(self.server.items["pods"].items()):
-            owner = applying.controller_of(pod)
+            owner = apply.controller_of(pod)
             if (
                 plural == "replicasets"
                 and owner is not None
@@ -679,7 +680,7 @@ def _in_virtual_time(simulation: Simulation) -> Iterator[None]:
                 "datetime",
                 SimpleNamespace(now=lambda zone: datetime.fromtimestamp(EPOCH + loop.time(), zone)),
             ),
-            (leases, "_now", lambda: f"{loop.time():.6f}"),
+            (leader_election, "_now", lambda: f"{loop.time():.6f}"),
             (supervising, "TICK", TICK),
             *simulation.patches(),
         ):

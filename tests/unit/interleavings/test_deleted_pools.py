@@ -20,10 +20,12 @@ from tests.unit.interleavings.actors import NAMESPACE
 from tests.unit.interleavings.invariants import Invariants, _claimed, _labels, _living
 from tests.unit.interleavings.simulation import SCENES, TROUBLES, Outcome, Scene, Simulation
 from understudy.api import names
-from understudy.cluster.applying import controller_of
-from understudy.cluster.client import Object
-from understudy.controller import monitors, objects, ownership, tokens
-from understudy.controller.desired import Create
+from understudy.controller.desired import monitor_deployment
+from understudy.controller.desired.plan import Create
+from understudy.controller.observed import kube_objects, ownership
+from understudy.controller.pods import claim_tokens
+from understudy.kube.apply import controller_of
+from understudy.kube.client import Object
 
 FIRST, RUNS = 600_000, 24
 
@@ -61,7 +63,7 @@ class Deleting(Simulation):
         if self._calm or self.outcome.seed % 4 < 2 or pool is None or secret is None:
             return
         bare = {**secret, "metadata": {key: secret["metadata"][key] for key in ("name", "uid", "resourceVersion")}}
-        owned = ownership.ours(bare, objects.owner("FallbackPool", pool), pool)
+        owned = ownership.ours(bare, kube_objects.owner("FallbackPool", pool), pool)
         self.server.write("secrets", SECRET, owned, "an operator of 0.1.0")
 
     def _plan_trouble(self) -> float:
@@ -127,7 +129,7 @@ class Deleting(Simulation):
         if plural == "roles" and old is not None and new is not None:
             for pod in self._commanded():
                 if new["metadata"]["name"] == names.monitor(_labels(pod)[names.WORKLOAD]) and "spare" not in (
-                    monitors.commanded(new)
+                    monitor_deployment.commanded(new)
                 ):
                     self._broken(f"{by} takes away the right to command {pod['metadata']['name']}")
 
@@ -146,7 +148,9 @@ class Deleting(Simulation):
             yield "the Secret is somebody's"
         for pod in claimed:
             workload = _labels(pod)[names.WORKLOAD]
-            if "spare" not in monitors.commanded(self.server.get("roles", (NAMESPACE, names.monitor(workload)))):
+            if "spare" not in monitor_deployment.commanded(
+                self.server.get("roles", (NAMESPACE, names.monitor(workload)))
+            ):
                 yield f"the monitor of {workload} may not command {pod['metadata']['name']}"
 
 
@@ -194,7 +198,7 @@ def found(words: str, within: int = 100) -> None:
 
 @pytest.mark.parametrize("words", ["deletes the token", "takes away the right"])
 def test_it_is_found_where_nobody_thinks_of_claims_that_were_not_seen_yet(words: str) -> None:
-    with mock.patch.object(tokens, "claimable", return_value=False):
+    with mock.patch.object(claim_tokens, "claimable", return_value=False):
         found(words)
 
 
@@ -205,9 +209,9 @@ def test_a_secret_that_is_its_pool_s_is_found() -> None:
 
     def keep(pool: str, namespace: str, live: Object | None, token: Any) -> list[Any]:
         if live is not None and controller_of(live) is None:  # as the cluster has it from the start
-            return [tokens.Patch(tokens.SECRETS, live, {"metadata": owned(live, namespace)["metadata"]})]
+            return [claim_tokens.Patch(claim_tokens.SECRETS, live, {"metadata": owned(live, namespace)["metadata"]})]
         made = ownership.token(names.pool_secret(pool), token())
-        return [] if live is not None else [Create(tokens.SECRETS, owned(made, namespace))]
+        return [] if live is not None else [Create(claim_tokens.SECRETS, owned(made, namespace))]
 
-    with mock.patch.object(tokens, "keep", keep):
+    with mock.patch.object(claim_tokens, "keep", keep):
         found("deletes the token")

@@ -13,7 +13,7 @@ from tests.unit.interleavings.invariants import _labels, _living
 from tests.unit.interleavings.robots import NODES, Luck
 from tests.unit.interleavings.simulation import Outcome, Scene, Simulation
 from understudy.api import names
-from understudy.cluster.client import Object
+from understudy.kube.client import Object
 
 FIRST, RUNS = 700_000, 24
 SCENE = Scene(

@@ -19,14 +19,15 @@ import pytest
 
 from tests.unit.interleavings import simulation
 from tests.unit.interleavings.simulation import SCENES, Outcome, Scene
-from understudy.cluster import applying, claims, gates
-from understudy.cluster.client import Client, Object
-from understudy.cluster.leases import Lease
-from understudy.controller.executing import Executor
-from understudy.controller.expectations import Expectations
-from understudy.monitor.givingup import GivingUp
-from understudy.monitor.leftovers import Leftovers
-from understudy.monitor.reporting import Reporter
+from understudy.controller.pods.expectations import Expectations
+from understudy.controller.reconcile.executor import Executor
+from understudy.kube import apply, claims
+from understudy.kube.client import Client, Object
+from understudy.kube.gates import network_policy
+from understudy.kube.leader_election import Lease
+from understudy.monitor.act.abandonment import GivingUp
+from understudy.monitor.act.garbage_collection import Leftovers
+from understudy.monitor.report.reporter import Reporter
 
 REPOSITORY = Path(__file__).parents[3]
 RUNS, CHUNK = 250, 25
@@ -114,21 +115,21 @@ def test_a_claim_without_its_precondition_is_found() -> None:
 
 
 def test_a_commit_without_its_precondition_is_found() -> None:
-    commit = gates.commit
+    commit = network_policy.commit
 
     async def careless(client: Client, *rest: Any, **more: Any) -> Object:
         with mock.patch.object(client, "patch", without("resourceVersion").__get__(client)):
             return await commit(client, *rest, **more)
 
-    with mock.patch.object(gates, "commit", careless):
+    with mock.patch.object(network_policy, "commit", careless):
         assert found("went from epoch", EXECUTING, "second_monitor", "all_fail")
 
 
 def test_a_gate_that_is_opened_before_the_failed_pod_is_fenced_is_found() -> None:
-    commit, selector = gates.commit, gates._selector
+    commit, selector = network_policy.commit, network_policy._selector
     before: dict[str, str] = {}
 
-    async def careless(client: Client, *rest: Any, over: gates.GateRecord, active: str, **more: Any) -> Object:
+    async def careless(client: Client, *rest: Any, over: network_policy.GateRecord, active: str, **more: Any) -> Object:
         before[rest[1]] = over.active if active else ""
         return await commit(client, *rest, over=over, active=active, **more)
 
@@ -136,7 +137,7 @@ def test_a_gate_that_is_opened_before_the_failed_pod_is_fenced_is_found() -> Non
         return selector(workload, active, admitted or before.get(workload, ""))
 
     # Both for the whole test: a monitor that is killed ends no context that it is in.
-    with mock.patch.object(gates, "commit", careless), mock.patch.object(gates, "_selector", both):
+    with mock.patch.object(network_policy, "commit", careless), mock.patch.object(network_policy, "_selector", both):
         assert found("through and names", EXECUTING, "all_fail")
 
 
@@ -157,7 +158,7 @@ def test_a_claimed_pod_that_is_deleted_as_if_it_were_free_is_found() -> None:
     async def careless(client: Client, resource: Any, item: Object) -> None:
         await client.delete(resource, item["metadata"]["namespace"], item["metadata"]["name"])
 
-    with mock.patch.object(applying, "delete_exactly", careless):
+    with mock.patch.object(apply, "delete_exactly", careless):
         assert found("which is claimed", SHARED, "all_fail", "pool_is_resized")
 
 

@@ -18,15 +18,15 @@ from tests.unit.interleavings.ownership import PERIOD, Reader, Writer
 from tests.unit.interleavings.reflexes import SCENES, Reflexive
 from tests.unit.interleavings.simulation import Outcome, Scene
 from tests.unit.interleavings.test_interleavings import told_alike, without
-from understudy.agent.leases import Lease
-from understudy.agent.strengths import Strengths
-from understudy.api.strengths import STRONGEST
-from understudy.cluster import gates
-from understudy.cluster.client import Client, Object
-from understudy.mitigation import reflex
-from understudy.mitigation.interfaces import Instance
-from understudy.monitor import leases
-from understudy.monitor.reflexes import Reflexes
+from understudy.agent.permit import Lease
+from understudy.agent.writer_strength import Strengths
+from understudy.api.protocol.ownership_strength import STRONGEST
+from understudy.failover import reflex
+from understudy.failover.interfaces import Instance
+from understudy.kube.client import Client, Object
+from understudy.kube.gates import network_policy
+from understudy.monitor.act import permits
+from understudy.monitor.act.reflex_guard import Reflexes
 
 FIRST, RUNS, CHUNK = 1_100_000, 80, 16
 """Seeds that scripts/bench doesn't run by itself."""
@@ -157,7 +157,7 @@ def found(
 
 def test_a_replaced_instance_that_is_told_to_go_on_is_found() -> None:
     # And at once: a second later its node knows the gate of now.
-    with mock.patch.object(leases, "word", return_value="Go"), mock.patch.object(leases, "CATCH_UP", 0.0):
+    with mock.patch.object(permits, "word", return_value="Go"), mock.patch.object(permits, "CATCH_UP", 0.0):
         assert found("which its gate shut out", ALONE, "node_is_cut_off")
 
 
@@ -176,13 +176,13 @@ def test_a_standby_that_is_stronger_than_who_drives_is_found() -> None:
 
 
 def test_a_standby_that_is_let_through_over_another_write_is_found() -> None:
-    admit = gates.admit
+    admit = network_policy.admit
 
     async def careless(client: Client, *rest: Any, **more: Any) -> Object:
         with mock.patch.object(client, "patch", without("resourceVersion").__get__(client)):
             return await admit(client, *rest, **more)
 
-    with mock.patch.object(gates, "admit", careless):
+    with mock.patch.object(network_policy, "admit", careless):
         assert found("lets ", ALONE, "active_hangs", "standby_hangs", "second_monitor", weather=3.0, within=200)
 
 

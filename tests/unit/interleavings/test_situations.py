@@ -18,11 +18,11 @@ from tests.unit.interleavings.actors import NAMESPACE
 from tests.unit.interleavings.invariants import Invariants, _labels, _living
 from tests.unit.interleavings.simulation import Outcome, Scene, Simulation
 from understudy.api import names
-from understudy.api.settings import WorkloadSettings
-from understudy.cluster import gates
-from understudy.cluster.client import Object
-from understudy.controller import objects
-from understudy.monitor.situating import Seen
+from understudy.api.protocol.monitor_settings import WorkloadSettings
+from understudy.controller.observed import kube_objects
+from understudy.kube.client import Object
+from understudy.kube.gates import network_policy
+from understudy.monitor.observe.context_detection import Seen
 
 FIRST, RUNS = 500_016, 16
 
@@ -73,8 +73,8 @@ class Situated(Simulation):
     def _written(self, plural: str, old: Object | None, new: Object | None, by: str) -> None:
         super()._written(plural, old, new, by)
         if plural == "networkpolicies" and old is not None and new is not None:
-            found = self.robots.running.get(uid := gates.read(new).active_uid)
-            if found is not None and gates.read(old).active_uid != uid:
+            found = self.robots.running.get(uid := network_policy.read(new).active_uid)
+            if found is not None and network_policy.read(old).active_uid != uid:
                 self.seen["took over"] += (
                     _labels(self.server.get("pods", found.place) or {"metadata": {}}).get(names.POOL) == "hot"
                 )
@@ -100,7 +100,7 @@ class Situated(Simulation):
             if _labels(one).get(names.POOL) == "hot"
             and _labels(one).get(names.WORKLOAD) == workload
             and one["metadata"]["uid"] != found.uid
-            and objects.ready(one)
+            and kube_objects.ready(one)
         ]
         if situation == CARRYING and not others:
             self._broken(f"{by} lets {found.name} go, by which {workload} is to be recovered")

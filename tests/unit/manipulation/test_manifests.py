@@ -10,8 +10,8 @@ import yaml
 
 from tests.support.manifests import MODELS, assert_references_lead_somewhere, covers
 from understudy.api import names
-from understudy.api.policies import FailurePolicySpec
-from understudy.trees.forms import load_monitoring
+from understudy.api.kinds.failure_policy import FailurePolicySpec
+from understudy.trees.languages.notations import load_monitoring
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "manipulation"
 FILES = sorted([*(EXAMPLE / "manifests").rglob("*.yaml"), *(EXAMPLE / "moveit2").rglob("*.yaml")])

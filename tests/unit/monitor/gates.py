@@ -6,13 +6,13 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-from tests.unit.cluster.memory import MemoryClient
+from tests.unit.kube.memory import MemoryClient
 from understudy.api import names
-from understudy.cluster.client import NETWORK_POLICIES, Object
-from understudy.mitigation.interfaces import Instance
-from understudy.monitor.faults import CrashPoints
-from understudy.monitor.gating import PolicyGate
-from understudy.monitor.view import View
+from understudy.failover.interfaces import Instance
+from understudy.kube.client import NETWORK_POLICIES, Object
+from understudy.monitor.act.gate_control import PolicyGate
+from understudy.monitor.crash_points import CrashPoints
+from understudy.monitor.observe.cluster_view import View
 
 
 async def gate(client: MemoryClient, found: View, tmp_path: Path, active: Instance | None = None) -> PolicyGate:

@@ -8,16 +8,18 @@ from typing import Any
 import pytest
 
 from tests.unit.monitor.test_trying_again import Told, policy, took_over
-from understudy.api.workloads import Recovery
-from understudy.mitigation.interfaces import GateState, Superseded
-from understudy.mitigation.progress import Progress
-from understudy.monitor import aftermath, detection, retries
-from understudy.monitor.aftermath import Aftermath
-from understudy.monitor.detection import Detector
-from understudy.monitor.limits import Limits
-from understudy.monitor.postponing import Postponing
-from understudy.monitor.retries import BACKOFF_FIRST
-from understudy.monitor.safety import Unattended
+from understudy.api.kinds.robot_workload import Recovery
+from understudy.failover.interfaces import GateState, Superseded
+from understudy.failover.progress import Progress
+from understudy.monitor.act import recovery_outcome
+from understudy.monitor.act.recovery_outcome import Aftermath
+from understudy.monitor.act.safe_commands import Unattended
+from understudy.monitor.decide import retry_backoff
+from understudy.monitor.decide.deferred_failures import Postponing
+from understudy.monitor.decide.limits import Limits
+from understudy.monitor.decide.retry_backoff import BACKOFF_FIRST
+from understudy.monitor.judge import failure_detection
+from understudy.monitor.judge.failure_detection import Detector
 
 NOW = 1_000_000.0
 COMMITTED = NOW - 0.3
@@ -76,7 +78,7 @@ class World:
 
 @pytest.fixture(autouse=True)
 def clock(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in (aftermath, detection, retries):
+    for module in (recovery_outcome, failure_detection, retry_backoff):
         monkeypatch.setattr(module, "time", SimpleNamespace(time=lambda: NOW))
 
 

@@ -10,8 +10,8 @@ from typing import IO
 
 import pytest
 
-from understudy.api.recordings import Recording
-from understudy.monitor.archive import Archive, TooBig
+from understudy.api.kinds.recording_spec import Recording
+from understudy.monitor.report.recording_archive import Archive, TooBig
 
 
 def recording(number: int) -> Recording:

@@ -31,8 +31,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from tests.unit.dds import keep_to_itself
 from tests.unit.monitor.test_blackbox import Monitored
-from understudy.monitor import blackbox as module
-from understudy.ros.types import message_class
+from understudy.monitor.report import black_box as module
+from understudy.ros.runtime.interface_types import message_class
 
 pytestmark = pytest.mark.ros
 

@@ -20,16 +20,16 @@ from mcap.reader import make_reader
 from rclpy.serialization import serialize_message
 
 from tests.unit.dds import keep_to_itself
-from understudy.api.policies import FailurePolicySpec
-from understudy.api.recordings import Recordings
-from understudy.api.workloads import GateStatus, Recovery, RobotWorkloadSpec
-from understudy.cluster.client import ApiError
-from understudy.cluster.pages import serve
-from understudy.mitigation.progress import PodIdentity, Progress
-from understudy.monitor import blackbox as module
-from understudy.monitor.archive import Archive
-from understudy.monitor.blackbox import BlackBox
-from understudy.monitor.sight import Sight
+from understudy.api.kinds.failure_policy import FailurePolicySpec
+from understudy.api.kinds.recording_spec import Recordings
+from understudy.api.kinds.robot_workload import GateStatus, Recovery, RobotWorkloadSpec
+from understudy.failover.progress import PodIdentity, Progress
+from understudy.kube.client import ApiError
+from understudy.monitor.observe.health_observer import Sight
+from understudy.monitor.report import black_box as module
+from understudy.monitor.report.black_box import BlackBox
+from understudy.monitor.report.recording_archive import Archive
+from understudy.process.http_pages import serve
 
 pytestmark = pytest.mark.ros
 

@@ -9,17 +9,18 @@ from typing import Any
 
 import pytest
 
-from understudy.api.agents import AgentStatus
-from understudy.api.kept import KeptState, RestoreReport
-from understudy.api.policies import FailurePolicySpec
-from understudy.api.procedures import Check, Procedure
-from understudy.api.settings import PoolChoice, WorkloadSettings
-from understudy.api.workloads import RobotWorkloadSpec
-from understudy.mitigation.interfaces import Instance, NotVerified
-from understudy.mitigation.strategies import ExecutingFallback, InitializedFallback, Restart
-from understudy.monitor import bringing, sidecars
-from understudy.monitor.bringing import Bringing, expected, managed
-from understudy.monitor.choosing import choices
+from understudy.api.kinds.failure_policy import FailurePolicySpec
+from understudy.api.kinds.procedure_spec import Check, Procedure
+from understudy.api.kinds.robot_workload import RobotWorkloadSpec
+from understudy.api.protocol.agent_messages import AgentStatus
+from understudy.api.protocol.kept_state import KeptState, RestoreReport
+from understudy.api.protocol.monitor_settings import PoolChoice, WorkloadSettings
+from understudy.failover.interfaces import Instance, NotVerified
+from understudy.failover.strategies import ExecutingFallback, InitializedFallback, Restart
+from understudy.monitor.act import standby_lifecycle
+from understudy.monitor.act.standby_lifecycle import Bringing, expected, managed
+from understudy.monitor.decide.strategy_list import choices
+from understudy.monitor.observe import agent_connections
 
 UP = {"yaml": {"set_lifecycle": {"node": "/nav", "state": "active"}}}
 INIT = Procedure(yaml={"set_lifecycle": {"node": "/nav", "state": "inactive"}}, within="7s")
@@ -61,7 +62,7 @@ HOT = PoolChoice(name="hot", readiness="Executing")
 
 def test_without_procedures_the_health_tree_alone_counts() -> None:
     for instance in (ACTIVE, SOURCE, replace(STANDBY, pool="hot")):
-        assert expected(instance, workload(), settings(HOT), active_uid="uid-1") == bringing.Expected()
+        assert expected(instance, workload(), settings(HOT), active_uid="uid-1") == standby_lifecycle.Expected()
 
 
 def test_a_standby_of_an_initialized_pool_is_initialized_and_checked() -> None:
@@ -116,7 +117,7 @@ def test_the_one_in_control_is_brought_up_where_that_was_not_done() -> None:
 def test_a_claimed_pod_is_left_to_the_strategy_that_claimed_it() -> None:
     claimed = Instance("s-1", "uid-4", pool="spare", claim="u/1", running=True)
     pools = settings(PoolChoice(name="spare", readiness="Uninitialized"))
-    assert expected(claimed, workload(bringUp=UP), pools, active_uid="") == bringing.Expected()
+    assert expected(claimed, workload(bringUp=UP), pools, active_uid="") == standby_lifecycle.Expected()
 
 
 def test_procedures_make_a_workload_managed() -> None:
@@ -196,7 +197,7 @@ class Fleet:
 def world(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     found = SimpleNamespace(fleet=Fleet(), sidecars=Sidecars(), reporter=Reporter(), clock=1000.0)
     found.bringing = Bringing(found.fleet, found.sidecars, found.reporter)  # type: ignore[arg-type]
-    monkeypatch.setattr(bringing, "time", SimpleNamespace(monotonic=lambda: found.clock))
+    monkeypatch.setattr(standby_lifecycle, "time", SimpleNamespace(monotonic=lambda: found.clock))
     found.sidecars.brought["uid-1"] = "up:x:0"
 
     async def look(*instances: Instance, **more: Any) -> None:
@@ -234,7 +235,7 @@ async def test_a_failure_is_told_once_and_tried_again_later(world: SimpleNamespa
         "or what it waits for there; it is tried again.",
     )
     assert len(world.sidecars.ran) == 1
-    world.clock += bringing.RETRY_FIRST
+    world.clock += standby_lifecycle.RETRY_FIRST
     await world.look()
     assert len(world.sidecars.ran) == 2
     assert [reason for reason, _ in world.reporter.events] == ["NotBroughtUp"]
@@ -248,7 +249,7 @@ async def test_a_correction_is_tried_at_once_and_nothing_is_said_of_what_it_corr
     world.sidecars.fails = "initialization.set_lifecycle: node /nav did not configure"
     for _ in range(4):  # the wait for the next try grows
         await world.look()
-        world.clock += bringing.RETRY_MOST
+        world.clock += standby_lifecycle.RETRY_MOST
     world.sidecars.fails = ""
     await world.look(pool=WARM.model_copy(update={"initialization": OTHER}))
     assert "did not configure" not in world.reporter.conditions["BroughtUp"][2]
@@ -307,7 +308,7 @@ async def test_a_standby_that_lost_its_readiness_for_long_is_replaced_and_report
     await world.look()
     world.sidecars.ready["uid-3"] = False
     await world.look()
-    world.clock += bringing.LOST_FOR - 0.1
+    world.clock += standby_lifecycle.LOST_FOR - 0.1
     await world.look()
     assert world.fleet.retired == []
     world.clock += 0.2
@@ -323,7 +324,7 @@ async def test_a_standby_that_comes_back_stays(world: SimpleNamespace) -> None:
     world.sidecars.ready["uid-3"] = False
     await world.look()
     world.sidecars.ready["uid-3"] = True
-    world.clock += bringing.LOST_FOR
+    world.clock += standby_lifecycle.LOST_FOR
     await world.look()
     world.sidecars.ready["uid-3"] = False
     await world.look()
@@ -337,7 +338,7 @@ async def test_standbys_stay_while_the_one_in_control_is_not_healthy_either(worl
     world.reporter.health = "Failed"
     for _ in range(3):
         await world.look()
-        world.clock += bringing.LOST_FOR
+        world.clock += standby_lifecycle.LOST_FOR
     assert world.fleet.retired == []
 
 
@@ -345,7 +346,7 @@ async def test_a_standby_that_was_never_ready_is_not_replaced_for_that(world: Si
     world.sidecars.ready["uid-3"] = False
     for _ in range(3):
         await world.look()
-        world.clock += bringing.LOST_FOR
+        world.clock += standby_lifecycle.LOST_FOR
     assert world.fleet.retired == []
 
 
@@ -394,10 +395,14 @@ def test_a_check_that_can_not_be_read_is_left_to_the_agent_to_refuse() -> None:
 
 
 async def test_a_procedure_that_can_not_be_read_fails_with_its_place() -> None:
-    procedure = bringing.BringUp.of("recovery", Procedure(xml=XML_CHECK.replace("LifecycleIs", "LifecycleWas")))
+    procedure = standby_lifecycle.BringUp.of(
+        "recovery", Procedure(xml=XML_CHECK.replace("LifecycleIs", "LifecycleWas"))
+    )
     assert procedure is not None
     with pytest.raises(NotVerified) as failure:
-        await sidecars.Sidecars.run(SimpleNamespace(), STANDBY, procedure, within=1.0, state=KeptState(), brought="")  # type: ignore[arg-type]
+        await agent_connections.Sidecars.run(
+            SimpleNamespace(), STANDBY, procedure, within=1.0, state=KeptState(), brought=""
+        )  # type: ignore[arg-type]
     assert str(failure.value) == (
         "recovery, line 3, column 1: <LifecycleWas>: unknown node, did you mean 'LifecycleIs'?"
     )

@@ -8,12 +8,12 @@ from typing import Any, Literal, cast
 import pytest
 
 from understudy.api import names
-from understudy.api.policies import FailurePolicySpec
-from understudy.api.workloads import Attempt
-from understudy.mitigation.progress import PodIdentity, Progress, rfc3339
-from understudy.monitor.budgeting import Spending
-from understudy.monitor.reporting import Reporter
-from understudy.monitor.view import View
+from understudy.api.kinds.failure_policy import FailurePolicySpec
+from understudy.api.kinds.robot_workload import Attempt
+from understudy.failover.progress import PodIdentity, Progress, rfc3339
+from understudy.monitor.decide.budget_spending import Spending
+from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.report.reporter import Reporter
 
 BUDGET = {"recoveries": 2, "within": "10m"}
 

@@ -19,12 +19,12 @@ from rclpy.serialization import deserialize_message
 
 from tests.unit.dds import keep_to_itself
 from tests.unit.monitor.test_keeping import POSE, STANDBY, Monitor
-from understudy.api.kept import Motion
-from understudy.api.states import RestoredState, State
-from understudy.api.workloads import Recovery
-from understudy.mitigation.shelf import Shelf
-from understudy.monitor import keeping as module
-from understudy.ros.graph import Graph
+from understudy.api.kinds.robot_workload import Recovery
+from understudy.api.kinds.state_spec import RestoredState, State
+from understudy.api.protocol.kept_state import Motion
+from understudy.monitor.act import state_keeping as module
+from understudy.ros.runtime.graph_node import Graph
+from understudy.state.state_store import Shelf
 
 pytestmark = pytest.mark.ros
 

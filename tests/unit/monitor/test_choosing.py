@@ -6,14 +6,14 @@ from types import SimpleNamespace
 
 from tests.unit.controller import world as cluster
 from tests.unit.controller.test_choosing import auto, warm
-from tests.unit.mitigation.world import Store, World
+from tests.unit.failover.world import Store, World
 from understudy.api import names
-from understudy.cluster.client import Object
-from understudy.mitigation.failover import Choice, recover
-from understudy.mitigation.interfaces import GateState
-from understudy.mitigation.progress import PodIdentity, Progress
-from understudy.monitor.choosing import choices
-from understudy.monitor.view import View
+from understudy.failover.interfaces import GateState
+from understudy.failover.progress import PodIdentity, Progress
+from understudy.failover.protocol import Choice, recover
+from understudy.kube.client import Object
+from understudy.monitor.decide.strategy_list import choices
+from understudy.monitor.observe.cluster_view import View
 
 
 def followed(policy: Object) -> list[Choice]:

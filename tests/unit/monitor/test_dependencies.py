@@ -11,22 +11,22 @@ from typing import Any, cast
 
 import pytest
 
-from tests.unit.cluster.memory import MemoryClient
+from tests.unit.kube.memory import MemoryClient
 from tests.unit.monitor.gates import gate
 from tests.unit.monitor.test_waiting import Said, view
 from understudy.api import names
-from understudy.api.policies import FailurePolicySpec
-from understudy.api.settings import WorkloadSettings
-from understudy.api.workloads import Attempt, DependencyRecovery, RobotWorkloadSpec, RobotWorkloadStatus
-from understudy.cluster.client import NETWORK_POLICIES, Object
-from understudy.mitigation.dependencies import Due
-from understudy.mitigation.interfaces import GateState, Instance
-from understudy.mitigation.progress import PodIdentity, Progress, rfc3339
-from understudy.monitor.choosing import choices
-from understudy.monitor.dependencies import Dependencies, following
-from understudy.monitor.reporting import QUIET, Reporter, describe
-from understudy.monitor.supervising import Parts, Supervisor
-from understudy.trees.health import Verdict
+from understudy.api.kinds.failure_policy import FailurePolicySpec
+from understudy.api.kinds.robot_workload import Attempt, DependencyRecovery, RobotWorkloadSpec, RobotWorkloadStatus
+from understudy.api.protocol.monitor_settings import WorkloadSettings
+from understudy.failover.dependency import Due
+from understudy.failover.interfaces import GateState, Instance
+from understudy.failover.progress import PodIdentity, Progress, rfc3339
+from understudy.kube.client import NETWORK_POLICIES, Object
+from understudy.monitor.decide.strategy_list import choices
+from understudy.monitor.loop import Parts, Supervisor
+from understudy.monitor.observe.dependencies import Dependencies, following
+from understudy.monitor.report.reporter import QUIET, Reporter, describe
+from understudy.trees.core.health_tree import Verdict
 
 NOW = datetime(2026, 11, 22, 14, 2, 11, tzinfo=UTC).timestamp()
 BRING_UP = {"yaml": {"set_lifecycle": {"node": "/plan", "state": "active"}}, "within": "20s"}

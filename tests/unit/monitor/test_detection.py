@@ -9,11 +9,11 @@ from typing import Any, cast
 
 import pytest
 
-from understudy.api.policies import Monitoring
-from understudy.mitigation.interfaces import GateState, Instance
-from understudy.monitor.detection import Detector
-from understudy.trees.forms import load_monitoring
-from understudy.trees.observations import Recorded, TopicRecord
+from understudy.api.kinds.failure_policy import Monitoring
+from understudy.failover.interfaces import GateState, Instance
+from understudy.monitor.judge.failure_detection import Detector
+from understudy.trees.core.observations import Recorded, TopicRecord
+from understudy.trees.languages.notations import load_monitoring
 
 ACTIVE = Instance(name="w-1", uid="uid-1", ip="10.0.0.1", running=True, ready=True)
 

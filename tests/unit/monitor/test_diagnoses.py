@@ -8,10 +8,10 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from understudy.api.workloads import GateStatus, Health, Moments, Parts, Recovery
-from understudy.monitor.diagnoses import LEVELS, LONGEST, More, said, status
-from understudy.monitor.reporting import Reporter
-from understudy.ros.diagnosing import Status
+from understudy.api.kinds.robot_workload import GateStatus, Health, Moments, Parts, Recovery
+from understudy.monitor.report.diagnostics_status import LEVELS, LONGEST, More, said, status
+from understudy.monitor.report.reporter import Reporter
+from understudy.ros.actions.diagnostics_topic import Status
 
 NONE: Any = None
 TREE: dict[str, Any] = {

@@ -9,9 +9,9 @@ from typing import Any, cast
 import pytest
 
 from tests.unit.monitor.test_trying_again import Told
-from understudy.mitigation.interfaces import GateState, Instance
-from understudy.monitor import enforcement
-from understudy.monitor.enforcement import SETTLE, SILENT, Enforcement, judge
+from understudy.failover.interfaces import GateState, Instance
+from understudy.monitor.judge import gate_enforcement
+from understudy.monitor.judge.gate_enforcement import SETTLE, SILENT, Enforcement, judge
 
 NOW = 1000.0
 SINCE = NOW - 60
@@ -85,7 +85,7 @@ def test_it_is_judged_anew_after_the_gate_lets_another_pod_through_and_said_once
     probes: Any = SimpleNamespace(last=last.get)
     told: Any = Told()
     clock = [NOW]
-    monkeypatch.setattr(enforcement, "time", SimpleNamespace(time=lambda: clock[0]))
+    monkeypatch.setattr(gate_enforcement, "time", SimpleNamespace(time=lambda: clock[0]))
     enforced = Enforcement(gate, probes, told)
     enforced.look(NOW)
     enforced.say(found := enforced.judge([ACTIVE, STANDBY]))
@@ -109,7 +109,7 @@ def test_a_reader_that_the_gate_does_not_reach_counts_as_not_enforced_whatever_p
     last = {"uid-w-1": NOW + SETTLE}
     probes: Any = SimpleNamespace(last=last.get)
     clock = [NOW]
-    monkeypatch.setattr(enforcement, "time", SimpleNamespace(time=lambda: clock[0]))
+    monkeypatch.setattr(gate_enforcement, "time", SimpleNamespace(time=lambda: clock[0]))
     told: Any = Told()
     ungated = [""]
     enforced = Enforcement(gate, probes, told, lambda: ungated[0])

@@ -8,12 +8,12 @@ from typing import Any
 
 import pytest
 
-from tests.unit.cluster.memory import MemoryClient
+from tests.unit.kube.memory import MemoryClient
 from understudy.api import names
-from understudy.cluster.client import ApiError
-from understudy.mitigation.interfaces import Instance
-from understudy.monitor.faults import CrashPoints
-from understudy.monitor.fleet import Fleet, instance_of
+from understudy.failover.interfaces import Instance
+from understudy.kube.client import ApiError
+from understudy.monitor.act.pod_control import Fleet, instance_of
+from understudy.monitor.crash_points import CrashPoints
 
 EVICTION = {"type": "DisruptionTarget", "status": "True", "reason": "DeletionByTaintManager"}
 DELETED = {"deletionTimestamp": "2026-01-01T00:00:30Z"}

@@ -7,13 +7,13 @@ from typing import Any
 
 import pytest
 
-from tests.unit.cluster.memory import MemoryClient
+from tests.unit.kube.memory import MemoryClient
 from tests.unit.monitor.gates import gate as open_gate
-from understudy.cluster import gates
-from understudy.cluster.client import NETWORK_POLICIES, Object
-from understudy.mitigation.interfaces import Instance, Superseded
-from understudy.mitigation.progress import PodIdentity, Progress
-from understudy.monitor.view import View
+from understudy.failover.interfaces import Instance, Superseded
+from understudy.failover.progress import PodIdentity, Progress
+from understudy.kube.client import NETWORK_POLICIES, Object
+from understudy.kube.gates import network_policy
+from understudy.monitor.observe.cluster_view import View
 
 FAILED = Instance(name="w-1", uid="u1")
 STANDBY = Instance(name="w-2", uid="u2")
@@ -33,10 +33,10 @@ async def by_another(
 
     The recovery that stands beside the gate is ``kept`` by who knows of epochs only.
     """
-    over = gates.read(await client.get(NETWORK_POLICIES, "fleet", "w-gate"))
+    over = network_policy.read(await client.get(NETWORK_POLICIES, "fleet", "w-gate"))
     name, uid = (pod.name, pod.uid) if pod else ("", "")
     beside = over.recovery if kept else ""
-    policy = await gates.commit(client, "fleet", "w", over=over, active=name, active_uid=uid, recovery=beside)
+    policy = await network_policy.commit(client, "fleet", "w", over=over, active=name, active_uid=uid, recovery=beside)
     if noticed:
         found.gates.put(policy)
 
@@ -97,16 +97,16 @@ async def test_a_commit_that_was_carried_out_without_an_answer_is_its_own(
     client: MemoryClient, found: View, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     gate, progress = await open_gate(client, found, tmp_path, FAILED), recovery()
-    real = gates.commit
+    real = network_policy.commit
 
     async def unanswered(*arguments: Any, **named: Any) -> Object:
         found.gates.put(await real(*arguments, **named))
         raise RuntimeError("given up in its time")
 
-    monkeypatch.setattr(gates, "commit", unanswered)
+    monkeypatch.setattr(network_policy, "commit", unanswered)
     with pytest.raises(RuntimeError):
         await gate.commit(None, progress)
-    monkeypatch.setattr(gates, "commit", real)
+    monkeypatch.setattr(network_policy, "commit", real)
     await gate.commit(STANDBY, progress)
     assert (gate.state.active, gate.state.epoch) == (STANDBY.name, 6)
 

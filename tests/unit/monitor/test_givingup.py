@@ -13,26 +13,27 @@ from typing import Any
 import aiohttp
 import pytest
 
-from tests.unit.cluster.memory import MemoryClient
 from tests.unit.interleavings.blanks import BlackBox, Keeping
+from tests.unit.kube.memory import MemoryClient
 from tests.unit.monitor.gates import gate as open_gate
 from understudy.api import names
-from understudy.api.workloads import Recovery, RobotWorkloadStatus
-from understudy.cluster import gates
-from understudy.cluster.client import NETWORK_POLICIES, ApiError, Object
-from understudy.mitigation.dependencies import Seen
-from understudy.mitigation.failover import Choice
-from understudy.mitigation.givenup import GivenUp
-from understudy.mitigation.interfaces import Instance, Superseded
-from understudy.mitigation.journal import Journal
-from understudy.mitigation.progress import LASTS, PodIdentity, Progress, beside, told_in
-from understudy.mitigation.strategies import Means, Strategy
-from understudy.mitigation.waiting import Waiter
-from understudy.monitor import givingup, resuming
-from understudy.monitor.gating import PolicyGate
-from understudy.monitor.givingup import GivingUp
-from understudy.monitor.recovering import Recoveries
-from understudy.monitor.view import View
+from understudy.api.kinds.robot_workload import Recovery, RobotWorkloadStatus
+from understudy.failover.abandoned import GivenUp
+from understudy.failover.dependency import Seen
+from understudy.failover.interfaces import Instance, Superseded
+from understudy.failover.journal import Journal
+from understudy.failover.pool_queue import Waiter
+from understudy.failover.progress import LASTS, PodIdentity, Progress, beside, told_in
+from understudy.failover.protocol import Choice
+from understudy.failover.strategies import Means, Strategy
+from understudy.kube.client import NETWORK_POLICIES, ApiError, Object
+from understudy.kube.gates import network_policy
+from understudy.monitor.act import abandonment
+from understudy.monitor.act.abandonment import GivingUp
+from understudy.monitor.act.gate_control import PolicyGate
+from understudy.monitor.act.recovery_runner import Recoveries
+from understudy.monitor.observe import interrupted_recovery
+from understudy.monitor.observe.cluster_view import View
 
 FAILED = Instance(name="w-1", uid="u1")
 STANDBY = Instance(name="w-2", uid="u2")
@@ -137,11 +138,11 @@ class Monitor:
 
     def interrupted(self) -> Progress | None:
         """What a monitor that starts now would go on with."""
-        return resuming.interrupted(self.journal, self.gate, self.reporter, self.giving_up.ids)
+        return interrupted_recovery.interrupted(self.journal, self.gate, self.reporter, self.giving_up.ids)
 
     def seen(self) -> Seen:
         """What those that depend on it make of its gate and of its status, once that says that it is well."""
-        recovery = beside(gates.read(self.policy).recovery)
+        recovery = beside(network_policy.read(self.policy).recovery)
         return Seen.of(RobotWorkloadStatus(health="Healthy", recoveries=self.recoveries), recovery)
 
     @property
@@ -197,10 +198,10 @@ async def test_one_that_an_error_stops_after_its_commit_is_under_way_for_nobody_
     progress = await monitor.recover(None, last, DENIED)
     assert monitor.ended == ["stopped"]
     assert monitor.seen().failing, "as long as nobody has said otherwise"
-    epoch, selector = gates.read(monitor.policy).epoch, monitor.policy["spec"]
+    epoch, selector = network_policy.read(monitor.policy).epoch, monitor.policy["spec"]
     await monitor.look()
     assert not monitor.seen().failing
-    record = gates.read(monitor.policy)
+    record = network_policy.read(monitor.policy)
     found = beside(record.recovery)
     assert found is not None
     assert (found.id, found.result, found.failed) == (progress.id, "Failed", progress.failed)
@@ -231,7 +232,7 @@ async def test_those_that_wait_for_the_same_pool_do_not_wait_for_it(monitor: Mon
     await monitor.recover(None, DENIED, progress=progress)
     assert monitor.policy["metadata"]["labels"] == {"app": "w", names.WAITS_FOR: "spare"}
     await monitor.look()
-    found = beside(gates.read(monitor.policy).recovery)
+    found = beside(network_policy.read(monitor.policy).recovery)
     assert found is not None
     assert found.waiting is None
     assert monitor.policy["metadata"]["labels"] == {"app": "w"}
@@ -260,7 +261,7 @@ async def test_nothing_waits_for_its_answer_and_one_is_asked_at_a_time(
     monitor: Monitor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     await monitor.recover(None, DENIED)
-    asked, answered, real = 0, asyncio.Event(), gates.end_recovery
+    asked, answered, real = 0, asyncio.Event(), network_policy.end_recovery
 
     async def slow(*arguments: Any, **named: Any) -> Object:
         nonlocal asked
@@ -268,7 +269,7 @@ async def test_nothing_waits_for_its_answer_and_one_is_asked_at_a_time(
         await answered.wait()
         return await real(*arguments, **named)
 
-    monkeypatch.setattr(gates, "end_recovery", slow)
+    monkeypatch.setattr(network_policy, "end_recovery", slow)
     for _ in range(3):
         monitor.giving_up.look()
         await asyncio.sleep(0)
@@ -278,7 +279,7 @@ async def test_nothing_waits_for_its_answer_and_one_is_asked_at_a_time(
         await monitor.gate.commit(THIRD, next_one)  # while it is under way
     answered.set()
     await monitor.look()
-    found = beside(gates.read(monitor.policy).recovery)
+    found = beside(network_policy.read(monitor.policy).recovery)
     assert found is not None
     assert (found.id, found.result, monitor.gate.state.active) == (next_one.id, "Running", THIRD.name)
 
@@ -290,9 +291,9 @@ async def test_a_commit_that_it_was_faster_than_is_carried_out_all_the_same(moni
     monitor.view.gates.items = known  # its answer has not come yet, nor has the watch told
     next_one = begun()
     await monitor.gate.commit(STANDBY, next_one)
-    found = beside(gates.read(monitor.policy).recovery)
+    found = beside(network_policy.read(monitor.policy).recovery)
     assert found is not None
-    assert (found.id, found.result, gates.read(monitor.policy).epoch) == (next_one.id, "Running", 6)
+    assert (found.id, found.result, network_policy.read(monitor.policy).epoch) == (next_one.id, "Running", 6)
 
 
 @pytest.mark.parametrize("noticed", [True, False])
@@ -305,7 +306,7 @@ async def test_the_record_of_a_newer_recovery_is_not_written_over(
     if noticed:
         put(monitor)
     await monitor.look()
-    found = beside(gates.read(monitor.policy).recovery)
+    found = beside(network_policy.read(monitor.policy).recovery)
     assert found is not None
     assert (found.id, found.result) == (newer.id, "Running")
     put(monitor)
@@ -326,7 +327,7 @@ async def test_one_that_another_monitor_has_taken_up_under_the_same_id_is_that_o
     await other.gate.commit(STANDBY, taken_up)
     put(monitor)
     await monitor.look()
-    found = beside(gates.read(monitor.policy).recovery)
+    found = beside(network_policy.read(monitor.policy).recovery)
     assert found is not None
     assert (found.resumed, found.result) == (True, "Running")
 
@@ -362,14 +363,14 @@ async def test_one_that_a_new_monitor_had_taken_up_and_was_stopped_at_before_it_
 async def test_a_commit_that_is_carried_out_after_its_recovery_was_stopped_is_found(
     monitor: Monitor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    real = gates.commit
+    real = network_policy.commit
     late: list[Callable[[], Any]] = []
 
     async def unanswered(*arguments: Any, **named: Any) -> Object:
         late.append(lambda: real(*arguments, **named))
         raise DENIED  # by somebody in between, such as a proxy
 
-    monkeypatch.setattr(gates, "commit", unanswered)
+    monkeypatch.setattr(network_policy, "commit", unanswered)
     await monitor.recover(None)
     await monitor.look()
     assert not monitor.seen().failing
@@ -400,13 +401,15 @@ async def test_an_earlier_one_that_stands_there_still_is_not_forgotten_for_the_n
 async def test_what_somebody_fenced_by_hand_is_not_opened_by_saying_it(monitor: Monitor) -> None:
     progress = begun()
     await monitor.gate.commit(STANDBY, progress)
-    over = gates.read(monitor.policy)
-    await gates.commit(monitor.client, "fleet", "w", over=over, active="", active_uid="", recovery=over.recovery)
+    over = network_policy.read(monitor.policy)
+    await network_policy.commit(
+        monitor.client, "fleet", "w", over=over, active="", active_uid="", recovery=over.recovery
+    )
     put(monitor)
     await monitor.recover(DENIED, progress=progress)
     await monitor.look()
-    record = gates.read(monitor.policy)
-    assert (record.epoch, record.active, gates.selected(monitor.policy)) == (6, "", ())
+    record = network_policy.read(monitor.policy)
+    assert (record.epoch, record.active, network_policy.selected(monitor.policy)) == (6, "", ())
     assert not monitor.seen().failing
 
 
@@ -443,7 +446,7 @@ class TestWhatAnotherMonitorHasLeft:
     @pytest.fixture
     def clock(self, monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
         clock = SimpleNamespace(now=100.0)
-        monkeypatch.setattr(givingup, "time", SimpleNamespace(monotonic=lambda: clock.now))
+        monkeypatch.setattr(abandonment, "time", SimpleNamespace(monotonic=lambda: clock.now))
         return clock
 
     @pytest.fixture
@@ -463,7 +466,7 @@ class TestWhatAnotherMonitorHasLeft:
         clock.now = 100.0 + LASTS
         await later.look()
         assert not later.seen().failing
-        assert gates.read(later.policy).active == STANDBY.name
+        assert network_policy.read(later.policy).active == STANDBY.name
 
     @pytest.mark.parametrize("health", ["Failed", "Starting", "Unknown", "Recovering"])
     async def test_while_the_robot_is_not_driven_somebody_may_be_at_it(
@@ -489,7 +492,7 @@ class TestWhatAnotherMonitorHasLeft:
         assert later.seen().failing
 
     async def test_what_the_status_tells_of_is_left_as_it_is(self, later: Monitor, clock: SimpleNamespace) -> None:
-        found = beside(gates.read(later.policy).recovery)
+        found = beside(network_policy.read(later.policy).recovery)
         assert found is not None
         later.reporter.told = told_in([found.model_copy(update={"result": "Recovered"}).to_recovery(1)])
         before = written(later.client)
@@ -505,7 +508,7 @@ class TestWhatAnotherMonitorHasLeft:
         put(later)
         for clock.now in (100.0, 200.0, 300.0):
             await later.look()
-        found = beside(gates.read(later.policy).recovery)
+        found = beside(network_policy.read(later.policy).recovery)
         assert found is not None
         assert found.result == "Running"
 
@@ -522,5 +525,5 @@ async def test_one_that_is_superseded_leaves_what_the_other_monitor_has_committe
         await monitor.gate.commit(THIRD, mine)
     monitor.giving_up.note(mine)
     await monitor.look()
-    assert gates.read(monitor.policy).active == STANDBY.name
+    assert network_policy.read(monitor.policy).active == STANDBY.name
     assert monitor.giving_up.ids == set()

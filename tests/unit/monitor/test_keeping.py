@@ -19,23 +19,23 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
 
 from tests.unit.dds import keep_to_itself
-from understudy.api.kept import KeptState, NotRestored, Restored, RestoreReport
-from understudy.api.policies import FailurePolicySpec
-from understudy.api.settings import PoolChoice, WorkloadSettings
-from understudy.api.states import KeptStatus, RestoredState, State
-from understudy.api.workloads import Recovery
-from understudy.cluster.agents import AgentGone
-from understudy.mitigation import keeping as pure
-from understudy.mitigation.interfaces import GateState, Instance, Superseded
-from understudy.mitigation.progress import Progress
-from understudy.mitigation.shelf import Shelf
-from understudy.monitor import keeping as module
-from understudy.monitor import repertoire
-from understudy.monitor.keeping import StateKeeping
-from understudy.monitor.recovering import Recoveries
-from understudy.monitor.standbys import Standbys
-from understudy.monitor.supervising import Parts, Supervisor
-from understudy.ros.graph import Graph
+from understudy.api.kinds.failure_policy import FailurePolicySpec
+from understudy.api.kinds.robot_workload import Recovery
+from understudy.api.kinds.state_spec import KeptStatus, RestoredState, State
+from understudy.api.protocol.kept_state import KeptState, NotRestored, Restored, RestoreReport
+from understudy.api.protocol.monitor_settings import PoolChoice, WorkloadSettings
+from understudy.failover.interfaces import GateState, Instance, Superseded
+from understudy.failover.progress import Progress
+from understudy.kube.agent_client import AgentGone
+from understudy.monitor.act import state_keeping as module
+from understudy.monitor.act.recovery_runner import Recoveries
+from understudy.monitor.act.standby_supervision import Standbys
+from understudy.monitor.act.state_keeping import StateKeeping
+from understudy.monitor.decide import strategy_options
+from understudy.monitor.loop import Parts, Supervisor
+from understudy.ros.runtime.graph_node import Graph
+from understudy.state import state_capture as pure
+from understudy.state.state_store import Shelf
 
 pytestmark = pytest.mark.ros
 
@@ -250,7 +250,7 @@ async def test_it_is_there_for_a_recovery_that_an_earlier_monitor_had_begun(
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Recoveries, "_recovered", recovered)
-        patch.setattr(repertoire, "choices", lambda *_: [])
+        patch.setattr(strategy_options, "choices", lambda *_: [])
         begun = Progress.begin("it ended", last_healthy=onset, detected=onset, failed=[])
         await supervisor._recoveries.carry_out(begun)
     assert [sample.topic for sample in found[0].samples] == ["/amcl_pose"]

@@ -12,14 +12,14 @@ from typing import Any
 import pytest
 
 from understudy.api import names
-from understudy.api.agents import AgentStatus
-from understudy.api.workloads import RobotWorkloadSpec
-from understudy.cluster.client import Object
-from understudy.mitigation.interfaces import GateState, Instance
-from understudy.mitigation.progress import PodIdentity, Progress
-from understudy.monitor import leases as module
-from understudy.monitor.leases import Leases, Word, witnesses, word
-from understudy.ros.sources import VENDOR, host_id
+from understudy.api.kinds.robot_workload import RobotWorkloadSpec
+from understudy.api.protocol.agent_messages import AgentStatus
+from understudy.failover.interfaces import GateState, Instance
+from understudy.failover.progress import PodIdentity, Progress
+from understudy.kube.client import Object
+from understudy.monitor.act import permits as module
+from understudy.monitor.act.permits import Leases, Word, witnesses, word
+from understudy.ros.dds.sample_sources import VENDOR, host_id
 
 ACTIVE, STANDBY = Instance("a", "uid-a", running=True), Instance("s", "uid-s", running=True)
 BEFORE, AFTER = GateState(3, "a", "uid-a"), GateState(4, "s", "uid-s")

@@ -8,9 +8,9 @@ from typing import Any
 
 import aiohttp
 
-from understudy.mitigation.interfaces import GateState, Instance
-from understudy.mitigation.progress import PodIdentity, Progress
-from understudy.monitor.leftovers import FAILED_FOR, LEFT_FOR, Leftovers
+from understudy.failover.interfaces import GateState, Instance
+from understudy.failover.progress import PodIdentity, Progress
+from understudy.monitor.act.garbage_collection import FAILED_FOR, LEFT_FOR, Leftovers
 
 DRIVES = Instance(name="spare-1", uid="uid-1", pool="spare", running=True, claim="uid-w/1")
 LEFT = replace(DRIVES, name="spare-2", uid="uid-2", claim="uid-w/2")

@@ -12,15 +12,16 @@ import pytest
 from prometheus_client import REGISTRY
 
 from understudy.api.conditions import Condition, condition
-from understudy.api.pauses import Pause
-from understudy.api.policies import FailurePolicySpec
-from understudy.mitigation.interfaces import GateState, Instance
-from understudy.monitor import levels, repertoire
-from understudy.monitor.levels import AGAIN, LOOK, Levels
-from understudy.monitor.occasions import Occasions
-from understudy.monitor.supervising import Parts, Supervisor
-from understudy.monitor.wellness import Busy
-from understudy.trees.health import Verdict
+from understudy.api.kinds.failure_policy import FailurePolicySpec
+from understudy.api.kinds.pause_spec import Pause
+from understudy.failover.interfaces import GateState, Instance
+from understudy.monitor.decide import strategy_options
+from understudy.monitor.decide.planned_triggers import Occasions
+from understudy.monitor.judge import degradation_level
+from understudy.monitor.judge.degradation_level import AGAIN, LOOK, Levels
+from understudy.monitor.judge.degraded_tree import Busy
+from understudy.monitor.loop import Parts, Supervisor
+from understudy.trees.core.health_tree import Verdict
 
 ACTIVE = Instance(name="w-1", uid="uid-1", ip="10.0.0.1", running=True, ready=True)
 OTHER = Instance(name="w-2", uid="uid-2", ip="10.0.0.2", running=True, ready=True)
@@ -125,7 +126,7 @@ class World:
 @pytest.fixture
 def world(monkeypatch: pytest.MonkeyPatch) -> World:
     made = World()
-    monkeypatch.setattr(levels, "time", SimpleNamespace(monotonic=lambda: made.now, time=time.time))
+    monkeypatch.setattr(degradation_level, "time", SimpleNamespace(monotonic=lambda: made.now, time=time.time))
     return made
 
 
@@ -378,7 +379,7 @@ def occasions(
 ) -> Occasions:
     """Of a workload whose policy has one strategy."""
     strategy = SimpleNamespace(standing=False, **first)
-    monkeypatch.setattr(repertoire, "choices", lambda *_: [SimpleNamespace(strategy=strategy)])
+    monkeypatch.setattr(strategy_options, "choices", lambda *_: [SimpleNamespace(strategy=strategy)])
     view: Any = SimpleNamespace(policy=HANDED, settings=object(), spec=None)
     parts: dict[str, Any] = {
         "view": view,
@@ -387,7 +388,7 @@ def occasions(
         "levels": SimpleNamespace(due=due, wait=lambda kind, words: waits.append(words)),
         "switching": SimpleNamespace(),
         "dependencies": SimpleNamespace(),
-        "repertoire": repertoire.Repertoire(view, limits.storms if limits else None, cast(Any, object)),
+        "repertoire": strategy_options.Repertoire(view, limits.storms if limits else None, cast(Any, object)),
         "limits": limits,
     }
     return Occasions(**parts)
@@ -441,7 +442,7 @@ async def test_a_hand_over_that_is_due_is_not_begun_where_a_look_finds_otherwise
     async def look(means: object) -> None:
         await asyncio.sleep(takes)
 
-    monkeypatch.setattr(repertoire, "LOOK_WITHIN", 0.02)
+    monkeypatch.setattr(strategy_options, "LOOK_WITHIN", 0.02)
     waits: list[str] = []
     due = "degraded: slow"
     found = await occasions(monkeypatch, waits, due, look=look, available=lambda means: available).is_there()

@@ -14,15 +14,16 @@ import pytest
 
 from tests.unit.monitor.test_trying_again import Told
 from understudy.api import names
-from understudy.api.pauses import Pause
-from understudy.api.policies import FailurePolicySpec
-from understudy.cluster.client import ApiError
-from understudy.mitigation.interfaces import GateState, Instance, Superseded
-from understudy.mitigation.journal import Journal
-from understudy.mitigation.progress import PodIdentity, Progress, rfc3339
-from understudy.monitor import holding, supervising
-from understudy.monitor.detection import Failure
-from understudy.monitor.supervising import Parts, Supervisor
+from understudy.api.kinds.failure_policy import FailurePolicySpec
+from understudy.api.kinds.pause_spec import Pause
+from understudy.failover.interfaces import GateState, Instance, Superseded
+from understudy.failover.journal import Journal
+from understudy.failover.progress import PodIdentity, Progress, rfc3339
+from understudy.kube.client import ApiError
+from understudy.monitor import loop
+from understudy.monitor.act import held_recovery as holding
+from understudy.monitor.judge.failure_detection import Failure
+from understudy.monitor.loop import Parts, Supervisor
 
 ACTIVE = Instance(name="w-1", uid="uid-1", ip="10.0.0.1", running=True, ready=True)
 PAUSE = Pause(reason="a new gripper", owner="ann")
@@ -312,7 +313,7 @@ async def test_a_new_monitor_hears_of_the_understudies_before_it_chooses_and_an_
     heard: list[list[str]] = []
 
     async def settle(instances: Sequence[Instance], within: float) -> None:
-        assert 0 < within <= supervising.SETTLE
+        assert 0 < within <= loop.SETTLE
         assert not world.carried_out
         heard.append([instance.name for instance in instances])
 

@@ -11,10 +11,10 @@ import pytest
 
 from tests.unit.controller import world
 from tests.unit.interleavings import simulation
-from understudy.cluster.client import Object
-from understudy.mitigation.progress import Progress
-from understudy.monitor.holding import Holding
-from understudy.monitor.storms import Storms
+from understudy.failover.progress import Progress
+from understudy.kube.client import Object
+from understudy.monitor.act.held_recovery import Holding
+from understudy.monitor.observe.storm_condition import Storms
 
 BUDGET = {"budget": {"recoveries": 1, "within": "20s"}, "healthyDelay": "10s", "cooldown": "1s"}
 GUARD = {"stormGuard": {"percent": 40, "workloads": 2, "within": "5s", "holdFor": "15s"}}

@@ -11,7 +11,7 @@ from itertools import pairwise
 
 import pytest
 
-from understudy.monitor.looking import APART, STALL_MOST, STALLED, Looks
+from understudy.monitor.observe.wakeups import APART, STALL_MOST, STALLED, Looks
 
 FAR = 60.0
 
@@ -102,7 +102,9 @@ async def test_without_such_topics_messages_wait(arrivals) -> None:
 
 async def test_silence_tells_nothing_after_a_stall(monkeypatch) -> None:
     now = 1000.0
-    monkeypatch.setattr("understudy.monitor.looking.time", type("Clock", (), {"time": staticmethod(lambda: now)}))
+    monkeypatch.setattr(
+        "understudy.monitor.observe.wakeups.time", type("Clock", (), {"time": staticmethod(lambda: now)})
+    )
     looks = Looks(None)
     for late, trusted in ((0.0, 0.0), (STALLED, 0.0), (0.1, 0.1), (3.0, STALL_MOST)):
         looks.trusted_from = 0.0

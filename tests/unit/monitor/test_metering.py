@@ -11,9 +11,9 @@ import pytest
 from aiohttp import web
 
 from understudy.api import names
-from understudy.cluster.client import Access, Client
-from understudy.monitor import metering
-from understudy.monitor.metering import Meter
+from understudy.kube.client import Access, Client
+from understudy.monitor.observe import resource_meter
+from understudy.monitor.observe.resource_meter import Meter
 
 
 class MetricsApi:
@@ -63,7 +63,7 @@ async def api() -> AsyncIterator[tuple[MetricsApi, str]]:
 
 @pytest.fixture
 async def meter(api: tuple[MetricsApi, str], monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Meter]:
-    monkeypatch.setattr(metering, "PERIOD", 0.02)
+    monkeypatch.setattr(resource_meter, "PERIOD", 0.02)
     async with Client(Access(server=api[1], context=ssl.create_default_context())) as client:
         made = Meter(client, "fleet", "w")
         task = asyncio.create_task(made.run())
@@ -142,11 +142,11 @@ async def test_figures_that_are_never_made_anew_become_worthless(
     served.has("w-1", 1, drive=("1", "1Mi"))
     meter.want("w-1")
     await until(lambda: meter.usage)
-    monkeypatch.setattr(metering, "STALE", 0.2)
+    monkeypatch.setattr(resource_meter, "STALE", 0.2)
     await until(lambda: meter.usage is None)
     (problem,) = meter.problems
     assert problem.startswith("CPU and memory of w-1 can't be told: the metrics API has had no figures of it for 0.2 s")
-    monkeypatch.setattr(metering, "STALE", 90.0)
+    monkeypatch.setattr(resource_meter, "STALE", 90.0)
     served.has("w-1", 2, drive=("2", "1Mi"))
     await until(lambda: meter.usage is not None and meter.usage.cpu == 2.0)
 

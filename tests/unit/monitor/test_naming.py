@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 from understudy.api import names
-from understudy.api.pools import Readiness
-from understudy.api.settings import PoolChoice, WorkloadSettings
-from understudy.cluster.client import (
+from understudy.api.kinds.fallback_pool import Readiness
+from understudy.api.protocol.monitor_settings import PoolChoice, WorkloadSettings
+from understudy.kube.client import (
     CONFIG_MAPS,
     NETWORK_POLICIES,
     POLICIES,
@@ -22,8 +22,8 @@ from understudy.cluster.client import (
     Object,
     Resource,
 )
-from understudy.monitor import view as viewing
-from understudy.monitor.view import View
+from understudy.monitor.observe import cluster_view as viewing
+from understudy.monitor.observe.cluster_view import View
 
 Watch = tuple[str, str | None, str | None]
 """Resource, labels and fields of a watch."""
@@ -169,7 +169,7 @@ async def test_another_policy_is_followed_as_soon_as_the_workload_refers_to_it(s
 async def test_the_former_policy_stays_in_force_while_the_right_to_read_the_next_one_is_awaited(
     server: Server, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("understudy.cluster.watching.RETRY_FIRST", 0.01)
+    monkeypatch.setattr("understudy.kube.watched_collection.RETRY_FIRST", 0.01)
     server.refused.add("metadata.name=q")
     async with viewed(server) as view:
         refer(server, "q")
@@ -184,7 +184,7 @@ async def test_the_former_policy_stays_in_force_while_the_right_to_read_the_next
 async def test_a_monitor_begins_without_a_policy_that_it_may_not_read_and_follows_it_once_it_may(
     server: Server, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("understudy.cluster.watching.RETRY_FIRST", 0.01)
+    monkeypatch.setattr("understudy.kube.watched_collection.RETRY_FIRST", 0.01)
     server.refused.add("metadata.name=p")
     monkeypatch.setattr(viewing, "POLICY_WITHIN", 0.05)
     async with viewed(server) as view:
@@ -196,7 +196,7 @@ async def test_a_monitor_begins_without_a_policy_that_it_may_not_read_and_follow
 
 
 async def test_a_monitor_that_begins_waits_for_its_policy(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("understudy.cluster.watching.RETRY_FIRST", 0.01)
+    monkeypatch.setattr("understudy.kube.watched_collection.RETRY_FIRST", 0.01)
     server.refused.add("metadata.name=p")
     asyncio.get_running_loop().call_later(0.1, server.refused.clear)
     async with viewed(server) as view:

@@ -8,12 +8,12 @@ from typing import Any
 
 import pytest
 
-from understudy.api.pauses import Pause
-from understudy.api.policies import FailurePolicySpec
-from understudy.cluster.client import ApiError
-from understudy.mitigation.interfaces import GateState, Instance
-from understudy.mitigation.progress import PodIdentity, Progress
-from understudy.monitor.opening import ASK_AGAIN, Opening
+from understudy.api.kinds.failure_policy import FailurePolicySpec
+from understudy.api.kinds.pause_spec import Pause
+from understudy.failover.interfaces import GateState, Instance
+from understudy.failover.progress import PodIdentity, Progress
+from understudy.kube.client import ApiError
+from understudy.monitor.decide.initial_activation import ASK_AGAIN, Opening
 
 ACTIVE = Instance(name="w-1", uid="uid-1", ip="10.0.0.1", running=True, ready=True)
 POLICY = FailurePolicySpec.model_validate(

@@ -8,10 +8,10 @@ from typing import Any, cast
 import pytest
 
 from understudy.api import names
-from understudy.api.pauses import Pause
-from understudy.monitor.pausing import Pauses
-from understudy.monitor.reporting import Reporter
-from understudy.monitor.view import View
+from understudy.api.kinds.pause_spec import Pause
+from understudy.monitor.decide.pause_state import Pauses
+from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.report.reporter import Reporter
 
 UNTIL = "1970-01-01T00:20:00Z"
 END = 1200.0

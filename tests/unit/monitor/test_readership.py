@@ -15,10 +15,10 @@ pytest.importorskip("rclpy")
 
 from tests.unit.monitor.test_trying_again import Told as Said
 from understudy.api.conditions import Condition, condition
-from understudy.api.workloads import Output
-from understudy.monitor import readership
-from understudy.monitor.readership import Readership
-from understudy.ros.graph import Endpoint
+from understudy.api.kinds.robot_workload import Output
+from understudy.monitor.observe import robot_readers
+from understudy.monitor.observe.robot_readers import Readership
+from understudy.ros.runtime.graph_node import Endpoint
 
 CMD_VEL = Output(topic="/cmd_vel", type="geometry_msgs/msg/Twist")
 READER = Endpoint("geometry_msgs/msg/Twist", bytes(15) + b"\x04", "/base")
@@ -67,8 +67,8 @@ class Server:
 def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
     made = Server()
     monkeypatch.setenv("ROS_DISCOVERY_SERVER", made.address)
-    monkeypatch.setattr(readership, "WITHIN", 0.05)
-    monkeypatch.setattr(readership, "SETTLE", 0.0)
+    monkeypatch.setattr(robot_readers, "WITHIN", 0.05)
+    monkeypatch.setattr(robot_readers, "SETTLE", 0.0)
     yield made
     made.close()
 
@@ -107,7 +107,7 @@ def test_dds_is_asked_once_for_a_reader_and_what_it_does_not_tell_is_said(server
 
 
 def test_it_is_said_once_it_has_stood_for_a_while(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(readership, "SETTLE", 60.0)
+    monkeypatch.setattr(robot_readers, "SETTLE", 60.0)
     told = Told()
     looks(looking(server, told, [CMD_VEL]), 3)
     assert told.conditions == {}
@@ -137,8 +137,8 @@ def test_a_discovery_server_that_cannot_be_asked_is_no_failure(server: Server, m
 
 
 def test_an_error_does_not_end_it(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(readership, "AGAIN", 0.01)
-    monkeypatch.setattr(readership, "PERIOD", 0.01)
+    monkeypatch.setattr(robot_readers, "AGAIN", 0.01)
+    monkeypatch.setattr(robot_readers, "PERIOD", 0.01)
     looked = 0
 
     def broken(topic: str) -> list[Endpoint]:

@@ -9,11 +9,11 @@ from typing import Any
 
 import pytest
 
-from understudy.api.agents import AgentStatus
-from understudy.api.workloads import Output, Reflex
-from understudy.mitigation.interfaces import GateState, Instance
-from understudy.monitor.enforcement import SETTLE, SILENT
-from understudy.monitor.reflexes import LOOK, TOO_STRONG_FOR, Reflexes
+from understudy.api.kinds.robot_workload import Output, Reflex
+from understudy.api.protocol.agent_messages import AgentStatus
+from understudy.failover.interfaces import GateState, Instance
+from understudy.monitor.act.reflex_guard import LOOK, TOO_STRONG_FOR, Reflexes
+from understudy.monitor.judge.gate_enforcement import SETTLE, SILENT
 
 NOW = 1000.0
 TOPIC = "/cmd_vel"

@@ -11,13 +11,13 @@ import pytest
 from prometheus_client import REGISTRY
 
 from tests.unit.interleavings.apiserver import ApiServer
-from understudy.api.switchovers import SwitchoverStatus
-from understudy.api.tasks import TaskStatus
-from understudy.api.workloads import MonitorStatus
-from understudy.cluster.client import ApiError, Client, Object
-from understudy.mitigation.progress import PodIdentity, Progress
-from understudy.monitor import reporting
-from understudy.monitor.reporting import Reporter, switched
+from understudy.api.kinds.robot_workload import MonitorStatus
+from understudy.api.kinds.switchover_spec import SwitchoverStatus
+from understudy.api.kinds.task_spec import TaskStatus
+from understudy.failover.progress import PodIdentity, Progress
+from understudy.kube.client import ApiError, Client, Object
+from understudy.monitor.report import reporter as reporting
+from understudy.monitor.report.reporter import Reporter, switched
 
 
 def reporter() -> Reporter:

@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 
 from tests.unit.monitor.test_trying_again import took_over
-from understudy.mitigation.interfaces import GateState
-from understudy.mitigation.progress import Progress, rfc3339
-from understudy.monitor.resuming import concluded, interrupted
+from understudy.failover.interfaces import GateState
+from understudy.failover.progress import Progress, rfc3339
+from understudy.monitor.observe.interrupted_recovery import concluded, interrupted
 
 
 def begun(at: float) -> Progress:

@@ -16,10 +16,10 @@ from hypothesis import strategies as st
 pytest.importorskip("rclpy")
 
 from tests.unit.dds import keep_to_itself
-from understudy.api.policies import Safety
-from understudy.api.workloads import Attempt
-from understudy.mitigation.progress import PodIdentity, Progress
-from understudy.monitor.safety import SafeCommands, Unattended
+from understudy.api.kinds.failure_policy import Safety
+from understudy.api.kinds.robot_workload import Attempt
+from understudy.failover.progress import PodIdentity, Progress
+from understudy.monitor.act.safe_commands import SafeCommands, Unattended
 
 TWIST = "geometry_msgs/msg/Twist"
 
@@ -94,7 +94,7 @@ class TestUnattended:
 
 @pytest.fixture
 def graphs(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Any, Any]]:
-    from understudy.ros.graph import Graph
+    from understudy.ros.runtime.graph_node import Graph
 
     keep_to_itself(monkeypatch)
     made = Graph("monitor"), Graph("robot")

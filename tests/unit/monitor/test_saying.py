@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from tests.unit.monitor.test_trying_again import Told
-from understudy.mitigation.interfaces import GateState
-from understudy.monitor.saying import Saying
-from understudy.trees.health import Verdict
+from understudy.failover.interfaces import GateState
+from understudy.monitor.report.status_conditions import Saying
+from understudy.trees.core.health_tree import Verdict
 
 
 class Reporter(Told):

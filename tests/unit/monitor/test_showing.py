@@ -16,9 +16,9 @@ import pytest
 
 from tests.unit.trees.world import START, World
 from understudy.api.conditions import condition
-from understudy.cluster.pages import Answer, serve
-from understudy.monitor.showing import Showing
-from understudy.trees.snapshots import snapshot
+from understudy.monitor.report.live_tree_pages import Showing
+from understudy.process.http_pages import Answer, serve
+from understudy.trees.core.snapshots import snapshot
 
 EVIL = "</script><img src=x onerror=\"document.title='carried out'\">"
 TREE: dict[str, Any] = {

@@ -12,15 +12,15 @@ from typing import Any
 
 import pytest
 
-from tests.unit.cluster.memory import MemoryClient
-from understudy.api import agents as wire
+from tests.unit.kube.memory import MemoryClient
 from understudy.api import names
-from understudy.api.agents import AgentStatus
-from understudy.cluster.client import SECRETS
-from understudy.mitigation.interfaces import Instance
-from understudy.monitor import sidecars as module
-from understudy.monitor.faults import CrashPoints
-from understudy.monitor.sidecars import Sidecars
+from understudy.api.protocol import agent_messages as wire
+from understudy.api.protocol.agent_messages import AgentStatus
+from understudy.failover.interfaces import Instance
+from understudy.kube.client import SECRETS
+from understudy.monitor.crash_points import CrashPoints
+from understudy.monitor.observe import agent_connections as module
+from understudy.monitor.observe.agent_connections import Sidecars
 
 INSTANCE = Instance("w-1", "uid-1", ip="127.0.0.1", running=True, has_agent=True)
 SECRET = names.agent_secret("w")

@@ -8,13 +8,13 @@ import time
 
 import pytest
 
-from understudy.api.policies import FailurePolicySpec
-from understudy.api.workloads import RobotWorkloadSpec
-from understudy.mitigation.interfaces import GateState, Instance
-from understudy.monitor.metering import Meter
-from understudy.trees import loading
-from understudy.trees.judges import kind_of
-from understudy.trees.observations import PodCondition
+from understudy.api.kinds.failure_policy import FailurePolicySpec
+from understudy.api.kinds.robot_workload import RobotWorkloadSpec
+from understudy.failover.interfaces import GateState, Instance
+from understudy.monitor.observe.resource_meter import Meter
+from understudy.trees.core.observations import PodCondition
+from understudy.trees.languages.short import health_loader
+from understudy.trees.leaves.custom_leaf import kind_of
 
 pytestmark = pytest.mark.ros
 
@@ -26,7 +26,7 @@ def sight(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp")
     monkeypatch.setenv("ROS_DOMAIN_ID", str(10 + os.getpid() % 90))
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    from understudy.monitor.sight import Sight
+    from understudy.monitor.observe.health_observer import Sight
 
     made = Sight()
     made.follow(
@@ -93,8 +93,8 @@ def test_a_tree_in_openscenario_takes_the_place_of_one_in_yaml(sight) -> None:
 
 
 def test_the_last_output_of_an_earlier_task_is_not_when_all_was_well_last(sight) -> None:
-    from understudy.ros.sources import VENDOR, host_id
-    from understudy.ros.watching import SourceRecord
+    from understudy.ros.dds.sample_sources import VENDOR, host_id
+    from understudy.ros.observe.topic_watch import SourceRecord
 
     sight._watching.attribute({"w-1": "192.0.2.1"}, "w-1")
     host = VENDOR + host_id("192.0.2.1")
@@ -108,8 +108,8 @@ def test_the_last_output_of_an_earlier_task_is_not_when_all_was_well_last(sight)
 
 
 async def test_nothing_more_is_waited_for_when_the_task_ends_before_the_first_output() -> None:
-    from understudy.monitor.sight import GatedReaders
-    from understudy.ros.sources import Sources
+    from understudy.monitor.observe.health_observer import GatedReaders
+    from understudy.ros.dds.sample_sources import Sources
 
     class Sight:
         expected = ("/cmd_vel",)
@@ -377,8 +377,8 @@ def test_a_leaf_of_one_s_own_that_fails_by_itself_is_told_of_and_no_failure(
         def judge(self, message: object) -> str:
             return str(message.percentage)  # type: ignore[attr-defined]
 
-    monkeypatch.setattr(loading, "LEAVES", {**loading.LEAVES, "acme_leaf": kind_of("acme_leaf", Broken)})
-    monkeypatch.setattr(loading, "KINDS", (*loading.KINDS, "acme_leaf"))
+    monkeypatch.setattr(health_loader, "LEAVES", {**health_loader.LEAVES, "acme_leaf": kind_of("acme_leaf", Broken)})
+    monkeypatch.setattr(health_loader, "KINDS", (*health_loader.KINDS, "acme_leaf"))
     sight.follow(_policy({"acme_leaf": {"topic": "/beat", "type": "std_msgs/msg/String"}}), None)
     from std_msgs.msg import String
 

@@ -11,13 +11,13 @@ from prometheus_client import REGISTRY
 
 pytest.importorskip("rclpy")
 
-from understudy.api.policies import FailurePolicySpec
-from understudy.api.situations import SituationStatus
-from understudy.monitor import situations
-from understudy.monitor.situating import Seen, Situating
-from understudy.monitor.situations import HEARING, LOOK, Situations
-from understudy.trees.health import Verdict
-from understudy.trees.observations import Recorded, TopicRecord
+from understudy.api.kinds.failure_policy import FailurePolicySpec
+from understudy.api.kinds.situation_spec import SituationStatus
+from understudy.monitor.judge import situation_tracking as situations
+from understudy.monitor.judge.situation_tracking import HEARING, LOOK, Situations
+from understudy.monitor.observe.context_detection import Seen, Situating
+from understudy.trees.core.health_tree import Verdict
+from understudy.trees.core.observations import Recorded, TopicRecord
 
 STATUS = "/carry/_action/status"
 TASK = {"task": {"action": "/carry"}}

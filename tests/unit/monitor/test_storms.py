@@ -10,9 +10,9 @@ import pytest
 
 from tests.unit.monitor.test_limiting import World
 from understudy.api.conditions import condition
-from understudy.mitigation.strategies import ExecutingFallback, Restart, UninitializedFallback
-from understudy.monitor import repertoire
-from understudy.monitor.detection import Failure
+from understudy.failover.strategies import ExecutingFallback, Restart, UninitializedFallback
+from understudy.monitor.decide import strategy_options
+from understudy.monitor.judge.failure_detection import Failure
 
 MESSAGE = "4 of 6 workloads fail."
 LIMITS = {"budget": None, "stormGuard": {"holdFor": "1m"}}
@@ -26,7 +26,9 @@ class Storm(World):
         self.spec.failure_policy_ref = SimpleNamespace(name="policy")
         self.view.policies = SimpleNamespace(items={})
         self.say("True")
-        monkeypatch.setattr(repertoire, "choices", lambda *_: [SimpleNamespace(strategy=one) for one in available])
+        monkeypatch.setattr(
+            strategy_options, "choices", lambda *_: [SimpleNamespace(strategy=one) for one in available]
+        )
         self.watching._repertoire.means = lambda: None  # type: ignore[return-value,assignment]
 
     def say(self, status: str) -> None:

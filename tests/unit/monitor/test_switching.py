@@ -10,18 +10,18 @@ from typing import Any, cast
 
 import pytest
 
-from tests.unit.mitigation.world import Store, World
+from tests.unit.failover.world import Store, World
 from understudy.api import names
-from understudy.api.switchovers import Drain, SwitchoverStatus, request
-from understudy.mitigation import switchover
-from understudy.mitigation.bringing import BringUp
-from understudy.mitigation.failover import Choice
-from understudy.mitigation.interfaces import GateState, Instance
-from understudy.mitigation.progress import PodIdentity, Progress
-from understudy.mitigation.strategies import ExecutingFallback, InitializedFallback, Strategy
-from understudy.mitigation.switchover import Prepared
-from understudy.monitor import switching
-from understudy.monitor.switching import Switching
+from understudy.api.kinds.switchover_spec import Drain, SwitchoverStatus, request
+from understudy.failover import switchover
+from understudy.failover.bring_up import BringUp
+from understudy.failover.interfaces import GateState, Instance
+from understudy.failover.progress import PodIdentity, Progress
+from understudy.failover.protocol import Choice
+from understudy.failover.strategies import ExecutingFallback, InitializedFallback, Strategy
+from understudy.failover.switchover import Prepared
+from understudy.monitor.act import planned_switchover
+from understudy.monitor.act.planned_switchover import Switching
 
 BRING_UP = BringUp("bringUp", {}, 0.2, "digest", False)
 
@@ -106,7 +106,7 @@ class Scene:
 
 @pytest.fixture(autouse=True)
 def quickly(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(switching, "LOOK", 0.02)
+    monkeypatch.setattr(planned_switchover, "LOOK", 0.02)
 
 
 async def test_nothing_is_done_where_nobody_asks() -> None:
@@ -163,7 +163,7 @@ async def test_a_new_monitor_begins_anew_with_one_that_was_being_prepared() -> N
 
 
 async def test_it_waits_for_an_understudy_and_ends_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(switching, "PATIENCE", 0.15)
+    monkeypatch.setattr(planned_switchover, "PATIENCE", 0.15)
     scene = Scene(ready=False)
     scene.ask(request("failover", time.time()))
     assert await scene.looked(0.1) is None

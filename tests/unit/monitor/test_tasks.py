@@ -10,13 +10,13 @@ from typing import Any
 
 import pytest
 
-from understudy.api.settings import PoolChoice, WorkloadSettings
-from understudy.api.tasks import TaskStatus
-from understudy.api.workloads import RobotWorkloadSpec
-from understudy.mitigation.interfaces import GateState, Instance
-from understudy.monitor.tasks import CONDITION, TaskLink, executing, judged, reachable, settled
-from understudy.tasks.situation import Situation
-from understudy.tasks.talking import Talk
+from understudy.action_proxy.control_state import Situation
+from understudy.action_proxy.monitor_socket import Talk
+from understudy.api.kinds.robot_workload import RobotWorkloadSpec
+from understudy.api.kinds.task_spec import TaskStatus
+from understudy.api.protocol.monitor_settings import PoolChoice, WorkloadSettings
+from understudy.failover.interfaces import GateState, Instance
+from understudy.monitor.act.action_proxy_link import CONDITION, TaskLink, executing, judged, reachable, settled
 
 GATE = GateState(epoch=3, active="w-1", active_uid="1")
 ACTIVE = Instance("w-1", "1", ip="10.0.0.1", running=True)

@@ -16,10 +16,10 @@ pytest.importorskip("rclpy")
 from tests.unit.dds import keep_to_itself
 from tests.unit.monitor.test_diagnoses import TREE
 from tests.unit.ros.processes import Processes
-from understudy.api.workloads import GateStatus, MonitorSettings
-from understudy.monitor.reporting import Reporter
-from understudy.monitor.telling import Telling, namespace_of
-from understudy.ros import streaming
+from understudy.api.kinds.robot_workload import GateStatus, MonitorSettings
+from understudy.monitor.report.diagnostics_publisher import Telling, namespace_of
+from understudy.monitor.report.reporter import Reporter
+from understudy.ros.actions import snapshot_streams
 
 pytestmark = pytest.mark.ros
 
@@ -28,7 +28,7 @@ NONE: Any = None
 
 @pytest.fixture
 def graph(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
-    from understudy.ros.graph import Graph
+    from understudy.ros.runtime.graph_node import Graph
 
     keep_to_itself(monkeypatch)
     made = Graph("understudy_monitor")
@@ -141,7 +141,7 @@ async def test_the_tree_is_drawn_by_a_tool_that_finds_it_by_itself(graph: Any, p
 
 
 async def test_what_can_not_be_told_is_said_and_the_rest_is_told(graph: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(streaming, "PACKAGE", "nobodys_interfaces")
+    monkeypatch.setattr(snapshot_streams, "PACKAGE", "nobodys_interfaces")
     monitor = Monitor(graph)
     monitor.ask(diagnostics=True, snapshots=True)
     async with monitor.running():

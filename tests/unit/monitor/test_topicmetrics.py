@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from prometheus_client import CollectorRegistry
 
-from understudy.monitor.topicmetrics import TopicMetrics
-from understudy.trees.observations import TopicRecord
+from understudy.monitor.report.topic_metrics import TopicMetrics
+from understudy.trees.core.observations import TopicRecord
 
 
 def test_messages_and_the_last_one_are_told_by_topic() -> None:

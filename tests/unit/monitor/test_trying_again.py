@@ -7,12 +7,12 @@ from typing import Any
 
 import pytest
 
-from understudy.api.policies import FailurePolicySpec
-from understudy.api.workloads import Attempt, Recovery
-from understudy.mitigation.progress import PodIdentity, Progress
-from understudy.monitor import retries
-from understudy.monitor.reporting import describe, in_vain
-from understudy.monitor.retries import BACKOFF_FIRST, BACKOFF_MOST, Retries
+from understudy.api.kinds.failure_policy import FailurePolicySpec
+from understudy.api.kinds.robot_workload import Attempt, Recovery
+from understudy.failover.progress import PodIdentity, Progress
+from understudy.monitor.decide import retry_backoff
+from understudy.monitor.decide.retry_backoff import BACKOFF_FIRST, BACKOFF_MOST, Retries
+from understudy.monitor.report.reporter import describe, in_vain
 
 FAILURE = "no /cmd_vel for 500 ms"
 NOW = 1_000_000.0
@@ -20,7 +20,7 @@ NOW = 1_000_000.0
 
 @pytest.fixture(autouse=True)
 def clock(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(retries, "time", SimpleNamespace(time=lambda: NOW))
+    monkeypatch.setattr(retry_backoff, "time", SimpleNamespace(time=lambda: NOW))
 
 
 class Told:

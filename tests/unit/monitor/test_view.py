@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from understudy.api import names
-from understudy.api.settings import WorkloadSettings
-from understudy.monitor.view import View
+from understudy.api.protocol.monitor_settings import WorkloadSettings
+from understudy.monitor.observe.cluster_view import View
 
 GOOD = {"yaml": {"set_lifecycle": {"node": "/nav", "state": "active"}}}
 BROKEN = {"yaml": {"set_lifecycle": {"node": "/nav", "state": "on"}}}

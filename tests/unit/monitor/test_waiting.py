@@ -9,20 +9,20 @@ from typing import Any
 
 import pytest
 
-from tests.unit.cluster.memory import MemoryClient
+from tests.unit.kube.memory import MemoryClient
 from tests.unit.monitor.gates import gate
 from understudy.api import names
-from understudy.api.policies import FailurePolicySpec
-from understudy.api.settings import PoolChoice, WorkloadSettings
-from understudy.api.workloads import RobotWorkloadSpec
-from understudy.cluster.client import NETWORK_POLICIES, ApiError, Object
-from understudy.mitigation.interfaces import Instance
-from understudy.mitigation.progress import Progress
-from understudy.mitigation.waiting import Waiter
-from understudy.monitor.choosing import choices
-from understudy.monitor.reporting import Reporter, describe
-from understudy.monitor.view import View
-from understudy.monitor.waiting import Line
+from understudy.api.kinds.failure_policy import FailurePolicySpec
+from understudy.api.kinds.robot_workload import RobotWorkloadSpec
+from understudy.api.protocol.monitor_settings import PoolChoice, WorkloadSettings
+from understudy.failover.interfaces import Instance
+from understudy.failover.pool_queue import Waiter
+from understudy.failover.progress import Progress
+from understudy.kube.client import NETWORK_POLICIES, ApiError, Object
+from understudy.monitor.act.pool_waiting import Line
+from understudy.monitor.decide.strategy_list import choices
+from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.report.reporter import Reporter, describe
 
 NOW = time.time()
 

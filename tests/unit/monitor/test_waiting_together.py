@@ -14,24 +14,24 @@ from typing import Any
 import pytest
 
 from tests.support.answers import tabled
-from tests.unit.cluster.memory import MemoryClient
 from tests.unit.interleavings.apiserver import Event, selecting, told
+from tests.unit.kube.memory import MemoryClient
 from understudy.api import names
-from understudy.api.settings import PoolChoice, WorkloadSettings
-from understudy.cluster import claims
-from understudy.cluster.client import NETWORK_POLICIES, PODS, Object, Resource
-from understudy.cluster.watching import Reflector
-from understudy.mitigation import waiting
-from understudy.mitigation.failover import Choice, recover
-from understudy.mitigation.interfaces import Instance
-from understudy.mitigation.progress import PodIdentity, Progress
-from understudy.mitigation.strategies import Means, UninitializedFallback
-from understudy.monitor.faults import CrashPoints
-from understudy.monitor.fleet import Fleet
-from understudy.monitor.gating import PolicyGate
-from understudy.monitor.reporting import Reporter
-from understudy.monitor.view import View
-from understudy.monitor.waiting import REASON, Line
+from understudy.api.protocol.monitor_settings import PoolChoice, WorkloadSettings
+from understudy.failover import pool_queue
+from understudy.failover.interfaces import Instance
+from understudy.failover.progress import PodIdentity, Progress
+from understudy.failover.protocol import Choice, recover
+from understudy.failover.strategies import Means, UninitializedFallback
+from understudy.kube import claims
+from understudy.kube.client import NETWORK_POLICIES, PODS, Object, Resource
+from understudy.kube.watched_collection import Reflector
+from understudy.monitor.act.gate_control import PolicyGate
+from understudy.monitor.act.pod_control import Fleet
+from understudy.monitor.act.pool_waiting import REASON, Line
+from understudy.monitor.crash_points import CrashPoints
+from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.report.reporter import Reporter
 
 POOL = "spare"
 LAG = 0.03
@@ -41,8 +41,8 @@ LAG = 0.03
 @pytest.fixture(autouse=True)
 def unhurried(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nobody here has died, so nobody is passed over, however busy the machine is."""
-    monkeypatch.setattr(waiting, "YIELD", 30.0)
-    monkeypatch.setattr(waiting, "YIELD_MOST", 30.0)
+    monkeypatch.setattr(pool_queue, "YIELD", 30.0)
+    monkeypatch.setattr(pool_queue, "YIELD_MOST", 30.0)
 
 
 class Cluster(MemoryClient):

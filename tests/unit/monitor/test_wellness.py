@@ -10,12 +10,12 @@ import pytest
 pytest.importorskip("rclpy")
 
 from tests.unit.dds import keep_to_itself
-from understudy.api.degraded import InlineTree
-from understudy.api.policies import FailurePolicySpec
-from understudy.api.workloads import RobotWorkloadSpec
-from understudy.monitor.wellness import Wellness
-from understudy.trees.forms import load_inline
-from understudy.trees.observations import Recorded, TopicRecord
+from understudy.api.kinds.degraded_spec import InlineTree
+from understudy.api.kinds.failure_policy import FailurePolicySpec
+from understudy.api.kinds.robot_workload import RobotWorkloadSpec
+from understudy.monitor.judge.degraded_tree import Wellness
+from understudy.trees.core.observations import Recorded, TopicRecord
+from understudy.trees.languages.notations import load_inline
 
 STATUS = "/go/_action/status"
 STILL = {"yaml": {"topic": {"name": "/beat", "gap": "1s"}}}
@@ -116,8 +116,8 @@ def test_with_real_topics_it_is_short_of_well_while_it_is_healthy_and_busy_while
     from rclpy.qos import qos_profile_action_status_default
     from std_msgs.msg import String
 
-    from understudy.monitor.sight import Sight
-    from understudy.ros.graph import Graph
+    from understudy.monitor.observe.health_observer import Sight
+    from understudy.ros.runtime.graph_node import Graph
 
     given = FailurePolicySpec.model_validate(
         {

@@ -15,13 +15,13 @@ from mcap.reader import make_reader
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 
-from understudy.api.workloads import Attempt, Moments, Recovery
-from understudy.monitor import writing
-from understudy.monitor.writing import Content, Trace
-from understudy.ros.offers import offers
-from understudy.ros.rings import Ring
-from understudy.ros.types import message_class
-from understudy.trying.bags import Bag
+from understudy.api.kinds.robot_workload import Attempt, Moments, Recovery
+from understudy.cli.simulate.bags import Bag
+from understudy.monitor.report import mcap_writer
+from understudy.monitor.report.mcap_writer import Content, Trace
+from understudy.ros.observe.offered_qos import offers
+from understudy.ros.observe.sample_rings import Ring
+from understudy.ros.runtime.interface_types import message_class
 
 pytestmark = pytest.mark.ros
 
@@ -57,7 +57,7 @@ def recovery() -> Recovery:
 def twist(speed: float) -> bytes:
     message = message_class("geometry_msgs/msg/Twist")()
     message.linear.x = speed
-    return writing.serialized(message)
+    return mcap_writer.serialized(message)
 
 
 @pytest.fixture
@@ -70,10 +70,10 @@ def ring() -> Ring:
             at + 0.05,
             0.0,
             number,
-            writing.serialized(message_class("sensor_msgs/msg/LaserScan")(ranges=[1.0, float(number)])),
+            mcap_writer.serialized(message_class("sensor_msgs/msg/LaserScan")(ranges=[1.0, float(number)])),
         )
     told = {"time": FAILED, "health": "Failed", "active": "a", "epoch": 4, "tree": TREE}
-    made.track(writing.TREE, writing.TREE_TYPE).add(FAILED, FAILED, 0, writing.text(json.dumps(told)))
+    made.track(mcap_writer.TREE, mcap_writer.TREE_TYPE).add(FAILED, FAILED, 0, mcap_writer.text(json.dumps(told)))
     return made
 
 
@@ -88,7 +88,7 @@ def file(ring: Ring, tmp_path: Path) -> Path:
     content = Content("fleet", "robot-1-drive", recovery(), list(ring.taken(0.0)), events, offered, FAILED - 30, notes)
     path = tmp_path / "recording.mcap"
     with path.open("wb") as out:
-        assert writing.write(out, content) == 101 + 2 + 2
+        assert mcap_writer.write(out, content) == 101 + 2 + 2
     return path
 
 
@@ -127,13 +127,13 @@ def test_each_topic_says_what_its_publishers_offered(file: Path) -> None:
     assert summary is not None
     told = {one.topic: yaml.safe_load(one.metadata["offered_qos_profiles"]) for one in summary.channels.values()}
     assert [one["depth"] for one in told.pop("/cmd_vel")] == [7]
-    assert told == {"/scan": [], writing.TREE: [], writing.EVENTS: []}, "players offer what is usual"
+    assert told == {"/scan": [], mcap_writer.TREE: [], mcap_writer.EVENTS: []}, "players offer what is usual"
 
 
 def logged(file: Path) -> list[tuple[float, int, str, str]]:
     with file.open("rb") as opened:
-        found = make_reader(opened).iter_messages(topics=[writing.EVENTS])
-        read = [(m.log_time, deserialize_message(m.data, message_class(writing.EVENTS_TYPE))) for _, _, m in found]
+        found = make_reader(opened).iter_messages(topics=[mcap_writer.EVENTS])
+        read = [(m.log_time, deserialize_message(m.data, message_class(mcap_writer.EVENTS_TYPE))) for _, _, m in found]
     for at, log in read:
         assert log.stamp.sec * 1_000_000_000 + log.stamp.nanosec == at
     return [(at / 1e9 - FAILED, log.level, log.name, log.msg) for at, log in read]
@@ -152,10 +152,10 @@ def test_what_happened_is_told_in_order(file: Path) -> None:
 
 def test_the_tree_is_told_by_its_schema(file: Path) -> None:
     with file.open("rb") as opened:
-        (message,) = [m for _, _, m in make_reader(opened).iter_messages(topics=[writing.TREE])]
+        (message,) = [m for _, _, m in make_reader(opened).iter_messages(topics=[mcap_writer.TREE])]
     with file.open("rb") as opened:
         attachments = {a.name: json.loads(a.data) for a in make_reader(opened).iter_attachments()}
-    trace = Trace.model_validate_json(deserialize_message(message.data, message_class(writing.TREE_TYPE)).data)
+    trace = Trace.model_validate_json(deserialize_message(message.data, message_class(mcap_writer.TREE_TYPE)).data)
     assert trace.tree is not None
     assert trace.tree.children[0].reason == REASON
     assert attachments["tree.schema.json"] == Trace.model_json_schema()

@@ -15,9 +15,9 @@ from navigation_world import generate
 
 from tests.support.manifests import MODELS, assert_references_lead_somewhere, covers
 from understudy.api import names
-from understudy.api.policies import FailurePolicySpec
-from understudy.trees.forms import load_monitoring
-from understudy.trees.procedures import load_check, load_procedure
+from understudy.api.kinds.failure_policy import FailurePolicySpec
+from understudy.trees.languages.notations import load_monitoring
+from understudy.trees.languages.short.procedure_loader import load_check, load_procedure
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "navigation"
 FILES = sorted([*(EXAMPLE / "manifests").rglob("*.yaml"), *(EXAMPLE / "nav2").rglob("*.yaml")])

@@ -8,9 +8,9 @@ from typing import Any
 import yaml
 
 from understudy.api import names
-from understudy.checking.running import check
-from understudy.controller import dependencies
-from understudy.controller.dependencies import upstream
+from understudy.cli.check.command import check
+from understudy.controller.observed import dependency_graph
+from understudy.controller.observed.dependency_graph import upstream
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 FILES = sorted((EXAMPLES / "dependent" / "manifests").glob("*.yaml"))
@@ -24,7 +24,7 @@ def test_nothing_is_wrong_with_them() -> None:
 
 
 def test_each_depends_on_the_one_before() -> None:
-    known = dependencies.graph(WORKLOADS.values())
+    known = dependency_graph.graph(WORKLOADS.values())
     assert [one.name for one in upstream(known, CHAIN[-1])] == CHAIN[:-1]
 
 

@@ -59,7 +59,7 @@ def discovery_server(
 @pytest.fixture
 def graph(dds: None) -> Iterator[object]:
     """This process's node."""
-    from understudy.ros.graph import Graph
+    from understudy.ros.runtime.graph_node import Graph
 
     made = Graph("tested")
     yield made
@@ -83,7 +83,7 @@ def eventually() -> Callable[..., None]:
 @pytest.fixture
 def watching(graph: Any) -> Iterator[object]:
     """Watches topics on the graph."""
-    from understudy.ros.watching import Watching
+    from understudy.ros.observe.topic_watch import Watching
 
     made = Watching(graph)
     yield made

@@ -6,10 +6,10 @@ import json
 import time
 from typing import Any
 
-from understudy.ros.types import message_fields
-from understudy.ros.watching import Watching
-from understudy.trees.health import HealthTree, Verdict
-from understudy.trees.loading import load
+from understudy.ros.observe.topic_watch import Watching
+from understudy.ros.runtime.interface_types import message_fields
+from understudy.trees.core.health_tree import HealthTree, Verdict
+from understudy.trees.languages.short.health_loader import load
 
 
 def tell(node: Any, **fields: Any) -> None:

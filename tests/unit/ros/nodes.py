@@ -48,8 +48,8 @@ def say(topic: str, type_name: str) -> None:
     import rclpy
     from rclpy.node import Node
 
-    from understudy.ros.messages import to_message
-    from understudy.ros.types import message_class
+    from understudy.ros.runtime.interface_types import message_class
+    from understudy.ros.runtime.message_values import to_message
 
     rclpy.init()
     node, cls = Node(f"say{time.time_ns()}"), message_class(type_name)
@@ -118,8 +118,8 @@ def capture(text: str) -> None:
     from geometry_msgs.msg import PoseWithCovarianceStamped
     from rclpy.serialization import deserialize_message
 
-    from understudy.ros.capturing import Capturing
-    from understudy.ros.graph import Graph
+    from understudy.ros.observe.state_samples import Capturing
+    from understudy.ros.runtime.graph_node import Graph
 
     wish = json.loads(text)
     capturing = Capturing(Graph("capturer"))
@@ -215,9 +215,9 @@ def work(action: str) -> None:
 
 
 def obey(topic: str, text: str) -> None:
-    from understudy.ros.graph import Graph
-    from understudy.ros.sources import Sources
-    from understudy.ros.taking import Taker
+    from understudy.ros.dds.sample_sources import Sources
+    from understudy.ros.runtime.graph_node import Graph
+    from understudy.ros.runtime.sample_taking import Taker
 
     sources, taker = Sources(json.loads(text)), Taker()
     subscription = Graph("robot").subscribe(topic, "std_msgs/msg/String", depth=100)
@@ -230,9 +230,9 @@ def obey(topic: str, text: str) -> None:
 
 
 def watch(duration: str, text: str) -> None:
-    from understudy.ros.graph import Graph
-    from understudy.ros.watching import Watching
-    from understudy.trees.health import WatchedTopic
+    from understudy.ros.observe.topic_watch import Watching
+    from understudy.ros.runtime.graph_node import Graph
+    from understudy.trees.core.health_tree import WatchedTopic
 
     wish = json.loads(text)
     graph = Graph("watcher")
@@ -278,8 +278,8 @@ def watch(duration: str, text: str) -> None:
 
 
 def look(topic: str, service: str) -> None:
-    from understudy.api.workloads import Output
-    from understudy.ros.graph import Graph
+    from understudy.api.kinds.robot_workload import Output
+    from understudy.ros.runtime.graph_node import Graph
 
     graph = Graph("looker")
     print("ready", flush=True)

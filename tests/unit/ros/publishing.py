@@ -8,9 +8,9 @@ import time
 import rclpy
 from std_msgs.msg import String
 
-from understudy.ros.calling import Caller, CallFailed, Place
-from understudy.ros.graph import Graph
-from understudy.ros.sources import HOST
+from understudy.ros.actions.instance_calls import Caller, CallFailed, Place
+from understudy.ros.dds.sample_sources import HOST
+from understudy.ros.runtime.graph_node import Graph
 
 
 async def main() -> None:

@@ -11,10 +11,10 @@ import sys
 from types import SimpleNamespace
 from typing import Any
 
-from understudy.api.workloads import Output
-from understudy.monitor import readership
-from understudy.monitor.readership import Readership
-from understudy.ros.graph import Graph
+from understudy.api.kinds.robot_workload import Output
+from understudy.monitor.observe import robot_readers
+from understudy.monitor.observe.robot_readers import Readership
+from understudy.ros.runtime.graph_node import Graph
 
 
 class Told:
@@ -32,7 +32,7 @@ class Told:
 
 
 def main(given: dict[str, Any]) -> None:
-    readership.PERIOD, readership.SETTLE = 0.2, 1.0
+    robot_readers.PERIOD, robot_readers.SETTLE = 0.2, 1.0
     outputs = [Output(topic="/chat", type="std_msgs/msg/String")]
     spec = SimpleNamespace(outputs=outputs, gate=SimpleNamespace(robots=given["robots"]))
     view: Any = SimpleNamespace(spec=spec, retired=False, workload="robot-17")

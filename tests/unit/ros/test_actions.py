@@ -9,14 +9,14 @@ import uuid
 
 import pytest
 
-from tests.unit.tasks.conftest import ABORTED, ACTION, CANCELED, SUCCEEDED, TYPE, dds, eventually, start  # noqa: F401
+from tests.unit.action_proxy.conftest import ABORTED, ACTION, CANCELED, SUCCEEDED, TYPE, dds, eventually, start  # noqa: F401
 
 pytestmark = pytest.mark.ros
 
 
 @pytest.fixture
 async def spinning(dds):  # noqa: F811
-    from understudy.ros.spinning import Spinning
+    from understudy.ros.runtime.served_node import Spinning
 
     made = Spinning("tested")
     yield made
@@ -47,7 +47,7 @@ def result_of(*sequence: int) -> bytes:
 class TestClient:
     @pytest.fixture
     async def client(self, spinning):
-        from understudy.ros.actions import ActionClient, ActionType
+        from understudy.ros.actions.action_endpoints import ActionClient, ActionType
 
         self.feedback: list[tuple[str, bytes]] = []
         self.statuses: list = []
@@ -121,7 +121,7 @@ class Recorded:
     """What a server was asked."""
 
     def __init__(self) -> None:
-        from understudy.ros.actions import Asked
+        from understudy.ros.actions.action_endpoints import Asked
 
         self.goals: list = []
         self.cancels: list = []
@@ -136,7 +136,7 @@ class Recorded:
 class TestServer:
     @pytest.fixture
     async def server(self, spinning):
-        from understudy.ros.actions import ActionServer, ActionType
+        from understudy.ros.actions.action_endpoints import ActionServer, ActionType
 
         self.asked = Recorded()
         made = ActionServer(spinning, ACTION, ActionType.of(TYPE), self.asked.asked)
@@ -148,7 +148,7 @@ class TestServer:
         from rclpy.serialization import serialize_message
         from test_msgs.action import Fibonacci
 
-        from understudy.ros.actions import CANCELING, EXECUTING, Known, renamed
+        from understudy.ros.actions.action_endpoints import CANCELING, EXECUTING, Known, renamed
 
         client = start("client", ACTION, "5", "7", "9")
         await eventually(lambda: len(self.asked.goals) == 3)
@@ -180,8 +180,8 @@ class TestServer:
 
     async def test_another_server_answers_what_this_one_took(self, dds, spinning, start):  # noqa: F811
         """As after a restart: the participant that took the request is gone."""
-        from understudy.ros.actions import ActionServer, ActionType
-        from understudy.ros.spinning import Spinning
+        from understudy.ros.actions.action_endpoints import ActionServer, ActionType
+        from understudy.ros.runtime.served_node import Spinning
 
         gone, asked = Spinning("gone"), Recorded()
         server = ActionServer(gone, ACTION, ActionType.of(TYPE), asked.asked)

@@ -13,10 +13,10 @@ pytest.importorskip("rclpy")
 
 from tests.unit.ros.network import network
 from understudy.api import names
-from understudy.api.workloads import Output
-from understudy.ros.announcements import Discovery, locators
-from understudy.ros.profiles import profiles_xml
-from understudy.ros.rtps import Locator
+from understudy.api.kinds.robot_workload import Output
+from understudy.ros.dds.profiles import profiles_xml
+from understudy.ros.dds.reader_locators import Discovery, locators
+from understudy.ros.dds.rtps import Locator
 
 pytestmark = pytest.mark.ros
 
@@ -33,8 +33,8 @@ def profiles(dds, tmp_path):
 
 ASK = """
 import asyncio, json, os, sys, time
-from understudy.ros.announcements import Discovery, locators
-from understudy.ros.graph import Graph
+from understudy.ros.dds.reader_locators import Discovery, locators
+from understudy.ros.runtime.graph_node import Graph
 
 def ask(gids, within):
     found = asyncio.run(locators(gids, sys.argv[1], Discovery.of(os.environ), within=within))

@@ -12,9 +12,9 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from understudy.ros.arrivals import Arrivals
-from understudy.ros.watching import Watching
-from understudy.trees.health import WatchedTopic
+from understudy.ros.observe.topic_watch import Watching
+from understudy.ros.runtime.arrival_wakeups import Arrivals
+from understudy.trees.core.health_tree import WatchedTopic
 
 pytestmark = pytest.mark.ros
 

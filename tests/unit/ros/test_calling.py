@@ -44,7 +44,7 @@ def managed(dds: None) -> Iterator[Managed]:
 
 @pytest.fixture
 def caller(dds: None) -> Iterator[object]:
-    from understudy.ros.calling import Caller
+    from understudy.ros.actions.instance_calls import Caller
 
     made = Caller("caller")
     yield made
@@ -60,14 +60,14 @@ async def test_a_service_is_called_and_answers_with_its_fields(managed: Managed,
 
 
 async def test_a_service_that_nobody_serves_is_named(caller) -> None:
-    from understudy.ros.calling import CallFailed
+    from understudy.ros.actions.instance_calls import CallFailed
 
     with pytest.raises(CallFailed, match=r"service /switch \(std_srvs/srv/SetBool\) is not there within 0.3 s"):
         await caller.call("/switch", "std_srvs/srv/SetBool", {}, 0.3)
 
 
 async def test_a_service_that_does_not_answer_is_given_up(managed: Managed, caller) -> None:
-    from understudy.ros.calling import CallFailed
+    from understudy.ros.actions.instance_calls import CallFailed
 
     managed.start()
     end = time.monotonic() + WITHIN
@@ -92,7 +92,7 @@ async def test_an_answer_that_gets_lost_is_asked_for_again_where_that_is_said(ma
 
 
 async def test_what_does_not_fit_the_type_names_the_field(caller) -> None:
-    from understudy.ros.calling import CallFailed
+    from understudy.ros.actions.instance_calls import CallFailed
 
     with pytest.raises(
         CallFailed, match=r"service /switch: dat: SetBool_Request has no field dat; did you mean data\?"
@@ -105,7 +105,7 @@ async def test_what_does_not_fit_the_type_names_the_field(caller) -> None:
 
 
 async def test_a_managed_node_is_brought_to_a_state_and_back(managed: Managed, caller) -> None:
-    from understudy.ros.calling import CallFailed
+    from understudy.ros.actions.instance_calls import CallFailed
 
     managed.start()
 
@@ -131,7 +131,7 @@ async def test_a_transition_that_takes_long_is_waited_for(managed: Managed, call
 
 
 async def test_a_transition_that_is_refused_says_so_and_may_be_tried_again(managed: Managed, caller) -> None:
-    from understudy.ros.calling import CallFailed
+    from understudy.ros.actions.instance_calls import CallFailed
 
     managed.start("refusing")
 
@@ -141,7 +141,7 @@ async def test_a_transition_that_is_refused_says_so_and_may_be_tried_again(manag
 
 
 async def test_parameters_are_read_and_set_in_their_type(managed: Managed, caller) -> None:
-    from understudy.ros.calling import CallFailed
+    from understudy.ros.actions.instance_calls import CallFailed
 
     managed.start()
 
@@ -159,7 +159,7 @@ async def test_parameters_are_read_and_set_in_their_type(managed: Managed, calle
 async def test_a_message_waits_for_its_subscriber_and_arrives_once(managed: Managed, caller) -> None:
     from std_msgs.msg import String
 
-    from understudy.ros.calling import CallFailed
+    from understudy.ros.actions.instance_calls import CallFailed
 
     pose = {
         "header": {"frame_id": "map", "stamp": "now"},
@@ -209,8 +209,8 @@ async def test_nodes_and_services_are_seen(managed: Managed, caller) -> None:
 
 async def test_of_another_host_nothing_counts(managed: Managed, dds: None, graph) -> None:
     """Behind a discovery server an agent also learns of the other instances' servers, which it can't reach."""
-    from understudy.ros.calling import Caller, CallFailed, Place
-    from understudy.ros.sources import HOST
+    from understudy.ros.actions.instance_calls import Caller, CallFailed, Place
+    from understudy.ros.dds.sample_sources import HOST
 
     managed.start()
     context = graph.node.context
@@ -251,9 +251,9 @@ async def test_a_cancelled_call_leaves_the_caller_usable(managed: Managed, calle
 async def test_an_idle_caller_closes_its_node_and_makes_another(
     managed: Managed, caller, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from understudy.ros import calling
+    from understudy.ros.actions import instance_calls
 
-    monkeypatch.setattr(calling, "IDLE", 0.05)
+    monkeypatch.setattr(instance_calls, "IDLE", 0.05)
     managed.start()
     await caller.call("/switch", "std_srvs/srv/SetBool", {}, WITHIN)
     end = time.monotonic() + WITHIN

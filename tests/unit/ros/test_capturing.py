@@ -13,8 +13,8 @@ pytest.importorskip("rclpy")
 
 from tests.unit.ros.network import Network, network
 from tests.unit.ros.processes import Processes
-from understudy.ros.capturing import Captured, Capturing
-from understudy.ros.graph import Graph
+from understudy.ros.observe.state_samples import Captured, Capturing
+from understudy.ros.runtime.graph_node import Graph
 
 pytestmark = pytest.mark.ros
 

@@ -8,11 +8,11 @@ import pytest
 pytest.importorskip("rclpy")
 
 from tests.unit.ros.judging import Judged, tell
-from understudy.ros import watching as module
-from understudy.ros.contents import Received, begins_with_header
-from understudy.ros.types import message_class, message_fields
-from understudy.trees.loading import load
-from understudy.trees.observations import Unreadable
+from understudy.ros.observe import topic_watch as module
+from understudy.ros.observe.message_contents import Received, begins_with_header
+from understudy.ros.runtime.interface_types import message_class, message_fields
+from understudy.trees.core.observations import Unreadable
+from understudy.trees.languages.short.health_loader import load
 
 pytestmark = pytest.mark.ros
 

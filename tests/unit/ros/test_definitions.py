@@ -10,9 +10,9 @@ pytest.importorskip("rclpy")
 
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from understudy.ros import definitions
-from understudy.ros.definitions import definition
-from understudy.ros.types import TypeNotInstalled
+from understudy.ros.runtime import type_definitions
+from understudy.ros.runtime.interface_types import TypeNotInstalled
+from understudy.ros.runtime.type_definitions import definition
 
 pytestmark = pytest.mark.ros
 
@@ -33,7 +33,7 @@ TYPES = (
 @pytest.mark.parametrize("type_name", TYPES)
 def test_a_definition_says_what_the_type_is(type_name: str, installed: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     if not installed:
-        monkeypatch.setattr(definitions, "_installed", lambda _: "")
+        monkeypatch.setattr(type_definitions, "_installed", lambda _: "")
     store = get_typestore(Stores.ROS2_JAZZY)
     found = get_types_from_msg(definition(type_name), type_name)
     assert type_name in found

@@ -11,8 +11,8 @@ import pytest
 pytest.importorskip("rclpy")
 
 from tests.unit.ros.judging import Judged, tell
-from understudy.ros.contents import OURS, ours
-from understudy.ros.diagnosing import Diagnostics, Status
+from understudy.ros.actions.diagnostics_topic import Diagnostics, Status
+from understudy.ros.observe.message_contents import OURS, ours
 
 pytestmark = pytest.mark.ros
 

@@ -10,8 +10,8 @@ pytest.importorskip("rclpy")
 
 from tests.unit.ros.processes import PACKAGE
 from understudy.api import names
-from understudy.api.workloads import Output
-from understudy.ros.profiles import gate_ports, profiles_xml
+from understudy.api.kinds.robot_workload import Output
+from understudy.ros.dds.profiles import gate_ports, profiles_xml
 
 pytestmark = pytest.mark.ros
 
@@ -65,9 +65,9 @@ def test_readers_of_other_names_stay_where_they_were(processes, profiles):
 MONITOR = """
 import sys
 import time
-from understudy.ros.graph import Graph
-from understudy.ros.watching import Watching
-from understudy.trees.health import WatchedTopic
+from understudy.ros.runtime.graph_node import Graph
+from understudy.ros.observe.topic_watch import Watching
+from understudy.trees.core.health_tree import WatchedTopic
 watching = Watching(Graph("monitor"))
 watching.follow([WatchedTopic("/robot/chat", "std_msgs/msg/String", 0.0, None)])
 print("follows", flush=True)

@@ -12,10 +12,10 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from understudy.api.workloads import Output
-from understudy.ros.graph import Graph
-from understudy.ros.watching import Watching
-from understudy.trees.health import WatchedTopic
+from understudy.api.kinds.robot_workload import Output
+from understudy.ros.observe.topic_watch import Watching
+from understudy.ros.runtime.graph_node import Graph
+from understudy.trees.core.health_tree import WatchedTopic
 
 pytestmark = pytest.mark.ros
 

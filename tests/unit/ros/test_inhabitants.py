@@ -10,10 +10,10 @@ import pytest
 pytest.importorskip("rclpy")
 
 from tests.unit.ros.judging import Judged
-from understudy.ros.graph import Endpoint, Graph
-from understudy.ros.sources import HOST, VENDOR, host_id
-from understudy.ros.watching import Watching
-from understudy.trees.health import WatchedTopic
+from understudy.ros.dds.sample_sources import HOST, VENDOR, host_id
+from understudy.ros.observe.topic_watch import Watching
+from understudy.ros.runtime.graph_node import Endpoint, Graph
+from understudy.trees.core.health_tree import WatchedTopic
 
 pytestmark = pytest.mark.ros
 
@@ -123,7 +123,7 @@ def test_the_publishers_are_gone_through_when_their_number_changes_and_else_seld
     looks = []
     real = watching._graph.publishers
     monkeypatch.setattr(watching._graph, "publishers", lambda topic: looks.append(topic) or real(topic))
-    monkeypatch.setattr("understudy.ros.inhabitants.AT_LEAST", 3600.0)
+    monkeypatch.setattr("understudy.ros.observe.node_presence.AT_LEAST", 3600.0)
     watching.follow([WANTED])
     eventually(lambda: watching.drain() or (watching.node("/controller") and watching._inhabitants._count > 0))
     looks.clear()

@@ -30,8 +30,8 @@ print(json.dumps({
 
 def test_messages_work_and_the_generator_is_not_loaded():
     found = run(
-        "import understudy.ros.graph\n"
-        "from understudy.ros.types import message_class\n"
+        "import understudy.ros.runtime.graph_node\n"
+        "from understudy.ros.runtime.interface_types import message_class\n"
         "from rclpy.serialization import serialize_message\n"
         "Twist = message_class('geometry_msgs/msg/Twist')\n" + SAY
     )
@@ -41,7 +41,7 @@ def test_messages_work_and_the_generator_is_not_loaded():
 def test_a_generator_that_is_loaded_is_left_alone():
     found = run(
         "import rosidl_generator_py\n"
-        "from understudy.ros.lean import leave_out_generator\n"
+        "from understudy.ros.runtime.lean_imports import leave_out_generator\n"
         "assert not leave_out_generator()\n"
         "assert rosidl_generator_py.generate_py\n"
         "from geometry_msgs.msg import Twist\n"
@@ -53,7 +53,7 @@ def test_a_generator_that_is_loaded_is_left_alone():
 def test_two_threads_may_need_rclpy_at_the_same_time():
     found = run(
         "import asyncio, json, threading\n"
-        "from understudy.ros.lean import import_rclpy, rclpy_imported\n"
+        "from understudy.ros.runtime.lean_imports import import_rclpy, rclpy_imported\n"
         "failed = []\n"
         "def use():\n"
         "    try:\n"

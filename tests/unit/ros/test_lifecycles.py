@@ -19,12 +19,12 @@ pytest.importorskip("rclpy")
 
 from tests.unit.ros.judging import Judged
 from tests.unit.ros.processes import Processes
-from understudy.ros.calling import Caller, CallFailed
-from understudy.ros.graph import Endpoint
-from understudy.ros.lifecycles import Lifecycles
-from understudy.ros.sources import HOST
-from understudy.ros.watching import Watching
-from understudy.trees.observations import TopicRecord
+from understudy.ros.actions.instance_calls import Caller, CallFailed
+from understudy.ros.dds.sample_sources import HOST
+from understudy.ros.observe.lifecycle_states import Lifecycles
+from understudy.ros.observe.topic_watch import Watching
+from understudy.ros.runtime.graph_node import Endpoint
+from understudy.trees.core.observations import TopicRecord
 
 pytestmark = pytest.mark.ros
 
@@ -53,7 +53,7 @@ def managed(dds: None) -> Iterator[Callable[[], Any]]:
 @pytest.fixture(autouse=True)
 def often(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nodes are asked more often."""
-    monkeypatch.setattr("understudy.ros.inquiries.PERIOD", 0.3)
+    monkeypatch.setattr("understudy.ros.observe.node_inquiries.PERIOD", 0.3)
 
 
 def bring_to(state: str) -> None:
@@ -187,7 +187,7 @@ def test_of_a_process_that_takes_the_place_of_another_nothing_is_known_but_what_
     node = Endpoint("lifecycle_msgs::srv::dds_::GetState_Request_", b"", NODE)
     servers = [replace(node, gid=b"a" * 16)]
     monkeypatch.setattr(graph, "servers", lambda service: list(servers))
-    monkeypatch.setattr("understudy.ros.inquiries.PERIOD", 0.0)
+    monkeypatch.setattr("understudy.ros.observe.node_inquiries.PERIOD", 0.0)
     record = TopicRecord(contents=1)
     states = Lifecycles(graph, lambda gid: True, lambda topic: record, alone=True)
     try:

@@ -10,8 +10,8 @@ import pytest
 pytest.importorskip("rclpy")
 
 from tests.unit.ros.judging import Judged
-from understudy.ros.sources import HOST, VENDOR
-from understudy.ros.watching import Watching
+from understudy.ros.dds.sample_sources import HOST, VENDOR
+from understudy.ros.observe.topic_watch import Watching
 
 pytestmark = pytest.mark.ros
 

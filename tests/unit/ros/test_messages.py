@@ -10,8 +10,8 @@ pytestmark = pytest.mark.ros
 
 
 def test_a_message_has_the_given_fields_and_defaults_else() -> None:
-    from understudy.ros.messages import to_mapping, to_message
-    from understudy.ros.types import message_class
+    from understudy.ros.runtime.interface_types import message_class
+    from understudy.ros.runtime.message_values import to_mapping, to_message
 
     cls = message_class("test_msgs/msg/UnboundedSequences")
     values = {
@@ -33,8 +33,8 @@ def test_a_message_has_the_given_fields_and_defaults_else() -> None:
 
 
 def test_now_stands_for_the_present_time() -> None:
-    from understudy.ros.messages import to_message
-    from understudy.ros.types import message_class
+    from understudy.ros.runtime.interface_types import message_class
+    from understudy.ros.runtime.message_values import to_message
 
     stamp = to_message(message_class("std_msgs/msg/Header"), {"stamp": "now"}).stamp
 
@@ -56,8 +56,8 @@ def test_now_stands_for_the_present_time() -> None:
     ],
 )
 def test_what_does_not_fit_is_named(type_name: str, values: dict[str, object], message: str) -> None:
-    from understudy.ros.messages import MessageError, to_message
-    from understudy.ros.types import message_class
+    from understudy.ros.runtime.interface_types import message_class
+    from understudy.ros.runtime.message_values import MessageError, to_message
 
     with pytest.raises(MessageError, match=message):
         to_message(message_class(type_name), values)

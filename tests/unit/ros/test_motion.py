@@ -12,8 +12,8 @@ import pytest
 pytest.importorskip("rclpy")
 
 from tests.unit.ros.judging import Judged
-from understudy.agent.health import _OwnOutputs
-from understudy.ros.graph import Graph
+from understudy.agent.instance_health import _OwnOutputs
+from understudy.ros.runtime.graph_node import Graph
 
 pytestmark = pytest.mark.ros
 

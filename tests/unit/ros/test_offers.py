@@ -15,8 +15,8 @@ from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 from std_msgs.msg import String
 
 from tests.unit.dds import keep_to_itself
-from understudy.ros.graph import Graph
-from understudy.ros.offers import offers
+from understudy.ros.observe.offered_qos import offers
+from understudy.ros.runtime.graph_node import Graph
 
 pytestmark = pytest.mark.ros
 

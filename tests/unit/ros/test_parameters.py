@@ -14,11 +14,11 @@ import pytest
 pytest.importorskip("rclpy")
 
 from tests.unit.ros.judging import Judged
-from understudy.ros.calling import Caller
-from understudy.ros.parameters import EVENTS, Parameters, Setting, setting
-from understudy.ros.sources import HOST
-from understudy.ros.watching import Watching
-from understudy.trees.observations import TopicRecord
+from understudy.ros.actions.instance_calls import Caller
+from understudy.ros.dds.sample_sources import HOST
+from understudy.ros.observe.parameter_values import EVENTS, Parameters, Setting, setting
+from understudy.ros.observe.topic_watch import Watching
+from understudy.trees.core.observations import TopicRecord
 
 pytestmark = pytest.mark.ros
 
@@ -34,7 +34,7 @@ def node(processes: Any) -> Callable[..., Any]:
 @pytest.fixture(autouse=True)
 def often(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nodes are asked more often."""
-    monkeypatch.setattr("understudy.ros.inquiries.PERIOD", 0.3)
+    monkeypatch.setattr("understudy.ros.observe.node_inquiries.PERIOD", 0.3)
 
 
 def put(**values: Any) -> None:
@@ -82,7 +82,7 @@ def test_a_change_is_told_of_and_not_only_asked_for(watching, node, eventually, 
         return bool(judged.now() and watching.own(EVENTS) and watching.own(EVENTS).contents)
 
     eventually(heard)
-    monkeypatch.setattr("understudy.ros.inquiries.PERIOD", 3600.0)
+    monkeypatch.setattr("understudy.ros.observe.node_inquiries.PERIOD", 3600.0)
     eventually(lambda: judged.now() and watching._parameters._inquiries[NODE, "speed"].next > time.monotonic() + 600)
     put(speed=2.0)
     eventually(lambda: judged.now().state == "Failed")

@@ -5,9 +5,9 @@ from xml.etree import ElementTree
 import pytest
 
 from understudy.api import names
-from understudy.api.tasks import Task
-from understudy.api.workloads import Output
-from understudy.ros.profiles import gate_ports, instance_profiles_xml, profiles_xml
+from understudy.api.kinds.robot_workload import Output
+from understudy.api.kinds.task_spec import Task
+from understudy.ros.dds.profiles import gate_ports, instance_profiles_xml, profiles_xml
 
 CMD_VEL = Output(topic="/cmd_vel", type="geometry_msgs/msg/Twist")
 SNAP = Output(service="/snap", type="std_srvs/srv/Trigger")

@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("rclpy")
 
 from tests.unit.ros.judging import Judged
-from understudy.ros.types import TypeNotInstalled, message_class, message_fields
+from understudy.ros.runtime.interface_types import TypeNotInstalled, message_class, message_fields
 
 pytestmark = pytest.mark.ros
 

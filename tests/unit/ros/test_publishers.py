@@ -11,11 +11,11 @@ import pytest
 pytest.importorskip("rclpy")
 
 from tests.unit.ros.judging import Judged
-from understudy.ros import watching as module
-from understudy.ros.graph import Endpoint, Graph
-from understudy.ros.sources import HOST, VENDOR, host_id
-from understudy.ros.watching import Watching
-from understudy.trees.health import WatchedTopic
+from understudy.ros.dds.sample_sources import HOST, VENDOR, host_id
+from understudy.ros.observe import topic_watch as module
+from understudy.ros.observe.topic_watch import Watching
+from understudy.ros.runtime.graph_node import Endpoint, Graph
+from understudy.trees.core.health_tree import WatchedTopic
 
 pytestmark = pytest.mark.ros
 

@@ -11,8 +11,8 @@ import pytest
 pytest.importorskip("rclpy")
 
 from tests.unit.ros.network import network
-from understudy.api.workloads import Output
-from understudy.ros.profiles import profiles_xml
+from understudy.api.kinds.robot_workload import Output
+from understudy.ros.dds.profiles import profiles_xml
 
 pytestmark = [
     pytest.mark.ros,

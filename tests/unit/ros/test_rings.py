@@ -6,7 +6,7 @@ import tracemalloc
 
 import pytest
 
-from understudy.ros.rings import OVERHEAD, ROOM, Ring
+from understudy.ros.observe.sample_rings import OVERHEAD, ROOM, Ring
 
 TWIST = "geometry_msgs/msg/Twist"
 KILO = b"x" * (1000 - OVERHEAD)

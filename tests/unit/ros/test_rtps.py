@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from understudy.ros import rtps
-from understudy.ros.rtps import Gap, Heartbeat, Locator, Participant, Reader, Sample
+from understudy.ros.dds import rtps
+from understudy.ros.dds.rtps import Gap, Heartbeat, Locator, Participant, Reader, Sample
 
 RECORDED = {
     name: bytes.fromhex(datagram)

@@ -7,7 +7,7 @@ import os
 import pytest
 
 from tests.unit.ros.network import network
-from understudy.ros.sources import VENDOR, Sources, host_id
+from understudy.ros.dds.sample_sources import VENDOR, Sources, host_id
 
 SEEN = {
     # Host ids that Fast DDS 2.14 put into GIDs on hosts with these addresses.

@@ -11,10 +11,10 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from understudy.ros import streaming
-from understudy.ros.streaming import LATCHED, LEAST, MOST, Streams
-from understudy.ros.types import TypeNotInstalled, interface_class
-from understudy.trees.behaviours import Behaviour, behaviours
+from understudy.ros.actions import snapshot_streams
+from understudy.ros.actions.snapshot_streams import LATCHED, LEAST, MOST, Streams
+from understudy.ros.runtime.interface_types import TypeNotInstalled, interface_class
+from understudy.trees.core.snapshot_behaviours import Behaviour, behaviours
 
 pytestmark = pytest.mark.ros
 
@@ -166,7 +166,7 @@ def test_a_stream_whose_tool_has_died_is_closed(stage: Stage, monkeypatch: pytes
     stage.streams._add(f"{SPACE}/snapshot_streams/left", math.inf)
     assert not stage.streams.read()
     assert len(stage.streams._streams) == 2
-    monkeypatch.setattr(streaming, "ABANDONED", -1.0)
+    monkeypatch.setattr(snapshot_streams, "ABANDONED", -1.0)
     stage.streams.read()
     assert list(stage.streams._streams) == [f"{SPACE}/snapshots"]
 
@@ -178,7 +178,7 @@ def test_the_topic_is_latched_as_its_readers_ask_for(stage: Stage, graph: Any) -
 
 
 def test_without_the_package_it_is_said_what_to_do(graph: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(streaming, "PACKAGE", "nobodys_interfaces")
+    monkeypatch.setattr(snapshot_streams, "PACKAGE", "nobodys_interfaces")
     with pytest.raises(
         TypeNotInstalled, match=r"nobodys_interfaces/msg/BehaviourTree is not installed .* build a monitor image"
     ):

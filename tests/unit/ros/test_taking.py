@@ -9,7 +9,7 @@ pytest.importorskip("rclpy")
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import String
 
-from understudy.ros.taking import Taker
+from understudy.ros.runtime.sample_taking import Taker
 
 pytestmark = pytest.mark.ros
 

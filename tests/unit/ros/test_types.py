@@ -5,7 +5,7 @@ from types import ModuleType
 
 import pytest
 
-from understudy.ros.types import TypeNotInstalled, interface_class, message_class
+from understudy.ros.runtime.interface_types import TypeNotInstalled, interface_class, message_class
 
 pytestmark = pytest.mark.ros
 

@@ -9,12 +9,12 @@ pytest.importorskip("rclpy")
 
 from rclpy.serialization import deserialize_message
 
-from understudy.ros import watching as module
-from understudy.ros.rings import Ring
-from understudy.ros.types import message_class
-from understudy.ros.watching import Watching, depth
-from understudy.trees.health import WatchedTopic
-from understudy.trees.loading import load
+from understudy.ros.observe import topic_watch as module
+from understudy.ros.observe.sample_rings import Ring
+from understudy.ros.observe.topic_watch import Watching, depth
+from understudy.ros.runtime.interface_types import message_class
+from understudy.trees.core.health_tree import WatchedTopic
+from understudy.trees.languages.short.health_loader import load
 
 pytestmark = pytest.mark.ros
 

@@ -11,9 +11,9 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from understudy.tracker.calibrations import load, read
+from understudy.tracker.camera_calibration import load, read
 from understudy.tracker.configuration import ConfigurationError
-from understudy.tracker.running import main
+from understudy.tracker.process import main
 
 WRITTEN = """\
 image_width: 640

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from understudy.tracker.configuration import ConfigurationError, load, read
-from understudy.tracker.running import main
+from understudy.tracker.process import main
 
 GOOD = """
 camera:

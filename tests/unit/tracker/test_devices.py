@@ -24,10 +24,10 @@ import numpy as np
 import pytest
 
 from tests.unit.dds import keep_to_itself
-from understudy.tracker import devices
+from understudy.tracker import camera_device
+from understudy.tracker.camera_device import Footage, Frame, refused
 from understudy.tracker.configuration import ConfigurationError, Device, load
-from understudy.tracker.devices import Footage, Frame, refused
-from understudy.tracker.images import Calibration, Unusable
+from understudy.tracker.image_messages import Calibration, Unusable
 
 REPOSITORY = Path(__file__).parents[3]
 SIZE = (640, 480)
@@ -68,7 +68,7 @@ def filmed(rendering: None, tmp_path_factory: pytest.TempPathFactory) -> tuple[P
 @pytest.fixture
 def footage(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Footage]]:
     """Makes one."""
-    monkeypatch.setattr(devices, "AGAIN", 0.5)  # long enough for each trouble to be taken
+    monkeypatch.setattr(camera_device, "AGAIN", 0.5)  # long enough for each trouble to be taken
     made: list[Footage] = []
 
     def make(path: Path | str, rate: float = 10.0) -> Footage:
@@ -105,7 +105,7 @@ def test_a_rendered_video_becomes_poses(filmed: tuple[Path, list[Any]], footage:
     from tracker_scene import Scene
 
     from bench.tracker import CONFIGURATION
-    from understudy.tracker.locating import Locator
+    from understudy.tracker.robot_location import Locator
 
     file, poses = filmed
     locator = Locator(load(CONFIGURATION))
@@ -220,7 +220,7 @@ def test_the_tracker_reads_it_and_publishes_poses(
     from nav_msgs.msg import Odometry
 
     from bench.tracker import CONFIGURATION
-    from understudy.ros.graph import Graph
+    from understudy.ros.runtime.graph_node import Graph
 
     file, poses = filmed
     (tmp_path / "ceiling.yaml").write_text(calibrated())

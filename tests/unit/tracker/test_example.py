@@ -67,8 +67,8 @@ def running(monkeypatch: pytest.MonkeyPatch) -> Iterator[Running]:
 
 @pytest.fixture
 def watching(running: Running) -> Iterator[Any]:
-    from understudy.ros.graph import Graph
-    from understudy.ros.watching import Watching
+    from understudy.ros.observe.topic_watch import Watching
+    from understudy.ros.runtime.graph_node import Graph
 
     graph = Graph("tested")
     made = Watching(graph)

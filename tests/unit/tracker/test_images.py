@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from understudy.tracker.images import Unusable, calibration, gray
+from understudy.tracker.image_messages import Unusable, calibration, gray
 
 RANDOM = np.random.default_rng(2)
 PICTURE = RANDOM.integers(0, 256, (6, 5, 3), np.uint8)

@@ -13,8 +13,8 @@ import yaml
 
 from testcluster.images import catalog
 from understudy.api import names
-from understudy.checking.running import check
-from understudy.tracker import calibrations
+from understudy.cli.check.command import check
+from understudy.tracker import camera_calibration
 from understudy.tracker.configuration import Configuration, load, read
 
 MANIFESTS = Path(__file__).parents[3] / "examples/tracker/manifests"
@@ -94,8 +94,8 @@ def test_the_tracker_is_told_where_the_examples_camera_is():
     from tracker_robot.robot import CALIBRATION, CAMERA, IMAGES, SIZE, START
     from tracker_scene import Pose, Scene
 
-    from understudy.tracker.images import Calibration
-    from understudy.tracker.locating import Locator
+    from understudy.tracker.image_messages import Calibration
+    from understudy.tracker.robot_location import Locator
 
     told = configuration()
     assert (told.camera.image, told.camera.calibration) == (IMAGES, CALIBRATION)
@@ -125,7 +125,7 @@ def test_the_tracker_with_a_camera_of_its_node_finds_its_files_there(tmp_path: P
     found = read(tmp_path / "tracker.yaml")
     device = found.camera.device
     assert device is not None
-    assert calibrations.read(Path(device.calibration)).width == 640
+    assert camera_calibration.read(Path(device.calibration)).width == 640
     spec = deployment["spec"]["template"]["spec"]
     (container,) = spec["containers"]
     (mounted,) = [mount for mount in container["volumeMounts"] if mount["name"] == "camera"]

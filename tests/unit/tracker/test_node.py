@@ -20,7 +20,7 @@ markers: [{name: robot, id: 7, size: 0.2, height: 0.2}]
 
 
 def made(more: str = "") -> Any:
-    from understudy.tracker.node import Tracker
+    from understudy.tracker.tracker_node import Tracker
 
     return Tracker(load(CONFIGURATION % more))
 

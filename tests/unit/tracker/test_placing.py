@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from understudy.tracker.configuration import CameraPose, Marker, Mounting, Reference
-from understudy.tracker.images import Calibration
-from understudy.tracker.placing import Misfit, View, place, square, view_by, view_of
+from understudy.tracker.floor_projection import Misfit, View, place, square, view_by, view_of
+from understudy.tracker.image_messages import Calibration
 
 MATRIX = np.array([[600.0, 0.0, 319.5], [0.0, 610.0, 239.5], [0.0, 0.0, 1.0]])
 PLAIN = Calibration(MATRIX, np.zeros(5), False, 640, 480)

@@ -96,8 +96,8 @@ def test_the_camera_is_found_by_markers_on_the_floor():
     from tracker_scene.scene import REFERENCE_SIZE, REFERENCES, CameraPlace
 
     from understudy.tracker.configuration import Configuration
-    from understudy.tracker.images import Calibration
-    from understudy.tracker.locating import REFERENCE_IMAGES, Locator
+    from understudy.tracker.image_messages import Calibration
+    from understudy.tracker.robot_location import REFERENCE_IMAGES, Locator
 
     references = [
         {"id": n, "size": REFERENCE_SIZE, "x": x, "y": y, "yaw": yaw} for n, (x, y, yaw) in REFERENCES.items()

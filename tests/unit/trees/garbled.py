@@ -7,9 +7,9 @@ from collections.abc import Callable, Sequence
 from typing import TypeVar
 
 from tests.unit.trees.world import START
-from understudy.trees.health import HealthTree
-from understudy.trees.observations import Recorded
-from understudy.trees.problems import TreeError
+from understudy.trees.core.health_tree import HealthTree
+from understudy.trees.core.observations import Recorded
+from understudy.trees.source.problems import TreeError
 
 Tree = TypeVar("Tree")
 

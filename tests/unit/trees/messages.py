@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from understudy.trees.observations import Unreadable
+from understudy.trees.core.observations import Unreadable
 
 TYPES: dict[str, dict[str, str]] = {
     "t/msg/Battery": {

@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from understudy.api.base import seconds
-from understudy.trees.osc.library import ACTIONS, COMPOSITIONS, MODIFIERS, RATES, Argument, Behavior
-from understudy.trees.osc.units import UNITS
+from understudy.trees.languages.osc.library import ACTIONS, COMPOSITIONS, MODIFIERS, RATES, Argument, Behavior
+from understudy.trees.languages.osc.units import UNITS
 
 Choose = Callable[[int], int]
 """One of so many, from 0."""

@@ -7,12 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from understudy.trees import kinds, loading, procedures
-from understudy.trees.added import Added, added
-from understudy.trees.btcpp import library as xml
-from understudy.trees.btcpp import steps as xml_steps
-from understudy.trees.osc import library as osc
-from understudy.trees.osc import steps as osc_steps
+from understudy.trees.languages.btcpp import library as xml
+from understudy.trees.languages.btcpp import steps as xml_steps
+from understudy.trees.languages.osc import library as osc
+from understudy.trees.languages.osc import steps as osc_steps
+from understudy.trees.languages.short import health_loader, procedure_loader
+from understudy.trees.leaves import registry
+from understudy.trees.leaves.plugins import Added, added
 
 JUDGE = "class Judge:\n    def judge(self, message):\n        return None\n"
 
@@ -95,11 +96,11 @@ def test_a_module_that_fails_is_told_of(tmp_path: Path, monkeypatch: pytest.Monk
 
 def test_no_name_of_our_own_can_be_taken(tmp_path: Path) -> None:
     words = {
-        *loading.KINDS,
-        *procedures.COMPOSITES,
-        *procedures.DECORATORS,
-        *procedures.STEPS,
-        *procedures.CONDITIONS,
+        *health_loader.KINDS,
+        *procedure_loader.COMPOSITES,
+        *procedure_loader.DECORATORS,
+        *procedure_loader.STEPS,
+        *procedure_loader.CONDITIONS,
         *osc.ACTIONS,
         *osc.MODIFIERS,
         *osc.COMPOSITIONS,
@@ -108,7 +109,7 @@ def test_no_name_of_our_own_can_be_taken(tmp_path: Path) -> None:
         *osc_steps.PROCEDURES.modifiers,
     }
     package(tmp_path, "acme-leaves", *(f"{word} = acme_added_judges:Judge" for word in sorted(words)))
-    assert added(kinds.TAKEN).leaves == {}
+    assert added(registry.TAKEN).leaves == {}
     tags = {*xml.NODES, *xml_steps.PROCEDURES.nodes, *xml_steps.CHECKS.nodes, *xml.EXPLICIT, "SubTree"}
     several = {tag for tag in tags if sum(letter.isupper() for letter in tag) > 1}
-    assert several <= {xml.tag_of(word) for word in kinds.TAKEN}
+    assert several <= {xml.tag_of(word) for word in registry.TAKEN}

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from tests.unit.trees.test_snapshots import TREE, taken
 from tests.unit.trees.tools import Row, drawn, rebuilt
 from tests.unit.trees.world import World
-from understudy.trees.behaviours import NOBODY, Behaviour, behaviours, statuses
+from understudy.trees.core.snapshot_behaviours import NOBODY, Behaviour, behaviours, statuses
 
 INVALID, RUNNING, SUCCESS, FAILURE = 1, 2, 3, 4
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.unit.trees.world import START, World
-from understudy.trees.debounce import Debounce
+from understudy.trees.core.debounce import Debounce
 
 TREE = {
     "parallel": [

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 
 from tests.unit.trees.messages import Battery, Heard, fields
 from tests.unit.trees.world import START, World, states_in_both_forms, written
-from understudy.trees.btcpp.trees import load_xml
-from understudy.trees.health import BADNESS, Verdict
-from understudy.trees.kinds import LEAVES
-from understudy.trees.loading import TreeError, load
+from understudy.trees.core.health_tree import BADNESS, Verdict
+from understudy.trees.languages.btcpp.loader import load_xml
+from understudy.trees.languages.short.health_loader import TreeError, load
+from understudy.trees.leaves.registry import LEAVES
 
 
 def value(holds: str = "percentage > 0.15", **more: Any) -> dict[str, Any]:

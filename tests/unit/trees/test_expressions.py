@@ -10,7 +10,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from tests.unit.trees.messages import Battery, Header, Pack, fields
-from understudy.trees.expressions import MOST_ELEMENTS, Expression, ExpressionError, Untold
+from understudy.trees.source.expressions import MOST_ELEMENTS, Expression, ExpressionError, Untold
 
 NAN, INF = math.nan, math.inf
 

@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from understudy.api.policies import Monitoring
-from understudy.trees.forms import load_health, load_monitoring
-from understudy.trees.problems import Problem, TreeError
+from understudy.api.kinds.failure_policy import Monitoring
+from understudy.trees.languages.notations import load_health, load_monitoring
+from understudy.trees.source.problems import Problem, TreeError
 
 YAML: dict[str, Any] = {"topic": {"name": "/scan", "gap": "1s"}}
 XML = '<root BTCPP_format="4"><BehaviorTree ID="A"><Topic topic="/scan" gap="1s"/></BehaviorTree></root>'

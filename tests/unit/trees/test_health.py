@@ -7,9 +7,9 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from understudy.trees.health import BADNESS, HealthTree, Verdict
-from understudy.trees.loading import load
-from understudy.trees.observations import Recorded, TopicRecord
+from understudy.trees.core.health_tree import BADNESS, HealthTree, Verdict
+from understudy.trees.core.observations import Recorded, TopicRecord
+from understudy.trees.languages.short.health_loader import load
 
 START = 1.7e9
 

@@ -11,12 +11,12 @@ import pytest
 
 from tests.unit.trees.messages import Battery
 from tests.unit.trees.world import START, World
-from understudy.trees import loading
-from understudy.trees.health import Verdict
-from understudy.trees.judges import kind_of
-from understudy.trees.loading import load
-from understudy.trees.problems import TreeError
-from understudy.trees.snapshots import snapshot
+from understudy.trees.core.health_tree import Verdict
+from understudy.trees.core.snapshots import snapshot
+from understudy.trees.languages.short import health_loader
+from understudy.trees.languages.short.health_loader import load
+from understudy.trees.leaves.custom_leaf import kind_of
+from understudy.trees.source.problems import TreeError
 
 
 class Falling:
@@ -40,9 +40,9 @@ def install(monkeypatch: pytest.MonkeyPatch) -> Install:
     """Has a class be the leaf acme_leaf."""
 
     def installed(judge: object) -> None:
-        leaves = {**loading.LEAVES, "acme_leaf": kind_of("acme_leaf", judge)}
-        monkeypatch.setattr(loading, "LEAVES", leaves)
-        monkeypatch.setattr(loading, "KINDS", (*loading.KINDS, "acme_leaf"))
+        leaves = {**health_loader.LEAVES, "acme_leaf": kind_of("acme_leaf", judge)}
+        monkeypatch.setattr(health_loader, "LEAVES", leaves)
+        monkeypatch.setattr(health_loader, "KINDS", (*health_loader.KINDS, "acme_leaf"))
 
     return installed
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from understudy.trees.loading import Problem, TreeError, load
+from understudy.trees.languages.short.health_loader import Problem, TreeError, load
 
 ROOT = "spec.monitoring.yaml"
 KINDS = (

@@ -10,11 +10,11 @@ from typing import Any
 import pytest
 import yaml
 
-from understudy.api.policies import FailurePolicySpec
-from understudy.checking.running import check
-from understudy.trees.forms import FORMS, load_monitoring
-from understudy.trees.health import HealthTree, Verdict
-from understudy.trees.observations import Recorded, TopicRecord
+from understudy.api.kinds.failure_policy import FailurePolicySpec
+from understudy.cli.check.command import check
+from understudy.trees.core.health_tree import HealthTree, Verdict
+from understudy.trees.core.observations import Recorded, TopicRecord
+from understudy.trees.languages.notations import FORMS, load_monitoring
 
 FOLDER = Path(__file__).parents[3] / "examples" / "mobile_manipulator" / "policies"
 FILES = {"yaml": FOLDER / "short.yaml", "xml": FOLDER / "xml.yaml", "osc": FOLDER / "osc.yaml"}

@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.unit.trees.world import START, World, states_in_both_forms, written
-from understudy.trees.health import BADNESS, Verdict
-from understudy.trees.loading import TreeError, load
-from understudy.trees.procedures import load_procedure
+from understudy.trees.core.health_tree import BADNESS, Verdict
+from understudy.trees.languages.short.health_loader import TreeError, load
+from understudy.trees.languages.short.procedure_loader import load_procedure
 
 ROOT = "spec.monitoring.yaml"
 ODOMETRY, COMMANDS = "/tracker/robot/odometry", "/cmd_vel"

@@ -1,6 +1,6 @@
 """What a record keeps: the window, and one arrival before it; and the longest gap of late."""
 
-from understudy.trees.observations import TopicRecord
+from understudy.trees.core.observations import TopicRecord
 
 
 def record(window: float, *times: float) -> TopicRecord:

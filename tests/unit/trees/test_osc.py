@@ -13,12 +13,12 @@ from tests.unit.trees.garbled import garbled, loads_or_is_refused
 from tests.unit.trees.scenarios import ScenarioWriter
 from tests.unit.trees.test_xml import POLICIES, SCRIPTS, TREES, Replay, named, numbers, shape
 from understudy.api.base import LONGEST_TEXT
-from understudy.trees.loading import load
-from understudy.trees.osc import tokens
-from understudy.trees.osc.library import ACTIONS, MODIFIERS
-from understudy.trees.osc.trees import load_osc
-from understudy.trees.places import Beginning
-from understudy.trees.problems import TreeError
+from understudy.trees.languages.osc import tokens
+from understudy.trees.languages.osc.library import ACTIONS, MODIFIERS
+from understudy.trees.languages.osc.loader import load_osc
+from understudy.trees.languages.short.health_loader import load
+from understudy.trees.source.positions import Beginning
+from understudy.trees.source.problems import TreeError
 
 LEAF = 'topic("/scan", gap: 1s)'
 

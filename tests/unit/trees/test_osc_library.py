@@ -28,14 +28,14 @@ from scenario_execution.osc2_parsing.OpenSCENARIO2Lexer import OpenSCENARIO2Lexe
 
 from tests.unit.trees.scenarios import ScenarioWriter
 from tests.unit.trees.test_xml import POLICIES
-from understudy.trees.kinds import LEAVES
-from understudy.trees.loading import TASK_KEYS, TOPIC_KEYS, load
-from understudy.trees.osc import steps, tokens
-from understudy.trees.osc.library import ACTIONS, ENUMS, MODIFIERS, REFUSED, WORDS
-from understudy.trees.osc.trees import load_osc
-from understudy.trees.osc.units import OWN, UNITS
-from understudy.trees.problems import TreeError
-from understudy.trees.procedureforms import compose
+from understudy.trees.languages.osc import steps, tokens
+from understudy.trees.languages.osc.library import ACTIONS, ENUMS, MODIFIERS, REFUSED, WORDS
+from understudy.trees.languages.osc.loader import load_osc
+from understudy.trees.languages.osc.units import OWN, UNITS
+from understudy.trees.languages.procedure_notations import compose
+from understudy.trees.languages.short.health_loader import TASK_KEYS, TOPIC_KEYS, load
+from understudy.trees.leaves.registry import LEAVES
+from understudy.trees.source.problems import TreeError
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 PAGE = (REPOSITORY / "docs" / "trees-osc.md").read_text()
@@ -63,7 +63,7 @@ def test_each_leaf_s_own_example_is_the_same_in_openscenario(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", LEAVES)
 def test_what_the_short_form_reads_as_a_time_is_one(kind: str) -> None:
-    """Where this fails, say so in _TYPES or _SHARED of understudy.trees.osc.library."""
+    """Where this fails, say so in _TYPES or _SHARED of understudy.trees.languages.osc.library."""
     texts = [one.where.rpartition(".")[2] for one in ACTIONS[kind].arguments.values() if one.type == "string"]
     for key in texts:
         found = refusals({kind: {**yaml.safe_load(LEAVES[kind].example), key: "7 parsecs"}})
@@ -240,7 +240,7 @@ _PARSER_LOADED = "'scenario_execution' in sys.modules or 'antlr4' in sys.modules
 
 def test_the_parser_is_loaded_only_for_a_policy_in_this_language() -> None:
     program = (
-        "import sys\nfrom understudy.trees.forms import load_health\n"
+        "import sys\nfrom understudy.trees.languages.notations import load_health\n"
         "load_health('yaml', {'topic': {'name': '/a', 'gap': '1s'}}, grace=1)\n"
         f"assert not ({_PARSER_LOADED})\n"
         "load_health('osc', 'import osc.understudy\\nscenario a:\\n  do topic(\"/a\", gap: 1s)', grace=1)\n"
@@ -252,8 +252,8 @@ def test_the_parser_is_loaded_only_for_a_policy_in_this_language() -> None:
 
 _WATCHED = """
 import sys
-from understudy.trees.osc.trees import load_osc
-from understudy.trees.problems import TreeError
+from understudy.trees.languages.osc.loader import load_osc
+from understudy.trees.source.problems import TreeError
 
 GOOD = 'import osc.understudy\\nimport osc.types\\nscenario a:\\n  do topic("/a", gap: 1s)\\n'
 BAD = [

@@ -8,14 +8,21 @@ import yaml
 
 from tests.unit.trees.messages import Figure
 from tests.unit.trees.world import World
-from understudy.trees.btcpp import steps
-from understudy.trees.btcpp.library import NODES, REFUSED
-from understudy.trees.btcpp.markup import parse
-from understudy.trees.btcpp.trees import load_xml
-from understudy.trees.expressions import Expression
-from understudy.trees.loading import KINDS, TreeError, load
-from understudy.trees.procedureforms import compose
-from understudy.trees.procedures import COMPOSITES, CONDITIONS, DECORATORS, STEPS, load_check, load_procedure
+from understudy.trees.languages.btcpp import steps
+from understudy.trees.languages.btcpp.library import NODES, REFUSED
+from understudy.trees.languages.btcpp.loader import load_xml
+from understudy.trees.languages.btcpp.xml_elements import parse
+from understudy.trees.languages.procedure_notations import compose
+from understudy.trees.languages.short.health_loader import KINDS, TreeError, load
+from understudy.trees.languages.short.procedure_loader import (
+    COMPOSITES,
+    CONDITIONS,
+    DECORATORS,
+    STEPS,
+    load_check,
+    load_procedure,
+)
+from understudy.trees.source.expressions import Expression
 
 PAGE = (Path(__file__).parents[3] / "docs" / "trees.md").read_text()
 

@@ -16,9 +16,9 @@ from tests.unit.trees.world import (
     states_in_both_forms,
     written,
 )
-from understudy.trees.btcpp.trees import load_xml
-from understudy.trees.health import Verdict
-from understudy.trees.loading import TreeError, load
+from understudy.trees.core.health_tree import Verdict
+from understudy.trees.languages.btcpp.loader import load_xml
+from understudy.trees.languages.short.health_loader import TreeError, load
 
 ROOT = "spec.monitoring.yaml"
 TASK = {"while": {"task_active": {"action": "/go"}}, "settle": "1s"}

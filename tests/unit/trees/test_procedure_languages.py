@@ -18,19 +18,20 @@ from hypothesis import strategies as st
 from tests.unit.trees.garbled import garbled, loaded_or_refused
 from tests.unit.trees.steps_written import as_scenario, as_xml
 from tests.unit.trees.test_procedures import LONG, Instance
-from understudy.api.procedures import Check, Procedure
-from understudy.trees import procedures, vocabulary
-from understudy.trees.btcpp import library
-from understudy.trees.btcpp import steps as xml
-from understudy.trees.kinds import LEAVES
-from understudy.trees.osc import steps as scenarios
-from understudy.trees.osc import tokens
-from understudy.trees.osc.library import WORDS
-from understudy.trees.osc.trees import load_osc
-from understudy.trees.places import Beginning
-from understudy.trees.problems import TreeError
-from understudy.trees.procedureforms import Composed, compose, composed
-from understudy.trees.procedures import CONDITIONS, DECORATORS, STEPS, ProcedureFailed
+from understudy.api.kinds.procedure_spec import Check, Procedure
+from understudy.trees.languages.btcpp import library
+from understudy.trees.languages.btcpp import steps as xml
+from understudy.trees.languages.osc import steps as scenarios
+from understudy.trees.languages.osc import tokens
+from understudy.trees.languages.osc.library import WORDS
+from understudy.trees.languages.osc.loader import load_osc
+from understudy.trees.languages.procedure_notations import Composed, compose, composed
+from understudy.trees.languages.short import procedure_loader
+from understudy.trees.languages.short.procedure_loader import CONDITIONS, DECORATORS, STEPS, ProcedureFailed
+from understudy.trees.leaves import procedure_vocabulary
+from understudy.trees.leaves.registry import LEAVES
+from understudy.trees.source.positions import Beginning
+from understudy.trees.source.problems import TreeError
 
 PATH = "bringUp"
 
@@ -157,14 +158,14 @@ def test_a_subtree_is_given_values_with_fields_too() -> None:
 
 
 def test_everything_that_procedures_have_can_be_written() -> None:
-    kinds = {*STEPS, *CONDITIONS, *DECORATORS, *procedures.COMPOSITES}
+    kinds = {*STEPS, *CONDITIONS, *DECORATORS, *procedure_loader.COMPOSITES}
     assert {node.key for node in xml.PROCEDURES.nodes.values()} == kinds
     assert {node.key for node in xml.CHECKS.nodes.values()} == kinds - {*STEPS, "timeout", "retry"}
     scenario_kinds = {
         one.key for one in (*scenarios.PROCEDURES.actions.values(), *scenarios.PROCEDURES.modifiers.values())
     }
-    assert scenario_kinds == kinds - {*procedures.COMPOSITES}
-    for kind, keys in {**vocabulary.STEPS, **vocabulary.LOOKS}.items():
+    assert scenario_kinds == kinds - {*procedure_loader.COMPOSITES}
+    for kind, keys in {**procedure_vocabulary.STEPS, **procedure_vocabulary.LOOKS}.items():
         where = {f"{kind}.{key}" for key in keys}
         assert set(xml.PROCEDURES.nodes[library.tag_of(kind)].ports.values()) == where
         assert {argument.where for argument in scenarios.PROCEDURES.actions[kind].arguments.values()} == where
@@ -289,7 +290,7 @@ def test_a_procedure_in_the_three_languages_does_the_same(tree: dict[str, Any], 
     in_xml = compose("xml", as_xml(tree), check=False, path=PATH)
     in_osc = compose("osc", as_scenario(tree), check=False, path=PATH)
     assert in_xml.node == in_osc.node == tree
-    with mock.patch.object(procedures, "TICK", 0.001):
+    with mock.patch.object(procedure_loader, "TICK", 0.001):
         expected = asyncio.run(trace(short, seed))
         assert asyncio.run(trace(in_xml, seed)) == expected
         assert asyncio.run(trace(in_osc, seed)) == expected
@@ -574,9 +575,10 @@ def test_pieces_in_any_order_load_or_are_refused(form: str, data: st.DataObject)
 
 def test_an_agent_runs_procedures_without_their_languages() -> None:
     program = (
-        "import sys\nfrom understudy.trees.forms import load_health\nfrom understudy.trees.procedures import load_procedure\n"
+        "import sys\nfrom understudy.trees.languages.notations import load_health\n"
+        "from understudy.trees.languages.short.procedure_loader import load_procedure\n"
         "load_procedure({'resend_goals': {}}, path='bringUp', places={'resend_goals': 'line 1, column 1: <ResendGoals>'})\n"
-        "print([name for name in ('antlr4', 'yaml', 'understudy.trees.structures') if name in sys.modules])\n"
+        "print([name for name in ('antlr4', 'yaml', 'understudy.trees.languages.flow_values') if name in sys.modules])\n"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120)
     assert (done.returncode, done.stdout.strip(), done.stderr) == (0, "[]", "")

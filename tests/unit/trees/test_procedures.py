@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 
 from tests.unit.trees.messages import Battery, Heard
-from understudy.trees.health import HealthTree, Verdict
-from understudy.trees.observations import Recorded, TopicRecord
-from understudy.trees.problems import TreeError
-from understudy.trees.procedures import ProcedureFailed, load_check, load_procedure
+from understudy.trees.core.health_tree import HealthTree, Verdict
+from understudy.trees.core.observations import Recorded, TopicRecord
+from understudy.trees.languages.short.procedure_loader import ProcedureFailed, load_check, load_procedure
+from understudy.trees.source.problems import TreeError
 
 LONG = 20.0
 """Seconds for what ends by itself."""

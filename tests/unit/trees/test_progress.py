@@ -18,10 +18,10 @@ from tests.unit.trees.world import (
     states_in_both_forms,
     written,
 )
-from understudy.trees.btcpp.trees import load_xml
-from understudy.trees.expressions import ExpressionError, Quantity, Untold
-from understudy.trees.health import Verdict
-from understudy.trees.loading import TreeError, load
+from understudy.trees.core.health_tree import Verdict
+from understudy.trees.languages.btcpp.loader import load_xml
+from understudy.trees.languages.short.health_loader import TreeError, load
+from understudy.trees.source.expressions import ExpressionError, Quantity, Untold
 
 ROOT = "spec.monitoring.yaml"
 GO = "t/action/Go"

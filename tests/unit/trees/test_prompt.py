@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from understudy.trees.loading import load
+from understudy.trees.languages.short.health_loader import load
 
 BATTERY = {"topic": "/battery", "type": "sensor_msgs/msg/BatteryState", "holds": "percentage > 0.15"}
 SCAN = {"topic": "/scan", "type": "sensor_msgs/msg/LaserScan", "most": "300ms"}

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from understudy.trees.rates import Band, Window
+from understudy.trees.core.rate_window import Band, Window
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from tests.unit.trees.world import START, World
-from understudy.trees.snapshots import Snapshot, snapshot
+from understudy.trees.core.snapshots import Snapshot, snapshot
 
 TREE: dict[str, Any] = {
     "sequence": [

@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from understudy.api.base import LONGEST_TEXT
-from understudy.trees.places import Beginning
-from understudy.trees.problems import TreeError
-from understudy.trees.texts import load_text
+from understudy.trees.languages.text_files import load_text
+from understudy.trees.source.positions import Beginning
+from understudy.trees.source.problems import TreeError
 
 GOOD = """\
 # what drives the robot

@@ -15,12 +15,12 @@ from hypothesis import strategies as st
 from tests.unit.trees.garbled import garbled, loads_or_is_refused
 from tests.unit.trees.written import Writer
 from understudy.api.base import LONGEST_TEXT
-from understudy.trees.btcpp.library import NODES
-from understudy.trees.btcpp.trees import load_xml
-from understudy.trees.health import HealthTree
-from understudy.trees.loading import load
-from understudy.trees.observations import Recorded, TopicRecord
-from understudy.trees.problems import TreeError
+from understudy.trees.core.health_tree import HealthTree
+from understudy.trees.core.observations import Recorded, TopicRecord
+from understudy.trees.languages.btcpp.library import NODES
+from understudy.trees.languages.btcpp.loader import load_xml
+from understudy.trees.languages.short.health_loader import load
+from understudy.trees.source.problems import TreeError
 
 START = 1.7e9
 LEAF = '<Topic topic="/scan" gap="1s"/>'

@@ -8,10 +8,8 @@ from typing import Any
 
 from tests.unit.trees.messages import Battery, Feedback, Heard, fields
 from tests.unit.trees.scenarios import ScenarioWriter
-from understudy.trees.btcpp.trees import load_xml
-from understudy.trees.health import BADNESS, HealthTree, Verdict
-from understudy.trees.loading import load
-from understudy.trees.observations import (
+from understudy.trees.core.health_tree import BADNESS, HealthTree, Verdict
+from understudy.trees.core.observations import (
     NodeState,
     ParameterState,
     ParameterValue,
@@ -23,7 +21,9 @@ from understudy.trees.observations import (
     Recorded,
     TopicRecord,
 )
-from understudy.trees.osc.trees import load_osc
+from understudy.trees.languages.btcpp.loader import load_xml
+from understudy.trees.languages.osc.loader import load_osc
+from understudy.trees.languages.short.health_loader import load
 
 START = 1.7e9
 

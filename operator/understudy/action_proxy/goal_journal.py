@@ -1,0 +1,48 @@
+"""What the task proxy must still know after a restart of its container, in a file."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import time
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+from understudy.action_proxy.control_state import Rule
+from understudy.action_proxy.goal_ledger import Ledger
+
+_logger = logging.getLogger(__name__)
+
+
+class Journal:
+    """One file, replaced atomically. It isn't synced: it guards against a killed process, not against a lost node."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._last = ""
+
+    def save(self, ledger: Ledger, rules: Sequence[Rule]) -> None:
+        """Keep the goals and the tasks, if they aren't what was kept last. Raises OSError."""
+        text = json.dumps({"ledger": ledger.to_wire(), "rules": [asdict(rule) for rule in rules]})
+        if text == self._last:
+            return
+        temporary = self._path.with_suffix(".new")
+        with open(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "w") as file:
+            file.write(text)
+        os.replace(temporary, self._path)
+        self._last = text
+
+    def load(self) -> tuple[Ledger, tuple[Rule, ...]]:
+        """What was kept; blank where nothing was. A damaged file is put aside, since it can't be gone on with."""
+        try:
+            data = json.loads(self._path.read_text())
+            return Ledger.from_wire(data["ledger"], time.time()), tuple(Rule(**rule) for rule in data["rules"])
+        except FileNotFoundError:
+            return Ledger(), ()
+        except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
+            _logger.error("%s can't be read, going on without its goals: %r", self._path, error)
+            if self._path.exists():
+                self._path.replace(self._path.with_suffix(".damaged"))
+            return Ledger(), ()

@@ -1,0 +1,504 @@
+"""Which goals there are, where they are, and what follows from what happens: the rules of the task proxy, without ROS.
+
+Everything that happens is noted, then :meth:`Ledger.advance` draws the conclusions; what an instance is to do is read
+off at any time (:meth:`Ledger.orders`) and can be ordered again and again. So no event that is lost, and no restart, of
+the proxy, of an agent or of the monitor, loses a goal or has one executed twice:
+
+- Only the instance in control decides on a goal. What others say of it, the old instance after a switch among them,
+  changes nothing for the client.
+- A goal that has ended or is being cancelled is never sent again. A cancel that the old instance hadn't answered counts
+  as accepted.
+- An end that nobody asked for isn't told while a failure is seen or a recovery under way, nor in the first moments:
+  applications abort their goals when they are told to end.
+- A goal that a newer one has replaced (an abort while the newer one goes on) is over, and isn't sent again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from understudy.action_proxy.client_goals import ABORTED, CANCELED, SUCCEEDED, UNKNOWN, At, Attempt, End, Goal, Phase
+from understudy.action_proxy.control_state import Rule, Situation
+
+UNDECIDED = 60.0
+"""Seconds after which a goal is rejected that no instance has decided on: its client may have given up long ago."""
+
+REFUSED = 30.0
+"""Seconds for which a goal that was accepted once is offered to a new instance that rejects it."""
+
+AGAIN = 0.5
+"""Seconds between two attempts at the instance in control."""
+
+MIRROR_AGAIN = 2.0
+"""Seconds between two attempts at a standby."""
+
+KEPT = 900.0
+"""Seconds for which an ended goal's result can be asked for."""
+
+MOST_KEPT = 128
+"""Ended goals that are kept."""
+
+MOST_BYTES = 4 << 20
+"""Bytes (in base64) of the results of ended goals that are kept: the journal is written as a whole."""
+
+JUST_NOW = 10.0
+"""Seconds before a restart for which answers are given again: the last ones may not have gone out."""
+
+CANCEL_OK, CANCEL_REJECTED, CANCEL_UNKNOWN, CANCEL_ENDED = range(4)
+"""action_msgs/srv/CancelGoal."""
+
+RequestKey = tuple[str, int]
+
+
+@dataclass(frozen=True)
+class GoalAnswer:
+    """Accept or reject a goal."""
+
+    action: str
+    request: RequestKey
+    accepted: bool
+    stamp: int
+
+
+@dataclass(frozen=True)
+class CancelAnswer:
+    """Say what is being cancelled: ids, and when they were accepted."""
+
+    action: str
+    request: RequestKey
+    code: int
+    goals: tuple[tuple[str, int], ...]
+
+
+@dataclass(frozen=True)
+class ResultAnswer:
+    """Give a result."""
+
+    action: str
+    request: RequestKey
+    status: int
+    result: str
+
+
+Answer = GoalAnswer | CancelAnswer | ResultAnswer
+
+
+@dataclass(frozen=True)
+class Order:
+    """What an instance is to have."""
+
+    id: str
+    action: str
+    type: str
+    data: str
+    cancel: bool = False
+    note: str = ""
+    """What it keeps with the goal (see :meth:`Ledger.adopt`)."""
+
+
+@dataclass
+class _Cancel:
+    """A client's request to cancel goals, some of which an instance has yet to answer."""
+
+    action: str
+    waiting: set[str]
+    cancelled: list[str] = field(default_factory=list)
+
+
+class Ledger:
+    """All goals. Times (``now``) are Unix seconds."""
+
+    def __init__(self) -> None:
+        self.situation: Situation | None = None
+        """None until the monitor has said what is so: until then nobody decides."""
+        self.goals: dict[str, Goal] = {}
+        self.resent: dict[str, int] = {}
+        """By action, goals that another instance took over."""
+        self._former: set[str] = set()
+        self._invited: set[str] = set()
+        self._cancels: dict[RequestKey, _Cancel] = {}
+        self._answers: list[Answer] = []
+        self._number = 0
+
+    # -- what clients do --------------------------------------------------------------------------------------------
+
+    def ask(self, action: str, id: str, data: str, request: RequestKey, now: float) -> None:
+        """A client sends a goal. An id that is known is rejected, as by every action server."""
+        if id in self.goals:
+            self._answers.append(GoalAnswer(action, request, False, 0))
+            return
+        self._number += 1
+        self.goals[id] = Goal(id, action, data, self._number, received=now, request=request)
+
+    def cancel(self, action: str, id: str, until: int, request: RequestKey, now: float) -> None:
+        """A client cancels a goal, those accepted up to a time (Unix nanoseconds), or, with neither, all."""
+        mine = [g for g in self.goals.values() if g.action == action and g.phase is not Phase.PENDING]
+        chosen = [g for g in mine if (not id and not until) or g.id == id or (until and g.accepted <= until)]
+        open_ones = [goal for goal in chosen if goal.open]
+        if not open_ones:
+            code = CANCEL_OK if not id else CANCEL_ENDED if chosen else CANCEL_UNKNOWN
+            self._answers.append(CancelAnswer(action, request, code, ()))
+            return
+        entry = self._cancels[request] = _Cancel(action, set())
+        for goal in open_ones:
+            if goal.phase is Phase.CANCELING:
+                entry.cancelled.append(goal.id)
+            else:
+                entry.waiting.add(goal.id)
+                goal.cancels.append(request)
+
+    def want_result(self, action: str, id: str, request: RequestKey) -> None:
+        """A client asks for a goal's result."""
+        goal = self.goals.get(id)
+        if goal is None or goal.action != action or goal.phase is Phase.PENDING:
+            self._answers.append(ResultAnswer(action, request, UNKNOWN, ""))
+            return
+        goal.results.append(request)
+        if goal.end is not None:
+            self._answers.append(ResultAnswer(action, request, goal.end.status, goal.end.result))
+
+    # -- what instances say -----------------------------------------------------------------------------------------
+
+    def report(self, uid: str, id: str, at: At, now: float, *, status: int = UNKNOWN, result: str = "") -> None:
+        """An instance says how one of its goals is. What it doesn't have any more is passed over."""
+        found = self._at(uid, id)
+        if found is None:
+            return
+        goal, attempt = found
+        if not attempt.open:
+            return
+        attempt.at, attempt.status = at, status
+        attempt.after = now + (AGAIN if uid == goal.charge else MIRROR_AGAIN)
+        if uid != goal.charge or uid != self._active or not goal.open:
+            return
+        if at in (At.RUNNING, At.ENDED):
+            self._accept(goal, now)
+            goal.refused_since = 0.0
+        if at is At.ENDED:
+            end = End(status, result)
+            if status == SUCCEEDED or goal.phase is Phase.CANCELING or goal.cancels:
+                self._finish(goal, end, now)
+            else:
+                goal.unasked, goal.unasked_at = end, now
+        elif at is At.REJECTED:
+            self._rejected(goal, now)
+        elif at is At.LOST:
+            self._orphaned(goal, now)
+
+    def adopt(self, uid: str, id: str, note: str, data: str, ended: tuple[int, str] | None, now: float) -> None:
+        """Take up a goal that the instance in control has and that isn't known here, since the journal was lost.
+
+        ``ended`` has the status and the result of one that has ended meanwhile. Raises KeyError, TypeError and ValueError
+        for a note that is none.
+        """
+        if uid != self._active or not note:
+            return
+        goal = Goal.from_note(note, data)
+        if goal.id in self.goals or goal.action not in self._rules:
+            return
+        self.goals[goal.id] = goal
+        self._number = max(self._number, goal.number)
+        goal.charge, goal.attempts[uid] = uid, Attempt(id)
+        if goal.request and goal.accepted and now - goal.accepted * 1e-9 < JUST_NOW:
+            self._answers.append(GoalAnswer(goal.action, goal.request, True, goal.accepted))
+        if ended is not None:
+            goal.attempts[uid].at, goal.attempts[uid].status = At.ENDED, ended[0]
+            self._accept(goal, now)
+            self._finish(goal, End(*ended), now)
+
+    def answered_cancel(self, uid: str, id: str, accepted: bool, now: float) -> None:
+        """An instance accepts or rejects to cancel a goal."""
+        found = self._at(uid, id)
+        if found is not None and uid == found[0].charge:
+            self._cancel_decided(found[0], accepted)
+
+    def feedback_of(self, uid: str, id: str) -> Goal | None:
+        """The goal that feedback of an instance is for, where its word counts."""
+        found = self._at(uid, id)
+        if found is None or uid != self._active or found[0].charge != uid or not found[0].open:
+            return None
+        return found[0]
+
+    def invite(self, uid: str) -> int:
+        """An instance's recovery tree wants the unfinished goals; how many there are."""
+        self._invited.add(uid)
+        return sum(goal.open and goal.phase is not Phase.PENDING for goal in self.goals.values())
+
+    # -- what the monitor says --------------------------------------------------------------------------------------
+
+    def place(self, situation: Situation, now: float) -> None:
+        """The monitor says what is so. An older epoch than is known is passed over."""
+        before = self.situation
+        if before is not None and situation.epoch < before.epoch:
+            return
+        self.situation = situation
+        if before is not None and before.active and before.active != situation.active:
+            self._former.add(before.active)
+        self._former.discard(situation.active)
+        known = {peer.uid for peer in situation.peers}
+        self._former &= known
+        self._invited &= known
+        for goal in self._in_order():
+            if not goal.open:
+                continue
+            if goal.action not in self._rules:
+                self._give_up(goal, now)
+            elif goal.charge and goal.charge != situation.active:
+                self._former |= {goal.charge} & known
+                self._orphaned(goal, now)
+
+    # -- what follows -----------------------------------------------------------------------------------------------
+
+    def advance(self, now: float) -> list[Answer]:
+        """Draw the conclusions; what is to be answered to clients, once what is known has been kept."""
+        if self.situation is not None:
+            for goal in self._in_order():
+                if goal.open:
+                    self._advance(goal, now)
+        self._forget(now)
+        for request, entry in list(self._cancels.items()):
+            if not entry.waiting:
+                del self._cancels[request]
+                stamps = tuple((id, self.goals[id].accepted) for id in entry.cancelled if id in self.goals)
+                code = CANCEL_OK if stamps else CANCEL_REJECTED
+                self._answers.append(CancelAnswer(entry.action, request, code, stamps))
+        answers, self._answers = self._answers, []
+        return answers
+
+    def due(self, now: float) -> float | None:
+        """When, at the latest, to draw the conclusions again with nothing else happening; None if never."""
+        moments = [goal.ended_at + KEPT for goal in self.goals.values() if not goal.open]
+        for goal in self.goals.values():
+            if not goal.open:
+                continue
+            if goal.phase is Phase.PENDING:
+                moments.append(goal.received + UNDECIDED)
+            if goal.unasked is not None and goal.action in self._rules and self._settled:
+                moments.append(goal.unasked_at + self._rules[goal.action].abort_grace)
+            moments += [attempt.after for attempt in goal.attempts.values() if attempt.after > now]
+        return min(moments, default=None)
+
+    def orders(self, uid: str) -> list[Order]:
+        """What an instance is to have, in the order in which clients sent it."""
+        found = []
+        for goal in self._in_order():
+            attempt = goal.attempts.get(uid)
+            if attempt is None or not attempt.open:
+                continue
+            rule = self._rules.get(goal.action)
+            wanted = goal.open and (uid == goal.charge or uid in self._mirrors)
+            cancel = goal.phase is Phase.CANCELING or bool(goal.cancels) or not wanted
+            found.append(Order(attempt.id, goal.action, rule.type if rule else "", goal.data, cancel, goal.note()))
+        return found
+
+    def of_action(self, action: str) -> list[Goal]:
+        """The goals of an action that were accepted, in their order."""
+        return [g for g in self._in_order() if g.action == action and g.phase is not Phase.PENDING]
+
+    # -- keeping ----------------------------------------------------------------------------------------------------
+
+    def to_wire(self) -> dict[str, Any]:
+        """Everything, as one JSON object."""
+        return {
+            "goals": [goal.to_wire() for goal in self._in_order()],
+            "resent": self.resent,
+            "former": sorted(self._former),
+            "invited": sorted(self._invited),
+            "cancels": [
+                {
+                    "request": request,
+                    "action": entry.action,
+                    "waiting": sorted(entry.waiting),
+                    "cancelled": entry.cancelled,
+                }
+                for request, entry in self._cancels.items()
+            ],
+        }
+
+    @classmethod
+    def from_wire(cls, data: Mapping[str, Any], now: float) -> Ledger:
+        """What an earlier proxy kept; what it answered last is answered again, since it may not have gone out.
+
+        Who is in control isn't taken from it: that may be another by now.
+
+        Raises KeyError, TypeError and ValueError where it is none.
+        """
+        made = cls()
+        made.goals = {goal.id: goal for goal in map(Goal.from_wire, data["goals"])}
+        made.resent = dict(data["resent"])
+        made._former, made._invited = set(data["former"]), set(data["invited"])
+        for entry in data["cancels"]:
+            cancel = _Cancel(entry["action"], set(entry["waiting"]), list(entry["cancelled"]))
+            made._cancels[(entry["request"][0], entry["request"][1])] = cancel
+        made._number = max((goal.number for goal in made.goals.values()), default=0)
+        for goal in made.goals.values():
+            if goal.request and goal.phase is not Phase.PENDING and now - goal.accepted * 1e-9 < JUST_NOW:
+                made._answers.append(GoalAnswer(goal.action, goal.request, True, goal.accepted))
+            if goal.end is not None and now - goal.ended_at < JUST_NOW:
+                made._answer_results(goal, goal.end)
+        return made
+
+    # -- inside -----------------------------------------------------------------------------------------------------
+
+    @property
+    def _active(self) -> str:
+        return self.situation.active if self.situation else ""
+
+    @property
+    def _settled(self) -> bool:
+        return self.situation is not None and self.situation.settled and bool(self.situation.active)
+
+    @property
+    def _rules(self) -> dict[str, Rule]:
+        return {rule.action: rule for rule in self.situation.rules} if self.situation else {}
+
+    @property
+    def _mirrors(self) -> set[str]:
+        """Standbys that are given every goal: those that run in full, and one whose recovery tree asked for them."""
+        peers = self.situation.peers if self.situation else ()
+        wanted = {peer.uid for peer in peers if peer.executing or peer.uid in self._invited}
+        return wanted - self._former - {self._active}
+
+    def _in_order(self) -> Sequence[Goal]:
+        return sorted(self.goals.values(), key=lambda goal: goal.number)
+
+    def _at(self, uid: str, id: str) -> tuple[Goal, Attempt] | None:
+        for goal in self.goals.values():
+            attempt = goal.attempts.get(uid)
+            if attempt is not None and attempt.id == id:
+                return goal, attempt
+        return None
+
+    def _accept(self, goal: Goal, now: float) -> None:
+        if goal.phase is Phase.PENDING:
+            goal.phase, goal.accepted = Phase.ACTIVE, int(now * 1e9)
+            if goal.request is not None:
+                self._answers.append(GoalAnswer(goal.action, goal.request, True, goal.accepted))
+
+    def _rejected(self, goal: Goal, now: float) -> None:
+        """The instance in control rejects a goal: that is its answer, but not to one that another had accepted."""
+        if goal.phase is Phase.PENDING:
+            if self._settled:
+                self._drop(goal)
+            return
+        goal.refused_since = goal.refused_since or now
+        if now - goal.refused_since >= REFUSED:
+            self._finish(goal, End(ABORTED, ""), now)
+
+    def _drop(self, goal: Goal) -> None:
+        """Reject a goal for its client."""
+        if goal.request is not None:
+            self._answers.append(GoalAnswer(goal.action, goal.request, False, 0))
+        del self.goals[goal.id]
+
+    def _give_up(self, goal: Goal, now: float) -> None:
+        """Reject or abort a goal whose action is no task any more."""
+        if goal.phase is Phase.PENDING:
+            self._drop(goal)
+        else:
+            self._finish(goal, End(ABORTED, ""), now)
+
+    def _orphaned(self, goal: Goal, now: float) -> None:
+        """The instance that worked on a goal does so no longer."""
+        goal.charge = ""
+        if goal.phase is Phase.PENDING:
+            return
+        if goal.phase is Phase.CANCELING or goal.cancels:
+            self._finish(goal, End(CANCELED, ""), now)
+        elif goal.unasked is not None and self._replaced(goal):
+            self._finish(goal, goal.unasked, now)
+        elif self._rules[goal.action].on_failover == "Abort":
+            self._finish(goal, End(ABORTED, ""), now)
+        goal.unasked = None
+
+    def _replaced(self, goal: Goal) -> bool:
+        """Whether a newer goal went on when this one was ended."""
+        return any(
+            other.action == goal.action
+            and other.number > goal.number
+            and other.phase is not Phase.PENDING
+            and other.unasked is None
+            and (other.open or other.ended_at >= goal.unasked_at)
+            for other in self.goals.values()
+        )
+
+    def _cancel_decided(self, goal: Goal, accepted: bool) -> None:
+        for request in goal.cancels:
+            if (entry := self._cancels.get(request)) is not None:
+                entry.waiting.discard(goal.id)
+                if accepted:
+                    entry.cancelled.append(goal.id)
+        if goal.cancels and accepted and goal.open:
+            goal.phase = Phase.CANCELING
+        goal.cancels = []
+
+    def _finish(self, goal: Goal, end: End, now: float) -> None:
+        self._cancel_decided(goal, end.status == CANCELED)
+        goal.phase, goal.end, goal.ended_at, goal.unasked = Phase.ENDED, end, now, None
+        goal.data = ""  # it is never sent again
+        self._answer_results(goal, end)
+
+    def _answer_results(self, goal: Goal, end: End) -> None:
+        self._answers += [ResultAnswer(goal.action, request, end.status, end.result) for request in goal.results]
+
+    def _advance(self, goal: Goal, now: float) -> None:
+        situation, rule = self.situation, self._rules[goal.action]
+        assert situation is not None
+        if goal.phase is Phase.PENDING and now - goal.received >= UNDECIDED:
+            self._drop(goal)
+            return
+        if goal.unasked is not None and self._settled and now - goal.unasked_at >= rule.abort_grace:
+            self._finish(goal, goal.unasked, now)
+            return
+        there = goal.attempts.get(goal.charge)
+        if (goal.cancels or goal.phase is Phase.CANCELING) and (there is None or not there.open):
+            # No instance has it, so there is nothing to wait for.
+            self._finish(goal, End(CANCELED, ""), now)
+            return
+        active = situation.active
+        if active and not goal.charge and self._may_move(goal, rule):
+            self._move(goal, active, now)
+        elif active and goal.charge == active:
+            attempt = goal.attempts[active]
+            if attempt.at is At.REJECTED and attempt.after <= now:
+                goal.attempt(active)
+        if goal.phase is Phase.ACTIVE and not goal.cancels:
+            there = goal.attempts.get(goal.charge)
+            works = there is not None and there.at is At.RUNNING
+            for uid in sorted(self._mirrors if works else self._mirrors & self._invited):
+                self._mirror(goal, uid, now)
+
+    def _may_move(self, goal: Goal, rule: Rule) -> bool:
+        """Whether a goal that no instance works on may be given to the one in control now."""
+        if rule.on_failover != "Tree" or goal.phase is Phase.PENDING or not goal.attempts:
+            return True
+        return self._settled or self._active in self._invited
+
+    def _move(self, goal: Goal, active: str, now: float) -> None:
+        """Put the instance in control in charge of a goal: it goes on there where it is mirrored, else it is sent."""
+        attempt = goal.attempts.get(active)
+        lost = attempt is not None and attempt.at is At.LOST
+        if lost and attempt is not None and attempt.after > now:
+            return
+        if goal.phase is not Phase.PENDING and not lost:
+            self.resent[goal.action] = self.resent.get(goal.action, 0) + 1
+        goal.charge, goal.refused_since = active, 0.0
+        if attempt is None or not attempt.open:
+            goal.attempt(active)
+
+    def _mirror(self, goal: Goal, uid: str, now: float) -> None:
+        attempt = goal.attempts.get(uid)
+        if attempt is None or (not attempt.open and attempt.status != SUCCEEDED and attempt.after <= now):
+            goal.attempt(uid)
+
+    def _forget(self, now: float) -> None:
+        """Forget ended goals in time: first the oldest."""
+        ended = sorted((g for g in self.goals.values() if not g.open), key=lambda g: g.ended_at, reverse=True)
+        size = 0
+        for index, goal in enumerate(ended):
+            size += len(goal.end.result) if goal.end else 0
+            over = index >= MOST_KEPT or (index > 0 and size > MOST_BYTES)
+            if over or now - goal.ended_at >= KEPT:
+                del self.goals[goal.id]

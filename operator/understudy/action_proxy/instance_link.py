@@ -1,0 +1,193 @@
+"""The proxy's connection to one instance's agent: has it do what is ordered, and passes on what it says."""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import contextlib
+import logging
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
+
+from understudy.action_proxy.client_goals import At
+from understudy.action_proxy.control_state import Peer
+from understudy.action_proxy.goal_ledger import Order
+from understudy.kube.agent_client import AgentGone, AgentLink, AgentRefused
+
+_logger = logging.getLogger(__name__)
+
+RETRY = 1.0
+"""Seconds after which what an agent refused, or didn't answer, is asked again."""
+
+WITHIN = 10.0
+"""Seconds for an answer: the agent asks its instance to cancel, which may take a while."""
+
+_STATES = {"running": At.RUNNING, "rejected": At.REJECTED, "ended": At.ENDED, "lost": At.LOST}
+
+
+class Listener(Protocol):
+    """Who is told what an instance says."""
+
+    def orders(self, uid: str) -> Sequence[Order]:
+        """What the instance is to have."""
+
+    def found(self, uid: str, goal: Mapping[str, Any]) -> None:
+        """A goal that the instance has, maybe of an earlier proxy."""
+
+    def said(self, uid: str, id: str, at: At, status: int, result: str) -> None:
+        """How one of its goals is."""
+
+    def answered_cancel(self, uid: str, id: str, accepted: bool) -> None:
+        """Whether it cancels one."""
+
+    def fed_back(self, uid: str, id: str, data: bytes) -> None:
+        """Feedback of one, as a serialized message."""
+
+    def invited(self, uid: str) -> None:
+        """Its recovery tree wants the unfinished goals."""
+
+    def troubled(self, uid: str, action: str, problem: str) -> None:
+        """Why it can't be given a goal of an action; empty when it was."""
+
+
+class Link:
+    """One instance. Keeps at it until closed."""
+
+    def __init__(self, peer: Peer, workload: str, listener: Listener) -> None:
+        self.peer, self._listener = peer, listener
+        self._wake = asyncio.Event()
+        self._asked = False
+        self._sent: dict[str, str] = {}
+        """By id, the note with which the agent has the goal."""
+        self._mine: set[str] = set()
+        """Goals that were ordered and haven't ended: what is ordered no longer is cancelled."""
+        self._cancelled: set[str] = set()
+        self._invitations: list[int] = []
+        self._link = AgentLink(
+            peer.ip,
+            peer.port,
+            peer.token.encode(),
+            workload,
+            peer.claim,
+            on_change=self._changed,
+            on_event=self._event,
+        )
+        self._task = asyncio.create_task(self._run(), name=f"goals of {peer.pod}")
+
+    def wake(self) -> None:
+        """Look at the orders again."""
+        self._wake.set()
+
+    async def close(self) -> None:
+        """Let go of it."""
+        self._task.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await self._task
+        await self._link.close()
+
+    def _changed(self, link: AgentLink) -> None:
+        if not link.connected:
+            # What happens meanwhile is missed: everything is asked for anew.
+            self._asked = False
+            self._sent.clear()
+            self._cancelled.clear()
+        elif not self._asked:
+            self._wake.set()
+
+    def _event(self, link: AgentLink, event: Mapping[str, Any]) -> None:
+        if "feedback" in event:
+            found = event["feedback"]
+            self._listener.fed_back(self.peer.uid, found["id"], base64.b64decode(found["data"]))
+        elif "goal" in event:
+            self._said(event["goal"])
+        elif "resendGoals" in event:
+            self._invitations.append(event["resendGoals"])
+            self._listener.invited(self.peer.uid)
+            self._wake.set()
+
+    def _said(self, found: Mapping[str, Any]) -> None:
+        at = _STATES.get(found["state"])
+        if at is None:
+            return
+        if at is not At.RUNNING:
+            self._sent.pop(found["id"], None)
+            self._mine.discard(found["id"])
+        self._listener.said(self.peer.uid, found["id"], at, int(found["status"]), found["result"])
+
+    async def _run(self) -> None:
+        while True:
+            await self._wake.wait()
+            self._wake.clear()
+            if not self._link.connected:
+                continue
+            try:
+                await self._carry_out()
+            except (AgentGone, AgentRefused) as error:
+                _logger.warning("%s: %s", self.peer.pod, error)
+                asyncio.get_running_loop().call_later(RETRY, self._wake.set)
+            except Exception:
+                _logger.exception("goals of %s", self.peer.pod)
+                asyncio.get_running_loop().call_later(RETRY, self._wake.set)
+
+    async def _carry_out(self) -> None:
+        if not self._asked:
+            answer = await self._link.request("goals", {}, within=WITHIN)
+            self._asked = True
+            for found in answer.get("goals", []):
+                if found["state"] in ("waiting", "running"):
+                    self._sent[found["id"]] = found.get("note", "")
+                self._listener.found(self.peer.uid, found)
+                self._said(found)
+        orders = self._listener.orders(self.peer.uid)
+        for id in self._mine - {order.id for order in orders}:
+            await self._link.request("cancel", {"goal": id}, within=WITHIN)
+            self._mine.discard(id)
+        refused: AgentRefused | None = None
+        for order in orders:
+            self._mine.add(order.id)
+            try:
+                if order.cancel:
+                    await self._cancel(order)
+                else:
+                    self._cancelled.discard(order.id)
+                    await self._send(order)
+            except AgentRefused as error:
+                refused = error  # other goals, such as those of another action, don't suffer for it
+        invitations, self._invitations = self._invitations, []
+        for number in dict.fromkeys(invitations):
+            await self._link.request("resent", {"number": number}, within=WITHIN)
+        if refused is not None:
+            raise refused
+
+    async def _send(self, order: Order) -> None:
+        if self._sent.get(order.id) == order.note:
+            return
+        body = {
+            "goal": order.id,
+            "action": order.action,
+            "type": order.type,
+            "data": order.data,
+            "note": order.note,
+        }
+        # Noted before the answer: what becomes of it may be told first.
+        self._sent[order.id] = order.note
+        try:
+            await self._link.request("goal", body, within=WITHIN)
+        except AgentRefused as error:
+            self._sent.pop(order.id, None)
+            self._listener.troubled(self.peer.uid, order.action, f"pod {self.peer.pod}: {error}")
+            raise
+        except AgentGone:
+            self._sent.pop(order.id, None)
+            raise
+        self._listener.troubled(self.peer.uid, order.action, "")
+
+    async def _cancel(self, order: Order) -> None:
+        if order.id in self._cancelled:
+            return
+        answer = await self._link.request("cancel", {"goal": order.id}, within=WITHIN)
+        self._cancelled.add(order.id)
+        if answer.get("known"):
+            self._listener.answered_cancel(self.peer.uid, order.id, bool(answer.get("accepted")))
+        else:
+            self._listener.said(self.peer.uid, order.id, At.LOST, 0, "")

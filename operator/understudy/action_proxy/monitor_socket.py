@@ -1,0 +1,55 @@
+"""The socket over which the monitor tells the proxy what is so, and the proxy how its tasks are doing.
+
+A Unix socket in a folder that only the two containers share. One JSON object a line: ``{"situation": ...}`` to the proxy,
+``{"report": ...}`` back on every change.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import logging
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from understudy.action_proxy.control_state import Situation
+
+_logger = logging.getLogger(__name__)
+
+MOST = 1 << 20
+"""Bytes of one line."""
+
+
+class Talk:
+    """The proxy's end."""
+
+    def __init__(self, on_situation: Callable[[Situation], None], report: Callable[[], Mapping[str, Any]]) -> None:
+        self._on_situation, self._report = on_situation, report
+        self._writers: set[asyncio.StreamWriter] = set()
+
+    async def listen(self, path: Path) -> asyncio.Server:
+        """Raises OSError, also where there is a file already."""
+        return await asyncio.start_unix_server(self._connected, path, limit=MOST)
+
+    def tell(self) -> None:
+        """Say how the tasks are doing."""
+        line = json.dumps({"report": self._report()}).encode() + b"\n"
+        for writer in self._writers:
+            with contextlib.suppress(OSError, RuntimeError):
+                writer.write(line)
+
+    async def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self._writers.add(writer)
+        try:
+            self.tell()
+            while line := await reader.readline():
+                self._on_situation(Situation.from_wire(json.loads(line)["situation"]))
+        except (ValueError, KeyError, TypeError) as error:
+            _logger.error("the monitor said what can't be understood: %r", error)
+        except OSError as error:
+            _logger.debug("the monitor is gone: %r", error)
+        finally:
+            self._writers.discard(writer)
+            writer.close()

@@ -1,0 +1,280 @@
+"""The task proxy: serves the workload's actions to clients, and has the instances work on their goals.
+
+Whatever happens is noted in the ledger; what follows is kept in the journal first and done then, so that a process that
+is killed at any moment goes on where it was.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import logging
+import time
+from collections.abc import Callable, Coroutine, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from understudy.action_proxy.client_goals import At
+from understudy.action_proxy.control_state import Peer, Rule, Situation
+from understudy.action_proxy.goal_journal import Journal
+from understudy.action_proxy.goal_ledger import Answer, CancelAnswer, GoalAnswer, Order
+from understudy.action_proxy.instance_link import Link
+from understudy.ros.actions.action_endpoints import ActionServer, ActionType, Asked, Cancelling, Known, renamed
+from understudy.ros.runtime.interface_types import TypeNotInstalled
+from understudy.ros.runtime.served_node import Spinning
+from understudy.ros.runtime.service_exchange import RequestId
+
+_logger = logging.getLogger(__name__)
+
+RECENT = 60.0
+"""Seconds after its end for which a goal of an earlier proxy is taken up, since its client may wait for the result."""
+
+SLACK = 0.002
+"""Seconds after a moment in the ledger at which it is looked at, so that the clock has surely passed it."""
+
+
+@dataclass
+class _Served:
+    """One action, and what was said of it last."""
+
+    rule: Rule
+    server: ActionServer | None = None
+    """None until it is open."""
+    problem: str = ""
+    troubles: dict[str, str] = field(default_factory=dict)
+    """By the UID of an instance, why it can't be given goals."""
+    statuses: list[Known] | None = None
+    unsent: list[Answer] = field(default_factory=list)
+
+
+class Proxy:
+    """Implements :class:`understudy.action_proxy.instance_link.Listener`."""
+
+    def __init__(self, spinning: Spinning, journal: Journal) -> None:
+        """Go on from what the journal has."""
+        self._spinning, self._journal = spinning, journal
+        self.on_report: Callable[[], None] = lambda: None
+        """Called when there is something new to tell the monitor."""
+        self._ledger, self._rules = journal.load()
+        self._served: dict[str, _Served] = {}
+        self._links: dict[str, Link] = {}
+        self._timer: asyncio.TimerHandle | None = None
+        self._tasks: set[asyncio.Task[Any]] = set()
+        self._reported: dict[str, Any] = {}
+        self._serve()
+        self._conclude()
+
+    # -- the monitor ------------------------------------------------------------------------------------------------
+
+    def place(self, situation: Situation) -> None:
+        """Go on under these circumstances."""
+        self._ledger.place(situation, time.time())
+        if (present := self._ledger.situation) is None or present != situation:
+            return
+        # What follows for tasks that are no more is answered by their servers, while they are there.
+        self._conclude()
+        self._rules = situation.rules
+        self._serve()
+        self._link(situation)
+        self._conclude()
+
+    def report(self) -> dict[str, Any]:
+        """What the monitor is told: how each task is doing."""
+        tasks = []
+        for served in self._served.values():
+            goals = self._ledger.of_action(served.rule.action)
+            troubles = [text for text in served.troubles.values() if text]
+            tasks.append(
+                {
+                    "action": served.rule.action,
+                    "active": sum(goal.open for goal in goals),
+                    "resent": self._ledger.resent.get(served.rule.action, 0),
+                    "message": "; ".join([served.problem, *troubles] if served.problem else troubles),
+                    "served": served.server is not None,
+                }
+            )
+        situation = self._ledger.situation
+        return {"tasks": tasks, "epoch": situation.epoch if situation else None}
+
+    async def close(self) -> None:
+        """Let go of everything; goals go on where they are."""
+        if self._timer is not None:
+            self._timer.cancel()
+        for link in self._links.values():
+            await link.close()
+        for task in list(self._tasks):
+            task.cancel()
+
+    # -- what instances say -----------------------------------------------------------------------------------------
+
+    def orders(self, uid: str) -> Sequence[Order]:
+        """What an instance is to have."""
+        return self._ledger.orders(uid)
+
+    def found(self, uid: str, goal: Mapping[str, Any]) -> None:
+        """A goal that the instance has: taken up where it isn't known and its end, if it has one, is recent."""
+        ended = None
+        if goal["state"] == "ended":
+            if goal.get("ago", 0.0) > RECENT:
+                return
+            ended = (int(goal["status"]), str(goal["result"]))
+        elif goal["state"] not in ("waiting", "running"):
+            return
+        try:
+            self._ledger.adopt(uid, goal["id"], goal.get("note", ""), goal.get("data", ""), ended, time.time())
+        except (KeyError, TypeError, ValueError) as error:
+            _logger.error("goal %s of an earlier proxy can't be taken up: %r", goal["id"], error)
+
+    def said(self, uid: str, id: str, at: At, status: int, result: str) -> None:
+        """How one of its goals is."""
+        self._ledger.report(uid, id, at, time.time(), status=status, result=result)
+        self._conclude()
+
+    def answered_cancel(self, uid: str, id: str, accepted: bool) -> None:
+        """Whether it cancels one."""
+        self._ledger.answered_cancel(uid, id, accepted, time.time())
+        self._conclude()
+
+    def fed_back(self, uid: str, id: str, data: bytes) -> None:
+        """Feedback of one: passed on where its word counts, under the client's id."""
+        goal = self._ledger.feedback_of(uid, id)
+        served = self._served.get(goal.action) if goal else None
+        if goal is not None and served is not None and served.server is not None:
+            served.server.publish_feedback(renamed(data, goal.id))
+
+    def invited(self, uid: str) -> None:
+        """Its recovery tree wants the unfinished goals."""
+        count = self._ledger.invite(uid)
+        _logger.info("a recovery tree asks for %d goals", count)
+        self._conclude()
+
+    def troubled(self, uid: str, action: str, problem: str) -> None:
+        """Why it can't be given a goal of an action; empty when it was."""
+        if (served := self._served.get(action)) is not None:
+            served.troubles[uid] = problem
+            self._tell()
+
+    # -- what clients do --------------------------------------------------------------------------------------------
+
+    def _asked(self, action: str) -> Asked:
+        def goal(request: RequestId, id: str, data: bytes) -> None:
+            _logger.info("goal %s of %s asked for", id, action)
+            self._ledger.ask(action, id, base64.b64encode(data).decode(), request, time.time())
+            self._conclude()
+
+        def cancel(request: RequestId, asked: Cancelling) -> None:
+            self._ledger.cancel(action, asked.goal, asked.until, request, time.time())
+            self._conclude()
+
+        def result(request: RequestId, id: str) -> None:
+            self._ledger.want_result(action, id, request)
+            self._conclude()
+
+        return Asked(goal, cancel, result)
+
+    # -- inside -----------------------------------------------------------------------------------------------------
+
+    def _conclude(self) -> None:
+        """Draw the conclusions, keep them, and do what follows."""
+        now = time.time()
+        answers = self._ledger.advance(now)
+        try:
+            self._journal.save(self._ledger, self._rules)
+        except OSError as error:
+            _logger.error("the goals would not outlast a restart: %s", error)
+        for answer in answers:
+            if (served := self._served.get(answer.action)) is not None:
+                self._answer(served, answer)
+        for served in self._served.values():
+            self._publish(served)
+        for link in self._links.values():
+            link.wake()
+        self._tell()
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        if (due := self._ledger.due(now)) is not None:
+            wait = max(0.0, due - now) + SLACK
+            self._timer = asyncio.get_running_loop().call_later(wait, self._conclude)
+
+    def _answer(self, served: _Served, answer: Answer) -> None:
+        if served.server is None:
+            served.unsent.append(answer)
+            return
+        request = RequestId(*answer.request)
+        if isinstance(answer, GoalAnswer):
+            _logger.info("a goal of %s is %s", answer.action, "accepted" if answer.accepted else "rejected")
+            served.server.answer_goal(request, answer.accepted, answer.stamp)
+        elif isinstance(answer, CancelAnswer):
+            served.server.answer_cancel(request, answer.code, answer.goals)
+        else:
+            served.server.answer_result(request, answer.status, base64.b64decode(answer.result))
+
+    def _publish(self, served: _Served) -> None:
+        statuses = [Known(goal.id, goal.accepted, goal.status) for goal in self._ledger.of_action(served.rule.action)]
+        if served.server is not None and statuses != served.statuses:
+            served.statuses = statuses
+            served.server.publish_status(statuses)
+
+    def _tell(self) -> None:
+        report = self.report()
+        if report != self._reported:
+            self._reported = report
+            self.on_report()
+
+    def _serve(self) -> None:
+        """Have a server for each task, and for no other action."""
+        rules: Mapping[str, Rule] = {rule.action: rule for rule in self._rules}
+        for action in [a for a, served in self._served.items() if rules.get(a) != served.rule]:
+            gone = self._served[action]
+            if action in rules and rules[action].type == gone.rule.type:
+                gone.rule = rules[action]
+                continue
+            del self._served[action]
+            if gone.server is not None:
+                self._spawn(gone.server.close())
+        for action, rule in rules.items():
+            if action not in self._served:
+                self._served[action] = _Served(rule)
+                self._spawn(self._open(self._served[action]))
+
+    async def _open(self, served: _Served) -> None:
+        action = served.rule.action
+        try:
+            type_ = await asyncio.to_thread(ActionType.of, served.rule.type)
+        except (TypeNotInstalled, ValueError) as error:
+            _logger.error("%s: %s", action, error)
+            served.problem = str(error)
+            self._tell()
+            return
+        server = ActionServer(self._spinning, action, type_, self._asked(action))
+        await server.open()
+        _logger.info("serving %s", action)
+        served.server = server
+        unsent, served.unsent = served.unsent, []
+        for answer in unsent:
+            self._answer(served, answer)
+        self._conclude()
+
+    def _link(self, situation: Situation) -> None:
+        """Have a connection to each instance's agent, and to no other."""
+        wanted: Mapping[str, Peer] = {peer.uid: peer for peer in situation.peers}
+        for uid, link in list(self._links.items()):
+            now = wanted.get(uid)
+            if now is None or _address(now) != _address(link.peer):
+                del self._links[uid]
+                self._spawn(link.close())
+                for served in self._served.values():
+                    served.troubles.pop(uid, None)
+        for uid, peer in wanted.items():
+            if uid not in self._links:
+                self._links[uid] = Link(peer, situation.workload, self)
+
+    def _spawn(self, work: Coroutine[Any, Any, None]) -> None:
+        task = asyncio.create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+
+def _address(peer: Peer) -> tuple[str, int, str, str]:
+    return peer.ip, peer.port, peer.token, peer.claim

@@ -1,0 +1,372 @@
+"""The agent of one pod: who may command it, what phase the instance is in, and what it remembers of both."""
+
+from __future__ import annotations
+
+import asyncio
+import dataclasses
+import logging
+import os
+import re
+import time
+from collections.abc import Callable, Iterable, Mapping
+from typing import TYPE_CHECKING, Any
+
+from understudy.agent import isolation, prepare
+from understudy.agent.agent_memory import Memory
+from understudy.agent.control_channel import Operation, Peer, Refused
+from understudy.agent.held_containers import Holds
+from understudy.agent.instance_health import Health, Plan
+from understudy.agent.pod_identity import Identity
+from understudy.agent.procedure_runner import InstanceActions, Procedures
+from understudy.agent.readiness import Readiness, Standing
+from understudy.agent.state_restoration import Restorer
+from understudy.agent.task_goals import Goals
+from understudy.agent.writer_strength import Strengths
+from understudy.api import names
+from understudy.api.protocol import hold_script
+from understudy.api.protocol.agent_messages import AgentStatus, Phase
+from understudy.api.protocol.kept_state import KeptState
+from understudy.kube.gates.probes import ProbeSender
+
+if TYPE_CHECKING:
+    from understudy.ros.actions.instance_calls import Caller
+
+_logger = logging.getLogger(__name__)
+
+
+class Sidecar:
+    """Implements :class:`understudy.agent.control_channel.Served`."""
+
+    def __init__(self, identity: Identity, probes: ProbeSender) -> None:
+        """Take up where an earlier agent of this pod left off. Raises OSError when the shared volume can't be used."""
+        self._identity, self._probes = identity, probes
+        self._holds = Holds(identity.directory, identity.held)
+        self._holds.prepare()
+        self._memory = Memory.load(identity.directory)
+        self._strengths = Strengths(identity.directory)
+        self.fence = isolation.Fence(
+            identity.directory,
+            identity.fenced or isolation.built(identity.directory, identity.held),
+            unfenced=identity.unfenced,
+            apiserver=isolation.apiserver(os.environ),
+            on_change=self._notify,
+            nudge=self._notify,
+        )
+        """What holds the application while the pod is cut off."""
+        self._health = Health(identity.pod, on_change=self._health_changed, on_writers=self._writers_seen)
+        self._health.resume(self._memory.process_up_at, self._memory.ready_at)
+        self._caller: Caller | None = None
+        self._restorer = Restorer(lambda: self.caller)
+        name = "understudy_goals_" + re.sub(r"[^a-zA-Z0-9_]", "_", identity.pod)
+        self._goals = Goals(name, self._health.place, lambda event: self.publish(event))
+        self._procedures = Procedures(
+            self._actions,
+            self._health.watch,
+            on_begin=self._procedure_begins,
+            on_success=self._procedure_done,
+            on_end=self._notify,
+        )
+        self._readiness = Readiness(lambda: self._actions(KeptState()), self._health.watch, self._notify)
+        self.publish: Callable[[Mapping[str, Any]], None] = lambda event: None
+        """Sends an event to whoever is connected."""
+        self._configuring = asyncio.Lock()
+        self._looking: asyncio.Task[None] | None = None
+        self._version = 0
+        self._changed = asyncio.Event()
+
+    async def begin(self) -> None:
+        """Go on with what was begun: finish a start that was cut short, judge by the last tree.
+
+        Raises OSError when the shared volume can't be used; a restart of the container tries again.
+        """
+        if self._memory.configuration is not None:
+            try:
+                self._health.configure(await asyncio.to_thread(Plan.of, self._memory.configuration))
+            except ValueError as error:
+                _logger.error("the health tree of an earlier agent is left out: %s", error)
+                self._memory.configuration = None
+        try:
+            self._expect(self._memory.standby)
+        except Refused as error:
+            _logger.error("what an earlier agent was told of a standby is left out: %s", error)
+            self._memory.standby = None
+        if self._memory.workload and self._identity.held:
+            self._holds.start(self._memory.variables(self._identity.held))
+            self._look()
+        elif not self._identity.held:
+            if self._memory.started_at is None:
+                self._memory.started_at = time.time()
+                self._save()
+            self._look()
+
+    async def end(self) -> None:
+        """Stop looking."""
+        await self._readiness.end()
+        await self._goals.close()
+        if self._caller is not None:
+            self._caller.close()
+        if self._looking is not None:
+            self._looking.cancel()
+            await asyncio.wait([self._looking])
+
+    # -- what a monitor sees ----------------------------------------------------------------------------------------
+
+    def greeting(self) -> Mapping[str, str]:
+        """Name and UID of the pod."""
+        return {"pod": self._identity.pod, "uid": self._identity.uid}
+
+    def token(self) -> bytes:
+        """The shared secret. Raises OSError."""
+        return self._identity.token()
+
+    def refuses(self, workload: str, claim: str) -> str | None:
+        """Why a monitor may not command this pod; None if it may."""
+        mine = self._identity.workload
+        if mine and workload != mine:
+            return f"pod {self._identity.pod} is an instance of {mine}, not of {workload}"
+        if mine or not self._memory.workload:
+            return None
+        if (workload, claim) != (self._memory.workload, self._memory.claim):
+            return f"pod {self._identity.pod} is claimed by {self._memory.workload} ({self._memory.claim})"
+        return None
+
+    def status(self) -> AgentStatus:
+        """How the instance is doing."""
+        judgement, configured = self._health.judgement, self._memory.configuration is not None
+        if self.held:
+            missing = self._holds.missing()
+            reason = f"not waiting (yet): {', '.join(missing)}" if missing else ""
+            return AgentStatus("Held", not missing, reason, configured=configured)
+        phase: Phase = "Running" if judgement.ready_at is not None else "Starting"
+        brought, doing = self._memory.brought, self._procedures.doing
+        ready, reason = self._readiness.judge(
+            judgement.ready, judgement.reason, brought=brought, busy=self._procedures.summary
+        )
+        if self.fence.reason:
+            ready, reason = False, self.fence.reason
+        return AgentStatus(
+            phase=phase,
+            ready=ready,
+            reason=reason,
+            started_at=self._memory.started_at,
+            process_up_at=judgement.process_up_at,
+            ready_at=judgement.ready_at,
+            configured=configured,
+            outputs=dict(judgement.outputs),
+            initialized=brought,
+            check=self._readiness.reason,
+            procedure=doing,
+            strength=self._strengths.range,
+            cut_off=self.fence.since,
+            unfenced=self.fence.unfenced,
+        )
+
+    @property
+    def held(self) -> bool:
+        """Whether a container waits for its claim."""
+        return bool(self._identity.held) and not self._memory.workload
+
+    @property
+    def version(self) -> int:
+        """Grows with every change of the status."""
+        return self._version
+
+    async def changed(self, version: int) -> None:
+        """Wait until the status is newer than that."""
+        while self._version <= version:
+            await self._changed.wait()
+
+    # -- what a monitor commands ------------------------------------------------------------------------------------
+
+    def operations(self) -> Mapping[str, Operation]:
+        """What a monitor can ask for."""
+        own: dict[str, Operation] = {"configure": self.configure, "start": self.start, "probe": self.probe}
+        own["give_way"] = self.give_way
+        return {
+            **own,
+            **self._restorer.operations(),
+            **self._procedures.operations(),
+            **self._goals.operations(),
+            **self.fence.operations(),
+        }
+
+    async def configure(self, body: Mapping[str, Any], peer: Peer) -> None:
+        """Take a health tree, and where probes go. Nothing changes by the same again. Raises Refused."""
+        configuration = {key: body.get(key) for key in ("tree", "outputs", "grace")}
+        if "form" in body:
+            configuration["form"] = body["form"]
+        if body.get("managed"):
+            configuration["managed"] = True
+        async with self._configuring:
+            if configuration != self._memory.configuration:
+                try:
+                    plan = await asyncio.to_thread(Plan.of, configuration)
+                except ValueError as error:
+                    raise Refused(str(error)) from error
+                self._health.configure(plan)
+                self._memory.configuration = configuration
+                self._save()
+                self._notify()
+            if (standby := body.get("standby")) != self._memory.standby:
+                self._expect(standby)
+                self._memory.standby = standby
+                self._save()
+                self._notify()
+        probe = body.get("probe") or {"host": peer.host, "port": names.PROBE_PORT}
+        self._aim(probe)
+
+    async def start(self, body: Mapping[str, Any], peer: Peer) -> None:
+        """Start what is held, and belong to who asked for it. Harmless when repeated. Raises Refused."""
+        if not self._identity.held:
+            raise Refused(f"pod {self._identity.pod} isn't held: its containers started with it")
+        if not self._memory.workload:
+            self._memory = self._bound(body, peer)
+            _logger.info("claimed by %s (%s)", peer.workload, peer.claim)
+        try:
+            self._holds.start(self._memory.variables(self._identity.held))
+        except OSError as error:
+            raise Refused(f"starting what is held: {error}") from error
+        self._notify()
+        self._look()
+
+    def _bound(self, body: Mapping[str, Any], peer: Peer) -> Memory:
+        """What is known once the pod belongs to who starts it. Kept before the first process starts, so that no later
+        agent of this pod can give it to another.
+        """
+        environment, ros = body.get("environment", {}), body.get("ros", {})
+        if not _is_environment(ros) or not isinstance(environment, dict):
+            raise Refused("environment is a mapping of containers to variables, ros one of variables")
+        for container, variables in environment.items():
+            if not _is_environment(variables):
+                raise Refused(f"environment of {container}: expected a mapping of variables to texts")
+        profiles = body.get("profiles") or ""
+        if not isinstance(profiles, str):
+            raise Refused(f"profiles: expected a text, not {type(profiles).__name__}")
+        if profiles:
+            try:
+                file = prepare.write(profiles, self._identity.directory, self._identity.pod)
+            except OSError as error:
+                raise Refused(f"writing the profiles: {error}") from error
+            ros = {**ros, names.PROFILES_VARIABLE: str(file)}
+        if names.STRENGTH_VARIABLE in profiles:
+            try:
+                self.fence.build(self._identity.held)
+            except OSError as error:
+                raise Refused(f"making what it can be held by: {error}") from error
+        bound = dataclasses.replace(
+            self._memory,
+            workload=peer.workload,
+            claim=peer.claim,
+            environment=environment,
+            ros=ros,
+            started_at=time.time(),
+        )
+        try:
+            for variables in bound.variables(self._identity.held).values():
+                hold_script.env_file(variables)
+            bound.save(self._identity.directory)
+        except (ValueError, OSError) as error:
+            raise Refused(str(error)) from error
+        return bound
+
+    async def give_way(self, body: Mapping[str, Any], peer: Peer) -> None:
+        """Another instance drives: a container of this one that is restarted must not be heard. Raises Refused."""
+        try:
+            self._strengths.give_way()
+        except OSError as error:
+            raise Refused(str(error)) from error
+
+    async def probe(self, body: Mapping[str, Any], peer: Peer) -> None:
+        """Send gate probes for a while. Raises Refused."""
+        self._aim({"host": body.get("host") or peer.host, "port": body.get("port", names.PROBE_PORT)})
+        try:
+            self._probes.burst(float(body.get("interval", 0.001)), float(body.get("duration", 1.0)))
+        except (TypeError, ValueError) as error:
+            raise Refused(str(error)) from error
+
+    # -- procedures -------------------------------------------------------------------------------------------------
+
+    @property
+    def caller(self) -> Caller:
+        """What reaches this pod's instance; ROS is imported when it is first asked for."""
+        if self._caller is None:
+            from understudy.ros.actions.instance_calls import Caller
+
+            name = "understudy_calls_" + re.sub(r"[^a-zA-Z0-9_]", "_", self._identity.pod)
+            self._caller = Caller(name, place=self._health.place)
+        return self._caller
+
+    def _actions(self, state: KeptState) -> InstanceActions:
+        if self.held:
+            raise Refused(f"pod {self._identity.pod} is held: nothing runs in it yet")
+        return InstanceActions(self.caller, self._health, self._restorer.restore, self._goals.resend, state)
+
+    def _expect(self, standby: object) -> None:
+        """Judge a waiting instance by this. Raises Refused."""
+        try:
+            self._readiness.expect(Standing.from_wire(standby))
+        except ValueError as error:
+            raise Refused(str(error)) from error
+
+    def _procedure_begins(self, name: str, brought: str) -> None:
+        """While it is being brought somewhere, it is nowhere."""
+        if brought:
+            self._memory.brought = ""
+            self._save()
+        self._notify()
+
+    def _procedure_done(self, name: str, brought: str) -> None:
+        if brought:
+            self._memory.brought = brought
+            self._save()
+
+    # -- inside -----------------------------------------------------------------------------------------------------
+
+    def _aim(self, probe: object) -> None:
+        try:
+            if not isinstance(probe, dict):
+                raise TypeError(f"probe is a mapping of host and port, not {probe!r}")
+            self._probes.aim(str(probe.get("host")), int(probe.get("port", names.PROBE_PORT)))
+        except (TypeError, ValueError) as error:
+            raise Refused(str(error)) from error
+
+    def _look(self) -> None:
+        """Judge the instance from now on, as part of its robot's graph."""
+        if self._looking is None:
+            _enter(self._memory.ros)
+            self._looking = asyncio.create_task(self._health.run(), name="health")
+
+    def _health_changed(self) -> None:
+        judgement, memory = self._health.judgement, self._memory
+        if (judgement.process_up_at, judgement.ready_at) != (memory.process_up_at, memory.ready_at):
+            memory.process_up_at, memory.ready_at = judgement.process_up_at, judgement.ready_at
+            self._save()
+        self._notify()
+
+    def _writers_seen(self, gids: Iterable[bytes]) -> None:
+        if self._strengths.saw(gids):
+            self._notify()
+
+    def _save(self) -> None:
+        """Keep what is known. A full volume must not end an agent."""
+        try:
+            self._memory.save(self._identity.directory)
+        except OSError as error:
+            _logger.error("%s: what is known would not outlast a restart: %s", self._identity.directory, error)
+
+    def _notify(self) -> None:
+        self._version += 1
+        self._changed.set()
+        self._changed = asyncio.Event()
+
+
+def _is_environment(value: object) -> bool:
+    return isinstance(value, dict) and all(isinstance(entry, str) for entry in value.values())
+
+
+def _enter(ros: Mapping[str, str]) -> None:
+    """Make a robot's ROS environment this process's own; read by the middleware when the node is made."""
+    os.environ.update(ros)
+    if os.environ.get("ROS_DISCOVERY_SERVER"):
+        # Behind a discovery server only a super client sees the whole graph.
+        os.environ["ROS_SUPER_CLIENT"] = "TRUE"

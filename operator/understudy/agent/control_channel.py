@@ -1,0 +1,341 @@
+"""The control channel: lets in who knows the token, carries out requests, says how the instance is doing.
+
+What comes over the network is never trusted before the mac is right, and nothing that happens in a session ends more
+than that session.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import fcntl
+import hmac
+import logging
+import secrets
+import socket
+import struct
+import termios
+from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from understudy.api import names
+from understudy.api.protocol import agent_messages as wire
+from understudy.api.protocol.agent_messages import AgentStatus, ProtocolError
+
+_logger = logging.getLogger(__name__)
+
+MOST_PENDING = 16
+"""Sessions that haven't proved the token yet; one more ends the oldest, so that strangers can't keep a monitor out."""
+
+MOST_SESSIONS = 8
+"""Sessions that have. A workload has one monitor, and for a moment two."""
+
+GREETING = 3.0
+"""Seconds to prove the token."""
+
+SEND = 3.0
+"""Seconds that the other side may take to take in what is sent."""
+
+MOST_REQUESTS = 32
+"""Requests of one session that are carried out at the same time; some, such as an initialization, take long."""
+
+MOST_EVENTS = 512
+"""Events that wait for a session to take them in; one more ends it, and it asks anew for what is so."""
+
+_TCP_USER_TIMEOUT = getattr(socket, "TCP_USER_TIMEOUT", 18)
+_UNACKNOWLEDGED = 6000  # milliseconds
+
+
+class Refused(Exception):
+    """The request can't be done, and its text says why."""
+
+
+@dataclass(frozen=True)
+class Peer:
+    """Who speaks in a session."""
+
+    workload: str
+    claim: str
+    host: str
+    """IP address."""
+
+
+Operation = Callable[[Mapping[str, Any], Peer], Awaitable[Mapping[str, Any] | None]]
+"""Carries out a request's body for a peer, and gives what the answer says beside ``ok``. Raises Refused."""
+
+
+class Served(Protocol):
+    """What the sessions command."""
+
+    def greeting(self) -> Mapping[str, str]:
+        """Name (``pod``) and ``uid`` of the pod."""
+
+    def token(self) -> bytes:
+        """The shared secret. Raises OSError."""
+
+    def refuses(self, workload: str, claim: str) -> str | None:
+        """Why a monitor may not command this pod; None if it may."""
+
+    def status(self) -> AgentStatus:
+        """How the instance is doing."""
+
+    @property
+    def version(self) -> int:
+        """Grows with every change of the status."""
+
+    async def changed(self, version: int) -> None:
+        """Wait until the status is newer than that."""
+
+    def operations(self) -> Mapping[str, Operation]:
+        """What can be asked for, by its ``op``."""
+
+
+class _Session:
+    """One connection whose other side has proved the token."""
+
+    def __init__(self, peer: Peer, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self.peer = peer
+        self.events: asyncio.Queue[Mapping[str, Any]] = asyncio.Queue(MOST_EVENTS)
+        self._reader, self._writer = reader, writer
+        self._sending = asyncio.Lock()
+
+    async def send(self, message: Mapping[str, Any]) -> None:
+        line = wire.encode(message)
+        async with self._sending, asyncio.timeout(SEND):
+            self._writer.write(line)
+            await self._writer.drain()
+
+    async def receive(self) -> dict[str, Any]:
+        return wire.decode(await read_line(self._reader, wire.MAX_LINE))
+
+    async def end(self, reason: str) -> None:
+        with contextlib.suppress(OSError):
+            await self.send({"error": reason})
+        self._writer.close()
+
+    def abort(self) -> None:
+        self._writer.transport.abort()
+
+    def reset(self) -> None:
+        """End it with what was sent and isn't there yet: the kernel would try to deliver that first."""
+        with contextlib.suppress(OSError):
+            self._writer.get_extra_info("socket").setsockopt(
+                socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0)
+            )
+        self.abort()
+
+    @property
+    def taken_in(self) -> bool:
+        """Whether the other side's kernel has all that was sent."""
+        sock, transport = self._writer.get_extra_info("socket"), self._writer.transport
+        if transport.is_closing() or transport.get_write_buffer_size():
+            return False
+        try:
+            return not any(fcntl.ioctl(sock.fileno(), termios.TIOCOUTQ, bytes(struct.calcsize("i"))))
+        except (OSError, ValueError):
+            return False
+
+
+class Sessions:
+    """Serves the control channel."""
+
+    def __init__(self, served: Served) -> None:
+        self._served = served
+        self._pending: dict[asyncio.StreamWriter, None] = {}
+        self._sessions: list[_Session] = []
+        self._last_refusal = ""
+
+    async def serve(self, port: int = names.AGENT_PORT, *, host: str | None = None) -> asyncio.Server:
+        """Listen, on all addresses where none is given. Raises OSError."""
+        return await asyncio.start_server(self._connected, host, port, limit=wire.MAX_GREETING)
+
+    @property
+    def count(self) -> int:
+        """Sessions of monitors that may command this pod."""
+        return len(self._sessions)
+
+    def publish(self, event: Mapping[str, Any]) -> None:
+        """Send an event to all sessions, in order. One that doesn't take them in is ended."""
+        for session in list(self._sessions):
+            try:
+                session.events.put_nowait(event)
+            except asyncio.QueueFull:
+                _logger.warning("session of %s doesn't take in its events", session.peer.host)
+                session.abort()
+
+    def taken_in(self) -> bool:
+        """Whether the other side of a session has all that was sent to it."""
+        return any(session.taken_in for session in self._sessions)
+
+    def abort(self) -> None:
+        """End all sessions at once."""
+        for session in list(self._sessions):
+            session.reset()
+
+    async def end_refused(self) -> None:
+        """End the sessions of those who may no longer command this pod."""
+        for session in list(self._sessions):
+            if (reason := self._served.refuses(session.peer.workload, session.peer.claim)) is not None:
+                await session.end(reason)
+
+    async def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        host = writer.get_extra_info("peername", ("?",))[0]
+        try:
+            self._limit_silence(writer)
+            while len(self._pending) >= MOST_PENDING:
+                oldest = next(iter(self._pending))
+                del self._pending[oldest]
+                oldest.transport.abort()
+            self._pending[writer] = None
+            try:
+                async with asyncio.timeout(GREETING):
+                    session = await self._let_in(reader, writer, host)
+            finally:
+                self._pending.pop(writer, None)
+            if session is not None:
+                await self._follow(session)
+        except (OSError, EOFError, ProtocolError) as error:
+            _logger.debug("session of %s: %r", host, error)
+        except Exception:
+            _logger.exception("session of %s", host)
+        finally:
+            writer.close()
+
+    def _limit_silence(self, writer: asyncio.StreamWriter) -> None:
+        """Find out by the kernel that the other side is gone: a status of every second goes unacknowledged."""
+        sock = writer.get_extra_info("socket")
+        with contextlib.suppress(OSError):
+            sock.setsockopt(socket.IPPROTO_TCP, _TCP_USER_TIMEOUT, _UNACKNOWLEDGED)
+            sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    async def _let_in(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, host: str) -> _Session | None:
+        nonce = secrets.token_hex(16)
+        writer.write(wire.encode({"nonce": nonce, **self._served.greeting(), "version": wire.PROTOCOL}))
+        answer = wire.decode(await read_line(reader, wire.MAX_GREETING))
+        peer = Peer(str(answer.get("workload", "")), str(answer.get("claim", "")), host)
+        refusal = self._check(nonce, peer, str(answer.get("mac", "")))
+        if refusal is not None:
+            self._note_refusal(f"{host} (workload {peer.workload!r}, claim {peer.claim!r}): {refusal}")
+            writer.write(wire.encode({"error": refusal}))
+            await writer.drain()
+            return None
+        return _Session(peer, reader, writer)
+
+    def _note_refusal(self, text: str) -> None:
+        """Once; who is refused tries again and again."""
+        if text != self._last_refusal:
+            self._last_refusal = text
+            _logger.warning("refused %s", text)
+
+    def _check(self, nonce: str, peer: Peer, proof: str) -> str | None:
+        try:
+            token = self._served.token()
+        except OSError as error:
+            return f"the agent can't read its token: {error.strerror}"
+        if not token:
+            return "the agent's token is empty"
+        right = wire.mac(token, nonce, peer.workload, peer.claim)
+        if not hmac.compare_digest(right.encode(), proof.encode()):
+            return "wrong mac: the token is another"
+        return self._served.refuses(peer.workload, peer.claim)
+
+    async def _follow(self, session: _Session) -> None:
+        while len(self._sessions) >= MOST_SESSIONS:
+            await self._sessions.pop(0).end("too many sessions: a newer one took the place")
+        self._sessions.append(session)
+        peer = session.peer
+        _logger.info("session of %s (workload %r, claim %r)", peer.host, peer.workload, peer.claim)
+        working = {asyncio.create_task(self._tell(session)), asyncio.create_task(self._pass_on(session))}
+        standing = len(working)
+        try:
+            while True:
+                request = await session.receive()
+                if len(working) - standing >= MOST_REQUESTS:
+                    await session.send(
+                        {"id": request.get("id"), "error": f"more than {MOST_REQUESTS} requests at once"}
+                    )
+                    continue
+                task = asyncio.create_task(self._serve(request, session))
+                working.add(task)
+                task.add_done_callback(working.discard)
+        finally:
+            for task in working:
+                task.cancel()
+            with contextlib.suppress(ValueError):
+                self._sessions.remove(session)
+
+    async def _serve(self, request: Mapping[str, Any], session: _Session) -> None:
+        """Carry out one request. Cut short when the session ends: who takes over asks again."""
+        answer = await self._answer(request, session.peer)
+        try:
+            await session.send(answer)
+        except (OSError, ProtocolError) as error:
+            _logger.debug("session of %s: %r", session.peer.host, error)
+            session.abort()
+
+    async def _pass_on(self, session: _Session) -> None:
+        """Send the events as they come."""
+        try:
+            while True:
+                await session.send({"event": await session.events.get()})
+        except (OSError, ProtocolError) as error:
+            _logger.debug("session of %s: %r", session.peer.host, error)
+            session.abort()
+
+    async def _tell(self, session: _Session) -> None:
+        """Send the status on every change and once a second. A session that can't take it in is ended."""
+        try:
+            while True:
+                version = self._served.version
+                await session.send({"status": self._served.status().to_wire()})
+                with contextlib.suppress(TimeoutError):
+                    async with asyncio.timeout(wire.STATUS_PERIOD):
+                        await self._served.changed(version)
+        except OSError as error:
+            _logger.debug("session of %s: %r", session.peer.host, error)
+        except asyncio.CancelledError:
+            raise
+        except Exception:
+            _logger.exception("telling %s the status", session.peer.host)
+        session.abort()
+
+    async def _answer(self, request: Mapping[str, Any], peer: Peer) -> dict[str, Any]:
+        number, op = request.get("id"), request.get("op")
+        operations = self._served.operations()
+        try:
+            if (reason := self._served.refuses(peer.workload, peer.claim)) is not None:
+                raise Refused(reason)
+            if op == "status":
+                return {"id": number, "ok": True, "status": self._served.status().to_wire()}
+            if not isinstance(op, str) or op not in operations:
+                raise Refused(f"unknown op {op!r}; there are {', '.join(operations)} and status")
+            found = await operations[op](request, peer)
+        except Refused as error:
+            return {"id": number, "error": str(error)}
+        except Exception as error:
+            _logger.exception("op %s", op)
+            return {"id": number, "error": f"{op} failed: {error!r}"}
+        if op == "start":
+            await self.end_refused()
+        return {**(found or {}), "id": number, "ok": True}
+
+
+async def read_line(reader: asyncio.StreamReader, most: int) -> bytes:
+    """A line of at most so many bytes, its end included, whatever the reader's own limit.
+
+    Raises EOFError when the other side closes, ProtocolError when the line is longer.
+    """
+    parts: list[bytes] = []
+    size = 0
+    while True:
+        try:
+            part = await reader.readuntil(b"\n")
+        except asyncio.LimitOverrunError as overrun:
+            part = await reader.readexactly(overrun.consumed)
+        size += len(part)
+        if size > most:
+            raise ProtocolError(f"a line of more than {most} bytes")
+        parts.append(part)
+        if part.endswith(b"\n"):
+            return b"".join(parts)

@@ -1,0 +1,373 @@
+"""Judges the instance from inside its pod: the policy's own health tree, on this pod's outputs and the robot's inputs.
+
+An executing standby's outputs don't reach the monitor, and the active pod's are matched by every reader of the same
+name, so only here can a standby be told healthy. What counts for an output are samples of writers on this host alone
+(the pod's network namespace, see ros/dds/sample_sources.py); for all else anyone's, since instances of one workload are isolated
+from each other.
+
+ROS is imported when it is first needed, or before: by a held agent as soon as it stands.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import dataclasses
+import logging
+import re
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from understudy.agent.output_topics import Output
+from understudy.api.protocol.agent_messages import OutputCount
+
+if TYPE_CHECKING:
+    from understudy.ros.actions.instance_calls import Place
+    from understudy.ros.observe.topic_watch import Watching
+    from understudy.ros.runtime.graph_node import Graph
+    from understudy.trees.core.health_tree import HealthTree, Verdict, WatchedTopic
+    from understudy.trees.core.observations import NodeState, ParameterState, PodState, Present, Publishers, TopicRecord
+
+_logger = logging.getLogger(__name__)
+
+STARTING_PERIOD = 0.02
+"""Seconds between looks while the instance starts: its start is part of a recovery's time."""
+
+STARTING_FOR = 60.0
+"""Seconds after which an instance that still isn't up is looked at as seldom as any other."""
+
+PERIOD = 0.2
+"""Seconds between looks otherwise; deadlines of the tree come on top."""
+
+PRESENCE_PERIOD = 2.0
+"""Seconds between looks at whether the application's endpoints are still there, once they have been."""
+
+OWN_GID = 5.0
+"""Seconds within which the agent's node must see its own publisher."""
+
+OURS = "/understudy_"
+"""How the names of this process's own nodes begin."""
+
+RETRY = 5.0
+"""Seconds before joining the ROS graph is tried again."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What the monitor asked to be judged by."""
+
+    tree: HealthTree
+    outputs: Sequence[Output]
+    managed: bool = False
+    """Whether procedures bring its nodes up: then its processes are up with their first node, and not only with its first
+    output, which may take a procedure."""
+
+    @classmethod
+    def of(cls, body: Mapping[str, Any]) -> Plan:
+        """From a ``configure`` request. Raises ValueError with everything that is wrong with it."""
+        from understudy.trees.languages.notations import load_health
+        from understudy.trees.source.problems import TreeError
+
+        grace = body.get("grace", 30.0)
+        if not isinstance(grace, int | float) or isinstance(grace, bool) or not 0 <= grace < float("inf"):
+            raise ValueError(f"grace {grace!r}: expected a number of seconds")
+        try:
+            outputs = [Output.from_wire(output) for output in body.get("outputs", [])]
+            tree = load_health(body.get("form", "yaml"), body.get("tree", {}), grace=float(grace))
+            return cls(tree, outputs, bool(body.get("managed")))
+        except (TreeError, TypeError) as error:
+            raise ValueError(str(error)) from error
+
+    def topics(self) -> list[WatchedTopic]:
+        """What to watch; the outputs say the types that the tree leaves open."""
+        types = {output.topic: output.type for output in self.outputs if output.topic}
+        return [dataclasses.replace(topic, type=topic.type or types.get(topic.name)) for topic in self.tree.topics]
+
+
+@dataclass
+class Judgement:
+    """How the instance is doing. Times are Unix seconds.
+
+    A ready instance has a reason too where part of the tree can't be judged, as for a type that is not installed.
+    """
+
+    ready: bool = False
+    reason: str = "not looked at yet"
+    process_up_at: float | None = None
+    ready_at: float | None = None
+    outputs: dict[str, OutputCount] = field(default_factory=dict)
+
+
+class _OwnOutputs:
+    """Observations in which an output counts only where it comes from this host."""
+
+    in_control = False
+    """Nobody here knows whether it is; as long as it isn't, the robot does what another instance says."""
+
+    def __init__(self, watching: Watching, outputs: Sequence[Output], host: bytes) -> None:
+        self._watching, self._host = watching, host
+        self._topics = {output.topic for output in outputs if output.topic}
+
+    def topic(self, name: str) -> TopicRecord | None:
+        if name not in self._topics:
+            return self._watching.topic(name)
+        return self._watching.records(name).get(self._host)
+
+    def own(self, name: str) -> TopicRecord | None:
+        """This instance's."""
+        return self._watching.own(name)
+
+    def task(self, name: str) -> float | None:
+        """Only this instance's own goals make it work."""
+        from understudy.ros.dds.sample_sources import HOST
+
+        times = [since for gid, since in self._watching.active(name).items() if gid[HOST] == self._host]
+        return min(times, default=None)
+
+    def publishers(self, name: str) -> Publishers | None:
+        """This instance's."""
+        return self._watching.publishers(name)
+
+    def node(self, name: str) -> Present | None:
+        """This instance's."""
+        return self._watching.node(name)
+
+    def lifecycle(self, name: str) -> NodeState | None:
+        """This instance's."""
+        return self._watching.lifecycle(name)
+
+    def parameter(self, node: str, name: str) -> ParameterState | None:
+        """This instance's."""
+        return self._watching.parameter(node, name)
+
+    def pod(self) -> PodState | None:
+        """From within nobody sees what the cluster says of it."""
+        return None
+
+    def counts(self) -> dict[str, OutputCount]:
+        """The outputs that are watched."""
+        found: dict[str, OutputCount] = {}
+        for name in sorted(self._topics):
+            if self._watching.topic(name) is not None:
+                record = self._watching.records(name).get(self._host)
+                found[name] = OutputCount(record.count, record.last) if record else OutputCount()
+        return found
+
+
+class Health:
+    """Looks at the instance until cancelled, and says what it sees in ``judgement``."""
+
+    def __init__(
+        self,
+        pod: str,
+        *,
+        on_change: Callable[[], None],
+        on_writers: Callable[[Iterable[bytes]], object] = lambda gids: None,
+    ) -> None:
+        """``on_change`` is called when anything but the outputs' counts is another, ``on_writers`` now and then with the
+        GIDs of this pod's writers of outputs.
+        """
+        self.judgement = Judgement()
+        self._node_name = "understudy_agent_" + re.sub(r"[^a-zA-Z0-9_]", "_", pod)
+        self._on_change = on_change
+        self._on_writers = on_writers
+        self._plan: Plan | None = None
+        self._new_plan = asyncio.Event()
+        self._keep_ready = False
+        self._since = 0.0
+        self._looked_for_presence = 0.0
+        self._present = False
+        self._joined: tuple[Graph, Watching, bytes] | None = None
+        self._own: _OwnOutputs | None = None
+        self._also: dict[str, tuple[WatchedTopic, ...]] = {}
+        self._also_since = 0.0
+
+    def place(self) -> Place | None:
+        """Where in the ROS graph this process is; None while it has not joined."""
+        from understudy.ros.actions.instance_calls import Place
+
+        if self._joined is None:
+            return None
+        graph, _, host = self._joined
+        return Place(graph.node.context, host)
+
+    def watch(self, purpose: str, topics: Sequence[WatchedTopic]) -> None:
+        """Watch some topics more, for trees of a purpose; the last ones of that purpose are let go."""
+        if tuple(topics) == self._also.get(purpose, ()):
+            return
+        self._also[purpose] = tuple(topics)
+        self._also_since = time.time()
+        self._follow()
+
+    def verdict(self, tree: HealthTree) -> Verdict:
+        """The verdict of a tree whose topics are watched, on this instance."""
+        from understudy.trees.core.health_tree import Verdict
+
+        if self._own is None or self._joined is None:
+            return Verdict("Starting", "the agent hasn't joined the ROS graph yet", "", None)
+        watching = self._joined[1]
+        watching.drain()
+        tree.leave_out(watching.unwatchable)
+        if tree.root is None:
+            return Verdict("Failed", "; ".join(watching.problems), "", None)
+        now = time.time()
+        self._also_since = min(self._also_since, now)  # the clock may have been set back
+        return tree.evaluate(self._own, now=now, since=self._also_since)
+
+    def _follow(self) -> None:
+        """Watch what the plan and all other trees need."""
+        if self._joined is None or self._plan is None:
+            return
+        watching = self._joined[1]
+        found: dict[str, WatchedTopic] = {}
+        types = {output.topic: output.type for output in self._plan.outputs if output.topic}
+        for topic in [*self._plan.topics(), *(topic for topics in self._also.values() for topic in topics)]:
+            joined = found.get(topic.name, topic).joined(topic)
+            found[topic.name] = dataclasses.replace(joined, type=joined.type or types.get(topic.name))
+        watching.follow(found.values())
+
+    def resume(self, process_up_at: float | None, ready_at: float | None) -> None:
+        """Go on from what an earlier agent of this pod saw."""
+        self.judgement.process_up_at, self.judgement.ready_at = process_up_at, ready_at
+
+    def configure(self, plan: Plan) -> None:
+        """Judge by this from now on. A ready instance stays so until the new tree says otherwise."""
+        self._plan = plan
+        self._keep_ready = self.judgement.ready
+        self._new_plan.set()
+
+    async def run(self) -> None:
+        """Join the ROS graph that the process's environment names, and look."""
+        self._say(False, "joining the ROS graph")
+        while True:
+            try:
+                graph, watching, host = await asyncio.to_thread(_join, self._node_name)
+            except Exception as error:
+                _logger.exception("joining the ROS graph")
+                self._say(False, f"can't join the ROS graph: {error}")
+                await asyncio.sleep(RETRY)
+                continue
+            try:
+                self._joined = graph, watching, host
+                await self._look(graph, watching, host)
+            except Exception as error:
+                _logger.exception("looking at the instance")
+                self._say(False, f"looking at the instance failed: {error!r}")
+                await asyncio.sleep(RETRY)
+            finally:
+                self._joined = self._own = None
+                watching.close()
+                graph.close()
+
+    async def _look(self, graph: Graph, watching: Watching, host: bytes) -> None:
+        if self._plan is None:
+            self._say(False, "waiting for the monitor to say what healthy is")
+            await self._new_plan.wait()
+        self._new_plan.set()
+        joined = time.monotonic()
+        while True:
+            plan = self._plan
+            assert plan is not None, "it was waited for"
+            if self._new_plan.is_set():
+                self._new_plan.clear()
+                self._follow()
+                own = self._own = _OwnOutputs(watching, plan.outputs, host)
+                self._since = time.time()
+            watching.drain()
+            plan.tree.leave_out(watching.unwatchable)
+            now = time.time()
+            if self._since > now:  # the clock was set back: until then nothing would count
+                self._since, self._keep_ready = now, self.judgement.ready
+            self._judge(graph, watching, host, plan, own, now)
+            young = self.judgement.ready_at is None and time.monotonic() - joined < STARTING_FOR
+            rest = STARTING_PERIOD if young else PERIOD
+            deadline = plan.tree.deadline(own, now=now, since=self._since)
+            if deadline is not None:
+                rest = min(rest, max(0.0, deadline - time.time()))
+            await self._pause(rest)
+
+    async def _pause(self, rest: float) -> None:
+        """Wait, but not when there is a new plan."""
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(rest):
+                await self._new_plan.wait()
+
+    def _judge(self, graph: Graph, watching: Watching, host: bytes, plan: Plan, own: _OwnOutputs, now: float) -> None:
+        judgement = self.judgement
+        self._look_for_presence(graph, host, plan)
+        up = self._present or (plan.managed and judgement.process_up_at is None and _application(graph, host))
+        if up and judgement.process_up_at is None:
+            judgement.process_up_at = now
+            self._on_change()
+        verdict = plan.tree.evaluate(own, now=now, since=self._since)
+        judgement.outputs = own.counts()
+        if not self._present:
+            outputs = ", ".join(output.name for output in plan.outputs)
+            self._say(False, f"nothing in this pod publishes or serves {outputs}")
+        elif verdict.state == "Healthy":
+            self._keep_ready = False
+            if judgement.ready_at is None:
+                judgement.ready_at = now
+            self._say(True, "; ".join(watching.problems))
+        elif verdict.state == "Starting" and self._keep_ready:
+            self._say(True, "; ".join(watching.problems))
+        else:
+            self._keep_ready = False
+            self._say(False, "; ".join([verdict.reason, *watching.problems, *watching.waiting]))
+
+    def _look_for_presence(self, graph: Graph, host: bytes, plan: Plan) -> None:
+        """Whether this pod's application has an endpoint for an output. Asked for seldom once it had one."""
+        from understudy.ros.dds.sample_sources import HOST
+
+        now = time.monotonic()
+        if self._present and now < self._looked_for_presence + PRESENCE_PERIOD:
+            return
+        self._looked_for_presence = now
+        found = [(output, end) for output in plan.outputs for end in graph.endpoints(output) if end.gid[HOST] == host]
+        self._present = bool(found)
+        self._on_writers(end.gid for output, end in found if output.topic)
+
+    def _say(self, ready: bool, reason: str) -> None:
+        judgement = self.judgement
+        if (judgement.ready, judgement.reason) != (ready, reason):
+            if judgement.ready != ready:
+                _logger.info("ready" if ready else "not ready: %s", *([] if ready else [reason]))
+            judgement.ready, judgement.reason = ready, reason
+            self._on_change()
+
+
+def _application(graph: Graph, host: bytes) -> bool:
+    """Whether a node of the application is there: one on this host that is none of ours."""
+    from understudy.ros.dds.sample_sources import HOST
+
+    nodes = graph.publishers("/parameter_events")
+    return any(node.gid[HOST] == host and node.node and not node.node.startswith(OURS) for node in nodes)
+
+
+def _join(node_name: str) -> tuple[Graph, Watching, bytes]:
+    """This process's node, and the part of a GID by which this host's writers are told.
+
+    That part is read off the node's own publisher: it holds whatever addresses the pod has. Blocks for about a second.
+    """
+    from understudy.ros.runtime.lean_imports import import_rclpy
+
+    import_rclpy()
+    from understudy.ros.dds.sample_sources import HOST
+    from understudy.ros.observe.topic_watch import Watching
+    from understudy.ros.runtime.graph_node import Graph
+
+    graph = Graph(node_name)
+    try:
+        end = time.monotonic() + OWN_GID
+        while time.monotonic() < end:
+            for endpoint in graph.publishers("/parameter_events"):
+                if endpoint.node == f"/{node_name}":
+                    host = endpoint.gid[HOST]
+                    return graph, Watching(graph, host), host
+            time.sleep(0.01)
+        raise TimeoutError(f"the node doesn't see its own publisher within {OWN_GID:g} s")
+    except BaseException:
+        graph.close()
+        raise

@@ -1,0 +1,148 @@
+"""Brings a kept pose to the present while it is given: by this pod's own look at the robot's odometry, at the last moment.
+
+The monitor says where odometry had the robot when the pose was so (state/pose_propagation.py). From then on the robot may
+have driven on until it noticed that nobody drives it, and the instance may have taken long to start: only when the pose
+is published it is known where the robot is by then.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import AsyncIterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from understudy.api.protocol.kept_state import KeptSample, Motion
+from understudy.kinematics.odometry_track import Point, Track
+from understudy.kinematics.pose_decoding import ODOMETRY, Reading, read
+from understudy.kinematics.poses import Pose, carried, grown
+
+if TYPE_CHECKING:
+    from understudy.ros.actions.instance_calls import Caller, Listener
+    from understudy.ros.runtime.sample_taking import Sample
+
+ODOMETRY_WITHIN = 5.0
+"""Seconds that odometry is waited for at most; half of the time that there is for giving the pose, where that is less."""
+
+TOLD_FROM = 1.0
+"""Seconds that nobody watched odometry for which it is told; less is a process that was stalled."""
+
+_SECOND = 1e-9
+
+
+@dataclass(frozen=True)
+class Carried:
+    """What became of a pose that was to be carried."""
+
+    metres: float | None = None
+    """How far it was; None where it wasn't."""
+    note: str = ""
+    """Why not, or what is uncertain about it."""
+
+
+class Present:
+    """A kept message as it is to be said now."""
+
+    def __init__(self, sample: KeptSample, listener: Listener | None = None, missing: str = "") -> None:
+        """``missing`` says why a pose can't be carried, as long as no odometry comes."""
+        self._sample, self._listener, self._missing = sample, listener, missing
+        self.outcome: Carried | None = None
+        """What became of it when it was said last; None for a message that isn't to be carried."""
+
+    def message(self) -> bytes:
+        """Its bytes. It loads rclpy. Raises CallFailed, also where it must not be said without having been carried."""
+        from understudy.agent.state_restoration import stamped
+        from understudy.ros.actions.instance_calls import CallFailed
+
+        motion = self._sample.motion
+        if motion is None:
+            return stamped(self._sample)
+        came = self._listener.last if self._listener is not None else None
+        missing = self._missing if came is None else ""
+        if came is not None:
+            try:
+                data, metres = self._carried(motion, came)
+            except ValueError as error:
+                missing = f"it can't be carried by {motion.topic}: {error}"
+            else:
+                note = f"{motion.topic} was not watched for {motion.blind:.1f} s of what it was carried over"
+                self.outcome = Carried(metres, note if motion.blind > TOLD_FROM else "")
+                return data
+        if motion.required:
+            raise CallFailed(missing)
+        self.outcome = Carried(None, f"{missing}; it was given as it was kept")
+        return stamped(self._sample)
+
+    def _carried(self, motion: Motion, came: Sample) -> tuple[bytes, float]:
+        """The message of the present, and how far it was carried. Raises ValueError."""
+        said = read(motion.type, came.data)
+        before = Point(
+            motion.last, motion.stamp, round(motion.received / _SECOND), motion.frame, motion.child, motion.writer
+        )
+        # The monitor's clock may be ahead of this pod's.
+        received = max(round(came.received / _SECOND), before.received)
+        track = Track()
+        track.add(before)
+        if reason := track.add(Point(said.pose, said.stamp, received, said.frame, said.child, came.gid)):
+            raise ValueError(f"it began anew since: {reason}")
+        driven = motion.driven + motion.last.distance(said.pose)
+        turned = motion.turned + motion.last.to(said.pose).angle
+        return composed(self._sample, motion.then, said, driven=driven, turned=turned), driven
+
+
+def composed(sample: KeptSample, then: Pose, now: Reading, *, driven: float, turned: float) -> bytes:
+    """A kept pose's message, with its pose moved as odometry did since. It loads rclpy.
+
+    Its stamp is that of the odometry, since that is when the robot is there, or the present time where the policy says so.
+    Raises ValueError where the message isn't of its type, or its pose none or of another body, and CallFailed.
+    """
+    from rclpy.serialization import serialize_message
+
+    from understudy.agent.state_restoration import deserialized
+    from understudy.ros.runtime.message_values import now as present_time
+
+    message = deserialized(sample)
+    child = message.child_frame_id if sample.type == ODOMETRY else ""
+    if child and now.child and child != now.child:
+        raise ValueError(f"it is of {now.child}, and {sample.topic} of {child}")
+    holder = message.pose if hasattr(message.pose, "covariance") else None
+    pose = holder.pose if holder is not None else message.pose
+    kept = _pose(pose)
+    reached = carried(kept, then, now.pose)
+    pose.position.x, pose.position.y, pose.position.z = reached.place
+    orientation = pose.orientation
+    orientation.x, orientation.y, orientation.z, orientation.w = reached[3:]
+    if holder is not None:
+        covariance = [float(value) for value in holder.covariance]
+        holder.covariance = grown(covariance, kept, reached, driven=driven, turned=turned)
+    if sample.stamp == "now" or not now.stamp:
+        message.header.stamp = present_time()
+    else:
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(now.stamp, 1_000_000_000)
+    return bytes(serialize_message(message))
+
+
+def _pose(pose: Any) -> Pose:
+    place, turn = pose.position, pose.orientation
+    return Pose.of([place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w])
+
+
+@contextlib.asynccontextmanager
+async def present(caller: Caller, sample: KeptSample, within: float) -> AsyncIterator[Present]:
+    """A kept message for as long as it is being said; odometry is waited for before, a part of so many seconds."""
+    from understudy.ros.actions.instance_calls import CallFailed
+
+    motion = sample.motion
+    if motion is None or motion.missing:
+        yield Present(sample, missing=motion.missing if motion is not None else "")
+        return
+    async with contextlib.AsyncExitStack() as stack:
+        listener, missing = None, ""
+        try:
+            listener = await stack.enter_async_context(caller.listening(motion.topic, motion.type, within))
+            waited = min(ODOMETRY_WITHIN, within / 2)
+            if await listener.first(waited) is None:
+                missing = f"it can't be carried by {motion.topic}: nothing came on it within {waited:.3g} s"
+        except CallFailed as error:
+            missing = f"it can't be carried by {motion.topic}: {error}"
+        yield Present(sample, listener, missing)

@@ -1,0 +1,51 @@
+"""``understudy prepare``: an init container that writes the profiles of its pod before any of its processes reads them,
+and makes what they are held by.
+
+Only pods whose profiles hold what isn't known before they start have it.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from pathlib import Path
+
+from understudy.agent.held_containers import make_fifo, write_atomically
+from understudy.api import names
+from understudy.api.protocol import freeze_script, profile_placeholders
+from understudy.api.protocol.ownership_strength import strength
+
+
+def main(argv: list[str]) -> int:
+    """Fill in the mounted profiles and write them into the pod's shared volume."""
+    if argv:
+        print(f"understudy prepare: unexpected {' '.join(argv)}; it takes no arguments", file=sys.stderr)
+        return 2
+    source = Path(os.environ.get("UNDERSTUDY_PROFILES", f"{names.INSTANCE_PROFILES_DIR}/{names.PROFILES_KEY}"))
+    try:
+        write(
+            source.read_text(),
+            Path(os.environ.get("UNDERSTUDY_DIR", names.AGENT_DIR)),
+            os.environ.get(names.POD_VARIABLE, ""),
+        )
+        directory = Path(os.environ.get("UNDERSTUDY_DIR", names.AGENT_DIR))
+        for container in os.environ.get(names.FENCED_VARIABLE, "").split():
+            make_fifo(directory / freeze_script.fence_name(container))
+    except OSError as error:
+        print(f"understudy prepare: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def write(profiles: str, directory: Path, pod: str) -> Path:
+    """Write the profiles of a pod; the file. What was written before stays, since processes have read it.
+
+    Raises OSError.
+    """
+    path = directory / names.PROFILES_KEY
+    if not path.exists():
+        # for all users: the application's processes have users of their own
+        values = {names.POD_VARIABLE: pod, names.STRENGTH_VARIABLE: str(strength(time.time()))}
+        write_atomically(path, profile_placeholders.variables(profiles, values), 0o644)
+    return path

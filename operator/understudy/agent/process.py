@@ -1,0 +1,127 @@
+"""The agent's process: puts its parts together and ends them on SIGTERM."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import importlib
+import logging
+import os
+import signal
+import sys
+import time
+
+from understudy.agent.agent import Sidecar
+from understudy.agent.control_channel import Sessions
+from understudy.agent.pod_identity import Identity
+from understudy.api import names
+from understudy.kube.gates.probes import ProbeSender
+from understudy.process import cpu_scheduling, json_logs
+from understudy.process.http_pages import serve
+from understudy.ros.runtime.lean_imports import rclpy_imported
+
+_logger = logging.getLogger(__name__)
+
+FORSAKEN = 60.0
+"""Seconds without any monitor after which probes stop: its address may be somebody else's by then."""
+
+_HOUSEKEEPING = 5.0  # seconds
+
+_PROCEDURES = "understudy.trees.languages.short.procedure_loader"
+_WARM = (
+    "understudy.ros.observe.topic_watch",
+    "understudy.ros.actions.instance_calls",
+    "understudy.trees.languages.notations",
+    _PROCEDURES,
+)
+_WARMING = f"import os; os.nice(19); import {', '.join(_WARM)}"
+
+
+def main(argv: list[str]) -> int:
+    """Run until SIGTERM or SIGINT. The pod is named by the environment, see Identity."""
+    json_logs.configure(os.environ.get("UNDERSTUDY_LOG_LEVEL", "INFO"))
+    if argv:
+        print(f"understudy agent: unexpected {' '.join(argv)}; it takes no arguments", file=sys.stderr)
+        return 2
+    try:
+        identity = Identity.from_environment(os.environ)
+        probes = ProbeSender(identity.uid)
+    except ValueError as error:
+        print(f"understudy agent: {error}", file=sys.stderr)
+        return 2
+    cpu_scheduling.ask_for_short_slices()
+    asyncio.run(_run(identity, probes))
+    return 0
+
+
+async def _run(identity: Identity, probes: ProbeSender) -> None:
+    loop = asyncio.get_running_loop()
+    told = asyncio.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, told.set)
+    sidecar = Sidecar(identity, probes)
+    sessions = Sessions(sidecar)
+    sidecar.publish = sessions.publish
+    sidecar.fence.contacts = sessions
+
+    def ready() -> tuple[int, str]:
+        status = sidecar.status()
+        return (200, "ready\n") if status.ready else (503, f"{status.phase}: {status.reason}\n")
+
+    pages = {"/ready": ready, "/healthz": lambda: (200, "ok\n")}
+    control = await sessions.serve(int(os.environ.get("UNDERSTUDY_AGENT_PORT", names.AGENT_PORT)))
+    health = await serve(pages, int(os.environ.get("UNDERSTUDY_AGENT_HEALTH_PORT", names.AGENT_HEALTH_PORT)))
+    probes.run()
+    await sidecar.begin()
+    _logger.info("agent of %s%s", identity.pod, ", held" if sidecar.held else "")
+    housekeeping = [
+        asyncio.create_task(_rest_when_forsaken(sessions, probes)),
+        asyncio.create_task(sidecar.fence.run(), name="fence"),
+    ]
+    # A recovery may need them at any time; until then, nobody who asks waits for them.
+    housekeeping.append(asyncio.create_task(_warm() if sidecar.held else _imported(_PROCEDURES)))
+    await told.wait()
+    for task in housekeeping:
+        task.cancel()
+    for server in (control, health):
+        server.close()
+    probes.close()
+    await sidecar.end()
+    _logger.info("ended")
+
+
+async def _rest_when_forsaken(sessions: Sessions, probes: ProbeSender) -> None:
+    last = time.monotonic()
+    while True:
+        if sessions.count:
+            last = time.monotonic()
+        elif time.monotonic() - last > FORSAKEN:
+            probes.rest()
+        await asyncio.sleep(_HOUSEKEEPING)
+
+
+async def _warm() -> None:
+    """Import ROS while there is time: when it is claimed, the instance's own start needs all the CPU that there is.
+
+    First by a process that goes away again and has no priority, so that the files are in the node's page cache.
+    """
+    with contextlib.suppress(OSError):
+        process = await asyncio.create_subprocess_exec(
+            sys.executable,
+            "-c",
+            _WARMING,
+            stdout=asyncio.subprocess.DEVNULL,
+            stderr=asyncio.subprocess.DEVNULL,
+        )
+        try:
+            await process.wait()
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                process.kill()
+    await rclpy_imported()
+    await _imported(*_WARM)
+
+
+async def _imported(*modules: str) -> None:
+    for module in modules:
+        await asyncio.to_thread(importlib.import_module, module)

@@ -1,0 +1,102 @@
+"""What makes a waiting instance ready: how far it was brought, and a check that must hold of it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from understudy.agent.procedure_runner import Checking, InstanceActions, places_of
+
+if TYPE_CHECKING:
+    from understudy.trees.core.health_tree import WatchedTopic
+
+
+@dataclass(frozen=True)
+class Standing:
+    """What the monitor expects of an instance while it waits."""
+
+    brought: str = ""
+    """What it must have been brought to, as the monitor calls it; empty where nothing is done to it."""
+    check: Mapping[str, Any] | None = None
+    """A check in the short form, instead of the health tree."""
+    period: float = 1.0
+    """Seconds between two looks of the check."""
+    tree: bool = True
+    """Whether the health tree must hold where there's no check."""
+    places: Mapping[str, str] = field(default_factory=dict)
+    """Where the check's nodes were written, where that was in another language."""
+
+    @classmethod
+    def from_wire(cls, data: object) -> Standing | None:
+        """From a ``configure`` request; None for an instance that is judged by its health tree alone. Raises ValueError."""
+        if data is None:
+            return None
+        if not isinstance(data, Mapping):
+            raise ValueError(f"standby is a mapping, not {data!r:.100}")
+        check, period = data.get("check"), data.get("period", 1.0)
+        if check is not None and not isinstance(check, Mapping):
+            raise ValueError(f"standby.check is a mapping, not {check!r:.100}")
+        if not isinstance(period, int | float) or isinstance(period, bool) or not 0 < period < 86400:
+            raise ValueError(f"standby.period {period!r}: expected a number of seconds")
+        places = places_of(data.get("places"))
+        return cls(str(data.get("brought") or ""), check, float(period), bool(data.get("tree", True)), places)
+
+
+class Readiness:
+    """Whether a waiting instance is ready."""
+
+    def __init__(
+        self,
+        actions: Callable[[], InstanceActions],
+        watch: Callable[[str, Sequence[WatchedTopic]], None],
+        on_change: Callable[[], None],
+    ) -> None:
+        self._actions, self._watch, self._on_change = actions, watch, on_change
+        self._standing: Standing | None = None
+        self._checking: Checking | None = None
+        self._task: asyncio.Task[None] | None = None
+
+    @property
+    def reason(self) -> str:
+        """Why the check doesn't hold; empty where it does or there is none."""
+        return self._checking.reason if self._checking is not None else ""
+
+    def expect(self, standing: Standing | None) -> None:
+        """Judge by this from now on. Raises ValueError where its check doesn't load."""
+        if standing == self._standing:
+            return
+        checking = None
+        if standing is not None and standing.check is not None:
+            from understudy.trees.languages.short.procedure_loader import load_check
+
+            tree = load_check(standing.check, path="readinessCheck", places=standing.places)
+            checking = Checking(tree, standing.period, self._actions)
+        self._standing = standing
+        if self._task is not None:
+            self._task.cancel()
+            self._task = None
+        self._checking = checking
+        self._watch("check", checking.tree.topics if checking else ())
+
+    def judge(self, ready: bool, reason: str, *, brought: str, busy: str) -> tuple[bool, str]:
+        """Whether it is ready and else why not; ``ready`` and ``reason`` are the health tree's, ``busy`` says what is being
+        done to it or how that failed.
+        """
+        standing = self._standing
+        if standing is None:
+            return ready, reason
+        if standing.brought and brought != standing.brought:
+            return False, f"not initialized{': ' if busy else ' yet'}{busy}"
+        if self._checking is not None:
+            if self._task is None:
+                self._task = asyncio.create_task(self._checking.run(self._on_change), name="check")
+            return not self._checking.reason, self._checking.reason
+        return (ready, reason) if standing.tree else (True, "")
+
+    async def end(self) -> None:
+        """Stop looking."""
+        if self._task is not None:
+            self._task.cancel()
+            await asyncio.wait([self._task])

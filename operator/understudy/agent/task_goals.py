@@ -1,0 +1,332 @@
+"""Goals of the workload's tasks at this pod's instance: the agent is the only client that its action servers have.
+
+The instance's servers are in a DDS partition of this pod's own (ros/dds/profiles.py), so what is sent here reaches this
+instance alone. What happens is told as events; whoever missed some asks for all goals. A goal is sent once under its
+id: asked for again, also of an agent that was restarted meanwhile, it is found at the server and followed.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import contextlib
+import itertools
+import logging
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from understudy.agent.control_channel import Operation, Peer, Refused
+
+if TYPE_CHECKING:
+    from understudy.ros.actions.action_endpoints import ActionClient, ActionType
+    from understudy.ros.actions.instance_calls import Place
+    from understudy.ros.runtime.served_node import Spinning
+
+_logger = logging.getLogger(__name__)
+
+LOOK = 0.05
+"""Seconds between looks for a server that a goal waits for."""
+
+WATCH = 1.0
+"""Seconds between looks at whether the server of a goal is still the one that accepted it."""
+
+ANSWER = 5.0
+"""Seconds for a server's answer to a goal, or to its cancellation."""
+
+RESOLVED = 3.0
+"""Seconds after which a server that gives no result of a goal is taken to know it: of one unknown it says so at once."""
+
+AGAIN = 5.0
+"""Seconds after which the result is asked for again."""
+
+MOST_KEPT = 64
+"""Ended goals that are remembered, in case that their end was missed."""
+
+_UNKNOWN, _CANCELED = 0, 5
+_OPEN = ("waiting", "running")
+
+
+@dataclass
+class _Record:
+    """A goal that was asked for."""
+
+    id: str
+    action: str
+    type: str
+    data: bytes
+    note: str
+    """Kept for whoever asks for all goals."""
+    state: str = "waiting"
+    """waiting (for the server), running, rejected, ended, lost."""
+    status: int = _UNKNOWN
+    result: bytes = b""
+    ended: float = 0.0
+    """By the monotonic clock."""
+    task: asyncio.Task[None] | None = None
+
+    def to_wire(self) -> dict[str, Any]:
+        result = base64.b64encode(self.result).decode()
+        return {"id": self.id, "state": self.state, "status": self.status, "result": result}
+
+
+class Goals:
+    """Sends goals to the instance and follows them."""
+
+    def __init__(
+        self, name: str, place: Callable[[], Place | None], publish: Callable[[Mapping[str, Any]], None]
+    ) -> None:
+        """``name`` is that of the node that is made at the first goal.
+
+        ``place`` says where in the ROS graph this process is, None while it has not joined; ``publish`` sends an event.
+        """
+        self._name, self._place, self._publish = name, place, publish
+        self._records: dict[str, _Record] = {}
+        self._servers: dict[str, ActionClient] = {}
+        self._spinning: Spinning | None = None
+        self._joined: Place | None = None
+        self._opening = asyncio.Lock()
+        self._numbers = itertools.count(1)
+        self._resent: dict[int, asyncio.Future[None]] = {}
+
+    def operations(self) -> Mapping[str, Operation]:
+        """What the task proxy can ask for."""
+        return {"goal": self.goal, "cancel": self.cancel, "goals": self.list, "resent": self.resent}
+
+    async def goal(self, body: Mapping[str, Any], peer: Peer) -> None:
+        """Send a goal to the instance, when its server is there. Nothing changes by the same again. Raises Refused."""
+        id, action, type_name, data = _checked(body)
+        note = str(body.get("note", ""))
+        known = self._records.get(id)
+        if known is not None and known.state != "rejected":
+            known.note = note
+            return
+        await asyncio.to_thread(_type, type_name)
+        record = self._records[id] = _Record(id, action, type_name, data, note)
+        record.task = asyncio.create_task(self._follow(record), name=f"goal {id}")
+        self._forget()
+
+    async def cancel(self, body: Mapping[str, Any], peer: Peer) -> dict[str, Any]:
+        """Ask the instance to cancel a goal; whether it accepts, and whether it is known at all. Raises Refused."""
+        record = self._records.get(str(body.get("goal")))
+        if record is None or record.state not in _OPEN:
+            return {"known": record is not None and record.state == "ended", "accepted": False}
+        if record.state == "waiting":
+            if record.task is not None:
+                record.task.cancel()
+            self._change(record, "ended", status=_CANCELED)
+            return {"known": True, "accepted": True}
+        server = await self._server(record)
+        try:
+            async with asyncio.timeout(ANSWER):
+                code = await server.cancel(record.id)
+        except TimeoutError:
+            raise Refused(f"{record.action}: no answer to a cancel within {ANSWER:g} s") from None
+        # One that has ended meanwhile tells so by itself.
+        return {"known": True, "accepted": code in (0, 3)}
+
+    async def list(self, body: Mapping[str, Any], peer: Peer) -> dict[str, Any]:
+        """All goals that were asked for, and how they are."""
+        now = time.monotonic()
+        return {
+            "goals": [
+                {
+                    **record.to_wire(),
+                    "note": record.note,
+                    "data": base64.b64encode(record.data).decode() if record.state in _OPEN else "",
+                    "ago": now - record.ended if record.ended else 0.0,
+                }
+                for record in self._records.values()
+            ]
+        }
+
+    async def resent(self, body: Mapping[str, Any], peer: Peer) -> None:
+        """What :meth:`resend` asked for was done."""
+        waiting = self._resent.get(body.get("number", 0))
+        if waiting is not None and not waiting.done():
+            waiting.set_result(None)
+
+    async def resend(self, within: float) -> None:
+        """Have the task proxy send unfinished goals to this instance. Raises TimeoutError when none does."""
+        number = next(self._numbers)
+        future = self._resent[number] = asyncio.get_running_loop().create_future()
+        try:
+            async with asyncio.timeout(within):
+                while not future.done():
+                    # Again and again: the proxy may only just be connecting.
+                    self._publish({"resendGoals": number})
+                    await asyncio.wait([future], timeout=WATCH)
+        except TimeoutError:
+            raise TimeoutError(
+                f"no task proxy sent goals within {within:g} s: does the workload have spec.tasks?"
+            ) from None
+        finally:
+            del self._resent[number]
+
+    async def close(self) -> None:
+        """Follow nothing any more."""
+        for record in self._records.values():
+            if record.task is not None:
+                record.task.cancel()
+        if self._spinning is not None:
+            await self._spinning.close()
+
+    # -- inside -----------------------------------------------------------------------------------------------------
+
+    def _change(self, record: _Record, state: str, *, status: int = _UNKNOWN, result: bytes = b"") -> None:
+        record.state, record.status, record.result = state, status, result
+        record.ended = time.monotonic() if state not in _OPEN else 0.0
+        _logger.info("goal %s of %s: %s%s", record.id, record.action, state, f", status {status}" if status else "")
+        self._publish({"goal": record.to_wire()})
+
+    def _forget(self) -> None:
+        over = [record.id for record in self._records.values() if record.state not in _OPEN]
+        for id in over[:-MOST_KEPT]:
+            del self._records[id]
+
+    async def _follow(self, record: _Record) -> None:
+        """Send a goal and tell what becomes of it."""
+        while record.state in _OPEN:
+            try:
+                await self._follow_at(record, await self._server(record))
+            except asyncio.CancelledError:
+                raise
+            except Exception:
+                _logger.exception("goal %s of %s", record.id, record.action)
+                await asyncio.sleep(WATCH)
+
+    async def _follow_at(self, record: _Record, server: ActionClient) -> None:
+        while not await server.ready():
+            await asyncio.sleep(LOOK)
+            if self._moved():
+                return
+        if record.state == "waiting":
+            try:
+                async with asyncio.timeout(ANSWER):
+                    accepted, _ = await server.send_goal(record.id, record.data)
+            except TimeoutError:
+                return  # it may have been accepted: the next try finds out
+            if not accepted and not await self._is_known(record, server):
+                self._change(record, "rejected")
+                return
+            self._change(record, "running")
+        await self._await_end(record, server)
+
+    async def _is_known(self, record: _Record, server: ActionClient) -> bool:
+        """Whether a server that rejects a goal does so because it has it already, from an earlier agent of this pod."""
+        asking = asyncio.ensure_future(server.result(record.id))
+        try:
+            await asyncio.wait([asking], timeout=RESOLVED)
+            return not asking.done() or asking.result()[0] != _UNKNOWN
+        finally:
+            asking.cancel()
+
+    async def _await_end(self, record: _Record, server: ActionClient) -> None:
+        """Wait for the result; asked for again when another process serves the action, which then doesn't know it.
+
+        And now and then, since a server that is starved of CPU drops the answer to a client that it hasn't matched in time.
+        """
+        asking = asyncio.ensure_future(server.result(record.id))
+        try:
+            serving = await self._serving(record.action)
+            again = time.monotonic() + AGAIN
+            while not asking.done():
+                await asyncio.wait([asking], timeout=WATCH)
+                if self._moved():
+                    return
+                now = await self._serving(record.action)
+                if asking.done():
+                    break
+                if not now:
+                    self._change(record, "lost")
+                    return
+                if now - serving or time.monotonic() >= again:
+                    serving, again = now, time.monotonic() + AGAIN
+                    asking.cancel()
+                    asking = asyncio.ensure_future(server.result(record.id))
+            status, result = asking.result()
+        finally:
+            asking.cancel()
+        if status == _UNKNOWN:
+            self._change(record, "lost")
+        else:
+            self._change(record, "ended", status=status, result=result)
+
+    async def _serving(self, action: str) -> set[bytes]:
+        """The GIDs of this host's servers of an action."""
+        from understudy.ros.dds.sample_sources import HOST
+
+        spinning, joined = self._spinning, self._joined
+        assert spinning is not None
+        assert joined is not None
+        topic = f"rq{action}/_action/send_goalRequest"
+        infos = await spinning.get(lambda: spinning.node.get_subscriptions_info_by_topic(topic, no_mangle=True))
+        gids = {bytes(info.endpoint_gid)[:16] for info in infos}
+        return {gid for gid in gids if joined.host is None or gid[HOST] == joined.host}
+
+    def _moved(self) -> bool:
+        """Whether this process has left the graph in which it had joined, as after an error there."""
+        place = self._place()
+        return place is None or self._joined is None or place.context is not self._joined.context
+
+    async def _server(self, record: _Record) -> ActionClient:
+        """The client of an action, in the present graph."""
+        async with self._opening:
+            place = self._place()
+            while place is None:
+                await asyncio.sleep(LOOK)
+                place = self._place()
+            if self._joined is None or self._joined.context is not place.context:
+                await self._join(place)
+            if record.action not in self._servers:
+                assert self._spinning is not None
+                self._servers[record.action] = await self._open(record.action, record.type, self._spinning)
+            return self._servers[record.action]
+
+    async def _join(self, place: Place) -> None:
+        from understudy.ros.runtime.served_node import Spinning
+
+        if self._spinning is not None:
+            with contextlib.suppress(Exception):
+                await self._spinning.close()
+        self._servers.clear()
+        self._spinning, self._joined = Spinning(self._name, context=place.context), place
+
+    async def _open(self, action: str, type_name: str, spinning: Spinning) -> ActionClient:
+        from understudy.ros.actions.action_endpoints import ActionClient
+
+        client = ActionClient(spinning, action, _type(type_name), on_feedback=self._on_feedback)
+        await client.open()
+        return client
+
+    def _on_feedback(self, goal: str, data: bytes) -> None:
+        record = self._records.get(goal)
+        if record is not None and record.state in _OPEN:
+            self._publish({"feedback": {"id": goal, "data": base64.b64encode(data).decode()}})
+
+
+def _checked(body: Mapping[str, Any]) -> tuple[str, str, str, bytes]:
+    """Id, action, type and data of a request. Raises Refused."""
+    id, action, type_name = (body.get(key) for key in ("goal", "action", "type"))
+    if not isinstance(id, str) or len(id) != 32 or not isinstance(action, str) or not isinstance(type_name, str):
+        raise Refused(f"expected goal (32 hex digits), action and type, found {id!r}, {action!r}, {type_name!r}")
+    try:
+        bytes.fromhex(id)
+        return id, action, type_name, base64.b64decode(body.get("data", ""), validate=True)
+    except (TypeError, ValueError) as error:
+        raise Refused(f"goal {id!r}: {error}") from error
+
+
+def _type(name: str) -> ActionType:
+    """The types of an action. Raises Refused."""
+    from understudy.ros.runtime.lean_imports import import_rclpy
+
+    import_rclpy()
+    from understudy.ros.actions.action_endpoints import ActionType
+    from understudy.ros.runtime.interface_types import TypeNotInstalled
+
+    try:
+        return ActionType.of(name)
+    except (TypeNotInstalled, ValueError) as error:
+        raise Refused(str(error)) from error

@@ -1,0 +1,86 @@
+"""How strong the instance's writers are against those of its understudies, where the robot's readers choose by strength.
+
+A process reads its strength from the pod's profiles when it starts. A container that was restarted must not have the
+strength of its first start, or it would take the robot back from the standby that took over: so as soon as the
+application is up, the file is kept at the strength of a process that starts now. That makes running ones no weaker. One that starts
+after a standby took over must not be heard at all, not even where that one is late: its writers then offer no deadline,
+which no reader on the robot's side accepts.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import logging
+import re
+import time
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+from understudy.agent.held_containers import write_atomically
+from understudy.api import names
+from understudy.api.protocol.ownership_strength import strength
+
+_logger = logging.getLogger(__name__)
+
+NAME = "strength.json"
+_VALUE = re.compile(r"(<ownershipStrength><value>)(\d+)(</value></ownershipStrength>)")
+_DEADLINE = re.compile(r"<deadline>.*?</deadline>", re.DOTALL)
+_PROCESS = slice(0, 12)
+"""The part of a writer's GID that is the same for all writers of a process: its participant's GUID prefix."""
+
+
+class Strengths:
+    """Kept in the emptyDir, which lives as long as the pod."""
+
+    def __init__(self, directory: Path, *, clock: Callable[[], float] = time.time) -> None:
+        self._directory, self._clock = directory, clock
+        self._known: set[str] = set()
+        self.range: tuple[int, int] | None = None
+        """Between which strengths the instance's writers are; None where it has none (yet)."""
+        try:
+            kept = json.loads((directory / NAME).read_text())
+            self._known, self.range = set(kept["processes"]), (int(kept["least"]), int(kept["most"]))
+        except FileNotFoundError:
+            pass
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            _logger.error("%s can't be read, going on without: %s", directory / NAME, error)
+
+    def saw(self, writers: Iterable[bytes]) -> bool:
+        """Take in the GIDs of the instance's writers; whether the range changed. A full volume must not end an agent."""
+        processes = {gid[_PROCESS].hex() for gid in writers}
+        if not processes:
+            return False
+        path, before = self._directory / names.PROFILES_KEY, self.range
+        try:
+            text = path.read_text()
+            written = _VALUE.search(text)
+            if written is None:
+                return False
+            now = strength(self._clock())
+            if processes - self._known:
+                # The first ones have read what is there. Later ones may have read it before it was last changed; which
+                # of the writers a reader hears isn't known, so what holds for all of them is told.
+                first = int(written[2])
+                self.range = (min(now, self.range[0]), self.range[1]) if self.range else (first, first)
+                self._known |= processes
+                self._keep(self.range)
+            if now < int(written[2]):
+                write_atomically(path, _VALUE.sub(rf"\g<1>{now}\g<3>", text), 0o644)
+        except FileNotFoundError:
+            return False
+        except OSError as error:
+            _logger.error("%s: a restarted process would be as strong as this one: %s", path, error)
+        return self.range != before
+
+    def give_way(self) -> None:
+        """Have no process that starts from now on be heard by the robot. Running ones aren't changed. Raises OSError."""
+        path = self._directory / names.PROFILES_KEY
+        with contextlib.suppress(FileNotFoundError):
+            text = path.read_text()
+            if _VALUE.search(text) and _DEADLINE.search(text):
+                write_atomically(path, _DEADLINE.sub("", text), 0o644)
+
+    def _keep(self, found: tuple[int, int]) -> None:
+        kept = {"processes": sorted(self._known), "least": found[0], "most": found[1]}
+        write_atomically(self._directory / NAME, json.dumps(kept), 0o600)

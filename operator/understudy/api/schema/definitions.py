@@ -1,0 +1,191 @@
+"""CustomResourceDefinitions from the pydantic models.
+
+Pydantic writes JSON Schema 2020-12; the API server takes structural OpenAPI v3 schemas: no references, no ``anyOf`` with null,
+a type everywhere. The models stay the single source of truth; ``scripts/generate`` writes the result to ``crds/``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from understudy.api.base import GROUP, VERSION, Model, rules
+from understudy.api.schema.printed_kinds import KINDS, Kind
+
+Schema = dict[str, Any]
+
+PRESERVE = "x-kubernetes-preserve-unknown-fields"
+VALIDATIONS = "x-kubernetes-validations"
+
+# In the order in which they are written. Whatever isn't here has no meaning for the API server, so it's an error and not dropped.
+_KEYWORDS = (
+    "type",
+    "format",
+    "description",
+    "default",
+    "enum",
+    "nullable",
+    "pattern",
+    "minLength",
+    "maxLength",
+    "minimum",
+    "maximum",
+    "minItems",
+    "maxItems",
+    "minProperties",
+    "maxProperties",
+    "required",
+    "properties",
+    "additionalProperties",
+    "items",
+    PRESERVE,
+    "x-kubernetes-embedded-resource",
+    "x-kubernetes-int-or-string",
+    "x-kubernetes-list-type",
+    "x-kubernetes-list-map-keys",
+    "x-kubernetes-map-type",
+    VALIDATIONS,
+)
+
+
+def definition(kind: Kind) -> dict[str, Any]:
+    """The CustomResourceDefinition (apiextensions.k8s.io/v1) of a kind."""
+    version: dict[str, Any] = {
+        "name": VERSION,
+        "served": True,
+        "storage": True,
+        "additionalPrinterColumns": [
+            {"name": c.name, "type": c.type, "description": c.description, "jsonPath": c.path}
+            | ({"priority": 1} if c.wide else {})
+            for c in kind.columns
+        ],
+        "subresources": {"status": {}},
+        "schema": {"openAPIV3Schema": root(kind)},
+    }
+    if kind.scales:
+        version["subresources"]["scale"] = {
+            "specReplicasPath": ".spec.replicas",
+            "statusReplicasPath": ".status.replicas",
+            "labelSelectorPath": ".status.selector",
+        }
+    return {
+        "apiVersion": "apiextensions.k8s.io/v1",
+        "kind": "CustomResourceDefinition",
+        "metadata": {"name": f"{kind.plural}.{GROUP}"},
+        "spec": {
+            "group": GROUP,
+            "names": {
+                "kind": kind.name,
+                "listKind": f"{kind.name}List",
+                "plural": kind.plural,
+                "singular": kind.singular,
+                "shortNames": [kind.short],
+                "categories": ["understudy"],
+            },
+            "scope": "Namespaced",
+            "versions": [version],
+        },
+    }
+
+
+def definitions() -> dict[str, dict[str, Any]]:
+    """All CustomResourceDefinitions by file name, such as ``understudy.dev_robotworkloads.yaml``."""
+    return {f"{GROUP}_{kind.plural}.yaml": definition(kind) for kind in KINDS}
+
+
+def root(kind: Kind) -> Schema:
+    """The schema of the whole object."""
+    result: Schema = {
+        "type": "object",
+        "description": kind.description,
+        "required": ["spec"],
+        "properties": {
+            "apiVersion": {"type": "string", "description": f"{GROUP}/{VERSION}"},
+            "kind": {"type": "string", "description": kind.name},
+            # The one field of the metadata that rules may name.
+            "metadata": {"type": "object", "properties": {"name": {"type": "string"}}}
+            if kind.rules
+            else {"type": "object"},
+            "spec": structural(kind.spec),
+            "status": _without_defaults(structural(kind.status)),
+        },
+    }
+    return result | (rules(*kind.rules) if kind.rules else {})
+
+
+def structural(model: type[Model]) -> Schema:
+    """A model's structural schema (KEP-1693): references inlined, optional fields simply not required."""
+    schema = model.model_json_schema(by_alias=True)
+    return _convert(schema, schema.get("$defs", {}), model.__name__)
+
+
+def _convert(node: Mapping[str, Any], shared: Mapping[str, Schema], where: str) -> Schema:
+    schema = _resolved(node, shared)
+    schema.pop("title", None)
+    schema.pop("$defs", None)
+    if "const" in schema:
+        schema["enum"] = [schema.pop("const")]
+    if schema.get("default", ...) is None:
+        del schema["default"]
+    if schema.get("additionalProperties") is True:  # dict[str, Any]
+        del schema["additionalProperties"]
+        if "properties" not in schema:
+            schema[PRESERVE] = True
+    if "description" in schema:
+        schema["description"] = schema["description"].replace("``", "`")
+    if any(rule["rule"] == f"self.matches(r'{schema.get('pattern')}')" for rule in schema.get(VALIDATIONS, ())):
+        del schema["pattern"]  # said by the rule, in words
+
+    if unknown := schema.keys() - set(_KEYWORDS):
+        raise ValueError(f"{where}: {', '.join(sorted(unknown))} can't be said in a structural schema")
+    if "type" not in schema:
+        raise ValueError(f"{where}: a structural schema needs a type; unions other than with None have none")
+
+    if "properties" in schema:
+        required = schema.get("required", ())
+        properties = {}
+        for name, child in schema["properties"].items():
+            converted = _convert(child, shared, f"{where}.{name}")
+            optional = name not in required and "anyOf" not in child
+            properties[name] = _with_fields_default(converted) if optional else converted
+        schema["properties"] = properties
+    for key in ("items", "additionalProperties"):
+        if key in schema:
+            schema[key] = _convert(schema[key], shared, f"{where}.{key}")
+    return _ordered(schema)
+
+
+def _ordered(schema: Schema) -> Schema:
+    return {key: schema[key] for key in _KEYWORDS if key in schema}
+
+
+def _resolved(node: Mapping[str, Any], shared: Mapping[str, Schema]) -> Schema:
+    """The node with its reference and its ``anyOf`` with null resolved; what the node itself says goes before."""
+    schema = dict(node)
+    if "anyOf" in schema:
+        others = [choice for choice in schema.pop("anyOf") if choice != {"type": "null"}]
+        if len(others) == 1:
+            schema = _resolved(others[0], shared) | schema
+    if "$ref" in schema:
+        name = schema.pop("$ref").removeprefix("#/$defs/")
+        schema = _resolved(shared[name], shared) | schema
+    return schema
+
+
+def _with_fields_default(schema: Schema) -> Schema:
+    """Defaults of fields in an object count only where the object is there; so an object of defaults is there by default."""
+    if "default" in schema or schema.get("required") or PRESERVE in schema:
+        return schema
+    defaults = {name: child["default"] for name, child in schema.get("properties", {}).items() if "default" in child}
+    return _ordered(schema | {"default": defaults}) if defaults else schema
+
+
+def _without_defaults(schema: Schema) -> Schema:
+    """The schema without defaults: what nobody has said about an object's state must not appear in it."""
+    result = {key: value for key, value in schema.items() if key != "default"}
+    if "properties" in result:
+        result["properties"] = {name: _without_defaults(child) for name, child in result["properties"].items()}
+    for key in ("items", "additionalProperties"):
+        if key in result:
+            result[key] = _without_defaults(result[key])
+    return result

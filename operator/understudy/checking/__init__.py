@@ -1,1 +1,0 @@
-"""Validates manifests without a cluster: ``understudy check``."""

@@ -1,0 +1,69 @@
+"""Checks the health trees that FailurePolicies take from ConfigMaps, where those are in the files as well."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+from pydantic import ValidationError
+
+from understudy.api import names
+from understudy.api.base import seconds
+from understudy.api.kinds.failure_policy import Monitoring
+from understudy.cli.check.check_findings import Finding
+from understudy.cli.check.manifest_reader import Manifest
+from understudy.cli.check.object_check import placed
+from understudy.cli.check.schema_validation import join
+from understudy.controller.observed import kube_objects
+from understudy.trees.languages.text_files import load_text
+from understudy.trees.source.positions import ALONE
+
+_PATH = "spec.monitoring.configMapKeyRef"
+_IN_THE_CLUSTER = "If it is in the cluster already, all is well"
+
+
+def check(policies: Sequence[Manifest], config_maps: Sequence[Manifest]) -> Iterator[Finding]:
+    """The references with nothing behind them, and what is wrong with the trees that they mean."""
+    for policy in policies:
+        spec = policy.data.get("spec")
+        try:
+            monitoring = Monitoring.model_validate(spec.get("monitoring") if isinstance(spec, Mapping) else None)
+        except ValidationError:
+            continue  # told already
+        if monitoring.config_map_key_ref is not None:
+            yield from _referred(policy, monitoring, [one for one in config_maps if policy.together(one)])
+
+
+def _referred(policy: Manifest, monitoring: Monitoring, config_maps: Sequence[Manifest]) -> Iterator[Finding]:
+    referred = monitoring.config_map_key_ref
+    assert referred is not None
+    found = next((one for one in config_maps if one.name == referred.name), None)
+    if found is None:
+        near = [one.name for one in config_maps]
+        hint = f" ({kube_objects.hint(referred.name, near)})" if near else ""
+        message = (
+            f'no ConfigMap "{referred.name}" in the files that were given{hint}; correct the name, or give the file that it is in '
+            f"as well. {_IN_THE_CLUSTER}"
+        )
+        yield policy.finding(f"{_PATH}.name", message, warning=True)
+        return
+    if found.labels.get(names.HEALTH_TREE) != "true":
+        message = (
+            f"FailurePolicy {policy.name} takes its health tree from here, which it may only with the label "
+            f'{names.HEALTH_TREE}: "true"; add it'
+        )
+        yield found.finding("metadata.labels", message)
+    data = found.data.get("data")
+    text = data.get(referred.key) if isinstance(data, Mapping) else None
+    if not isinstance(text, str):
+        there = kube_objects.hint(referred.key, data) if isinstance(data, Mapping) and data else "it has none"
+        yield policy.finding(f"{_PATH}.key", f'ConfigMap {found.name} has no "{referred.key}" in its data ({there})')
+        return
+    path = join("data", referred.key)
+    begins = found.texts.get(path)
+    yield from placed(
+        found,
+        lambda: load_text(
+            referred.form, text, path=path, grace=seconds(monitoring.startup_grace), begins=begins or ALONE
+        ),
+        known=begins is not None,
+    )

@@ -1,0 +1,362 @@
+"""Reads manifests as ``kubectl apply`` does, and remembers where in the file each field is written.
+
+Nothing that a file contains can raise: what can't be read is a finding.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import yaml
+from yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
+
+from understudy.cli.check.check_findings import Finding, Place
+from understudy.cli.check.schema_validation import join
+from understudy.trees.source.positions import Beginning
+from understudy.trees.source.yaml_scalars import TAG, plain
+
+DEEPEST = 200
+"""Levels that a manifest may have: pods and trees have a few dozen."""
+
+MOST = 200_000
+"""Values that a file may have once its aliases are written out; some that are short stand for billions."""
+
+_BREAK = re.compile("\r\n|[\n\r\x85\u2028\u2029]")
+_HINTS = {
+    "\\t": "indent with spaces: YAML takes no tabs there",
+    "mapping values are not allowed here": "put a text that has ': ' in it in quotes, and look at the indentation of this line",
+    "could not find expected ':'": "look at the line before: a key needs ': ', and a text over several lines an indentation",
+    "expected <block end>": "look at the indentation: lines of one mapping or list begin in the same column",
+    "found undefined alias": "give it an anchor (&name) further up, or quotes where it is a text that begins with *",
+    "did not find expected": "a bracket, brace or quote is not closed, or a comma is missing",
+    "expected ',' or": "a bracket or brace is not closed, or a comma is missing",
+    "while scanning a quoted scalar": "close the quotes",
+}
+
+
+@dataclass
+class Manifest:
+    """One object of a file."""
+
+    file: str
+    data: Any
+    """As the API server would get it; not always a mapping."""
+    places: dict[str, Place] = field(default_factory=dict)
+    """By path, where a field is written: its key, or an item's first character."""
+    texts: dict[str, Beginning] = field(default_factory=dict)
+    """By path, where the first character of a text is, as far as lines and columns of the text are those of the file."""
+
+    spelled: dict[str, str] = field(default_factory=dict)
+    """By path, words other than true and false that YAML reads as one of these, such as ``on``."""
+
+    def place(self, path: str) -> Place:
+        """Where a field is, or what it should be in."""
+        while path not in self.places:
+            path = path[: max(path.rfind("."), path.rfind("["), 0)]
+        return self.places[path]
+
+    @property
+    def kind(self) -> str:
+        """Its kind; empty where it says none."""
+        found = self.data.get("kind") if isinstance(self.data, dict) else None
+        return found if isinstance(found, str) else ""
+
+    @property
+    def name(self) -> str:
+        """Its name; empty where it has none."""
+        return self._named("name")
+
+    @property
+    def namespace(self) -> str:
+        """Its namespace; empty where it leaves that to whoever applies it."""
+        return self._named("namespace")
+
+    @property
+    def labels(self) -> dict[str, str]:
+        """Its labels."""
+        metadata = self.data.get("metadata") if isinstance(self.data, dict) else None
+        found = metadata.get("labels") if isinstance(metadata, dict) else None
+        return {key: value for key, value in found.items() if isinstance(value, str)} if isinstance(found, dict) else {}
+
+    def together(self, other: Manifest) -> bool:
+        """Whether two objects may be in one namespace: without one they come to where they are applied."""
+        return not self.namespace or not other.namespace or self.namespace == other.namespace
+
+    def _named(self, key: str) -> str:
+        metadata = self.data.get("metadata") if isinstance(self.data, dict) else None
+        found = metadata.get(key) if isinstance(metadata, dict) else None
+        return found if isinstance(found, str) else ""
+
+    @property
+    def subject(self) -> str:
+        """How it is called in a finding."""
+        return f"{self.kind} {self.name or '(no name)'}" if self.kind else ""
+
+    def finding(self, path: str, message: str, *, warning: bool = False, place: Place | None = None) -> Finding:
+        """A finding about one of its fields."""
+        if path in self.spelled:
+            message += (
+                f". YAML reads {self.spelled[path]} as true or false: put it in quotes where it is meant as a text"
+            )
+        return Finding(
+            self.file, place or self.place(path), "warning" if warning else "error", self.subject, path, message
+        )
+
+
+class TooMuch(Exception):
+    """What a file contains is too much to be looked at."""
+
+    def __init__(self, node: Node, message: str) -> None:
+        super().__init__(message)
+        self.node, self.message = node, message
+
+
+def read(file: str, content: bytes) -> tuple[list[Manifest], list[Finding]]:
+    """The objects of a file, with those in lists, and what is wrong with the file itself."""
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        before = content[: error.start].decode("utf-8", "replace")
+        place = Place(before.count("\n") + 1, len(before) - (before.rfind("\n") + 1) + 1)
+        return [], [Finding(file, place, "error", "", "", "this isn't UTF-8; save the file as UTF-8 text")]
+    reader = _Reader(file, text)
+    reader.read()
+    return reader.manifests, reader.findings
+
+
+class _Reader:
+    def __init__(self, file: str, text: str) -> None:
+        self._file, self._text = file, text
+        self._lines = _BREAK.split(text)
+        self._count = 0
+        self.manifests: list[Manifest] = []
+        self.findings: list[Finding] = []
+
+    def read(self) -> None:
+        nothing = True
+        try:
+            for node in self._documents():
+                if _is_nothing(node):  # such as after the last ---
+                    continue
+                nothing = False
+                self._objects(node, 0)
+        except yaml.MarkedYAMLError as error:
+            self._broken(error)
+        except yaml.reader.ReaderError as error:
+            before = self._text[: error.position]
+            place = Place(len(_BREAK.split(before)), len(_BREAK.split(before)[-1]) + 1)
+            self._note(place, f"found the character {chr(error.character)!a}, which YAML doesn't take; leave it out")
+        except TooMuch as error:
+            self._note(_place(error.node), error.message)
+        except RecursionError:
+            self._note(Place(1, 1), f"mappings and lists are nested too deeply; they may be {DEEPEST} deep")
+        else:
+            if nothing:
+                self._note(
+                    Place(1, 1), "there is nothing in it; give apiVersion, kind, metadata and spec", warning=True
+                )
+
+    def _documents(self) -> Iterator[Node]:
+        loader = yaml.SafeLoader(self._text)
+        try:
+            while loader.check_node():
+                node = loader.get_node()
+                if node is not None:
+                    yield node
+        finally:
+            loader.dispose()
+
+    def _broken(self, error: yaml.MarkedYAMLError) -> None:
+        mark = error.problem_mark or error.context_mark
+        said = ", ".join(part for part in (error.context, error.problem) if part)
+        begun, beyond = error.context_mark, error.problem_mark
+        if begun and beyond and begun.line != beyond.line:
+            said += f" (begun in line {begun.line + 1}, column {begun.column + 1})"
+        hint = next((hint for found, hint in _HINTS.items() if found in said), "correct the YAML here")
+        if mark and any("{{" in line for line in self._lines[max(mark.line - 1, 0) : mark.line + 1]):
+            hint = "a template of Helm has to be rendered first: helm template ... | understudy check -"
+        self._note(Place(mark.line + 1, mark.column + 1) if mark else Place(1, 1), f"this isn't YAML: {said}; {hint}")
+
+    def _note(self, place: Place, message: str, *, warning: bool = False) -> None:
+        self.findings.append(Finding(self._file, place, "warning" if warning else "error", "", "", message))
+
+    # -- objects ----------------------------------------------------------------------------------------------------
+
+    def _objects(self, node: Node, depth: int) -> None:
+        """The object that a node stands for, or those in it."""
+        items = _items(node)
+        if items is None or depth > DEEPEST:
+            self._object(node)
+            return
+        for item in items:
+            self._objects(item, depth + 1)
+
+    def _object(self, node: Node) -> None:
+        if not isinstance(node, MappingNode):
+            what = "a list" if isinstance(node, SequenceNode) else "a text or number"
+            self._note(_place(node), f"found {what}; a manifest is a mapping with apiVersion, kind, metadata and spec")
+            return
+        manifest = Manifest(self._file, None, {"": _place(node)})
+        values = _Values(self, manifest)
+        manifest.data = values.value(node, "", 0)
+        self.manifests.append(manifest)
+        self.findings += (
+            manifest.finding(path, message, warning=warning, place=place)
+            for path, message, place, warning in values.problems
+        )
+
+    def counted(self, node: Node) -> None:
+        """Note one more value. Raises TooMuch."""
+        self._count += 1
+        if self._count > MOST:
+            raise TooMuch(node, f"more than {MOST} values with all aliases written out; write fewer")
+
+    def beginning(self, node: ScalarNode) -> Beginning | None:
+        """Where a text begins in the file, where its lines are the file's; None where they aren't."""
+        start, end = node.start_mark, node.end_mark
+        if node.style == "|":
+            for number, line in enumerate(node.value.split("\n")):
+                if line.strip():
+                    at = start.line + 1 + number
+                    raw = self._lines[at] if at < len(self._lines) else ""
+                    return Beginning(start.line + 1, len(raw) - len(line)) if raw.endswith(line) else None
+            return None
+        if start.line == end.line and node.style != ">":
+            quote = 1 if node.style else 0
+            raw = self._lines[start.line][start.column + quote : end.column - quote]
+            return Beginning(start.line, start.column + quote) if raw == node.value else None
+        return None
+
+
+class _Values:
+    """Turns nodes into values as JSON has them, and notes the places of all of them."""
+
+    def __init__(self, reader: _Reader, manifest: Manifest) -> None:
+        self._reader, self._manifest = reader, manifest
+        self._within: set[int] = set()
+        self._seen: dict[int, str] = {}
+        self._told_of_aliases = False
+        self.problems: list[tuple[str, str, Place, bool]] = []
+
+    def value(self, node: Node, path: str, depth: int) -> Any:
+        """The value of a node."""
+        self._reader.counted(node)
+        if depth > DEEPEST:
+            raise TooMuch(node, f"mappings and lists are nested too deeply; they may be {DEEPEST} deep")
+        if id(node) in self._within:
+            self._problem(path, "is inside of itself, by an alias (*); write it out as far as it goes", _place(node))
+            return None
+        if id(node) in self._seen and not self._told_of_aliases:
+            self._told_of_aliases = True
+            self._problem(
+                path,
+                f"is an alias (*) of what is written at {self._seen[id(node)] or 'the top'}; it counts as that, but what is stored "
+                "has it twice, so write it out where later readers should find it",
+                self._manifest.place(path),
+                warning=True,
+            )
+        self._seen.setdefault(id(node), path)
+        self._within.add(id(node))
+        try:
+            if isinstance(node, MappingNode):
+                return self._mapping(node, path, depth)
+            if isinstance(node, SequenceNode):
+                return self._sequence(node, path, depth)
+            assert isinstance(node, ScalarNode), "there is no other kind of node"
+            return self._scalar(node, path)
+        finally:
+            self._within.discard(id(node))
+
+    def _mapping(self, node: MappingNode, path: str, depth: int) -> dict[str, Any]:
+        self._tagged(node, path, "map")
+        found: dict[str, Any] = {}
+        first: dict[str, Place] = {}
+        merged: list[Node] = []
+        for key_node, value_node in node.value:
+            if key_node.tag == f"{TAG}merge":
+                merged += value_node.value if isinstance(value_node, SequenceNode) else [value_node]
+                continue
+            key = self._key(key_node, path)
+            if key is None:
+                continue
+            inner = join(path, key)
+            if key in first:
+                message = f"is given twice, in line {first[key].line} already; leave one of them out"
+                self._problem(inner, message, _place(key_node))
+                continue
+            first[key] = self._manifest.places[inner] = _place(key_node)
+            if isinstance(value_node, ScalarNode) and (begins := self._reader.beginning(value_node)) is not None:
+                self._manifest.texts[inner] = begins
+            found[key] = self.value(value_node, inner, depth + 1)
+        for other in merged:
+            found = self._merged(other, path, depth) | found
+        return found
+
+    def _merged(self, node: Node, path: str, depth: int) -> dict[str, Any]:
+        """What ``<<`` adds; what is written beside it goes before."""
+        if not isinstance(node, MappingNode):
+            self._problem(path, "<< takes a mapping or a list of mappings; write out what is meant", _place(node))
+            return {}
+        before = dict(self._manifest.places)
+        found = self.value(node, path, depth + 1)
+        self._manifest.places.update(before)
+        return found if isinstance(found, dict) else {}
+
+    def _key(self, node: Node, path: str) -> str | None:
+        key = plain(node) if isinstance(node, ScalarNode) else None
+        if key is None:
+            self._problem(path, "has a key that isn't a text; write a text before the ':'", _place(node))
+            return None
+        return key if isinstance(key, str) else str(key).lower() if isinstance(key, bool) else str(key)
+
+    def _sequence(self, node: SequenceNode, path: str, depth: int) -> list[Any]:
+        self._tagged(node, path, "seq")
+        found = []
+        for index, item in enumerate(node.value):
+            inner = f"{path}[{index}]"
+            self._manifest.places[inner] = _place(item)
+            found.append(self.value(item, inner, depth + 1))
+        return found
+
+    def _scalar(self, node: ScalarNode, path: str) -> Any:
+        self._tagged(node, path, "str", "bool", "int", "float", "null", "timestamp", "merge", "value")
+        found = plain(node)
+        if isinstance(found, float) and not math.isfinite(found):
+            self._problem(
+                path, f"found {node.value}, which JSON doesn't have; give a number", self._manifest.place(path)
+            )
+            return node.value
+        if isinstance(found, bool) and node.value not in ("true", "false"):
+            self._manifest.spelled[path] = node.value
+        return found
+
+    def _tagged(self, node: Node, path: str, *known: str) -> None:
+        if node.tag not in [f"{TAG}{name}" for name in known]:
+            tag = node.tag.replace(TAG, "!!")
+            self._problem(path, f"found the tag {tag:.60}, which no manifest has; leave it out", _place(node))
+
+    def _problem(self, path: str, message: str, place: Place, *, warning: bool = False) -> None:
+        self.problems.append((path, message, place, warning))
+
+
+def _place(node: Node) -> Place:
+    return Place(node.start_mark.line + 1, node.start_mark.column + 1)
+
+
+def _is_nothing(node: Node) -> bool:
+    return isinstance(node, ScalarNode) and node.tag == f"{TAG}null"
+
+
+def _items(node: Node) -> list[Node] | None:
+    """The items of a node that is a list of objects, as ``kubectl get -o yaml`` writes it; None where it is none."""
+    if not isinstance(node, MappingNode):
+        return None
+    fields = {key.value: value for key, value in node.value if isinstance(key, ScalarNode)}
+    kind, items = fields.get("kind"), fields.get("items")
+    if not isinstance(kind, ScalarNode) or not kind.value.endswith("List") or not isinstance(items, SequenceNode):
+        return None
+    return list(items.value)

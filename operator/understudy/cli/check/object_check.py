@@ -1,0 +1,233 @@
+"""Checks one object: by its kind's schema, by the models, and by the loaders and rules of monitor and operator."""
+
+from __future__ import annotations
+
+import functools
+import re
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+from pydantic import ValidationError
+
+from understudy.api.base import API_VERSION, GROUP, OBJECT_NAME_MESSAGE, OBJECT_NAME_PATTERN, matching, seconds
+from understudy.api.kinds.fallback_pool import FallbackPoolSpec
+from understudy.api.kinds.robot_workload import RobotWorkloadSpec
+from understudy.api.schema.definitions import PRESERVE, VALIDATIONS, Schema, definition
+from understudy.api.schema.printed_kinds import KINDS, Kind
+from understudy.cli.check.check_findings import Finding, Place
+from understudy.cli.check.manifest_reader import Manifest
+from understudy.cli.check.schema_validation import validate
+from understudy.controller.desired import reflex_validation
+from understudy.controller.pods import instance_pod
+from understudy.trees.languages.notations import FORMS, TEXTS, load_health
+from understudy.trees.languages.procedure_notations import compose
+from understudy.trees.source.positions import ALONE, Beginning
+from understudy.trees.source.problems import Problem, TreeError, did_you_mean
+from understudy.trees.source.value_reader import found_text
+
+_BY_NAME = {kind.name: kind for kind in KINDS}
+
+_LABEL_PATTERN = r"^(([A-Za-z0-9][-A-Za-z0-9_.]*)?[A-Za-z0-9])?$"
+_LABEL_MESSAGE = (
+    "a label has letters, digits, dashes, underscores and dots only, and begins and ends with a letter or digit"
+)
+
+_TEXT: Schema = {"type": "string"}
+_OPAQUE: Schema = {"type": "object", PRESERVE: True}
+_METADATA: Schema = {
+    "type": "object",
+    "description": "Its name, its namespace and its labels.",
+    "properties": {
+        "name": {"type": "string", "minLength": 1, "maxLength": 253, "description": "Name of the object."}
+        | matching(OBJECT_NAME_PATTERN, OBJECT_NAME_MESSAGE),
+        "namespace": _TEXT,
+        "labels": {
+            "type": "object",
+            "additionalProperties": {"type": "string", "maxLength": 63} | matching(_LABEL_PATTERN, _LABEL_MESSAGE),
+        },
+        "annotations": {"type": "object", "additionalProperties": _TEXT},
+        "generateName": _TEXT,
+        "finalizers": {"type": "array", "items": _TEXT},
+        "ownerReferences": {"type": "array", "items": _OPAQUE},
+        # What `kubectl get -o yaml` adds.
+        **dict.fromkeys(("uid", "resourceVersion", "selfLink", "creationTimestamp", "deletionTimestamp"), _TEXT),
+        **{name: {"type": "integer"} for name in ("generation", "deletionGracePeriodSeconds")},
+        "managedFields": {"type": "array", "items": _OPAQUE},
+    },
+}
+"""``metadata`` of every object (ObjectMeta), which no definition has."""
+
+_PLACE = re.compile(r", line (\d+), column (\d+)")
+"""How loaders of texts name the place of a problem, behind the path of the text."""
+
+
+def is_ours(manifest: Manifest) -> bool:
+    """Whether an object is of one of our kinds, or is meant to be."""
+    version = manifest.data.get("apiVersion")
+    ours = isinstance(version, str) and version.partition("/")[0] == GROUP
+    return ours or manifest.kind in _BY_NAME
+
+
+def check(manifest: Manifest) -> list[Finding]:
+    """Everything that is wrong with an object of ours, by itself."""
+    data, found = manifest.data, []
+    if data.get("apiVersion") != API_VERSION:
+        message = f"found {found_text(data.get('apiVersion'))}; give {API_VERSION}"
+        found.append(manifest.finding("apiVersion", message))
+    kind = _BY_NAME.get(manifest.kind)
+    if kind is None:
+        shown = found_text(data.get("kind"))
+        found.append(manifest.finding("kind", f"found {shown}{did_you_mean(manifest.kind, _BY_NAME)}"))
+        return found
+    problems = validate(data, _schema(kind))
+    found += (manifest.finding(problem.path, problem.message) for problem in problems)
+    spec = data.get("spec")
+    if not isinstance(spec, Mapping):
+        return found
+    found += _trees(manifest, kind, spec)
+    if not any(problem.path.startswith("spec") for problem in problems):
+        found += (manifest.finding(problem.path, problem.message) for problem in _followed(kind, spec))
+    return found
+
+
+@functools.cache
+def _schema(kind: Kind) -> Schema:
+    """The schema of a whole object, as the API server has it from the definition and from itself."""
+    served = definition(kind)["spec"]["versions"][0]["schema"]["openAPIV3Schema"]
+    identity = {"apiVersion": _TEXT, "kind": _TEXT, "metadata": _METADATA, "status": _OPAQUE}
+    schema: Schema = {
+        "type": "object",
+        "required": ["metadata", "spec"],
+        "properties": identity | {"spec": served["properties"]["spec"]},
+        VALIDATIONS: [
+            {"rule": "has(self.metadata.name) || has(self.metadata.generateName)", "fieldPath": ".metadata.name"}
+            | {"message": "missing; give a name of lower-case letters, digits and dashes"},
+            *served.get(VALIDATIONS, ()),
+        ],
+    }
+    return schema
+
+
+# -- trees ------------------------------------------------------------------------------------------------------------
+
+
+def _trees(manifest: Manifest, kind: Kind, spec: Mapping[str, Any]) -> Iterator[Finding]:
+    """What the loaders find in the trees of an object. What is no tree at all the schema has told."""
+    match kind.name:
+        case "RobotWorkload":
+            yield from _procedure(manifest, spec, "bringUp")
+            dependencies = spec.get("dependsOn")
+            for index, dependency in enumerate(dependencies if isinstance(dependencies, list) else ()):
+                if isinstance(dependency, Mapping):
+                    yield from _procedure(manifest, dependency, "procedure", f"spec.dependsOn[{index}]")
+        case "FallbackPool":
+            yield from _procedure(manifest, spec, "initialization")
+            yield from _procedure(manifest, spec, "readinessCheck", check=True)
+        case "FailurePolicy":
+            monitoring = spec.get("monitoring")
+            yield from _health(manifest, monitoring, "spec.monitoring", _grace(monitoring))
+            yield from _degraded(manifest, spec.get("degraded"), _grace(monitoring))
+            yield from _recoveries(manifest, spec, "spec")
+            situations = spec.get("situations")
+            for index, situation in enumerate(situations if isinstance(situations, list) else ()):
+                if isinstance(situation, Mapping):
+                    path = f"spec.situations[{index}]"
+                    yield from _health(manifest, situation.get("when"), f"{path}.when", 0.0)
+                    yield from _recoveries(manifest, situation, path)
+
+
+def _recoveries(manifest: Manifest, owner: Mapping[str, Any], path: str) -> Iterator[Finding]:
+    """What is wrong with the procedures of some strategies."""
+    strategies = owner.get("strategies")
+    for index, strategy in enumerate(strategies if isinstance(strategies, list) else ()):
+        if isinstance(strategy, Mapping):
+            yield from _procedure(manifest, strategy, "recovery", f"{path}.strategies[{index}]")
+
+
+def _procedure(
+    manifest: Manifest, owner: Mapping[str, Any], field: str, path: str = "spec", *, check: bool = False
+) -> Iterator[Finding]:
+    procedure = owner.get(field)
+    for form, tree, where, begins in _forms(manifest, procedure, f"{path}.{field}"):
+        load = functools.partial(compose, form, tree, check=check, path=where, begins=begins or ALONE)
+        yield from placed(manifest, load, known=begins is not None)
+
+
+def _grace(monitoring: object) -> float:
+    try:
+        return seconds(monitoring.get("startupGrace", "30s")) if isinstance(monitoring, Mapping) else 30.0
+    except (ValueError, TypeError):
+        return 30.0
+
+
+def _health(manifest: Manifest, trees: object, path: str, grace: float) -> Iterator[Finding]:
+    """What is wrong with a tree in one of the forms, each a field of what stands at a path."""
+    for form, tree, where, begins in _forms(manifest, trees, path):
+        load = functools.partial(load_health, form, tree, grace=grace, path=where, begins=begins or ALONE)
+        yield from placed(manifest, load, known=begins is not None)
+
+
+def _forms(
+    manifest: Manifest, owner: object, path: str
+) -> Iterator[tuple[str, Mapping[str, Any] | str, str, Beginning | None]]:
+    """The trees of what may have one in any form: the form, the tree, its path, and where its text begins, if known."""
+    for form in FORMS:
+        tree = owner.get(form) if isinstance(owner, Mapping) else None
+        if tree and isinstance(tree, str if form in TEXTS else Mapping):
+            where = f"{path}.{form}"
+            yield form, tree, where, manifest.texts.get(where) if form in TEXTS else None
+
+
+def _degraded(manifest: Manifest, degraded: object, grace: float) -> Iterator[Finding]:
+    if not isinstance(degraded, Mapping):
+        return
+    yield from _health(manifest, degraded.get("monitoring"), "spec.degraded.monitoring", grace)
+    actions = degraded.get("actions")
+    for index, action in enumerate(actions if isinstance(actions, list) else ()):
+        reschedule = action.get("reschedule") if isinstance(action, Mapping) else None
+        if isinstance(reschedule, Mapping):
+            path = f"spec.degraded.actions[{index}].reschedule.idle"
+            yield from _health(manifest, reschedule.get("idle"), path, grace)
+
+
+def placed(manifest: Manifest, load: Callable[[], object], *, known: bool) -> Iterator[Finding]:
+    """The problems that a loader has; ``known`` is whether lines and columns that it tells are the file's."""
+    try:
+        load()
+    except TreeError as error:
+        for problem in error.problems:
+            found = _PLACE.search(problem.path)
+            if found is None:
+                yield manifest.finding(problem.path, problem.message)
+                continue
+            field = problem.path[: found.start()]
+            if known:
+                place = Place(int(found[1]), int(found[2]))
+                yield manifest.finding(field + problem.path[found.end() :], problem.message, place=place)
+            else:
+                yield manifest.finding(problem.path, problem.message, place=manifest.place(field))
+
+
+# -- what the operator asks for beyond the schema -----------------------------------------------------------------------
+
+
+def _followed(kind: Kind, spec: Mapping[str, Any]) -> Iterator[Problem]:
+    """Why the operator couldn't follow a spec that the API server takes, as far as that can be told without a cluster."""
+    try:
+        parsed = kind.spec.model_validate(spec)
+    except ValidationError as error:
+        for one in error.errors():
+            path = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in one["loc"])
+            yield Problem(f"spec{path}", one["msg"])
+        return
+    told: list[str | None] = []
+    if isinstance(parsed, RobotWorkloadSpec):
+        if parsed.template is not None:
+            told.append(instance_pod.problem(parsed.template, held=False, path="spec.template"))
+        told.append(reflex_validation.problem(parsed, parsed.template or {}))
+    elif isinstance(parsed, FallbackPoolSpec) and parsed.template is not None:
+        told.append(instance_pod.problem(parsed.template, held=True, path="spec.template"))
+    for words in told:
+        if words is not None:  # begins with the field
+            field, _, message = words.partition(" ")
+            yield Problem(field.rstrip(":"), message)

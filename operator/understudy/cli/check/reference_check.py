@@ -1,0 +1,255 @@
+"""Checks what the objects of some files say of each other. What isn't in them may be in the cluster, so these are warnings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from pydantic import ValidationError
+
+from understudy.advice import order_explanation
+from understudy.api.kinds.failure_policy import Monitoring
+from understudy.cli.check import situation_check
+from understudy.cli.check.check_findings import Finding
+from understudy.cli.check.manifest_reader import Manifest
+from understudy.controller.desired import strategy_selection
+from understudy.controller.observed import dependency_graph, kube_objects, selectors
+from understudy.controller.status.policy_status import shared, unshared
+from understudy.trees.core.health_tree import HealthTree
+from understudy.trees.languages.notations import load_monitoring
+from understudy.trees.source.problems import TreeError
+
+_MOST_SHOWN = 5
+_IN_THE_CLUSTER = "If it is in the cluster already, all is well"
+
+
+def check(manifests: Sequence[Manifest]) -> Iterator[Finding]:
+    """The names and selectors with nothing behind them, and the workloads that no pool of their policy serves."""
+    workloads, policies, pools = (
+        [one for one in manifests if one.kind == kind] for kind in ("RobotWorkload", "FailurePolicy", "FallbackPool")
+    )
+    for workload in workloads:
+        yield from _names(workload, "spec.failurePolicyRef.name", "FailurePolicy", policies)
+        yield from _unserved(workload, policies, pools)
+        yield from _unmet(workload, policies, pools)
+        yield from _never_idle(workload, policies)
+        yield from _unheard(workload, policies)
+        yield from _depends(workload, workloads)
+    for policy in policies:
+        for index, _ in enumerate(_list(_at(policy.data, "spec", "strategies"))):
+            yield from _names(policy, f"spec.strategies[{index}].poolRef.name", "FallbackPool", pools)
+        for path, _ in situation_check.paths(policy):
+            yield from _names(policy, path, "FallbackPool", pools)
+        yield from situation_check.unreachable(policy)
+        yield from situation_check.empty(policy, pools)
+        yield from _not_prewarmed(policy, pools)
+        yield from _waits_for_nothing(policy, pools)
+    for pool in pools:
+        yield from _names(pool, "spec.templateFrom.workload", "RobotWorkload", workloads)
+        yield from _selects(pool, workloads)
+
+
+def _names(manifest: Manifest, path: str, kind: str, known: Sequence[Manifest]) -> Iterator[Finding]:
+    """A name that a field gives must be one of these objects'."""
+    name = _field(manifest.data, path)
+    if not isinstance(name, str) or not name:
+        return
+    near = [other.name for other in known if manifest.together(other)]
+    if name not in near:
+        hint = f" ({kube_objects.hint(name, near)})" if near else ""
+        message = (
+            f'no {kind} "{name}" in the files that were given{hint}; correct the name, or give the file that it is in as well. '
+            f"{_IN_THE_CLUSTER}"
+        )
+        yield manifest.finding(path, message, warning=True)
+
+
+def _depends(workload: Manifest, workloads: Sequence[Manifest]) -> Iterator[Finding]:
+    """What a workload depends on must be there, and must not depend on it in turn, which needs no cluster to be wrong."""
+    near = [one for one in workloads if workload.together(one)]
+    known = {one.name: dependency_graph.named(one.data) for one in near}
+    found = dependency_graph.circle(known, workload.name)
+    for index, name in enumerate(known.get(workload.name, ())):
+        path = f"spec.dependsOn[{index}].name"
+        yield from _names(workload, path, "RobotWorkload", workloads)
+        if (
+            found is not None and len(found) > 2 and name == found[found.index(workload.name) + 1]
+        ):  # itself the API server refuses
+            message = (
+                f"{dependency_graph.drawn(found)} is a circle, in which none can be recovered first; "
+                "take one of these dependencies out"
+            )
+            yield workload.finding(path, message)
+
+
+def _selects(pool: Manifest, workloads: Sequence[Manifest]) -> Iterator[Finding]:
+    """A pool's selector must match a workload."""
+    if _selector(pool) is None or any(pool.together(one) and _serves(pool, one) for one in workloads):
+        return
+    shown = [f"{one.name} has {_labels(one)}" for one in workloads if pool.together(one)][:_MOST_SHOWN]
+    if shown:
+        there = "; ".join(shown)
+        found = f"matches none of the RobotWorkloads in the files that were given ({there}); correct it or the workload's labels, or"
+    else:
+        found = "there is no RobotWorkload in the files that were given that it could match;"
+    message = f"{found} give the file of the workload that it is for as well. {_IN_THE_CLUSTER}"
+    yield pool.finding("spec.workloadSelector", message, warning=True)
+
+
+def _unserved(workload: Manifest, policies: Sequence[Manifest], pools: Sequence[Manifest]) -> Iterator[Finding]:
+    """One of the pools that the workload's policy counts on must serve the workload too; told where all of them are given."""
+    name = _field(workload.data, "spec.failurePolicyRef.name")
+    for policy in policies:
+        if policy.name != name or not workload.together(policy):
+            continue
+        strategies = _list(_at(policy.data, "spec", "strategies"))
+        named = {pool for one in strategies if isinstance(pool := _at(one, "poolRef", "name"), str)}
+        given = [pool for pool in pools if pool.name in named and workload.together(pool)]
+        known = {pool.name for pool in given} == named and all(_selector(pool) is not None for pool in given)
+        if named and known and not any(_serves(pool, workload) for pool in given):
+            message = (
+                f"found {_labels(workload)}, which no pool of FailurePolicy {policy.name} has in its workloadSelector "
+                f"({', '.join(sorted(named))}), so this workload has no standby; give it the labels that one of them selects"
+            )
+            yield workload.finding("metadata.labels", message, warning=True)
+
+
+def _unmet(workload: Manifest, policies: Sequence[Manifest], pools: Sequence[Manifest]) -> Iterator[Finding]:
+    """The pools that serve a workload must give what its policy requires, where that chooses from them."""
+    name = _field(workload.data, "spec.failurePolicyRef.name")
+    for policy in policies:
+        if policy.name != name or not workload.together(policy) or not strategy_selection.is_auto(policy.data):
+            continue
+        serving = {pool.name: pool.data for pool in pools if workload.together(pool) and _serves(pool, workload)}
+        order = strategy_selection.order(policy.data, workload.data, serving)
+        if order is None:
+            continue
+        # What the pools of these files don't give, another that is in the cluster may.
+        hint = "" if order.soon_enough and order.safe_enough else f". {_IN_THE_CLUSTER}"
+        for problem in order_explanation.unmet(order):
+            message = (
+                f"for RobotWorkload {workload.name} it comes to {order_explanation.in_short(order)}: {problem}{hint}"
+            )
+            yield policy.finding("spec.requirements", message, warning=True)
+
+
+def _never_idle(workload: Manifest, policies: Sequence[Manifest]) -> Iterator[Finding]:
+    """A policy that hands over at idle moments needs to know of some."""
+    name = _field(workload.data, "spec.failurePolicyRef.name")
+    if _list(_at(workload.data, "spec", "tasks")):
+        return
+    for policy in policies:
+        if policy.name != name or not workload.together(policy):
+            continue
+        for index, action in enumerate(_list(_at(policy.data, "spec", "degraded", "actions"))):
+            if isinstance(found := _at(action, "reschedule"), Mapping) and not found.get("idle"):
+                message = (
+                    f"FailurePolicy {policy.name} reschedules at an idle moment, and nothing tells when this workload is idle, so it never "
+                    f"is: give it spec.tasks, or the policy spec.degraded.actions[{index}].reschedule.idle"
+                )
+                yield workload.finding("spec.tasks", message, warning=True)
+
+
+def _unheard(workload: Manifest, policies: Sequence[Manifest]) -> Iterator[Finding]:
+    """A tree that judges by messages alone must look at one of the outputs: most often a name was mistyped where it doesn't."""
+    name = _field(workload.data, "spec.failurePolicyRef.name")
+    outputs = [
+        topic for one in _list(_at(workload.data, "spec", "outputs")) if isinstance(topic := _at(one, "topic"), str)
+    ]
+    for policy in policies:
+        if policy.name != name or not workload.together(policy) or (tree := _tree(policy)) is None:
+            continue
+        watched = [topic.name for topic in tree.topics]
+        if outputs and all(leaf.hears for leaf in tree.leaves) and not set(outputs) & set(watched):
+            message = (
+                f"looks at {_some(watched)} and at no output of RobotWorkload {workload.name} ({_some(outputs)}), so nobody notices where "
+                f"these fall silent; watch one of them, or correct the names"
+            )
+            yield policy.finding("spec.monitoring", message, warning=True)
+
+
+def _tree(policy: Manifest) -> HealthTree | None:
+    """The health tree of a policy; None where it isn't in it or can't be loaded, which is told elsewhere."""
+    monitoring = _at(policy.data, "spec", "monitoring")
+    if _at(monitoring, "configMapKeyRef") is not None:
+        return None
+    try:
+        return load_monitoring(Monitoring.model_validate(monitoring))
+    except (ValidationError, TreeError):
+        return None
+
+
+def _not_prewarmed(policy: Manifest, pools: Sequence[Manifest]) -> Iterator[Finding]:
+    """A pool that is pre-warmed must have standbys of the workload's own."""
+    kinds = {one.name: _at(one.data, "spec", "readiness") for one in pools if policy.together(one)}
+    for index, _ in enumerate(_list(_at(policy.data, "spec", "degraded", "actions"))):
+        path = f"spec.degraded.actions[{index}].prewarm.poolRef.name"
+        name = _field(policy.data, path)
+        if isinstance(name, str) and kinds.get(name) == "Uninitialized":
+            yield policy.finding(path, shared(name))
+
+
+def _waits_for_nothing(policy: Manifest, pools: Sequence[Manifest]) -> Iterator[Finding]:
+    """Only the pods of a shared pool are waited for."""
+    kinds = {one.name: _at(one.data, "spec", "readiness") for one in pools if policy.together(one)}
+    for index, strategy in enumerate(_list(_at(policy.data, "spec", "strategies"))):
+        readiness = kinds.get(_at(strategy, "poolRef", "name"))
+        if _at(strategy, "waitFor") is not None and readiness in ("Initialized", "Executing"):
+            name = _at(strategy, "poolRef", "name")
+            yield policy.finding(f"spec.strategies[{index}].waitFor", unshared(name, readiness), warning=True)
+
+
+def _serves(pool: Manifest, workload: Manifest) -> bool:
+    selector = _selector(pool)
+    return selector is not None and selectors.matches(selector, workload.labels)
+
+
+def _selector(pool: Manifest) -> Mapping[str, Any] | None:
+    """A pool's selector; None where it can't be understood, which is told elsewhere."""
+    found = _at(pool.data, "spec", "workloadSelector")
+    if not isinstance(found, Mapping):
+        return None
+    labels, expressions = found.get("matchLabels") or {}, found.get("matchExpressions") or []
+    if not isinstance(labels, Mapping) or not isinstance(expressions, list):
+        return None
+    for one in expressions:
+        if (
+            not isinstance(one, Mapping)
+            or not isinstance(one.get("key"), str)
+            or not isinstance(one.get("operator"), str)
+        ):
+            return None
+        if not isinstance(one.get("values") or [], list):
+            return None
+    return found
+
+
+def _some(names: Sequence[str]) -> str:
+    more = f" and {len(names) - _MOST_SHOWN} more" if len(names) > _MOST_SHOWN else ""
+    return ", ".join(names[:_MOST_SHOWN]) + more
+
+
+def _labels(workload: Manifest) -> str:
+    told = ", ".join(f"{key}={value}" for key, value in list(workload.labels.items())[:_MOST_SHOWN])
+    return f"labels {told}" if told else "no labels"
+
+
+def _field(data: Any, path: str) -> Any:
+    """The value of a field by its path; None where there is none."""
+    for part in path.replace("[", ".[").split("."):
+        if part.startswith("["):
+            index = int(part[1:-1])
+            data = data[index] if isinstance(data, list) and index < len(data) else None
+        else:
+            data = _at(data, part)
+    return data
+
+
+def _at(data: Any, *keys: str) -> Any:
+    for key in keys:
+        data = data.get(key) if isinstance(data, Mapping) else None
+    return data
+
+
+def _list(data: Any) -> list[Any]:
+    return data if isinstance(data, list) else []

@@ -1,0 +1,190 @@
+"""Validates a value by a structural schema (KEP-1693) as the API server does on creation: strict, with defaults and CEL rules."""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from understudy.api.schema.definitions import PRESERVE, VALIDATIONS, Schema
+from understudy.cli.check import cel
+from understudy.trees.source.problems import Problem, did_you_mean
+from understudy.trees.source.value_reader import found_text
+
+_TYPES = {
+    "object": "object (a mapping)",
+    "array": "array (a list)",
+    "string": "string (a text, in quotes where it looks like a number)",
+    "integer": "integer (a whole number, without quotes)",
+    "number": "number (without quotes)",
+    "boolean": "boolean (true or false, without quotes)",
+}
+
+_CHANGES = re.compile(r"\boldSelf\b")
+"""Rules about changes, which don't hold of what is created."""
+
+
+@dataclass(frozen=True)
+class UnknownField(Problem):
+    """A field that isn't there in the object in which it is given."""
+
+    name: str
+
+
+def join(path: str, key: object) -> str:
+    """The path of a field."""
+    return f"{path}.{key}" if path else str(key)
+
+
+def validate(value: Any, schema: Schema, path: str = "") -> list[Problem]:
+    """Everything that the API server would refuse, or would drop without being strict."""
+    return [_put_right(problem, schema) for problem in _validate(_defaulted(value, schema), schema, path)]
+
+
+def _put_right(problem: Problem, schema: Schema) -> Problem:
+    """An unknown field that there is in one other place is most likely a mistake in the indentation."""
+    if not isinstance(problem, UnknownField):
+        return problem
+    elsewhere = [found for found in _fields(schema, "") if found.rpartition(".")[2] == problem.name]
+    if len(elsewhere) != 1:
+        return problem
+    message = f"unknown field {problem.name!r:.80} here; it belongs to {elsewhere[0]}: look at the indentation"
+    return Problem(problem.path, message)
+
+
+def _fields(schema: Schema, path: str) -> Iterator[str]:
+    for name, child in schema.get("properties", {}).items():
+        yield join(path, name)
+        yield from _fields(child, join(path, name))
+    if "items" in schema:
+        yield from _fields(schema["items"], f"{path}[]")
+
+
+def _defaulted(value: Any, schema: Schema) -> Any:
+    """The value as the API server fills it in before it validates it."""
+    if isinstance(value, Mapping):
+        result = dict(value)
+        for name, child in schema.get("properties", {}).items():
+            if result.get(name) is None:  # nothing is as good as absent
+                result.pop(name, None)
+                if "default" in child:
+                    result[name] = copy.deepcopy(child["default"])
+            if name in result:
+                result[name] = _defaulted(result[name], child)
+        return result
+    if isinstance(value, list) and "items" in schema:
+        return [_defaulted(item, schema["items"]) for item in value]
+    return value
+
+
+def _validate(value: Any, schema: Schema, path: str) -> Iterator[Problem]:
+    if not _is(value, schema["type"]):
+        yield Problem(path, f"found {found_text(value)}; must be of type {_TYPES[schema['type']]}{_form(schema)}")
+        return
+    found = [Problem(path, message) for message in _bounds(value, schema)]
+    if isinstance(value, Mapping):
+        found += _object(value, schema, path)
+    elif isinstance(value, list) and "items" in schema and not found:
+        found += (p for i, item in enumerate(value) for p in _validate(item, schema["items"], f"{path}[{i}]"))
+    yield from found
+    if not found:  # rules count on what the schema says
+        yield from _rules(value, schema, path)
+
+
+def _is(value: Any, kind: str) -> bool:
+    match kind:
+        case "object":
+            return isinstance(value, Mapping)
+        case "array":
+            return isinstance(value, list)
+        case "string":
+            return isinstance(value, str)
+        case "boolean":
+            return isinstance(value, bool)
+        case "integer":
+            return not isinstance(value, bool) and (
+                isinstance(value, int) or (isinstance(value, float) and value.is_integer())
+            )
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _form(schema: Schema) -> str:
+    """How a text is written of which the schema says that."""
+    messages = [rule["message"] for rule in schema.get(VALIDATIONS, ()) if "messageExpression" in rule]
+    return f": {messages[0]}" if messages else ""
+
+
+def _bounds(value: Any, schema: Schema) -> Iterator[str]:
+    if "enum" in schema and value not in schema["enum"]:
+        yield f"found {found_text(value)}; give one of {', '.join(json.dumps(choice) for choice in schema['enum'])}"
+    if isinstance(value, str):
+        size, unit, bounds = len(value), "chars long", ("minLength", "maxLength")
+    elif isinstance(value, list):
+        size, unit, bounds = len(value), "items", ("minItems", "maxItems")
+    elif isinstance(value, Mapping):
+        size, unit, bounds = len(value), "properties", ("minProperties", "maxProperties")
+    else:
+        if "minimum" in schema and value < schema["minimum"]:
+            yield f"found {found_text(value)}; must be greater than or equal to {schema['minimum']}"
+        if "maximum" in schema and value > schema["maximum"]:
+            yield f"found {found_text(value)}; must be less than or equal to {schema['maximum']}"
+        return
+    must = "must be" if isinstance(value, str) else "must have"
+    if size < schema.get(bounds[0], 0):
+        yield f"found {found_text(value) if size else 'nothing in it'}; {must} at least {schema[bounds[0]]} {unit}"
+    if size > schema.get(bounds[1], math.inf):
+        yield f"found {size} {unit}; {must} at most {schema[bounds[1]]} {unit}"
+    elif isinstance(value, str) and "pattern" in schema and not cel.matches(value, schema["pattern"]):
+        yield f"found {found_text(value)}; must match {schema['pattern']}"
+
+
+def _object(value: Mapping[str, Any], schema: Schema, path: str) -> Iterator[Problem]:
+    properties = schema.get("properties", {})
+    for name in schema.get("required", ()):
+        if name not in value:
+            yield Problem(join(path, name), f"missing{_way_out(name, properties.get(name, {}))}")
+    for name, item in value.items():
+        if name in properties:
+            yield from _validate(item, properties[name], join(path, name))
+        elif "additionalProperties" in schema:
+            yield from _validate(item, schema["additionalProperties"], join(path, name))
+        elif PRESERVE not in schema:
+            missing = [known for known in properties if known not in value]
+            message = f"unknown field {name!r:.80}{_known(str(name), missing, properties)}"
+            yield UnknownField(join(path, name), message, str(name))
+
+
+def _known(name: str, missing: list[str], properties: Mapping[str, Schema]) -> str:
+    """What an unknown field could have been: best one that isn't given yet."""
+    close = did_you_mean(name, missing)
+    return close if close.startswith(", did") else did_you_mean(name, properties)
+
+
+def _way_out(name: str, schema: Schema) -> str:
+    choices = [json.dumps(choice) for choice in schema.get("enum", ())]
+    told = schema.get("description", "").rstrip(".") or f"one of {', '.join(choices)}"
+    return f", and required; add {name} ({told})"
+
+
+def _rules(value: Any, schema: Schema, path: str) -> Iterator[Problem]:
+    for rule in schema.get(VALIDATIONS, ()):
+        if _CHANGES.search(rule["rule"]):
+            continue
+        try:
+            if not cel.compiled(rule["rule"])({"self": value}):
+                yield Problem((path + rule.get("fieldPath", "")).lstrip("."), _told(rule, value))
+        except cel.Undecided:
+            continue  # about a part that isn't there
+
+
+def _told(rule: Mapping[str, str], value: Any) -> str:
+    if "messageExpression" in rule:
+        try:
+            return str(cel.compiled(rule["messageExpression"])({"self": value}))
+        except cel.Undecided:
+            pass
+    return rule["message"]

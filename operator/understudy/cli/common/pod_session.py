@@ -1,0 +1,61 @@
+"""A conversation with a program in a pod, a line of JSON each way. It ends with this process: its input is over then."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import select
+import subprocess
+from collections.abc import Iterator
+from typing import Any
+
+from understudy.cli.common.kubectl import Kubectl, Unusable
+
+PATIENCE = 30.0
+"""Seconds that an answer may take beyond what it was asked to take."""
+
+
+class Session:
+    """Asks a program in a pod."""
+
+    def __init__(self, pod: str, running: subprocess.Popen[bytes]) -> None:
+        self._pod, self._running = pod, running
+
+    def ask(self, what: str, *, takes: float = 0.0, **given: Any) -> Any:
+        """An answer; ``takes`` is how long it may take by itself, in seconds. Raises Unusable."""
+        source, sink = self._running.stdout, self._running.stdin
+        assert source is not None, "it is a pipe"
+        assert sink is not None, "it is a pipe"
+        with contextlib.suppress(BrokenPipeError):
+            sink.write(json.dumps([what, given]).encode() + b"\n")
+            sink.flush()
+        if not select.select([source], [], [], takes + PATIENCE)[0]:
+            raise Unusable(f"pod {self._pod} doesn't answer")
+        line = source.readline()
+        if not line:
+            raise Unusable(f"the program in pod {self._pod} has ended: {self._last_words()}")
+        answer = json.loads(line)
+        if "error" in answer:
+            raise Unusable(f"pod {self._pod}: {answer['error']}")
+        return answer["answer"]
+
+    def _last_words(self) -> str:
+        assert self._running.stderr is not None, "it is a pipe"
+        said = self._running.stderr.read().decode(errors="replace").strip().splitlines()
+        return said[-1] if said else "it said nothing"
+
+
+@contextlib.contextmanager
+def session(kubectl: Kubectl, pod: str, container: str, *program: str) -> Iterator[Session]:
+    """A program in a container, while the context lasts."""
+    command = kubectl.command("exec", "-i", pod, "-c", container, "--", *program)
+    # Ctrl-C is for this process only, which then still has to clear up.
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True
+    ) as running:
+        try:
+            yield Session(pod, running)
+        finally:
+            running.terminate()
+            with contextlib.suppress(BrokenPipeError):
+                running.communicate()

@@ -1,0 +1,10 @@
+"""``understudy failback NAME``: the robot is given back to a pod of the workload's own controller."""
+
+from __future__ import annotations
+
+from understudy.cli.control.switchover_request import run
+
+
+def main(arguments: list[str]) -> int:
+    """Run the command."""
+    return run("failback", arguments)

@@ -1,0 +1,69 @@
+"""``understudy pause NAME``: has a workload left alone while somebody works on the robot or its application."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+import time
+from datetime import UTC, datetime
+
+from understudy.api.base import DURATION_MESSAGE, seconds
+from understudy.api.kinds.pause_spec import MOMENT_MESSAGE, MOMENT_PATTERN, Pause, unix
+from understudy.cli.common.kubectl import WORKLOADS, Kubectl, Unusable, add_options
+from understudy.cli.control import signature
+
+DONE, CANT = 0, 2
+"""Exit statuses."""
+
+
+def main(arguments: list[str]) -> int:
+    """Run the command."""
+    given = _parser().parse_args(arguments)
+    try:
+        pause = _pause(given, time.time())
+        item = Kubectl(given).patch(WORKLOADS, given.name, {"spec": {"pause": pause.to_wire() | _no_end(pause)}})
+    except Unusable as error:
+        print(f"understudy pause: {error}", file=sys.stderr)
+        return CANT
+    where = f"{item['metadata']['namespace']}/{item['metadata']['name']}"
+    print(f"{where}: {pause.words}. Nothing is done by itself, and no safe command is sent. understudy resume ends it.")
+    return DONE
+
+
+def _pause(given: argparse.Namespace, now: float) -> Pause:
+    """What is asked for. Raises Unusable."""
+    until: str | None = given.until
+    if given.length is not None:
+        try:
+            until = datetime.fromtimestamp(now + seconds(given.length), UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+        except ValueError as error:
+            raise Unusable(f'--for "{given.length}": {DURATION_MESSAGE}') from error
+    if until is not None:
+        end = unix(until) if re.match(MOMENT_PATTERN, until) else None
+        if end is None:
+            raise Unusable(f'--until "{until}": {MOMENT_MESSAGE}')
+        if end <= now:
+            raise Unusable(f"--until {until} is over already")
+    return signature.signed(given, "paused", until=until)
+
+
+def _no_end(pause: Pause) -> dict[str, None]:
+    """What takes the end of an earlier pause away, where this one has none."""
+    return {} if pause.until is not None else {"until": None}
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="understudy pause",
+        description="Has a RobotWorkload left alone (spec.pause): its monitor goes on watching and telling, and does nothing by itself, "
+        "no recovery, no hand-over and no safe command. A recovery that is under way is finished first.",
+        epilog="Exit status: 0 where it is paused now, 2 where that can't be done.",
+    )
+    parser.add_argument("name", metavar="NAME", help="the RobotWorkload")
+    signature.add_options(parser, reason="what is being done, for whoever asks why")
+    end = parser.add_mutually_exclusive_group()
+    end.add_argument("--until", metavar="MOMENT", help="when it ends by itself, such as 2026-11-22T18:00:00Z")
+    end.add_argument("--for", metavar="DURATION", dest="length", help="how long it lasts, such as 30m")
+    add_options(parser)
+    return parser

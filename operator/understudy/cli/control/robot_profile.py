@@ -1,0 +1,95 @@
+"""``understudy robot-profile NAME``: the files by which a robot outside the cluster is driven through its gate."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from understudy.api import names
+from understudy.api.kinds.robot_workload import RobotWorkloadSpec
+from understudy.api.output_formats import structured
+from understudy.cli.common.kubectl import WORKLOADS, Kubectl, Unusable, add_options
+from understudy.cli.control.profile_files import Profile
+from understudy.controller.desired.ros_environment import PROFILES_DIR
+from understudy.kube.client import Object
+
+DONE, CANT = 0, 2
+"""Exit statuses."""
+
+
+def main(arguments: list[str]) -> int:
+    """Run the command."""
+    given = _parser().parse_args(arguments)
+    try:
+        kubectl = Kubectl(given)
+        found = _profile(kubectl, kubectl.get(WORKLOADS, given.name), given.at)
+        if given.write:
+            _write(found, Path(given.write))
+            print("\n".join(found.advice()))
+        elif given.output in ("json", "yaml"):
+            print(structured(found.to_wire(), given.output))
+        elif given.output == "text":
+            print("\n".join(found.lines()))
+        else:
+            print(found.env_file if given.output == "env" else found.profiles, end="")
+        return DONE
+    except Unusable as error:
+        print(f"understudy robot-profile: {error}", file=sys.stderr)
+        return CANT
+
+
+def _profile(kubectl: Kubectl, item: Object, folder: str) -> Profile:
+    """What the operator has written down for the robot's side. Raises Unusable."""
+    name = item["metadata"]["name"]
+    environment, profiles = (_data(kubectl, name, one) for one in (names.robot_env(name), names.robot_profiles(name)))
+    try:
+        spec = RobotWorkloadSpec.model_validate(item["spec"])
+    except ValidationError as error:
+        raise Unusable(f"{name} is of another version: understudy doctor says of which") from error
+    return Profile(name, item["metadata"]["namespace"], spec, environment, profiles[names.PROFILES_KEY], folder)
+
+
+def _data(kubectl: Kubectl, workload: str, name: str) -> dict[str, str]:
+    found = kubectl.find("configmaps", name)
+    if found is None:
+        raise Unusable(
+            f"ConfigMap {name} isn't there yet; what {workload} waits for says understudy explain {workload}"
+        )
+    data: dict[str, str] = found["data"]
+    return data
+
+
+def _write(found: Profile, folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, text in found.files.items():
+            (folder / name).write_text(text)
+    except OSError as error:
+        raise Unusable(f"{folder} can't be written: {error}") from error
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="understudy robot-profile",
+        description="Gives out the environment and the DDS profiles by which the processes of a robot outside the cluster join its ROS "
+        "graph and read its outputs at gated ports, and says where to put them and what else they need. It changes nothing.",
+        epilog="Exit status: 0 where it is given out, 2 where there is nothing to give out yet.",
+    )
+    parser.add_argument("name", metavar="NAME", help="the RobotWorkload")
+    how = parser.add_mutually_exclusive_group()
+    how.add_argument(
+        "-o",
+        "--output",
+        choices=["text", "env", "xml", "json", "yaml"],
+        default="text",
+        help="text; only the environment, as a file of variables; only the profiles; or everything as JSON or YAML",
+    )
+    how.add_argument("--write", metavar="FOLDER", help="write both files into a folder of this machine")
+    parser.add_argument(
+        "--at", metavar="FOLDER", default=PROFILES_DIR, help="where they will be on the robot (%(default)s)"
+    )
+    add_options(parser)
+    return parser

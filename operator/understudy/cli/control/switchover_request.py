@@ -1,0 +1,142 @@
+"""Asks for a planned switchover and waits for its end: ``understudy failover NAME`` and ``understudy failback NAME``."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from understudy.api import names
+from understudy.api.kinds.robot_workload import Recovery, RobotWorkloadStatus
+from understudy.api.kinds.switchover_spec import ENDED, SwitchoverStatus, Verb, request
+from understudy.cli.common import option_rules, terminal
+from understudy.cli.common.kubectl import Kubectl, Unusable, add_options
+from understudy.cli.common.robots import UNWATCHED, robot, status_of
+from understudy.cli.common.time_bars import length, short
+from understudy.cli.common.wording import unix, wrapped
+
+DONE, NOT_DONE, CANT = 0, 1, 2
+"""Exit statuses."""
+
+WORKLOADS = "robotworkloads.understudy.dev"
+
+WITHIN = 120.0
+"""Seconds that its end is waited for: longer than a monitor waits for an understudy, and most take to be ready."""
+
+LOOK = 1.0
+"""Seconds between two looks where no change is told."""
+
+_PURPOSE: Mapping[Verb, str] = {
+    "failover": "Has an understudy of a RobotWorkload take over as planned. It is brought to where it can drive first, with the state of "
+    "the instance that drives; then the gate is switched; and when the robot is seen to be driven by it, the former instance goes. If no "
+    "understudy gets there, nothing is changed.",
+    "failback": "Gives a RobotWorkload's robot back to a pod of the workload's own controller, after a pool's pod has taken over from it. "
+    "It is done as understudy failover does it.",
+}
+
+
+def run(verb: Verb, arguments: list[str]) -> int:
+    """Run the command."""
+    given = _parser(verb).parse_args(arguments)
+    try:
+        return _switch(verb, Kubectl(given), given.name, given.within)
+    except Unusable as error:
+        print(f"understudy {verb}: {error}", file=sys.stderr)
+        return CANT
+
+
+def _switch(verb: Verb, kubectl: Kubectl, name: str, within: float) -> int:
+    item = kubectl.get(WORKLOADS, name)
+    _refuse(item)
+    columns = terminal.columns(sys.stdout)
+    asked, begun = request(verb, time.time()), time.monotonic()
+    told: tuple[str, str] = ("", "")
+    try:
+        with kubectl.changes(WORKLOADS, name) as changed:
+            kubectl.annotate(WORKLOADS, name, names.SWITCHOVER, asked)
+            print("asked for", flush=True)
+            while time.monotonic() - begun < within:
+                status = status_of(kubectl.get(WORKLOADS, name))
+                found = status.switchover
+                if found is not None and found.request == asked:
+                    if found.phase in ENDED:
+                        print("\n".join(_end(found, status, columns)))
+                        return DONE if found.phase == "Done" else NOT_DONE
+                    if (found.phase, found.message) != told:
+                        told = (found.phase, found.message)
+                        print(
+                            "\n".join(wrapped(f"{found.phase.lower()}: {found.message}", columns, indent=0, hanging=2)),
+                            flush=True,
+                        )
+                elif found is not None and found.handled == asked:
+                    raise Unusable(
+                        f"it has come to its end, and another one has begun since: understudy timeline {name}"
+                    )
+                changed(LOOK)
+    except KeyboardInterrupt:
+        print("", file=sys.stderr)
+    how_far = told[0].lower() or "its monitor has not taken it up"
+    raise Unusable(
+        f"it has not come to its end ({how_far}), and goes on without this command. To take it back: "
+        f"kubectl annotate robotworkload {name} {names.SWITCHOVER}-"
+    )
+
+
+def _refuse(item: Mapping[str, Any]) -> None:
+    """Raise Unusable where nobody would do it, or where it would get in the way of another one."""
+    name, status = item["metadata"]["name"], status_of(item)
+    if robot(item).health == UNWATCHED:
+        raise Unusable(f"the monitor of {name} doesn't run, so nobody would carry it out: understudy explain {name}")
+    found = status.switchover
+    if found is not None and found.request and found.phase not in ENDED:
+        raise Unusable(f'"{found.request}" is under way ({found.phase.lower()}: {found.message})')
+
+
+def _end(found: SwitchoverStatus, status: RobotWorkloadStatus, columns: int | None) -> Iterator[str]:
+    """What came of it, and what of that the robot saw."""
+    recovery = next((one for one in status.recoveries or [] if one.id == found.recovery), None)
+    done = found.phase == "Done"
+    if recovery is None or not done:
+        yield from wrapped(f"{'done' if done else 'NOT done'}: {found.message}", columns, indent=0, hanging=2)
+        return
+    pods = short([recovery.from_pod, recovery.to_pod])
+    control = f"{pods[recovery.from_pod]} → {pods[recovery.to_pod]} by {recovery.strategy}, gate epoch {recovery.epoch}"
+    yield from wrapped(f"done: {control}", columns, indent=0, hanging=2)
+    yield from wrapped(f"at the robot: {'; '.join(_seen(recovery))}", columns, indent=2)
+    for entry in recovery.state:
+        old = f", {length(entry.age_seconds)} old" if entry.age_seconds is not None else ""
+        given = f"given{old}" if entry.restored else f"NOT given: {entry.message}"
+        yield from wrapped(f"state: {entry.name} {given}", columns, indent=2)
+
+
+def _seen(recovery: Recovery) -> Iterator[str]:
+    """What the monitor saw, which sees the robot's topics as the robot does."""
+    moments = recovery.moments
+    if moments.first_output is None:
+        yield "no topic that counts now has outputs, so nothing was there to be seen"
+        return
+    if moments.last_output is not None:
+        yield f"no command for {length(max(0.0, unix(moments.first_output) - unix(moments.last_output)))}"
+        if moments.fenced is not None and unix(moments.last_output) > unix(moments.fenced) + 0.01:
+            late = length(unix(moments.last_output) - unix(moments.fenced))
+            yield f"commands of the former instance still came {late} after the switch: see GateEnforced"
+
+
+def _parser(verb: Verb) -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog=f"understudy {verb}",
+        description=_PURPOSE[verb],
+        epilog="Exit status: 0 where it is done, 1 where it isn't and the robot is driven as before, 2 where it can't be told.",
+    )
+    parser.add_argument("name", metavar="NAME", help="the RobotWorkload")
+    parser.add_argument(
+        "--within",
+        metavar="DURATION",
+        type=option_rules.duration,
+        default=WITHIN,
+        help="how long its end is waited for (2m), such as 30s",
+    )
+    add_options(parser)
+    return parser

@@ -1,0 +1,190 @@
+"""``understudy doctor``: whether a cluster does what Understudy needs, each finding with its cure. It sends packets to see."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import Any
+
+from understudy import __version__
+from understudy.api.output_formats import structured
+from understudy.cli.common import option_rules, terminal
+from understudy.cli.common.kubectl import Kubectl, Unusable, add_options
+from understudy.cli.common.kubectl_proxy import Api, Refused, proxied
+from understudy.cli.common.tree_text import plain
+from understudy.cli.doctor import (
+    clock_check,
+    discovery_check,
+    findings,
+    installation_check,
+    packet_check,
+    rights_check,
+    test_pods,
+)
+from understudy.cli.doctor.findings import Finding
+from understudy.cli.doctor.installation_check import Installed
+from understudy.controller.desired.plan import Images
+from understudy.controller.observed import kube_objects
+from understudy.kube.client import WORKLOADS, Object
+
+WELL, NOT_WELL, CANT = 0, 1, 2
+"""Exit statuses."""
+
+_ENFORCED, _READ = "GateEnforced", "OutputsRead"
+
+
+def main(arguments: list[str]) -> int:
+    """Run the command."""
+    parser = _parser()
+    given = parser.parse_args(arguments)
+    option_rules.only(
+        parser, given, not given.no_pods, "--image", "says what the pods are made of: leave out --no-pods"
+    )
+    out = sys.stdout
+    try:
+        kubectl = Kubectl(given)
+        with _Progress() as progress, proxied(kubectl) as api:
+            examination = _Examination(kubectl, api, given, progress)
+            examination.run()
+        found = examination.found
+        if given.output == "text":
+            print("\n".join(findings.lines(found, columns=terminal.columns(out), colours=terminal.colours(out))))
+        else:
+            told = {"version": __version__, "namespace": kubectl.namespace, **findings.to_wire(found)}
+            print(structured(told | examination.measured, given.output))
+        return WELL if findings.is_well(found) else NOT_WELL
+    except Unusable as error:
+        print(f"understudy doctor: {error}", file=sys.stderr)
+        return CANT
+    except KeyboardInterrupt:
+        print("understudy doctor: ended before it was through; what it had made is taken away", file=sys.stderr)
+        return CANT
+
+
+class _Progress:
+    """Says what is being done: in a terminal in one line that goes away again, else a line for each."""
+
+    def __init__(self) -> None:
+        self._terminal = sys.stderr.isatty()
+
+    def __enter__(self) -> Callable[[str], None]:
+        return self._say
+
+    def __exit__(self, *_: object) -> None:
+        if self._terminal:
+            print("\r\x1b[K", end="", file=sys.stderr, flush=True)
+
+    def _say(self, what: str) -> None:
+        text = f"\r\x1b[K{plain(what)} …" if self._terminal else f"{plain(what)}\n"
+        print(text, end="", file=sys.stderr, flush=True)
+
+
+class _Examination:
+    """One after the other: what is asked first, then what is tried."""
+
+    def __init__(self, kubectl: Kubectl, api: Api, given: argparse.Namespace, progress: Callable[[str], None]) -> None:
+        self._kubectl, self._api, self._given, self._progress = kubectl, api, given, progress
+        self.found: list[Finding] = []
+        self.measured: dict[str, Any] = {}
+
+    def run(self) -> None:
+        """Find out. Raises Unusable where nothing can be told."""
+        namespace = self._kubectl.namespace
+        self._progress("asking the API server")
+        self.found.append(installation_check.kubernetes(self._api))
+        operator = installation_check.find(self._api)
+        self.found.append(installation_check.operator(operator))
+        self.found += installation_check.definitions_served(self._api)
+        self._progress("asking for rights")
+        self.found.append(rights_check.of_this_user(self._api, namespace))
+        if operator is not None:
+            self.found.append(rights_check.of_the_operator(self._api, namespace, operator))
+        workloads = self._workloads(namespace)
+        lost = list(discovery_check.servers(self._api, namespace, workloads))
+        self.found += lost
+        self.found += said_by_monitors(workloads)
+        if not self._given.no_pods:
+            failed = {finding.check for finding in lost}
+            try:
+                self._try(
+                    self._images(operator), [one for one in workloads if discovery_check.check(one) not in failed]
+                )
+            except Unusable as error:
+                cure = "choose with -n a namespace in which you may make pods, or leave them out with --no-pods"
+                self.found.append(Finding("pods", "FAIL", str(error), cure))
+
+    def _workloads(self, namespace: str) -> Sequence[Object]:
+        """Those named, or all. Raises Unusable where one isn't there."""
+        try:
+            if self._given.names:
+                return [self._api.get(WORKLOADS.path(namespace, name)) for name in self._given.names]
+            items: list[Object] = self._api.get(WORKLOADS.path(namespace))["items"]
+        except Refused as refused:
+            if self._given.names:
+                raise
+            self.found.append(Finding("robots", "WARN", f"they can't be listed: {refused}", "see your rights, above"))
+            return []
+        return sorted(items, key=kube_objects.name)
+
+    def _images(self, operator: Installed | None) -> Images:
+        """What the pods are made of. Raises Unusable."""
+        known = operator.images if operator is not None else None
+        if self._given.image:
+            return replace(known, monitor=self._given.image) if known is not None else Images(self._given.image)
+        if known is None:
+            raise Unusable("the monitor's image isn't known, since no operator is found; give it with --image")
+        return known
+
+    def _try(self, images: Images, workloads: Sequence[Object]) -> None:
+        """What takes pods. Raises Unusable."""
+        with (
+            clock_check.OfNodes(self._api) as nodes,
+            test_pods.pair(self._kubectl, self._api, images, self._progress) as pods,
+        ):
+            seen = packet_check.measure(pods, self._progress)
+            self.measured["gate"] = packet_check.to_wire(seen)
+            self.found += packet_check.judge(seen)
+            self.found += discovery_check.joined(pods, workloads, self._progress)
+        told = {**nodes.clocks, **seen.clocks}
+        self.measured["clocks"] = clock_check.to_wire(told)
+        self.found.append(clock_check.judge(told, clock_check.of_api_server(self._api)))
+
+
+def said_by_monitors(workloads: Sequence[Object]) -> Iterator[Finding]:
+    """Of which version the monitors are; what they see of their gates, from packets too, and of who reads the outputs."""
+    for workload in workloads:
+        name, status = kube_objects.name(workload), workload.get("status") or {}
+        if status.get("health") and (version := (status.get("monitor") or {}).get("version")) != __version__:
+            found = f"it is of version {version}" if version else "it is of a version before 0.2.0"
+            cure = "an image of your own is built again on that of each version (docs/how-to/custom-messages.md); else its turn comes yet"
+            yield Finding(f"monitor of {name}", "WARN", f"{found}, and this command of {__version__}", cure)
+        for said in status.get("conditions") or []:
+            told = said["message"]
+            if (said["type"], said["status"]) == (_ENFORCED, "False"):
+                page = "robot-outside-the-cluster" if said["reason"] == "ReaderWithoutProfile" else "network-policies"
+                yield Finding(f"gate of {name}", "FAIL", told, f"docs/how-to/{page}.md")
+            elif said["type"] == _READ and said["status"] != "False" and said["reason"] != "AtGatedPorts":
+                page = "docs/explanation/network-policies.md#who-reads-the-outputs"
+                yield Finding(f"outputs of {name}", "WARN", told, page)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="understudy doctor",
+        description="Finds out whether a cluster does what Understudy needs: Kubernetes, operator and CRDs fit this version, you and the "
+        "operator have the rights, NetworkPolicies are enforced for UDP and how soon, clocks agree, and the robots' discovery servers "
+        "answer. It makes two pods and two NetworkPolicies for a while, which touch no robot, and takes them away again.",
+        epilog="Exit status: 0 where nothing failed (warnings are told), 1 where something did, 2 where it can't be told.",
+    )
+    parser.add_argument("names", metavar="NAME", nargs="*", help="a RobotWorkload; all where none is named")
+    parser.add_argument(
+        "--no-pods", action="store_true", help="make no pods: send no packets, ask no clocks, join no graph"
+    )
+    parser.add_argument("--image", help="what the pods are made of (the monitor's image, as the operator has it)")
+    parser.add_argument(
+        "-o", "--output", choices=["text", "json", "yaml"], default="text", help="text, or everything as JSON or YAML"
+    )
+    add_options(parser)
+    return parser

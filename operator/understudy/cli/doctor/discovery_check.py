@@ -1,0 +1,120 @@
+"""Whether the discovery server of each workload answers, by joining the robot's ROS graph from a pod of the namespace."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+
+from understudy.api import names
+from understudy.cli.common.kubectl_proxy import Api, Refused
+from understudy.cli.common.wording import counted
+from understudy.cli.doctor.findings import Finding
+from understudy.cli.doctor.test_pods import Pods
+from understudy.controller.observed import kube_objects
+from understudy.controller.observed.pod_diagnosis import trouble
+from understudy.kube.client import CONFIG_MAPS, PODS, Object
+
+WITHIN = 8.0
+"""Seconds until a graph counts as empty; discovery takes less than one."""
+
+ALTOGETHER = 150.0
+"""Seconds after which no other graph is joined: the pods don't live for ever, and who asks doesn't wait for ever."""
+
+SILENT = 3
+"""Graphs in which nobody is found after which no other is joined."""
+
+_SERVER = "ROS_DISCOVERY_SERVER"
+
+
+def check(workload: Object) -> str:
+    """What the check of a workload is called."""
+    return f"discovery of {kube_objects.name(workload)}"
+
+
+def servers(api: Api, namespace: str, workloads: Sequence[Object]) -> Iterator[Finding]:
+    """What is known without a packet: managed servers that don't run, and why."""
+    for workload in workloads:
+        if not _is_managed(workload):
+            continue
+        name = kube_objects.name(workload)
+        selector = f"{names.COMPONENT}=discovery,{names.MONITORED}={name}"
+        pods = api.get(f"{PODS.path(namespace)}?labelSelector={selector}")["items"]
+        if any(kube_objects.ready(pod) for pod in pods):
+            continue
+        why = next((found.message for found in map(trouble, pods) if found is not None), "")
+        yield Finding(
+            check(workload),
+            "FAIL",
+            f"its server doesn't run{f': {why}' if why else ''}",
+            f"kubectl describe deployment -n {namespace} {names.discovery(name)}; what knows each other goes on, nobody new joins",
+        )
+
+
+def joined(pods: Pods, workloads: Sequence[Object], progress: Callable[[str], None]) -> Iterator[Finding]:
+    """Join each workload's graph and see who is there. Raises Unusable."""
+    if not workloads:
+        return
+    end, silent = time.monotonic() + ALTOGETHER, 0
+    with pods.talking(pods.receiver, "graph") as talk:
+        for number, workload in enumerate(workloads):
+            if silent >= SILENT or time.monotonic() > end:
+                yield Finding(
+                    "discovery of others",
+                    "WARN",
+                    f"{counted(len(workloads) - number, 'graph was', 'graphs were')} not joined, after "
+                    f"{f'{silent} without anybody' if silent >= SILENT else f'{ALTOGETHER:g} s'}",
+                    "name the robots to look at: understudy doctor NAME",
+                )
+                return
+            progress(f"joining the ROS graph of {kube_objects.name(workload)}")
+            environment = _environment(pods.api, pods.kubectl.namespace, kube_objects.name(workload))
+            if environment is None:
+                yield Finding(
+                    check(workload),
+                    "WARN",
+                    f"ConfigMap {names.robot_env(kube_objects.name(workload))} isn't there yet",
+                    f"understudy explain {kube_objects.name(workload)} says what it waits for",
+                )
+                continue
+            nodes = talk.ask("graph", takes=WITHIN, environment=environment, seconds=WITHIN)
+            silent += not nodes
+            yield judge(workload, environment, nodes)
+
+
+def judge(workload: Object, environment: Mapping[str, str], nodes: Sequence[str]) -> Finding:
+    """What the nodes that were met in a graph say."""
+    server = environment.get(_SERVER, "")
+    by = f"by {server}" if server else "without a server"
+    if nodes:
+        others = f", such as {nodes[0]}" if len(nodes) > 1 else f": {nodes[0]}"
+        return Finding(check(workload), "OK", f"{counted(len(nodes), 'node')} found {by}{others}")
+    name = kube_objects.name(workload)
+    found = f"nobody is found {by} within {WITHIN:g} s, not even the monitor"
+    if _is_managed(workload):
+        cure = (
+            f"look whether the Service {names.discovery(name)} has endpoints (kubectl get endpointslices), whether a NetworkPolicy of this "
+            f"namespace keeps pods from UDP {names.DISCOVERY_PORT}, and whether the monitor runs: understudy explain {name}"
+        )
+    elif server:
+        cure = (
+            f"look whether a Fast DDS discovery server runs at {server} and pods reach it (spec.ros.discovery.server)"
+        )
+    else:
+        cure = "most pod networks carry no multicast: use spec.ros.discovery.mode Managed"
+    return Finding(check(workload), "FAIL", found, cure)
+
+
+def _is_managed(workload: Object) -> bool:
+    ros = (workload["spec"].get("ros") or {}).get("discovery") or {}
+    return bool(ros.get("mode", "Managed") == "Managed")
+
+
+def _environment(api: Api, namespace: str, workload: str) -> dict[str, str] | None:
+    """That of a robot's ROS graph, without where profiles are: they would have this pod take the robot's place."""
+    try:
+        data = api.get(CONFIG_MAPS.path(namespace, names.robot_env(workload))).get("data") or {}
+    except Refused as refused:
+        if refused.status != 404:
+            raise
+        return None
+    return {key: value for key, value in data.items() if key != names.PROFILES_VARIABLE}

@@ -1,0 +1,64 @@
+"""What ``understudy doctor`` has found: a line for each check, and below it the cure of what isn't as it should be."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+from understudy.cli.common import text_tables
+from understudy.cli.common.text_tables import Cell
+from understudy.cli.common.tree_text import plain
+from understudy.cli.common.wording import counted, listed, wrapped
+
+Level = Literal["OK", "WARN", "FAIL"]
+
+_STATES: dict[Level, str] = {"OK": "Healthy", "WARN": "Degraded", "FAIL": "Failed"}
+_LABEL = "cure: "
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What one check came to."""
+
+    check: str
+    level: Level
+    found: str
+    cure: str = ""
+    """What to do about it; empty where all is well."""
+
+
+def lines(findings: Sequence[Finding], *, columns: int | None, colours: bool) -> Iterator[str]:
+    """The findings in the order in which they were made, and what they come to."""
+    width = max((len(plain(finding.check)) for finding in findings), default=0)
+    hanging = width + len("FAIL") + 4
+    for finding in findings:
+        row = [Cell(finding.level.ljust(len("FAIL")), _STATES[finding.level]), Cell(finding.check.ljust(width))]
+        (head,) = text_tables.drawn([row], colours=colours)
+        first, *others = wrapped(finding.found, columns, indent=hanging)
+        # Colours have no width: what follows is put in its column by the width that can be seen.
+        seen = text_tables.width([row])
+        padding = " " * (seen - len(text_tables.drawn([row], colours=False)[0]))
+        yield f"{head}{padding}  {first.lstrip()}"
+        yield from others
+        if finding.cure:
+            yield from wrapped(f"{_LABEL}{finding.cure}", columns, indent=hanging, hanging=hanging + len(_LABEL))
+    yield ""
+    yield summary(findings)
+
+
+def summary(findings: Sequence[Finding]) -> str:
+    """How many there are of which sort."""
+    fail, warn = (sum(finding.level == level for finding in findings) for level in ("FAIL", "WARN"))
+    told = listed((f"{fail} failed" if fail else "", counted(warn, "warning") if warn else ""))
+    return f"{counted(len(findings), 'check')}: {told or 'all is well'}"
+
+
+def to_wire(findings: Sequence[Finding]) -> dict[str, Any]:
+    """The findings for scripts."""
+    return {"findings": [asdict(finding) for finding in findings]}
+
+
+def is_well(findings: Sequence[Finding]) -> bool:
+    """Whether no check failed."""
+    return all(finding.level != "FAIL" for finding in findings)

@@ -1,0 +1,235 @@
+"""Whether the network does with UDP what the gate needs, and how soon: seen from packets between two pods.
+
+The policies are the operator's own (controller/desired/gate_policies.py), so that what holds for them holds for an instance's.
+"""
+
+from __future__ import annotations
+
+import time
+import uuid
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+from understudy.api import names
+from understudy.cli.common.kubectl_proxy import Answer
+from understudy.cli.common.pod_session import Session
+from understudy.cli.common.tree_text import rough
+from understudy.cli.doctor.clock_check import Clock, of_session
+from understudy.cli.doctor.findings import Finding
+from understudy.cli.doctor.test_pods import Pods
+from understudy.controller.observed import kube_objects
+from understudy.kube.client import Object
+
+CHECK = "gate"
+
+OPEN_PORT = names.GATE_RANGE[1] + 1
+"""A port that no gate closes."""
+
+WITHIN = 10.0
+"""Seconds that a change of a policy has to be enforced."""
+
+SLOW = 1.0
+"""Seconds from which on it is worth a warning: they are a part of every recovery."""
+
+QUIET = 0.5
+"""Seconds without a packet after which a way counts as closed; the sender makes no longer pauses than a tenth of it."""
+
+BURST = 25.0
+"""Seconds for which is sent at once; each change begins anew, since pauses grow."""
+
+LOOK = 0.05
+"""Seconds between two looks."""
+
+_POLICIES = "docs/how-to/network-policies.md"
+
+
+@dataclass
+class Seen:
+    """What came through. Times are seconds from when the API server was asked; None where that never came to be."""
+
+    nodes: tuple[str, str]
+    before: bool = False
+    """Whether anything did before there was a policy."""
+    established: float | None = None
+    """Until what was being sent came no more."""
+    fresh: bool = True
+    """Whether what began to be sent under the policy came through."""
+    others: bool = False
+    """Whether ports that the policy leaves open stayed so."""
+    opened: float | None = None
+    """Until it came again, with the gate open for the sender."""
+    closed: float | None = None
+    """Until it came no more, with the gate closed again."""
+    lifted: float | None = None
+    """Until it came again, with the policies gone."""
+    clocks: dict[str, Clock] = field(default_factory=dict)
+    """The clocks of the nodes."""
+
+
+def measure(pods: Pods, progress: Callable[[str], None]) -> Seen:
+    """Send through a gate that closes and opens. Raises Unusable."""
+    nodes = (pods.sender["spec"]["nodeName"], pods.receiver["spec"]["nodeName"])
+    with pods.talking(pods.sender) as sender, pods.talking(pods.receiver) as receiver:
+        seen = Seen(nodes)
+        progress("asking their nodes for the time")
+        seen.clocks = {nodes[0]: of_session(sender), nodes[1]: of_session(receiver)}
+        _Measuring(pods, sender, receiver, seen, progress).run()
+        return seen
+
+
+class _Measuring:
+    def __init__(
+        self, pods: Pods, sender: Session, receiver: Session, seen: Seen, progress: Callable[[str], None]
+    ) -> None:
+        self._pods, self._sender, self._receiver, self._seen, self._progress = pods, sender, receiver, seen, progress
+        self._host = pods.receiver["status"]["podIP"]
+        self._uid = kube_objects.uid(pods.sender)
+        self._clock = seen.clocks[seen.nodes[1]]
+
+    def run(self) -> None:
+        """Each step builds on the one before; without that it isn't taken."""
+        seen = self._seen
+        for port in (names.PROBE_PORT, OPEN_PORT):
+            self._receiver.ask("listen", port=port, host="::" if ":" in self._host else "0.0.0.0")
+        self._progress("sending packets without a policy")
+        sent = self._send(OPEN_PORT), self._send(names.PROBE_PORT, self._uid)
+        seen.before = all(
+            self._begins(0.0, port, uid) is not None
+            for port, uid in zip((OPEN_PORT, names.PROBE_PORT), sent, strict=True)
+        )
+        if not seen.before:
+            return
+        self._progress("sending packets to a closed gate")
+        seen.established = self._ends(self._asking(self._pods.fence))
+        seen.fresh = self._begins(0.0, names.PROBE_PORT, self._send(names.PROBE_PORT), within=2 * QUIET) is not None
+        seen.others = self._begins(0.0, OPEN_PORT, self._send(OPEN_PORT), within=5 * QUIET) is not None
+        if seen.fresh:
+            return
+        self._progress("opening the gate")
+        seen.opened = self._begins(self._asking(self._pods.open_gate), names.PROBE_PORT, self._uid)
+        self._progress("closing it again")
+        seen.closed = self._ends(self._asking(self._pods.close_gate))
+        self._progress("taking the policies away")
+        seen.lifted = self._begins(self._asking(self._pods.lift), names.PROBE_PORT, self._uid)
+
+    def _asking(self, write: Callable[[], Answer]) -> float:
+        """Write while packets are being sent; when that was asked for."""
+        self._send(names.PROBE_PORT, self._uid)
+        return write().asked
+
+    def _send(self, port: int, uid: str = "") -> str:
+        """Send for a while, by default as somebody new: from a port that the network hasn't seen; the UID in the packets."""
+        uid = uid or str(uuid.uuid4())
+        self._sender.ask("send", uid=uid, host=self._host, port=port, seconds=BURST)
+        return uid
+
+    def _begins(self, since: float, port: int, uid: str, within: float = WITHIN) -> float | None:
+        """How long after a moment packets came; None where none did."""
+        for heard in self._heard(since, uid, port, within):
+            if heard["first"] is not None:
+                return max(0.0, self._ours(heard["first"]) - since)
+        return None
+
+    def _ends(self, since: float) -> float | None:
+        """How long after a moment the last packet came; None where they went on."""
+        for heard in self._heard(since, self._uid, names.PROBE_PORT, WITHIN):
+            last = heard["last"]
+            if last is not None and heard["now"] - last > QUIET and self._ours(heard["now"]) - since > QUIET:
+                return max(0.0, self._ours(last) - since)
+        return None
+
+    def _heard(self, since: float, uid: str, port: int, within: float) -> Iterator[dict[str, Any]]:
+        end = time.monotonic() + within
+        while time.monotonic() < end:
+            yield self._receiver.ask("heard", uid=uid, port=port, since=since + self._clock.ahead)
+            time.sleep(LOOK)
+
+    def _ours(self, moment: float) -> float:
+        """A moment of the receiver's clock by this machine's."""
+        return moment - self._clock.ahead
+
+
+def judge(seen: Seen) -> list[Finding]:
+    """What was seen, as a person would be told it."""
+    where = f"from {seen.nodes[0]} to {seen.nodes[1]}" if len(set(seen.nodes)) == 2 else f"on {seen.nodes[0]} only"
+    if not seen.before:
+        return [
+            Finding(
+                CHECK,
+                "FAIL",
+                f"UDP doesn't get from one pod to another at all ({where})",
+                "look for a NetworkPolicy that denies it to all pods of this namespace (kubectl get networkpolicy), and allow UDP among "
+                "them: robots and their applications need it. Where there is none, the network between these nodes carries no UDP",
+            )
+        ]
+    if seen.fresh:
+        return [
+            Finding(
+                CHECK,
+                "FAIL",
+                f"NetworkPolicies aren't enforced for UDP ({where}): packets to a gated port got through a closed gate",
+                "two instances could drive a robot. Use a network plugin that enforces egress policies with port ranges: "
+                f"{_POLICIES}",
+            )
+        ]
+    return [*_ways(seen), *_times(seen, where)]
+
+
+def _ways(seen: Seen) -> Iterator[Finding]:
+    if not seen.others:
+        yield Finding(
+            CHECK,
+            "FAIL",
+            "a closed gate also stops UDP to other ports: the engine doesn't know ranges of ports (endPort), or peers by namespaceSelector",
+            f"a standby would hear and discover nothing. Use a network plugin that does: {_POLICIES}",
+        )
+    if seen.established is None:
+        yield Finding(
+            CHECK,
+            "WARN",
+            f"what was being sent before the gate closed still comes {rough(WITHIN)} later; what is sent anew doesn't",
+            "the network goes on with flows that it knows. A failed pod then keeps its way to the robot until it is deleted, which "
+            f"Understudy does right after the switch: {_POLICIES}",
+        )
+
+
+def _times(seen: Seen, where: str) -> Iterator[Finding]:
+    for word, took in (("opened for a pod", seen.opened), ("taken away", seen.lifted)):
+        if took is None:
+            yield Finding(
+                CHECK,
+                "FAIL",
+                f"packets didn't come through within {rough(WITHIN)} after the gate was {word}",
+                f"look at the logs of the network plugin on {seen.nodes[0]} and {seen.nodes[1]}: an understudy would never drive",
+            )
+    if seen.established is not None and seen.closed is None:
+        yield Finding(
+            CHECK,
+            "WARN",
+            f"packets still came {rough(WITHIN)} after an open gate was closed",
+            f"the network goes on with flows that it knows, and a failed pod drives on until it is deleted: {_POLICIES}",
+        )
+    told = {"closed": seen.established, "opened": seen.opened, "closed again": seen.closed, "lifted": seen.lifted}
+    known = {word: took for word, took in told.items() if took is not None}
+    if not known:
+        return
+    slow = max(known.values()) > SLOW
+    words = ", ".join(f"{word} {rough(took)}" for word, took in known.items())
+    yield Finding(
+        CHECK,
+        "WARN" if slow else "OK",
+        f"NetworkPolicies are enforced for UDP ({where}); after the request to the API server: {words}",
+        f"they are a part of every recovery. Give the network plugin's agents more CPU, or use another one: {_POLICIES}"
+        if slow
+        else "",
+    )
+
+
+def to_wire(seen: Seen) -> Object:
+    """For scripts, in seconds."""
+    times = {"closed": seen.established, "opened": seen.opened, "closedAgain": seen.closed, "lifted": seen.lifted}
+    return {
+        "nodes": list(seen.nodes),
+        "seconds": {key: round(took, 4) if took is not None else None for key, took in times.items()},
+    }

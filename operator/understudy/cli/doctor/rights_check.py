@@ -1,0 +1,164 @@
+"""What may be done, by whoever asks and by the operator's account: the API server is asked for each right, and nothing is done."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+from understudy.api import names
+from understudy.cli.common.kubectl_proxy import Api, Refused
+from understudy.cli.doctor.findings import Finding
+from understudy.cli.doctor.installation_check import Installed
+from understudy.controller.desired import monitor_deployment
+from understudy.kube.client import Object
+
+_REVIEWS = "/apis/authorization.k8s.io/v1"
+
+
+@dataclass(frozen=True)
+class Right:
+    """A verb on a resource, and what it is for."""
+
+    group: str
+    resource: str
+    verb: str
+    use: str = ""
+
+    def attributes(self, namespace: str) -> Object:
+        """As a review asks for it."""
+        resource, _, sub = self.resource.partition("/")
+        return {
+            "namespace": namespace,
+            "group": self.group,
+            "resource": resource,
+            "subresource": sub,
+            "verb": self.verb,
+        }
+
+    @property
+    def words(self) -> str:
+        """As a person would ask ``kubectl auth can-i``."""
+        return f"{self.verb} {self.resource}{f'.{self.group}' if self.group else ''}"
+
+
+def _each(group: str, resource: str, verbs: str, use: str) -> list[Right]:
+    return [Right(group, resource, verb, use) for verb in verbs.split()]
+
+
+_POLICIES = "networking.k8s.io"
+
+OURS = (
+    *_each(names.GROUP, "robotworkloads", "get list watch", "status"),
+    *_each(names.GROUP, "fallbackpools", "list", "status"),
+    *_each(names.GROUP, "failurepolicies", "list", "explain"),
+    *_each("", "pods", "list", "explain"),
+    *_each(_POLICIES, "networkpolicies", "list", "status, explain"),
+    *_each(_POLICIES, "networkpolicies", "watch", "status"),
+    *_each("", "events", "list", "explain"),
+    *_each("", "pods/portforward", "create", "tree"),
+    *_each(names.GROUP, "robotworkloads", "patch", "pause, resume, failover, failback"),
+    *_each(_POLICIES, "networkpolicies", "get", "status NAME, fence, doctor"),
+    *_each(_POLICIES, "networkpolicies", "patch", "fence, doctor"),
+    *_each("", "configmaps", "get", "robot-profile"),
+    *_each("", "pods", "get delete", "inject, doctor"),
+    *_each("", "pods/exec", "create", "inject, doctor"),
+    *_each("", "pods/ephemeralcontainers", "patch", "inject partition"),
+    *_each("", "pods/log", "get", "inject partition"),
+    *_each("", "pods", "create", "doctor"),
+    *_each(_POLICIES, "networkpolicies", "create delete", "doctor"),
+)
+"""What the verbs of this command need."""
+
+
+def operators() -> Iterator[Right]:
+    """What the operator needs in a namespace of robots: what it makes there, and what it gives to monitors."""
+    for group, resource, verbs in (
+        (names.GROUP, "robotworkloads", "get list watch"),
+        (names.GROUP, "robotworkloads/status", "patch"),
+        (names.GROUP, "failurepolicies/status", "patch"),
+        (names.GROUP, "fallbackpools/status", "patch"),
+        ("", "events", "create patch"),
+        ("", "pods", "create patch delete"),
+        ("apps", "replicasets", "create patch delete"),
+        ("apps", "deployments", "create patch delete"),
+        (_POLICIES, "networkpolicies", "create patch delete"),
+        ("policy", "poddisruptionbudgets", "create patch delete"),
+        ("", "services", "create patch delete"),
+        ("", "configmaps", "create patch delete"),
+        ("", "secrets", "create patch delete"),
+        ("", "serviceaccounts", "create patch delete"),
+        ("rbac.authorization.k8s.io", "roles", "create patch delete"),
+        ("rbac.authorization.k8s.io", "rolebindings", "create patch delete"),
+    ):
+        yield from _each(group, resource, verbs, "")
+    for kind, item in monitor_deployment.access("robot", source=("ReplicaSet", "robot"), policy=None, pools=["pool"]):
+        if kind == "Role":
+            for rule in item["rules"]:
+                for resource in rule["resources"]:
+                    yield from _each(rule["apiGroups"][0], resource, " ".join(rule["verbs"]), "")
+
+
+def of_this_user(api: Api, namespace: str) -> Finding:
+    """Whether whoever asks may do what this command's verbs do."""
+    check = "your rights"
+    missing = [
+        right
+        for right in OURS
+        if not _allowed(api, "selfsubjectaccessreviews", {"resourceAttributes": right.attributes(namespace)})
+    ]
+    if not missing:
+        return Finding(check, "OK", f"all that the verbs of this command need in {namespace}")
+    told = ", ".join(f"{right.words} (for {right.use})" for right in missing)
+    return Finding(
+        check,
+        "WARN",
+        f"you may not in {namespace}: {told}",
+        "where you need these verbs, ask an administrator for the ClusterRole edit (the chart's *-edit adds to it) in this namespace; "
+        "pods/ephemeralcontainers isn't in it and takes a Role",
+    )
+
+
+def of_the_operator(api: Api, namespace: str, found: Installed) -> Finding:
+    """Whether the operator may do its work in a namespace."""
+    check = "operator's rights"
+    wanted = list(dict.fromkeys(operators()))
+    try:
+        missing = [
+            right
+            for right in wanted
+            if not _allowed(
+                api,
+                "subjectaccessreviews",
+                {"user": found.account, "groups": _groups(found), "resourceAttributes": right.attributes(namespace)},
+            )
+        ]
+    except Refused as refused:
+        if refused.status != 403:
+            raise
+        cure = "have somebody run this who may create subjectaccessreviews, such as a cluster administrator"
+        return Finding(check, "WARN", "it can't be told: you may not ask for another account's rights", cure)
+    if not missing:
+        return Finding(check, "OK", f"{found.account} may do its work in {namespace}")
+    return Finding(
+        check,
+        "FAIL",
+        f"{found.account} may not in {namespace}: {_listed(missing)}",
+        "helm upgrade the chart with rbac.create=true, or give the account what the chart's ClusterRole has; an "
+        "operator for some namespaces only needs it in this one too",
+    )
+
+
+def _allowed(api: Api, review: str, spec: Object) -> bool:
+    body = {"apiVersion": "authorization.k8s.io/v1", "spec": spec}
+    status = api.request("POST", f"{_REVIEWS}/{review}", body).body.get("status") or {}
+    return bool(status.get("allowed"))
+
+
+def _groups(found: Installed) -> list[str]:
+    """The groups that the API server counts an account to."""
+    namespace = found.item["metadata"]["namespace"]
+    return ["system:serviceaccounts", f"system:serviceaccounts:{namespace}", "system:authenticated"]
+
+
+def _listed(rights: Iterable[Right]) -> str:
+    return ", ".join(right.words for right in rights)

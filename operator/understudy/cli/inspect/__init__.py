@@ -1,0 +1,1 @@
+"""Verbs that show how robots are and change nothing: `status`, `explain`, `timeline`, `tree`, `blackbox`."""

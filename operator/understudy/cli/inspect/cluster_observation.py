@@ -1,0 +1,89 @@
+"""What is so around a workload, put together as the operator does it, from what kubectl answers."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from understudy.api import names
+from understudy.cli.common.kubectl import Kubectl
+from understudy.controller.desired import situation_strategies
+from understudy.controller.observed.observation import Observed
+from understudy.controller.pods.expectations import Expectations
+from understudy.controller.reconcile import change_index
+from understudy.controller.reconcile.observer import Observer, Reader
+from understudy.controller.runtime.object_store import Store
+from understudy.controller.status import health_tree_sources
+from understudy.kube.client import CONFIG_MAPS, NETWORK_POLICIES, PODS, POLICIES, POOLS, WORKLOADS, Object, Resource
+
+_KINDS = {
+    "RobotWorkload": WORKLOADS,
+    "FailurePolicy": POLICIES,
+    "FallbackPool": POOLS,
+    "Pod": PODS,
+    "NetworkPolicy": NETWORK_POLICIES,
+    "ConfigMap": CONFIG_MAPS,
+}
+
+
+@dataclass(frozen=True)
+class Around:
+    """A workload with all that is around it."""
+
+    observed: Observed
+    events: Sequence[Object]
+    """The Events on it."""
+    workloads: Sequence[Object] = ()
+    """The workloads of its namespace."""
+    gates: Mapping[str, Object] = field(default_factory=dict)
+    """The NetworkPolicies of its namespace by their names: the gates are among them."""
+
+
+def around(kubectl: Kubectl, name: str) -> Around:
+    """What is so around a workload now. Raises Unusable."""
+    item = kubectl.get(_word(WORKLOADS), name)
+    kinds = (POLICIES, POOLS, WORKLOADS, PODS, NETWORK_POLICIES)
+    items = kubectl.get(",".join(map(_word, kinds)))["items"]
+    policy = change_index.used_policy(item)
+    used = [i for i in items if i["kind"] == "FailurePolicy" and i["metadata"]["name"] == policy]
+    if any(situation_strategies.has_some(i) for i in used):
+        # Which of them is in force depends on which was: the monitor was told.
+        told = kubectl.find(_word(CONFIG_MAPS), names.settings(name))
+        items += [told] if told is not None else []
+    if any(health_tree_sources.reference(i) for i in used):
+        items += kubectl.get(_word(CONFIG_MAPS), "-l", f"{names.HEALTH_TREE}=true")["items"]
+    selector = f"involvedObject.kind=RobotWorkload,involvedObject.name={name}"
+    events = kubectl.get("events", "--field-selector", selector)["items"]
+    others = [one for one in items if one["kind"] == "RobotWorkload"]
+    gates = {one["metadata"]["name"]: one for one in items if one["kind"] == "NetworkPolicy"}
+    return Around(observed_from(item, items, Asked(kubectl)), events, others, gates)
+
+
+def observed_from(item: Object, items: Iterable[Object], reader: Reader) -> Observed:
+    """What is so around a workload by the objects of its namespace; ``reader`` is asked for what isn't among them."""
+    store = Store()
+    for found in items:
+        store.put(_KINDS[found["kind"]], found)
+    return asyncio.run(Observer(reader, store, Expectations()).workload(item))
+
+
+class Asked:
+    """Asks kubectl, which knows the namespace."""
+
+    def __init__(self, kubectl: Kubectl) -> None:
+        self._kubectl = kubectl
+
+    async def find(self, resource: Resource, namespace: str | None, name: str) -> Object | None:
+        """An object, or None where it isn't there."""
+        found: Object | None = self._kubectl.find(_word(resource), name)
+        return found
+
+    async def list(self, resource: Resource, namespace: str | None = None, *, labels: str | None = None) -> Object:
+        """A collection: ``items``."""
+        found: Object = self._kubectl.get(_word(resource), *(["-l", labels] if labels else []))
+        return found
+
+
+def _word(resource: Resource) -> str:
+    return f"{resource.plural}.{resource.group}" if resource.group else resource.plural

@@ -1,0 +1,518 @@
+"""Why a workload is as it is, what a failure now would lead to, and what is missing, in words; pure.
+
+Which strategy could be carried out is found out by the operator's own functions, and so are the reasons why not.
+"""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from understudy.api import names
+from understudy.api.conditions import Condition
+from understudy.api.health_reasons import telling, why
+from understudy.api.kinds.failure_policy import FailurePolicySpec, Strategy, in_force
+from understudy.api.kinds.robot_workload import Recovery, RobotWorkloadSpec, RobotWorkloadStatus
+from understudy.cli.common.recovery_under_way import under_way
+from understudy.cli.common.robots import DRIVEN, UNWATCHED, Problem, Robot, is_told, pool, robot, status_of
+from understudy.cli.common.time_bars import length
+from understudy.cli.common.tree_text import coloured, plain
+from understudy.cli.common.wording import age, listed, wrapped
+from understudy.cli.inspect import limit_text
+from understudy.cli.inspect.cluster_observation import Around
+from understudy.controller.desired import effective_policy, situation_strategies
+from understudy.controller.desired.plan import Images
+from understudy.controller.desired.workload_plan import Understanding, understand
+from understudy.controller.observed import dependency_graph, kube_objects
+from understudy.controller.observed.observation import Observed
+from understudy.controller.observed.pod_diagnosis import trouble
+from understudy.controller.pods import pool_pods as pools
+from understudy.controller.pods import pool_size, standby_pods
+from understudy.controller.status import policy_status, protection
+from understudy.controller.status.protection import Means
+from understudy.kube.client import Object
+from understudy.trees.languages.notations import load_monitoring
+from understudy.trees.source.problems import TreeError
+
+_TOLD = (pool_size.CONDITION, pools.MOVING)
+"""Conditions of a shared pool that are told beside it."""
+
+LATELY = 5
+"""Events that are told."""
+
+
+@dataclass(frozen=True)
+class Known:
+    """All that is looked at: what the status says, and what the cluster has at this moment."""
+
+    observed: Observed
+    understanding: Understanding
+    status: RobotWorkloadStatus
+    said: Robot
+    """As the status has it, and the gate."""
+    protected: Condition
+    """As it is now, by the operator's rules: it may not have said so yet, or be away."""
+    events: Sequence[Object]
+    workloads: Mapping[str, Object] = field(default_factory=dict)
+    """Those of its namespace."""
+    gates: Mapping[str, Object] = field(default_factory=dict)
+    """Their gates, by their own names."""
+
+    @classmethod
+    def of(cls, around: Around) -> Known:
+        """From what is so around a workload. Raises Unusable where its status can't be read."""
+        observed = around.observed
+        understanding = understand(observed, Images(monitor=""))
+        protected = protection.protected(observed, understanding)
+        item = observed.workload
+        others = {kube_objects.name(one): one for one in around.workloads}
+        said = robot(item, observed.gate, observed.now)
+        return cls(observed, understanding, status_of(item), said, protected, around.events, others, around.gates)
+
+    @property
+    def considered(self) -> Sequence[tuple[Strategy, Means]]:
+        """The strategies that count now, in order, each with whether it could be carried out."""
+        return protection.considered(self.observed, self.understanding)
+
+    @property
+    def left_out(self) -> list[str]:
+        """The pools of the policy that nobody counts on while it is well."""
+        counted = {s.pool_ref.name for s, _ in self.considered if s.pool_ref is not None}
+        strategies = effective_policy.strategies(self.observed) if self.policy else []
+        named = [s.pool_ref.name for s in strategies if s.pool_ref is not None]
+        return [name for name in named if name not in counted]
+
+    @property
+    def pools(self) -> list[str]:
+        """The pools that its strategies take an instance from, in order."""
+        counted = [s.pool_ref.name for s, _ in self.considered if s.pool_ref is not None]
+        return list(dict.fromkeys([*counted, *self.left_out]))
+
+    @property
+    def is_watched(self) -> bool:
+        """Whether its monitor runs."""
+        return any(kube_objects.ready(pod) for pod in self.observed.monitors)
+
+    @property
+    def health(self) -> str:
+        """By its monitor, or UNWATCHED."""
+        if not self.is_watched:
+            return UNWATCHED
+        return "Recovering" if self.said.recovering is not None else self.status.health or "Unknown"
+
+    @property
+    def is_well(self) -> bool:
+        """Whether it is protected, and driven as it should be."""
+        return self.protected.status == "True" and self.health in DRIVEN
+
+    @property
+    def spec(self) -> RobotWorkloadSpec | None:
+        """Its spec, where that can be read."""
+        return self.understanding.spec
+
+    @property
+    def policy(self) -> FailurePolicySpec | None:
+        """Its policy with the health tree in force; None where it can't be followed."""
+        if self.spec is None or self.understanding.policy_problem is not None:
+            return None
+        item = self.observed.policies[self.spec.failure_policy_ref.name]
+        return in_force(policy_status.spec(item), item.get("status"))
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """One thing that is told under a heading."""
+
+    text: str
+    state: str = ""
+    """By which its mark is coloured; empty for no mark."""
+    depth: int = 0
+
+    def to_wire(self) -> dict[str, str]:
+        """For scripts: ``state`` is Healthy for a tick, Failed for a cross, Degraded for what has to be looked at, or empty."""
+        return {"text": self.text, "state": self.state}
+
+
+_MARKS = {"Healthy": "✓ ", "Failed": "✗ ", "Degraded": "! ", "": ""}
+
+
+def lines(known: Known, *, columns: int | None, colours: bool) -> Iterator[str]:
+    """All of it."""
+    colour = "Failed" if known.health == UNWATCHED else known.health
+    health = coloured(plain(known.health), colour, colours=colours)
+    yield f"{known.said.namespace}/{known.said.name}  {health}{_for(known)}"
+    for entry in _state(known):
+        yield from _drawn(entry, columns, colours)
+    for heading, entries in _sections(known).items():
+        if entries:
+            yield ""
+            yield heading
+        for entry in entries:
+            yield from _drawn(entry, columns, colours)
+
+
+def for_scripts(known: Known) -> dict[str, Any]:
+    """All of it as plain values: what can be told in fields, and the rest as it is said."""
+    name, _ = kube_objects.active(known.observed.gate)
+    strategies = [
+        {
+            "name": means.name,
+            "available": means.available,
+            "reason": means.reason,
+            "message": means.message,
+            "verifyWithin": strategy.verify_within,
+        }
+        for strategy, means in known.considered
+    ]
+    sections = {"State": list(_state(known)), **_sections(known)}
+    return {
+        "namespace": known.said.namespace,
+        "name": known.said.name,
+        "health": known.health,
+        "protected": known.protected.status == "True",
+        "reason": known.protected.reason,
+        "message": known.protected.message,
+        "active": name,
+        "strategies": strategies,
+        **{_camel(heading): [entry.to_wire() for entry in entries] for heading, entries in sections.items()},
+    }
+
+
+def _sections(known: Known) -> dict[str, list[_Entry]]:
+    """What is told under which heading, in order."""
+    return {
+        "If it failed now": list(_failing(known)),
+        "Dependencies": list(_dependencies(known)),
+        "Pools": list(_pools(known)),
+        "Missing": list(_missing(known)),
+        "Not covered": list(_not_covered(known)),
+        "Lately": list(_lately(known.events, known.observed.now)),
+    }
+
+
+def _camel(heading: str) -> str:
+    first, *others = heading.lower().split()
+    return first + "".join(word.capitalize() for word in others)
+
+
+def _drawn(entry: _Entry, columns: int | None, colours: bool) -> Iterator[str]:
+    mark, indent = _MARKS[entry.state], 2 + 2 * entry.depth
+    first, *others = wrapped(entry.text, columns, indent=indent + len(mark))
+    yield f"{' ' * indent}{coloured(mark, entry.state, colours=colours) if mark else ''}{first.lstrip()}"
+    yield from others
+
+
+# -- how it is --------------------------------------------------------------------------------------------------------
+
+
+def _for(known: Known) -> str:
+    if known.is_watched and known.said.recovering is not None:
+        return f" for {age(known.said.recovering.since, known.observed.now)}"
+    found = telling(known.health, known.said.active, known.status.conditions or [])
+    return f" for {age(found.last_transition_time, known.observed.now)}" if found is not None else ""
+
+
+def _state(known: Known) -> Iterator[_Entry]:
+    """Why it is in this state, and who drives."""
+    status, observed = known.status, known.observed
+    if not known.is_watched:
+        said = f"; the last that was said is {status.health}" if status.health else ""
+        yield _Entry(f"Nobody watches it, so how it is isn't known{said}.")
+    elif known.health != "Healthy":
+        recovering = known.said.recovering
+        reason = recovering.message if recovering else why(known.health, known.said.active, status.conditions or [])
+        yield _Entry(f"{reason.rstrip('.')}.")
+        yield _Entry(f"Its health tree leaf by leaf: understudy tree -n {known.said.namespace} {known.said.name}")
+    name, uid = kube_objects.active(observed.gate)
+    epoch = kube_objects.notes(observed.gate).get(names.EPOCH, "0") if observed.gate is not None else "0"
+    if not name:
+        yield _Entry(f"In control: nobody (gate epoch {epoch}).")
+        return
+    referred = observed.reference.pods if observed.reference is not None else ()
+    pod = next((p for p in (*observed.pods, *referred) if kube_objects.uid(p) == uid), None)
+    since = next((r for r in status.recoveries or [] if r.to_pod == name and r.result == "Recovered"), None)
+    told = [
+        f"In control: {name} {_where(pod)}" if pod is not None else f"In control: {name}, which is gone",
+        f"gate epoch {epoch}",
+        f"since recovery #{since.number}" if since is not None else "",
+    ]
+    yield _Entry(f"{listed(told)}.")
+    if pod is not None and (found := trouble(pod)) is not None:
+        yield _Entry(found.message, "Failed")
+    yield from _situation(known)
+    if admitted := kube_objects.notes(observed.gate).get(names.ADMITTED, "") if observed.gate is not None else "":
+        yield _Entry(f"Let through beside it, for the reflex: {admitted}.")
+
+
+def _situation(known: Known) -> Iterator[_Entry]:
+    """In which of its policy's situations it is, and what is in force by that."""
+    conditions = known.status.conditions or []
+    said = next((one for one in conditions if one.type == situation_strategies.CONDITION), None)
+    if known.policy is None or not known.policy.situations or said is None:
+        return
+    present = known.status.situation
+    told = f"Situation: {present.name} for {age(present.since, known.observed.now)}" if present else "Situation: none"
+    why_ = f" ({present.reason})" if present is not None and present.reason else ""
+    yield _Entry(f"{told}{why_}. {said.message}")
+
+
+def _where(pod: Object) -> str:
+    node = (pod.get("spec") or {}).get("nodeName")
+    return f"on {node}" if node else "on no node"
+
+
+# -- if it failed now -------------------------------------------------------------------------------------------------
+
+
+def _failing(known: Known) -> Iterator[_Entry]:
+    considered = known.considered
+    if not known.is_watched:
+        yield _Entry(
+            "Nobody would notice, and nothing would be done, until its monitor runs (see Missing). It would do this:",
+            "Failed",
+        )
+    elif not considered:
+        yield _Entry(known.protected.message, "Failed")
+        if known.status.strategy:
+            yield _Entry(f"Its monitor goes by what was accepted last, and would use {known.status.strategy}.")
+    yield from _pause(known)
+    before: Strategy | None = None
+    for number, (strategy, means) in enumerate(considered, 1):
+        head = f"{number}. {means.name}"
+        if not means.available:
+            waits = f" It would wait for a pod for up to {strategy.wait_for}." if strategy.wait_for else ""
+            yield _Entry(f"{head} can't be carried out ({means.reason}): {means.message.rstrip('.')}.{waits}", "Failed")
+            continue
+        ready = f": {means.message}" if means.message else ""
+        if before is None:
+            told = f"{head} would be carried out{ready}"
+        else:
+            told = f"{head} is next, if that is not verified within {before.verify_within}{ready}"
+        yield _Entry(f"{told}. {_experience(strategy, known)}", "Healthy")
+        before = strategy
+    if considered and before is None:
+        yield _Entry(
+            "No strategy of its policy could be carried out: the robot would be left without commands.", "Failed"
+        )
+    elif before is not None:
+        yield _Entry(
+            f"If the last isn't verified within {before.verify_within} either, all are tried again after a pause. What isn't "
+            "available in that moment is passed over at once."
+        )
+    if before is not None and known.left_out:
+        yield _Entry(f"Left out: {listed(known.left_out)}, which has standbys only while the robot is degraded.")
+    yield from _otherwise(known, considered)
+
+
+def _pause(known: Known) -> Iterator[_Entry]:
+    """What would put it off."""
+    item, now = known.observed.workload, known.observed.now
+    policy = known.observed.policies.get(known.spec.failure_policy_ref.name) if known.spec is not None else None
+    for text, off in (
+        *limit_text.paused(known.spec, now),
+        *limit_text.spent(known.policy, known.status, item, now),
+        *limit_text.storm(policy),
+        *limit_text.cooling_down(known.policy, known.said, now),
+    ):
+        yield _Entry(text, "Degraded" if off else "")
+
+
+def _experience(strategy: Strategy, known: Known) -> str:
+    """How long it took before."""
+    name = _recorded(strategy, known.observed)
+    took = [
+        r.recovery_seconds
+        for r in known.status.recoveries or []
+        if _is_by(r, name) and r.recovery_seconds is not None and r.result == "Recovered"
+    ]
+    if not took:
+        return "It has not recovered this robot yet."
+    which = "the last time" if len(took) == 1 else f"the median of the last {len(took)} times"
+    return f"It took {length(statistics.median(took))}, {which}."
+
+
+def _is_by(recovery: Recovery, name: str) -> bool:
+    """Whether a strategy has recovered it, also where the robot's reader was there first."""
+    return not recovery.planned and not recovery.follows and recovery.strategy.removesuffix(" (reflex)") == name
+
+
+def _recorded(strategy: Strategy, observed: Observed) -> str:
+    """What a strategy is called in the record of a recovery."""
+    if strategy.pool_ref is None:
+        return strategy.type
+    item = observed.pools.get(strategy.pool_ref.name)
+    return f"{strategy.type}/{policy_status.readiness(item) if item is not None else ''}"
+
+
+def _otherwise(known: Known, considered: Sequence[tuple[Strategy, Means]]) -> Iterator[_Entry]:
+    """What the monitor says, where that is something else: it hears the standbys' agents, this command doesn't."""
+    said = known.status.strategy
+    if not said or not considered or known.health in (UNWATCHED, "Recovering"):
+        return
+    first = next((strategy for strategy, means in considered if means.available), None)
+    found = _recorded(first, known.observed).rpartition("/")[2] if first is not None else "None"
+    if said != found:
+        yield _Entry(
+            f"Its monitor says {said}. It knows more than the pods' readiness, such as whether their agents are connected; in a few "
+            "seconds both should say the same.",
+            "Degraded",
+        )
+
+
+# -- dependencies -----------------------------------------------------------------------------------------------------
+
+_AFTERWARDS = {
+    "Nothing": "nothing is done here",
+    "Reinitialize": "bringUp is run again here",
+    "Restart": "the pod in control here is replaced",
+    "Procedure": "its own procedure is run here",
+}
+
+
+def _dependencies(known: Known) -> Iterator[_Entry]:
+    """What it depends on, how that is, and what depends on it."""
+    for one in known.spec.depends_on if known.spec is not None else ():
+        after = f"once it was recovered, {_AFTERWARDS[one.on_recovery]}"
+        if one.name not in known.workloads:
+            yield _Entry(f"on {one.name}, which is not there; {after}", "Failed")
+            continue
+        status, gate = status_of(known.workloads[one.name]), known.gates.get(names.gate(one.name))
+        recovering = under_way(status, gate, known.observed.now) is not None
+        health = "Recovering" if recovering else status.health or "Unknown"
+        state = "Healthy" if health in DRIVEN else "Failed"
+        yield _Entry(f"on {one.name} ({health}); {after}", state)
+    found = [name for name, one in known.workloads.items() if known.said.name in dependency_graph.named(one)]
+    if found:
+        told = f"On this one: {listed(sorted(found))}. While it isn't healthy, a failure of theirs that may follow from that is held."
+        yield _Entry(told)
+
+
+# -- pools --------------------------------------------------------------------------------------------------------------
+
+
+def _pools(known: Known) -> Iterator[_Entry]:
+    """What the pools have that its policy names."""
+    observed = known.observed
+    for name in known.pools:
+        item = observed.pools.get(name)
+        if item is None or not pools.serves(item, observed.workload):
+            continue  # it is told above
+        if policy_status.readiness(item) == "Uninitialized":
+            yield from _shared(name, item, observed)
+        else:
+            yield from _own(name, item, observed)
+
+
+def _shared(name: str, item: Object, observed: Observed) -> Iterator[_Entry]:
+    held = observed.unclaimed.get(name, ())
+    ready = pools.claimable_now(held, observed.held_policies.get(name))
+    want, claimed = pool_size.size(item), pool(item).claimed
+    taken = f"; {claimed} of its pods {'drives a robot' if claimed == 1 else 'drive robots'}" if claimed else ""
+    yield _Entry(f"{name} (Uninitialized, shared): {len(ready)} of {want} ready{taken}")
+    conditions = (item.get("status") or {}).get("conditions") or []
+    yield from (_Entry(one["message"], depth=1) for one in conditions if one["type"] in _TOLD)
+    taking = {kube_objects.uid(pod) for pod in ready}
+    yield from (_pod(pod) for pod in sorted(held, key=kube_objects.sort_key) if kube_objects.uid(pod) not in taking)
+
+
+def _own(name: str, item: Object, observed: Observed) -> Iterator[_Entry]:
+    found = protection.waiting(observed, item)
+    ready = sum(kube_objects.ready(pod) for pod in found)
+    yield _Entry(
+        f"{name} ({policy_status.readiness(item)}): {ready} ready, {standby_pods.wanted(observed, name)} wanted"
+    )
+    yield from map(_pod, found)
+
+
+def _pod(pod: Object) -> _Entry:
+    found = trouble(pod)
+    why_not = f" ({found.reason})" if found is not None else ""
+    how = (
+        "being deleted" if kube_objects.deleted(pod) else "ready" if kube_objects.ready(pod) else f"not ready{why_not}"
+    )
+    return _Entry(f"{kube_objects.name(pod)} {_where(pod)}: {how}", depth=1)
+
+
+# -- what is missing ----------------------------------------------------------------------------------------------------
+
+
+def _missing(known: Known) -> Iterator[_Entry]:
+    """What isn't as it should be, with the way out that whoever found it has written."""
+    observed = known.observed
+    found = [problem for problem in known.said.problems if problem.type != "Protected"]
+    if known.protected.status != "True":
+        yield _Entry(_unprotected(known), "Failed")
+    refused = known.understanding.problem
+    if refused is not None and not any(problem.type == "Accepted" for problem in found):
+        found.append(Problem(type="Accepted", reason=refused.reason, message=refused.message))
+    for problem in found:
+        state = (
+            "Degraded" if problem.type in ("Degraded", "StateRestored", situation_strategies.CONDITION) else "Failed"
+        )
+        since = f", {age(problem.since, observed.now)}" if problem.since else ""
+        yield _Entry(f"{problem.about} ({problem.reason}{since}): {problem.message}", state)
+    told = [problem.message for problem in found]
+    told += [means.message for _, means in known.considered]
+    for name in known.pools:
+        if name not in observed.pools:
+            continue
+        for problem in pool(observed.pools[name]).problems:
+            if not is_told(problem, told):
+                yield _Entry(f"pool {name} {problem.about} ({problem.reason}): {problem.message}", "Failed")
+                found.append(problem)
+    if known.protected.status == "True" and all(problem.type == "Degraded" for problem in found):
+        yield _Entry("Its protection is complete." if found else "Nothing: its protection is complete.", "Healthy")
+
+
+def _unprotected(known: Known) -> str:
+    """Why it isn't protected, in short where a strategy that can't be carried out has told it already."""
+    found = known.protected
+    said = next((problem for problem in known.said.problems if problem.type == "Protected"), None)
+    since = f", {age(said.since, known.observed.now)}" if said is not None and said.since else ""
+    first = next((means for _, means in known.considered), None)
+    seen = first is not None and not first.available and found.reason == first.reason
+    words = "the first strategy of its policy can't be carried out, see above." if seen else found.message
+    stale = " Its status says that it is: that is a moment old, or the operator isn't running." if said is None else ""
+    return f"not protected ({found.reason}{since}): {words}{stale}"
+
+
+def _not_covered(known: Known) -> Iterator[_Entry]:
+    """What its protection, as it is written, leaves out, and what its monitor found of the outputs' readers that may be meant."""
+    read = next((one for one in known.status.conditions or [] if one.type == "OutputsRead"), None)
+    if known.is_watched and read is not None and read.status != "False" and read.reason != "AtGatedPorts":
+        yield _Entry(read.message)
+    policy, spec = known.policy, known.spec
+    if policy is None or spec is None:
+        return
+    try:
+        watched = {topic.name for topic in load_monitoring(policy.monitoring).topics}
+    except TreeError:
+        return  # it is told above
+    unwatched = [output.topic for output in spec.outputs if output.topic and output.topic not in watched]
+    if unwatched:
+        yield _Entry(f"The health tree doesn't watch {listed(unwatched)}: nobody notices where it falls silent.")
+    if not (policy.state.keep or policy.state.parameters or policy.state.lifecycle):
+        yield _Entry("The policy keeps no state: whatever takes over begins without what the failed instance knew.")
+    if len(known.considered) + len(known.left_out) == 1:
+        yield _Entry("The policy has one strategy: where it isn't verified, there is nothing else to be tried.")
+    if policy.safety is None:
+        yield _Entry(
+            "The policy has no safety commands: until somebody is in control again, the robot is told nothing."
+        )
+
+
+def _lately(events: Sequence[Object], now: float) -> Iterator[_Entry]:
+    """The newest warnings."""
+    warnings = [event for event in events if event.get("type") == "Warning"]
+    for event in sorted(warnings, key=_when, reverse=True)[:LATELY]:
+        count = event.get("count") or 1
+        times = f", {count} times" if count > 1 else ""
+        when = f"{age(_when(event), now)} ago" if _when(event) else "at some time"
+        yield _Entry(f"{when}  {event.get('reason', '')}{times}: {event.get('message', '')}")
+
+
+def _when(event: Object) -> str:
+    found: str = event.get("lastTimestamp") or event.get("eventTime") or event["metadata"].get("creationTimestamp", "")
+    return found

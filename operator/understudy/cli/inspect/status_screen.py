@@ -1,0 +1,240 @@
+"""Robots and pools as one screen of text, as wide as there is room for; pure."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import get_args
+
+from understudy.api.kinds.robot_workload import Health
+from understudy.cli.common import text_tables
+from understudy.cli.common.robots import UNWATCHED, LastRecovery, Pool, Problem, Robot, is_told
+from understudy.cli.common.text_tables import Cell
+from understudy.cli.common.time_bars import length, short
+from understudy.cli.common.tree_text import coloured, plain
+from understudy.cli.common.wording import age, counted, listed, wrapped
+
+MOST_LINES = 3
+"""Lines of a terminal that one problem gets; ``understudy explain`` has all of it."""
+
+NAMELESS = "nobody"
+
+_LONGEST_HEALTH = max(len(health) for health in (*get_args(Health), UNWATCHED))
+"""No column moves when a health changes."""
+
+
+@dataclass(frozen=True)
+class Look:
+    """How it is to be shown."""
+
+    now: float
+    columns: int | None = None
+    """The width of the terminal; None for no bound."""
+    colours: bool = False
+    namespaces: bool = False
+    """Whether to name each one's namespace."""
+    wide: bool = False
+
+
+def lines(robots: Sequence[Robot], pools: Sequence[Pool], look: Look) -> Iterator[str]:
+    """All of it."""
+    yield from _body(robots, pools, look)
+    yield ""
+    yield from wrapped(summary(robots), look.columns, indent=0, hanging=2)
+
+
+def screenful(robots: Sequence[Robot], pools: Sequence[Pool], look: Look, rows: int) -> list[str]:
+    """As much of it as so many rows hold: where that isn't all, what isn't well comes first."""
+    told = list(lines(robots, pools, look))
+    if len(told) <= rows:
+        return told
+    ordered = sorted(robots, key=lambda robot: robot.is_well)
+    head = [*wrapped(summary(robots), look.columns, indent=0, hanging=2), ""]
+    told = [*head, *_body(ordered, pools, look)]
+    hidden = len(told) - (rows - 1)
+    return [*told[: rows - 1], f"… {counted(hidden, 'more line')}: make the window taller, or name some robots"]
+
+
+def _body(robots: Sequence[Robot], pools: Sequence[Pool], look: Look) -> Iterator[str]:
+    yield from _rows(robots, look)
+    if pools:
+        yield ""
+        known = [problem.message for robot in robots for problem in robot.problems]
+        yield from _pools(pools, known, look)
+
+
+def summary(robots: Sequence[Robot]) -> str:
+    """Them all in one line."""
+    unprotected = sum(not robot.protected for robot in robots)
+    healths = Counter(robot.health for robot in robots)
+    told = listed(f"{healths[health]} {health.lower()}" for health in sorted(healths))
+    protected = f"{unprotected} not protected" if unprotected else "all protected"
+    return f"{counted(len(robots), 'robot')}: {protected}; {told}"
+
+
+def in_a_line(robot: Robot) -> str:
+    """One robot with all of its problems, where screens can't be written anew."""
+    told = [
+        f"{robot.namespace}/{robot.name}",
+        robot.health,
+        "protected" if robot.protected else "NOT PROTECTED",
+        f"in control {robot.active or NAMELESS} (epoch {robot.epoch})",
+        f"standby {robot.standby}",
+    ]
+    if robot.last_recovery is not None:
+        told.append(f"last recovery #{robot.last_recovery.number} {_how(robot.last_recovery)}")
+    told += [f"{problem.about} ({problem.reason}): {problem.message}" for problem in robot.problems]
+    return plain("; ".join(told))
+
+
+def _rows(robots: Sequence[Robot], look: Look) -> Iterator[str]:
+    """The widest of the layouts that there is room for, with the problems of each robot under it."""
+    layouts = [_WIDE] if look.wide else [_FULL, _MIDDLE, _NARROW, _NARROWEST]
+    for layout in layouts:
+        rows = [
+            [Cell(head) for head, _ in layout],
+            *([draw(robot, look) for _, draw in layout] for robot in robots),
+        ]
+        if look.namespaces:
+            rows = [
+                [Cell(name), *row]
+                for name, row in zip(["NAMESPACE", *(r.namespace for r in robots)], rows, strict=True)
+            ]
+        if look.wide or look.columns is None or text_tables.width(rows) <= look.columns:
+            head, *told = text_tables.drawn(rows, colours=look.colours)
+            yield head
+            for robot, line in zip(robots, told, strict=True):
+                yield line
+                yield from _told(robot.problems, look)
+            return
+    for robot in robots:
+        yield from _stacked(robot, look)
+
+
+def _stacked(robot: Robot, look: Look) -> Iterator[str]:
+    """A robot in a narrow terminal."""
+    name = f"{robot.namespace}/{robot.name}" if look.namespaces else robot.name
+    yield f"{plain(name)}  {_health(robot, look).drawn(0, colours=look.colours).rstrip()}"
+    told = [
+        "protected" if robot.protected else "NOT PROTECTED",
+        f"in control {_in_control(robot, in_short=True)}",
+        f"standby {robot.standby}",
+        f"last recovery {_last(robot, look.now, _time)}" if robot.last_recovery else "",
+    ]
+    yield from wrapped(listed(told), look.columns, indent=2)
+    yield from _told(robot.problems, look)
+
+
+def _told(problems: Sequence[Problem], look: Look) -> Iterator[str]:
+    for problem in problems:
+        since = f", {age(problem.since, look.now)}" if problem.since else ""
+        head = f"{problem.about} ({problem.reason}{since}):"
+        told = wrapped(f"{head} {problem.message}", look.columns, indent=2, hanging=4)
+        if look.columns is not None and len(told) > MOST_LINES:
+            last = f"{told[MOST_LINES - 1]} "[: look.columns - 2]
+            told = [*told[: MOST_LINES - 1], f"{last.rpartition(' ')[0]} …"]
+        state = "Degraded" if problem.type == "Degraded" else "Failed"
+        yield from (
+            line.replace(head, coloured(head, state, colours=look.colours), 1) if index == 0 else line
+            for index, line in enumerate(told)
+        )
+
+
+def _pools(pools: Sequence[Pool], known: Sequence[str], look: Look) -> Iterator[str]:
+    """A table of them, with what is wrong but for what is ``known`` from a robot: a pool tells its pods' troubles too."""
+    names = [f"{pool.namespace}/{pool.name}" if look.namespaces else pool.name for pool in pools]
+    rows = [
+        [Cell("POOL"), Cell("READINESS"), Cell("READY"), Cell("CLAIMED")],
+        *(
+            [
+                Cell(name),
+                Cell(pool.readiness),
+                Cell(f"{pool.ready}/{pool.desired}", "Failed" if pool.is_short else ""),
+                Cell(str(pool.claimed)),
+            ]
+            for name, pool in zip(names, pools, strict=True)
+        ),
+    ]
+    head, *told = text_tables.drawn(rows, colours=look.colours)
+    if look.columns is not None and text_tables.width(rows) > look.columns:
+        told = [f"pool {name}: {pool.ready} of {pool.desired} ready" for name, pool in zip(names, pools, strict=True)]
+    else:
+        yield head
+    for pool, line in zip(pools, told, strict=True):
+        yield line
+        yield from _told([problem for problem in pool.problems if not is_told(problem, known)], look)
+
+
+def _in_control(robot: Robot, *, in_short: bool = False) -> str:
+    name = robot.active
+    if in_short and name.startswith(f"{robot.name}-"):
+        name = short([name])[name]
+    return f"{name or NAMELESS} ({robot.epoch})"
+
+
+def _health(robot: Robot, look: Look) -> Cell:
+    return Cell(robot.health.ljust(_LONGEST_HEALTH), "Failed" if robot.health == UNWATCHED else robot.health)
+
+
+def _protected(robot: Robot, look: Look) -> Cell:
+    return Cell("yes", "Healthy") if robot.protected else Cell("NO", "Failed")
+
+
+def _last(robot: Robot, now: float, how: Callable[[LastRecovery], str]) -> str:
+    last = robot.last_recovery
+    if last is None:
+        return "none"
+    return listed((how(last), _ended(last, now)))
+
+
+def _ended(last: LastRecovery, now: float) -> str:
+    return f"{age(last.ended, now)} ago" if last.ended else ""
+
+
+def _how(last: LastRecovery) -> str:
+    """The strategy and the time that it took."""
+    if last.result != "Recovered" or last.recovery_seconds is None:
+        return "FAILED" if last.result == "Failed" else last.result.lower()
+    return f"{length(last.recovery_seconds)} by {last.strategy}{' (planned)' if last.planned else ''}"
+
+
+def _time(last: LastRecovery) -> str:
+    return length(last.recovery_seconds) if last.recovery_seconds is not None else _how(last)
+
+
+_Layout = Sequence[tuple[str, Callable[[Robot, Look], Cell]]]
+
+_SHORT: _Layout = [
+    ("ROBOT", lambda robot, look: Cell(robot.name)),
+    ("HEALTH", _health),
+    ("IN CONTROL", lambda robot, look: Cell(_in_control(robot, in_short=True))),
+    ("STANDBY", lambda robot, look: Cell(robot.standby.replace("(", "").replace(")", ""))),
+]
+_LAST: _Layout = [("LAST", lambda robot, look: Cell(_last(robot, look.now, _time)))]
+_WHEN: _Layout = [
+    ("LAST", lambda robot, look: Cell(_ended(robot.last_recovery, look.now) if robot.last_recovery else "none"))
+]
+
+_MIDDLE: _Layout = [*_SHORT[:2], ("PROTECTED", _protected), *_SHORT[2:], *_LAST]
+# Who isn't protected is told by the problems below.
+_NARROW: _Layout = [*_SHORT, *_LAST]
+_NARROWEST: _Layout = [*_SHORT, *_WHEN]
+
+_FULL: _Layout = [
+    ("ROBOT", lambda robot, look: Cell(robot.name)),
+    ("HEALTH", _health),
+    ("PROTECTED", _protected),
+    ("IN CONTROL (EPOCH)", lambda robot, look: Cell(_in_control(robot))),
+    ("STANDBY", lambda robot, look: Cell(robot.standby)),
+    ("LAST RECOVERY", lambda robot, look: Cell(_last(robot, look.now, _how))),
+]
+
+_WIDE: _Layout = [
+    *_FULL,
+    ("RECOVERIES", lambda robot, look: Cell(str(robot.recovery_count))),
+    ("NEXT", lambda robot, look: Cell(robot.strategy or "Unknown")),
+    ("SITUATION", lambda robot, look: Cell(robot.situation or "none")),
+    ("POLICY", lambda robot, look: Cell(robot.policy)),
+    ("AGE", lambda robot, look: Cell(age(robot.created, look.now) if robot.created else "")),
+]

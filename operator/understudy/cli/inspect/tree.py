@@ -1,0 +1,161 @@
+"""``understudy tree NAME``: a workload's live health tree, asked of its monitor; in the terminal, as JSON or in a browser."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import http.client
+import json
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from understudy.api import names
+from understudy.api.output_formats import structured
+from understudy.cli.common import terminal
+from understudy.cli.common.kubectl import Kubectl, Unusable, add_options
+from understudy.cli.common.tree_text import Rates, lines
+
+HEALTHY, NOT_HEALTHY, CANT = 0, 1, 2
+"""Exit statuses."""
+
+PERIOD = 0.5
+"""Seconds between two looks."""
+
+PATIENCE = 20.0
+"""Seconds for which a monitor that doesn't answer is asked again while it is watched: it may be being replaced."""
+
+
+def main(arguments: list[str]) -> int:
+    """Run the command."""
+    given = _parser().parse_args(arguments)
+    try:
+        kubectl = Kubectl(given)
+        if given.web:
+            return _web(kubectl, given.name)
+        if given.watch:
+            return _watch(kubectl, given.name)
+        return _once(kubectl, given.name, given.output)
+    except Unusable as error:
+        print(f"understudy tree: {error}", file=sys.stderr)
+        return CANT
+    except KeyboardInterrupt:
+        return HEALTHY
+
+
+def monitor_pod(kubectl: Kubectl, workload: str) -> str:
+    """The pod of a workload's monitor. Raises Unusable."""
+    kubectl.get("robotworkload", workload)  # says so where there is none of that name
+    selector = f"{names.MONITORED}={workload},{names.COMPONENT}=monitor"
+    pods = kubectl.get("pods", "-l", selector)["items"]
+    running = [pod for pod in pods if _is_ready(pod)]
+    if running:
+        return str(running[0]["metadata"]["name"])
+    if not pods:
+        raise Unusable(
+            f"RobotWorkload {workload} has no monitor; see why: kubectl describe robotworkload {workload}, condition Accepted"
+        )
+    name, phase = pods[0]["metadata"]["name"], pods[0].get("status", {}).get("phase", "Unknown")
+    raise Unusable(f"the monitor of {workload} isn't ready ({phase}); see why: kubectl describe pod {name}")
+
+
+def _is_ready(pod: Mapping[str, Any]) -> bool:
+    conditions = pod.get("status", {}).get("conditions", [])
+    return not pod["metadata"].get("deletionTimestamp") and any(
+        c["type"] == "Ready" and c["status"] == "True" for c in conditions
+    )
+
+
+def asked(port: int, path: str = "/tree", *, what: str = "a live tree") -> dict[str, Any]:
+    """What the monitor says now. Raises Unusable, also where it is too old to have ``what``."""
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=5)
+    try:
+        connection.request("GET", path)
+        answer = connection.getresponse()
+        text = answer.read()
+        if answer.status == 404:
+            raise Unusable(f"the monitor is of a version without {what}; upgrade the operator, which replaces it")
+        found: dict[str, Any] = json.loads(text)
+        return found
+    except (OSError, http.client.HTTPException, ValueError) as error:
+        raise Unusable(f"the monitor doesn't answer: {error}") from error
+    finally:
+        connection.close()
+
+
+def _once(kubectl: Kubectl, workload: str, output: str) -> int:
+    rates = Rates()
+    with kubectl.forwarded(monitor_pod(kubectl, workload), names.METRICS_PORT) as port:
+        state = asked(port)
+        if output == "text":
+            rates.look(state)
+            time.sleep(PERIOD)  # rates are counted between two looks
+            state = asked(port)
+            rates.look(state)
+    if output == "text":
+        print("\n".join(lines(state, rates, colours=terminal.colours(sys.stdout))))
+    else:
+        print(structured(state, output))
+    return HEALTHY if state["health"] == "Healthy" else NOT_HEALTHY
+
+
+def _watch(kubectl: Kubectl, workload: str) -> int:
+    """Draw it again and again. A monitor that is replaced meanwhile is found again."""
+    screen, colours = sys.stdout.isatty(), terminal.colours(sys.stdout)
+    rates, health = Rates(), ""
+    answered = time.monotonic()
+    try:
+        with terminal.screen(sys.stdout) if screen else contextlib.nullcontext():
+            while True:
+                try:
+                    with kubectl.forwarded(monitor_pod(kubectl, workload), names.METRICS_PORT) as port:
+                        while True:
+                            state = asked(port)
+                            answered = time.monotonic()
+                            rates.look(state)
+                            health = state["health"]
+                            _draw(list(lines(state, rates, colours=colours)), screen)
+                            time.sleep(PERIOD)
+                except Unusable as error:
+                    if time.monotonic() - answered > PATIENCE:
+                        raise
+                    _draw([f"{error}; asking again"], screen)
+                    time.sleep(1)
+    except (KeyboardInterrupt, BrokenPipeError):
+        return HEALTHY if health == "Healthy" else NOT_HEALTHY
+
+
+def _draw(told: Sequence[str], screen: bool) -> None:
+    if screen:
+        terminal.draw(sys.stdout, told)
+    else:
+        print("\n".join(told), end="\n\n", flush=True)
+
+
+def _web(kubectl: Kubectl, workload: str) -> int:
+    with kubectl.forwarded(monitor_pod(kubectl, workload), names.METRICS_PORT) as port:
+        print(f"http://127.0.0.1:{port}/ shows it until Ctrl-C.", flush=True)
+        with contextlib.suppress(KeyboardInterrupt):
+            while True:
+                time.sleep(PERIOD)
+                asked(port)
+    return HEALTHY
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="understudy tree",
+        description="Shows the live health tree of a RobotWorkload, as its monitor judges it: how each node is, how often its topic "
+        "comes, and why it isn't healthy. Needs kubectl and the right to forward ports to pods. It acts on nothing.",
+        epilog="Exit status: 0 where the workload is healthy, 1 where it isn't, 2 where it can't be told.",
+    )
+    parser.add_argument("name", metavar="NAME", help="the RobotWorkload")
+    how = parser.add_mutually_exclusive_group()
+    how.add_argument("-w", "--watch", action="store_true", help="go on until Ctrl-C")
+    how.add_argument(
+        "-o", "--output", choices=["text", "json", "yaml"], default="text", help="text, or everything as JSON or YAML"
+    )
+    how.add_argument("--web", action="store_true", help="serve the monitor's own page on this machine until Ctrl-C")
+    add_options(parser)
+    return parser

@@ -1,0 +1,138 @@
+"""What a pool of some size means for its robots: risks, waiting, cost and the down-time that it saves."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from understudy.advice import monte_carlo, paper_model, shortage_risk
+from understudy.advice.demand import Demand
+from understudy.cli.simulate.unusable import Unusable
+
+
+@dataclass(frozen=True)
+class Question:
+    """What is asked. Times in seconds."""
+
+    robots: int
+    failures_per_robot_hour: float
+    recovery: float
+    """Down-time of a robot that finds a fallback."""
+    refill: float
+    """Until another fallback waits in place of a used one."""
+    restart: float
+    """Down-time of a robot that goes without."""
+    cpu: float
+    """Of a waiting fallback, as a share of a working one's."""
+
+    @property
+    def demand(self) -> Demand:
+        """The failures and how long each takes a fallback away."""
+        return Demand(self.robots, self.failures_per_robot_hour, self.refill)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A pool's risks and cost by the formulas."""
+
+    fallbacks: int
+    window: float
+    loss: float
+    waiting: float
+    wait: float
+    """Mean seconds of all failures, where they wait; infinite where they come faster than refills."""
+    cpu: float
+    """Added CPU as a share of what all robots' working instances use."""
+    down: float
+    """Mean down-time of a failure in seconds, where one that finds no fallback is restarted."""
+
+
+@dataclass(frozen=True)
+class Size:
+    """The answer."""
+
+    question: Question
+    outcome: Outcome
+    risk: float | None
+    """The risk that was asked for."""
+    risk_of: str
+    needed: dict[str, int]
+    """By measure, the fewest fallbacks for that risk; empty where none was asked for."""
+    trial: monte_carlo.Trials
+    paper: paper_model.Argument
+
+    @property
+    def gained(self) -> float:
+        """Seconds of down-time per robot and hour that the pool saves against restarts alone."""
+        return (self.question.restart - self.outcome.down) * self.question.failures_per_robot_hour
+
+    def data(self) -> dict[str, Any]:
+        """As JSON takes it: what is infinite is null. Seconds, and probabilities and shares from 0 to 1."""
+        found = {
+            "question": asdict(self.question),
+            "offered": self.question.demand.offered,
+            "risk": self.risk,
+            "risk_of": self.risk_of if self.risk is not None else None,
+            "needed": self.needed or None,
+            "outcome": asdict(self.outcome),
+            "down_time_gained_per_robot_hour": self.gained,
+            "trial": asdict(self.trial),
+            "paper": asdict(self.paper) | {"chance": self.paper.chance, "interval": paper_model.INTERVAL},
+        }
+        finite: dict[str, Any] = _finite(found)
+        return finite
+
+
+def outcome(question: Question, fallbacks: int) -> Outcome:
+    """What so many fallbacks mean."""
+    offered = question.demand.offered
+    loss = shortage_risk.lost(offered, fallbacks)
+    return Outcome(
+        fallbacks=fallbacks,
+        window=shortage_risk.crowded(offered, fallbacks),
+        loss=loss,
+        waiting=shortage_risk.waits(offered, fallbacks),
+        wait=shortage_risk.wait(offered, fallbacks, question.refill),
+        cpu=fallbacks * question.cpu / question.robots,
+        down=(1 - loss) * question.recovery + loss * question.restart,
+    )
+
+
+def sized(question: Question, fallbacks: int | None, risk: float | None, risk_of: str) -> Size:
+    """The answer for a number of fallbacks, or for the fewest that are enough for a risk.
+
+    Raises Unusable where no number is.
+    """
+    needed = {}
+    if fallbacks is None:
+        assert risk is not None, "one of them is asked for"
+        try:
+            needed = {
+                measure: shortage_risk.enough(measure, question.demand.offered, risk)
+                for measure in shortage_risk.MEASURES
+            }
+        except ValueError as error:
+            raise Unusable(f"--risk: {error}") from error
+        fallbacks = needed[risk_of]
+    demand = question.demand
+    return Size(
+        question=question,
+        outcome=outcome(question, fallbacks),
+        risk=risk,
+        risk_of=risk_of,
+        needed=needed,
+        trial=monte_carlo.tried(demand, fallbacks, paper_model.INTERVAL),
+        paper=paper_model.argued(demand.rate, question.refill, fallbacks),
+    )
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {_camel(key): _finite(inner) for key, inner in value.items()}
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _camel(name: str) -> str:
+    first, *others = name.split("_")
+    return first + "".join(other.capitalize() for other in others)

@@ -1,0 +1,152 @@
+"""``understudy recommend FILE...``: which strategies, in which order, a policy's requirements come to, and what each would cost."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import get_args
+
+from understudy.advice import order_explanation
+from understudy.advice.strategy_figures import Figure, Way
+from understudy.api.kinds.fallback_pool import Readiness
+from understudy.api.kinds.requirements_spec import Level
+from understudy.api.output_formats import structured
+from understudy.cli.check import command as running
+from understudy.cli.check import manifest_reader, object_check
+from understudy.cli.check.manifest_reader import Manifest
+from understudy.cli.common import kubectl, option_rules, terminal
+from understudy.cli.plan import strategy_table
+from understudy.cli.plan.recommendation import recommended
+from understudy.cli.plan.size import share
+from understudy.cli.plan.text_wrap import fitted
+from understudy.cli.simulate import picture_files
+from understudy.cli.simulate.unusable import Unusable
+from understudy.kube.client import Object
+
+DONE, NOT_MET, CANT = 0, 1, 2
+"""Exit statuses."""
+
+_REQUIREMENTS = ("safety", "availability", "resource-usage", "task-criticality")
+
+
+def main(arguments: list[str]) -> int:
+    """Run the command; what came of it goes to standard output."""
+    parser = _parser()
+    given = parser.parse_args(arguments)
+    for option in ("--namespace", "--context", "--kubeconfig"):
+        option_rules.only(
+            parser, given, not given.no_cluster, option, "says where in a cluster to look: leave out --no-cluster"
+        )
+    try:
+        if given.plot is not None:
+            picture_files.usable(given.plot)
+        manifests = _read(given.files)
+        levels = {_camel(name): level for name in _REQUIREMENTS if (level := getattr(given, name.replace("-", "_")))}
+        found = recommended(manifests, given.workload, levels, dict(given.cpu), _recorded(given, manifests))
+        if given.plot is not None and len(found) > 1:
+            names = ", ".join(one.workload.name for one in found)
+            raise Unusable(f"--plot: one workload is drawn, and there are {names}: choose one by --workload")
+        if given.output == "text":
+            print(fitted("\n\n".join(strategy_table.told(one) for one in found), terminal.columns(sys.stdout)))
+        else:
+            print(structured([one.data() for one in found], given.output))
+        if given.plot is not None:
+            from understudy.cli.plan import tradeoff_plot
+
+            tradeoff_plot.draw(given.plot, found[0])
+    except (Unusable, running.Unusable, kubectl.Unusable) as error:
+        print(f"understudy recommend: {error}", file=sys.stderr)
+        return CANT
+    return NOT_MET if any(order_explanation.unmet(one.order) for one in found) else DONE
+
+
+def _read(files: Sequence[str]) -> list[Manifest]:
+    """The objects of our kinds in some files. Raises Unusable."""
+    manifests: list[Manifest] = []
+    for file, content in dict(entry for one in dict.fromkeys(files) for entry in running.contents(one)).items():
+        read, findings = manifest_reader.read(file, content)
+        if wrong := [str(finding) for finding in findings if finding.severity == "error"]:
+            raise Unusable("the files can't be read\n" + "\n".join(wrong))
+        manifests += (one for one in read if object_check.is_ours(one))
+    return manifests
+
+
+def _recorded(given: argparse.Namespace, manifests: Sequence[Manifest]) -> dict[tuple[str, str], Object]:
+    """The workloads as a cluster has them, by the namespace that their files give and their name; none where no cluster is known.
+
+    Raises kubectl's Unusable where one was asked for and doesn't answer.
+    """
+    asked = any((given.context, given.kubeconfig, given.namespace))
+    known = os.environ.get("KUBECONFIG") or (Path.home() / ".kube" / "config").is_file()
+    if given.no_cluster or not (asked or known):
+        return {}
+    found: dict[tuple[str, str], Object] = {}
+    try:
+        for namespace in sorted({one.namespace for one in manifests if one.kind == "RobotWorkload"}):
+            asking = kubectl.Kubectl(argparse.Namespace(**{**vars(given), "namespace": namespace or given.namespace}))
+            for item in asking.get("robotworkloads")["items"]:
+                found[(namespace, item["metadata"]["name"])] = item
+    except kubectl.Unusable as error:
+        if asked:
+            raise
+        print(
+            f"understudy recommend: the recoveries in the cluster aren't taken into account: {error}", file=sys.stderr
+        )
+    return found
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="understudy recommend",
+        description="Says for each RobotWorkload which strategies its FailurePolicy's requirements come to, in which order and why, with "
+        "the pools that serve it: how soon each recovers and what CPU it keeps waiting. Recoveries that are recorded in the cluster, or in "
+        "the files as kubectl writes them, count as measured, from three by the same strategy on. Else published figures are taken, and it "
+        "is said so. It changes nothing.",
+        epilog="Exit status: 0, or 1 where what is required can't be had, or 2 where it can't be done as asked for. The rules and the "
+        "figures are in docs/choosing.md.",
+    )
+    parser.add_argument(
+        "files",
+        nargs="+",
+        metavar="FILE",
+        help="manifests of workloads, their policies and their pools: a file, a folder (its *.yaml and *.yml), or - for standard input",
+    )
+    parser.add_argument("--workload", metavar="NAME", help="only for this one")
+    for name in _REQUIREMENTS:
+        parser.add_argument(f"--{name}", choices=get_args(Level), help=f"{_camel(name)} instead of the policy's")
+    parser.add_argument(
+        "--cpu",
+        type=_share,
+        action="append",
+        default=[],
+        metavar="READINESS=SHARE",
+        help="CPU that a waiting instance was measured to use, as a share of a working one's, such as Initialized=0.4",
+    )
+    parser.add_argument("--plot", metavar="FILE.png", help="draw time against CPU (needs the extra understudy[plots])")
+    parser.add_argument("-o", "--output", choices=("text", "json", "yaml"), default="text", help="how it is printed")
+    parser.add_argument("-n", "--namespace", help="namespace in the cluster of workloads whose files name none")
+    parser.add_argument("--context", help="the kubeconfig's context")
+    parser.add_argument("--kubeconfig", help="the kubeconfig")
+    parser.add_argument("--no-cluster", action="store_true", help="don't look for recoveries in a cluster")
+    return parser
+
+
+def _share(text: str) -> tuple[Way, Figure]:
+    name, _, number = text.partition("=")
+    readiness: Iterator[Readiness] = (one for one in get_args(Readiness) if one == name)
+    found = next(readiness, None)
+    value = share(number)
+    if found is None or not (math.isfinite(value) and value >= 0):
+        raise argparse.ArgumentTypeError(
+            f"found {text!r:.50}; give one of {', '.join(get_args(Readiness))} with a share, such as Initialized=0.4 or Initialized=40%"
+        )
+    return found, Figure(value, "given")
+
+
+def _camel(name: str) -> str:
+    first, *others = name.split("-")
+    return first + "".join(other.capitalize() for other in others)

@@ -1,0 +1,75 @@
+"""Draws risk against cost: what each further fallback buys."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from understudy.cli.plan.pool_sizes import Size, outcome
+from understudy.cli.plan.size_text import percent
+from understudy.cli.simulate.unusable import Unusable
+
+_LEAST = 1e-4
+"""The lowest risk that is drawn."""
+
+_COLOURS = {"waiting": "#1f5fa8", "loss": "#b3261e", "window": "#5c8a3a"}
+_WORDS = {
+    "waiting": "has to wait for a fallback (Erlang C)",
+    "loss": "finds no fallback (Erlang B)",
+    "window": "more failures than fallbacks within a refill",
+}
+
+
+def draw(file: str, size: Size) -> None:
+    """Draw it into a file. Raises Unusable where it can't be written."""
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import FuncFormatter
+
+    question, chosen = size.question, size.outcome.fallbacks
+    counts = range(_last(size) + 1)
+    outcomes = [outcome(question, count) for count in counts]
+    figure = Figure(figsize=(9.0, 5.2), dpi=150, layout="constrained")
+    axes: Any = figure.subplots()
+    for measure, words in _WORDS.items():
+        values = [getattr(one, measure) for one in outcomes]
+        here = getattr(size.outcome, measure)
+        label = f"{words}: {percent(here)} with {chosen}"
+        axes.plot(counts, values, color=_COLOURS[measure], marker="o", markersize=3.5, linewidth=1.4, label=label)
+        axes.plot([chosen], [here], color=_COLOURS[measure], marker="o", markersize=8)
+    if size.risk is not None:
+        axes.axhline(size.risk, color="#555555", linewidth=1.0, linestyle=(0, (4, 3)))
+        axes.annotate(
+            f"asked for: {percent(size.risk)}", (counts[-1], size.risk), xytext=(0, 4), textcoords="offset points",
+            ha="right", fontsize=8.5, color="#555555",
+        )  # fmt: skip
+    axes.set_yscale("log")
+    axes.set_ylim(_LEAST, 1.3)
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: percent(value)))
+    axes.set_xlim(-0.02 * counts[-1], counts[-1] * 1.02)
+    axes.xaxis.get_major_locator().set_params(integer=True)
+    axes.set_xlabel("fallbacks in the pool")
+    axes.set_ylabel("chance, of a failure or a window")
+    if step := question.cpu / question.robots * 100:
+        costs = axes.secondary_xaxis("top", functions=(lambda x: x * step, lambda x: x / step))
+        costs.set_xlabel("added CPU, % of what the robots' instances use")
+    axes.set_title(
+        f"{question.robots} robots, failures per robot and hour: {question.failures_per_robot_hour:g}, refilled in {question.refill:g} s",
+        loc="left", fontsize=11, fontweight="bold",
+    )  # fmt: skip
+    axes.grid(axis="both", color="#dddddd", linewidth=0.6)
+    axes.set_axisbelow(True)
+    axes.axvline(chosen, color="#999999", linewidth=0.8)
+    axes.spines["right"].set_visible(False)
+    axes.legend(loc="lower left", frameon=False, fontsize=9)
+    try:
+        figure.savefig(file)
+    except OSError as error:
+        raise Unusable(f"--plot: {file} can't be written: {error.strerror}; give another file") from error
+
+
+def _last(size: Size) -> int:
+    """As far as risks are worth drawing: until all are too low to be."""
+    count = max(4, size.outcome.fallbacks, math.ceil(size.question.demand.offered))
+    while outcome(size.question, count).waiting > _LEAST and count < 100_000:
+        count += max(1, count // 20)
+    return count

@@ -1,0 +1,207 @@
+"""The data as CSV: what spreadsheets and pandas read, with whole seconds and all their digits; pure."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, fields
+
+from understudy.api.kinds.robot_workload import Moments
+from understudy.cli.common.robots import Robot
+from understudy.cli.common.time_bars import NAMES
+from understudy.cli.inspect.recovery_text import parts_of
+from understudy.cli.report.prometheus_figures import Count, Measured, Pool, Time
+from understudy.cli.report.recovery_records import Course, Entry, Findings, Group, Span
+from understudy.cli.report.reserved_resources import ROLES, Share
+from understudy.failover.progress import rfc3339
+
+Value = str | int | float | bool | None
+Row = Mapping[str, Value]
+
+_FORMULA = ("=", "+", "-", "@", "\t", "\r")
+"""What a spreadsheet takes for a formula where a text begins with it."""
+
+
+def sheets(findings: Findings, measured: Measured | None = None) -> dict[str, str]:
+    """By the names of their files; those of a Prometheus too, where one was asked."""
+    told = {
+        "recoveries.csv": _written([_recovery(entry) for entry in findings.entries], _recovery_columns()),
+        "robots.csv": _written([_robot(course, findings.period) for course in findings.courses], _ROBOT),
+        "strategies.csv": _written([_strategy(group) for group in findings.groups], _STRATEGY),
+        "reserved.csv": _written([row for share in findings.shares for row in _reserved(share)], _RESERVED),
+    }
+    if measured is not None:
+        times = [_time(time) for time in measured.times]
+        bounds = sorted({bound for time in measured.times for bound in time.histogram.bounds})
+        told["prometheus-recoveries.csv"] = _written([asdict(count) for count in measured.counts], _COUNT)
+        told["prometheus-times.csv"] = _written(times, [*_TIME, *(_upto(bound) for bound in bounds)])
+        told["prometheus-pools.csv"] = _written([_pool(pool) for pool in measured.pools], _POOL)
+    return told
+
+
+def _written(rows: Sequence[Row], columns: Sequence[str]) -> str:
+    out = io.StringIO()
+    writer = csv.DictWriter(out, columns, lineterminator="\r\n")
+    writer.writeheader()
+    writer.writerows({name: _cell(value) for name, value in row.items()} for row in rows)
+    return out.getvalue()
+
+
+def _cell(value: Value) -> str:
+    """A text that begins as a formula does is given an apostrophe: names and messages are chosen by others."""
+    if isinstance(value, str):
+        return f"'{value}" if value.startswith(_FORMULA) else value
+    if isinstance(value, bool):
+        return str(value).lower()
+    return "" if value is None else repr(round(value, 6))
+
+
+def _recovery_columns() -> list[str]:
+    return [
+        *("namespace", "robot", "number", "id", "began", "result", "strategy", "planned", "switchover", "resumed"),
+        *("from_pod", "to_pod", "epoch", *(f"{part}_seconds" for part in NAMES)),
+        *("recovery_seconds", "held_seconds", "down_seconds", "gap_seconds", "reason", "attempts"),
+        *Moments.model_fields,
+    ]
+
+
+def _recovery(entry: Entry) -> Row:
+    recovery = entry.recovery
+    return {
+        "namespace": entry.namespace,
+        "robot": entry.name,
+        "number": recovery.number,
+        "id": recovery.id,
+        "began": rfc3339(entry.began),
+        "result": recovery.result,
+        "strategy": recovery.strategy,
+        "planned": recovery.planned,
+        "switchover": recovery.switchover,
+        "resumed": recovery.resumed,
+        "from_pod": recovery.from_pod,
+        "to_pod": recovery.to_pod,
+        "epoch": recovery.epoch,
+        **{f"{part}_seconds": seconds for part, seconds in parts_of(recovery).items()},
+        "recovery_seconds": recovery.recovery_seconds,
+        "held_seconds": entry.held,
+        "down_seconds": entry.down,
+        "gap_seconds": entry.gap,
+        "reason": recovery.reason,
+        "attempts": json.dumps([attempt.to_wire() for attempt in recovery.attempts]),
+        **recovery.moments.model_dump(),
+    }
+
+
+_ROBOT = (
+    *("namespace", "robot", "policy", "health", "protected", "problems", "period_begin", "period_end"),
+    *(
+        "known_begin",
+        "known_end",
+        "recoveries_ever",
+        "recoveries_kept",
+        "recoveries",
+        "failures",
+        "recovered",
+        "failed",
+    ),
+    *("down_seconds", "down_at_least", "availability"),
+)
+
+
+def _robot(course: Course, period: Span) -> Row:
+    robot, known = course.robot, course.known
+    return {
+        "namespace": robot.namespace,
+        "robot": robot.name,
+        "policy": robot.policy,
+        "health": robot.health,
+        "protected": robot.protected,
+        "problems": _problems(robot),
+        "period_begin": rfc3339(period.begin),
+        "period_end": rfc3339(period.end),
+        "known_begin": rfc3339(known.begin) if known else None,
+        "known_end": rfc3339(known.end) if known else None,
+        "recoveries_ever": course.ever,
+        "recoveries_kept": course.kept,
+        "recoveries": len(course.entries),
+        "failures": sum(entry.of_failure for entry in course.entries),
+        "recovered": sum(entry.recovered for entry in course.entries),
+        "failed": sum(entry.failed for entry in course.entries),
+        "down_seconds": course.down if known else None,
+        "down_at_least": course.down_at_least,
+        "availability": course.availability,
+    }
+
+
+def _problems(robot: Robot) -> str:
+    return json.dumps([problem.to_wire() for problem in robot.problems])
+
+
+_STRATEGY = (
+    *("strategy", "count", *(f"{part}_mean_seconds" for part in NAMES)),
+    *("mean_seconds", "p50_seconds", "p95_seconds", "least_seconds", "greatest_seconds"),
+)
+
+
+def _strategy(group: Group) -> Row:
+    spread = group.spread
+    return {
+        "strategy": group.name,
+        "count": spread.count,
+        **{f"{part}_mean_seconds": seconds for part, seconds in group.parts.items()},
+        "mean_seconds": spread.mean,
+        "p50_seconds": spread.p50,
+        "p95_seconds": spread.p95,
+        "least_seconds": spread.least,
+        "greatest_seconds": spread.greatest,
+    }
+
+
+_RESERVED = ("strategy", "count", "role", "cpu_cores", "memory_bytes")
+
+
+def _reserved(share: Share) -> Iterator[Row]:
+    for role, amounts in share.roles.items():
+        values = {"cpu_cores": amounts.cpu, "memory_bytes": amounts.memory}
+        yield {"strategy": share.name, "count": share.count, "role": ROLES[role], **values}
+
+
+_COUNT = tuple(field.name for field in fields(Count))
+
+_TIME = ("strategy", "part", "count", "mean_seconds", "p50_seconds", "p95_seconds", "p99_seconds")
+
+
+def _time(time: Time) -> Row:
+    """With how many were at most as long as each bound of the histogram, by the bound."""
+    histogram = time.histogram
+    return {
+        "strategy": time.strategy,
+        "part": time.part,
+        "count": histogram.count,
+        "mean_seconds": histogram.mean,
+        "p50_seconds": histogram.quantile(0.5),
+        "p95_seconds": histogram.quantile(0.95),
+        "p99_seconds": histogram.quantile(0.99),
+        **{_upto(bound): round(count) for bound, count in zip(histogram.bounds, histogram.counts, strict=True)},
+    }
+
+
+def _upto(bound: float) -> str:
+    return f"upto_{bound:g}_seconds"
+
+
+_POOL = ("namespace", "pool", "desired", "least_ready", "mean_ready", "most_claimed", "most_waiting")
+
+
+def _pool(pool: Pool) -> Row:
+    return {
+        "namespace": pool.namespace,
+        "pool": pool.name,
+        "desired": pool.desired,
+        "least_ready": pool.least_ready,
+        "mean_ready": pool.mean_ready,
+        "most_claimed": pool.most_claimed,
+        "most_waiting": pool.most_waiting,
+    }

@@ -1,0 +1,223 @@
+"""What a Prometheus has of the period: all recoveries in it, also those of which no status has a record any more.
+
+It knows how many there were and how long they took, by strategy, and not one by one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from understudy.cli.common.time_bars import NAMES
+from understudy.cli.report import promql
+from understudy.cli.report.histograms import Histogram
+from understudy.cli.report.prometheus_client import Prometheus, Series
+from understudy.cli.report.recovery_records import Span
+
+LOOKS = 240
+"""Steps of what is drawn over time."""
+
+WHOLE = "whole"
+"""What the recovery time itself is called beside its parts."""
+
+Key = tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Count:
+    """How many there were of one kind."""
+
+    kind: str
+    """Recovery, Switchover, or Held: a failure that wasn't recovered at once."""
+    how: str
+    """By which strategy, by whom, or by what."""
+    result: str
+    count: int
+
+
+class Time(NamedTuple):
+    """How long one part took, by strategy."""
+
+    strategy: str
+    part: str
+    """One of the four, or :data:`WHOLE`."""
+    histogram: Histogram
+
+
+class Step(NamedTuple):
+    """How long something else took."""
+
+    name: str
+    histogram: Histogram
+
+
+@dataclass(frozen=True)
+class Pool:
+    """A pool over the period. Its pods are those that aren't claimed, where it doesn't say otherwise."""
+
+    namespace: str
+    name: str
+    desired: float
+    """At the end."""
+    least_ready: float
+    mean_ready: float
+    most_claimed: float
+    most_waiting: float
+    """Robots that waited for one of its pods."""
+    ready: Sequence[tuple[float, float]]
+    """Moments with how many were ready then."""
+    wanted: Sequence[tuple[float, float]]
+    """Moments with how many there should have been."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """All of it."""
+
+    url: str
+    period: Span
+    seen: Sequence[float]
+    """The moments, of those that were asked for, at which monitors of these robots were told of."""
+    asked: int
+    """How many moments that were."""
+    step: float
+    """Seconds from one to the next."""
+    counts: Sequence[Count] = ()
+    times: Sequence[Time] = ()
+    steps: Sequence[Step] = ()
+    pools: Sequence[Pool] = ()
+    recovered: int | None = None
+    """By how many recoveries the operator's own count grew, planned ones among them; None where it isn't told."""
+
+    @property
+    def strategies(self) -> Sequence[str]:
+        """Those that recovered something, the slowest first, as in the paper."""
+        mean = {time.strategy: time.histogram.mean for time in self.times if time.part == WHOLE}
+        return sorted({time.strategy for time in self.times}, key=lambda one: (-mean.get(one, 0.0), one))
+
+    def of(self, strategy: str) -> Mapping[str, Histogram]:
+        """How long each part took by one of them."""
+        found = {time.part: time.histogram for time in self.times if time.strategy == strategy}
+        return {part: found[part] for part in (*NAMES, WHOLE) if part in found}
+
+    def counted(self, *kinds: str, result: str | None = None) -> int:
+        """How many there were of these kinds."""
+        return sum(c.count for c in self.counts if c.kind in kinds and result in (None, c.result))
+
+    def named(self, pool: Pool) -> str:
+        """A pool's name, with its namespace where there are several."""
+        several = len({one.namespace for one in self.pools}) > 1
+        return f"{pool.namespace}/{pool.name}" if several else pool.name
+
+    @property
+    def missed(self) -> int:
+        """Recoveries that the operator counted and no monitor's series has."""
+        return max(0, (self.recovered or 0) - self.counted("Recovery", "Switchover"))
+
+
+def measured(prometheus: Prometheus, period: Span, *, namespace: str | None, names: Sequence[str] = ()) -> Measured:
+    """Ask for it, of all namespaces and all robots where none are named. Raises Unusable."""
+    where, end = promql.selector(namespace, names), period.end
+
+    def query(expression: str) -> Sequence[Series]:
+        return prometheus.query(expression, end)
+
+    def came(labels: str, metric: str) -> dict[Key, float]:
+        return _by(query(promql.came_to(labels, metric, where, period)), labels)
+
+    def histograms(labels: str, metric: str) -> dict[Key, Histogram]:
+        sums = came(labels, f"{metric}_sum")
+        below: dict[Key, dict[float, float]] = {}
+        for key, count in came(", ".join(part for part in (labels, "le") if part), f"{metric}_bucket").items():
+            below.setdefault(key[:-1], {})[float(key[-1])] = count
+        found = {key: Histogram.of(counts, sums.get(key, 0.0)) for key, counts in sorted(below.items())}
+        return {key: histogram for key, histogram in found.items() if histogram is not None}
+
+    step = period.length / LOOKS
+    alive = prometheus.range(f"count({promql.ALIVE}{where})", period.begin, end, step)
+    whole = histograms("strategy", "understudy_recovery_seconds")
+    parts = histograms("strategy, part", "understudy_recovery_part_seconds")
+    recovered = query(promql.recovered(where, period))
+    return Measured(
+        url=prometheus.url,
+        period=period,
+        seen=[at for series in alive for at, _ in series.points],
+        asked=LOOKS + 1,
+        step=step,
+        counts=list(_counts(came)),
+        times=[
+            *(Time(strategy, part, histogram) for (strategy, part), histogram in parts.items()),
+            *(Time(strategy, WHOLE, histogram) for (strategy,), histogram in whole.items()),
+        ],
+        steps=[
+            Step(", ".join((name, *(value.lower() for value in key))), histogram)
+            for name, labels, metric in _STEPS
+            for key, histogram in histograms(labels, metric).items()
+        ],
+        pools=_pools(prometheus, period, namespace, step),
+        recovered=round(recovered[0].value) if recovered else None,
+    )
+
+
+_STEPS = (
+    ("claim of a pod", "result", "understudy_claim_seconds"),
+    ("wait for a pod", "result", "understudy_pool_wait_seconds"),
+    ("change of the gate", "", "understudy_gate_commit_seconds"),
+    ("gap of a switchover", "kind", "understudy_switchover_gap_seconds"),
+    ("lateness of a detection", "", "understudy_detection_lateness_seconds"),
+)
+
+
+def _counts(came: Callable[[str, str], Mapping[Key, float]]) -> Iterator[Count]:
+    for kind, labels, metric in (
+        ("Recovery", "strategy, result", "understudy_recoveries_total"),
+        ("Switchover", "kind, result", "understudy_switchovers_total"),
+        ("Held", "why", "understudy_recoveries_held_total"),
+    ):
+        for (how, *result), count in sorted(came(labels, metric).items()):
+            if round(count):
+                yield Count(kind, how, "".join(result), round(count))
+
+
+def _pools(prometheus: Prometheus, period: Span, namespace: str | None, step: float) -> Sequence[Pool]:
+    by = "namespace, pool"
+    all_, ready, claimed = (
+        promql.selector(namespace, **state) for state in ({}, {"state": "ready"}, {"state": "claimed"})
+    )
+
+    def gauge(function: str, way: str, series: str) -> dict[Key, float]:
+        return _by(prometheus.query(promql.over(function, way, by, series, period), period.end), by)
+
+    def drawn(series: str) -> dict[Key, Sequence[tuple[float, float]]]:
+        found = prometheus.range(f"max by ({by}) ({series})", period.begin, period.end, step)
+        return {_key(one, by): one.points for one in found}
+
+    least, mean = gauge("min", "min", _PODS + ready), gauge("avg", "avg", _PODS + ready)
+    most, waiting = gauge("max", "max", _PODS + claimed), gauge("max", "max", _WAITING + all_)
+    desired, had, wanted = gauge("last", "max", _DESIRED + all_), drawn(_PODS + ready), drawn(_DESIRED + all_)
+    return [
+        Pool(
+            namespace=key[0],
+            name=key[1],
+            desired=desired.get(key, 0.0),
+            least_ready=least[key],
+            mean_ready=mean[key],
+            most_claimed=most.get(key, 0.0),
+            most_waiting=waiting.get(key, 0.0),
+            ready=had.get(key, ()),
+            wanted=wanted.get(key, ()),
+        )
+        for key in sorted(least)
+    ]
+
+
+_PODS, _DESIRED, _WAITING = "understudy_pool_pods", "understudy_pool_desired_pods", "understudy_pool_waiting_workloads"
+
+
+def _by(found: Iterable[Series], labels: str) -> dict[Key, float]:
+    return {_key(series, labels): series.value for series in found}
+
+
+def _key(series: Series, labels: str) -> Key:
+    return tuple(series.labels.get(label, "") for label in labels.split(", ") if label)

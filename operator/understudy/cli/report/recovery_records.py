@@ -1,0 +1,290 @@
+"""What a fleet's recoveries came to in a period, by what the RobotWorkloads' status has kept of them; pure.
+
+A status keeps its last ten recoveries. What was before is not known, so everything that is said of a robot is said of the time
+from which on its records are whole. Times are unix seconds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from statistics import fmean
+from typing import Any
+
+from understudy.api.kinds.robot_workload import Recovery, RobotWorkloadStatus
+from understudy.cli.common.robots import Robot, robot, status_of
+from understudy.cli.common.time_bars import NAMES
+from understudy.cli.common.wording import unix
+from understudy.cli.inspect.recovery_text import parts_of, start_of
+from understudy.cli.report.reserved_resources import Share, shares
+from understudy.cli.report.sample_statistics import Spread
+
+
+@dataclass(frozen=True)
+class Span:
+    """From one moment until another."""
+
+    begin: float
+    end: float
+
+    @property
+    def length(self) -> float:
+        """In seconds."""
+        return self.end - self.begin
+
+    def within(self, other: Span) -> Span | None:
+        """What of it lies in another one; None where nothing does."""
+        begin, end = max(self.begin, other.begin), min(self.end, other.end)
+        return Span(begin, end) if begin < end else None
+
+
+@dataclass(frozen=True)
+class Outage:
+    """A time in which nobody drove a robot as it should be."""
+
+    span: Span
+    at_least: bool = False
+    """Whether it may have lasted longer: its end was not recorded."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One recovery of one robot."""
+
+    namespace: str
+    name: str
+    recovery: Recovery
+    began: float
+
+    @property
+    def group(self) -> str:
+        """What it is compared with: those by the same strategy; those apart that no failure of its own was the cause of."""
+        recovery = self.recovery
+        if recovery.switchover is not None:
+            return f"{recovery.strategy}, {recovery.switchover.lower()} as planned"
+        if recovery.follows:
+            return f"{recovery.strategy}, after a dependency's"
+        return f"{recovery.strategy}{', handed over as planned' if recovery.planned else ''}"
+
+    @property
+    def of_failure(self) -> bool:
+        """Whether something had failed here, and it was neither planned nor done after another workload's recovery."""
+        return not self.recovery.planned and not self.recovery.follows
+
+    @property
+    def recovered(self) -> bool:
+        """Whether an understudy drives since."""
+        return self.recovery.result == "Recovered"
+
+    @property
+    def failed(self) -> bool:
+        """Whether nothing that was tried came to drive."""
+        return self.recovery.result == "Failed"
+
+    @property
+    def held(self) -> float:
+        """Seconds for which the policy's budget held it, which are in none of its parts."""
+        moments = self.recovery.moments
+        if moments.released is None or moments.detected is None:
+            return 0.0
+        return max(0.0, unix(moments.released) - unix(moments.detected))
+
+    @property
+    def down(self) -> float:
+        """Seconds from the last healthy output until an understudy could reach the robot; of one that failed, as far as it is known."""
+        told = self.recovery.recovery_seconds
+        return (told if told is not None else sum(parts_of(self.recovery).values())) + self.held
+
+    @property
+    def gap(self) -> float | None:
+        """Seconds between the last healthy output and the next instance's first one, as the monitor hears the gated topics."""
+        moments = self.recovery.moments
+        last = moments.last_output or moments.last_healthy
+        if not self.recovered or last is None or moments.first_output is None:
+            return None
+        return max(0.0, unix(moments.first_output) - unix(last))
+
+
+@dataclass(frozen=True)
+class Course:
+    """One robot over the period."""
+
+    robot: Robot
+    ever: int
+    """Its recoveries since it was made."""
+    kept: int
+    """Of how many there is a record."""
+    entries: Sequence[Entry]
+    """Those that began in the period, newest first."""
+    known: Span | None
+    """The part of the period in which no recovery can be missing; None where there is none."""
+    outages: Sequence[Outage]
+    """When nobody drove it as it should be, within that."""
+
+    @property
+    def forgotten(self) -> int:
+        """Its recoveries of which there is no record any more."""
+        return self.ever - self.kept
+
+    @cached_property
+    def down(self) -> float:
+        """Seconds of the known time in which nobody drove it as it should be."""
+        total, end = 0.0, float("-inf")
+        for span in sorted((outage.span for outage in self.outages), key=lambda span: span.begin):
+            total += max(0.0, span.end - max(span.begin, end))
+            end = max(end, span.end)
+        return total
+
+    @property
+    def down_at_least(self) -> bool:
+        """Whether it may have been longer."""
+        return any(outage.at_least for outage in self.outages)
+
+    @property
+    def availability(self) -> float | None:
+        """The share of the known time in which it was driven; None where nothing is known."""
+        return 1 - self.down / self.known.length if self.known is not None else None
+
+
+@dataclass(frozen=True)
+class Group:
+    """Recoveries that are compared with others."""
+
+    name: str
+    entries: Sequence[Entry]
+
+    @cached_property
+    def parts(self) -> Mapping[str, float]:
+        """The mean of each part, in seconds."""
+        return {part: fmean(parts_of(entry.recovery).get(part, 0.0) for entry in self.entries) for part in NAMES}
+
+    @cached_property
+    def times(self) -> Sequence[float]:
+        """The recovery time of each, in seconds."""
+        return [entry.recovery.recovery_seconds or 0.0 for entry in self.entries]
+
+    @cached_property
+    def spread(self) -> Spread:
+        """How the recovery times lie."""
+        return Spread.of(self.times)
+
+    @cached_property
+    def gaps(self) -> Sequence[float]:
+        """The gap of each of which it is known, in seconds."""
+        return [gap for entry in self.entries if (gap := entry.gap) is not None]
+
+
+@dataclass(frozen=True)
+class Findings:
+    """All of it."""
+
+    period: Span
+    courses: Sequence[Course]
+    """By namespace and name."""
+    shares: Sequence[Share] = ()
+    """What their pods have reserved now."""
+    shares_unknown: str = ""
+    """Why that can't be told, where it can't."""
+
+    @cached_property
+    def entries(self) -> Sequence[Entry]:
+        """The recoveries of all robots, newest first."""
+        return sorted((e for course in self.courses for e in course.entries), key=lambda e: e.began, reverse=True)
+
+    @cached_property
+    def eventful(self) -> Sequence[Course]:
+        """The robots to which something happened in the period."""
+        return [course for course in self.courses if course.entries or course.outages]
+
+    @cached_property
+    def groups(self) -> Sequence[Group]:
+        """Those that recovered, by how; the slowest way first, as in the paper."""
+        found: dict[str, list[Entry]] = {}
+        for entry in self.entries:
+            if entry.recovered:
+                found.setdefault(entry.group, []).append(entry)
+        groups = [Group(name, entries) for name, entries in found.items()]
+        return sorted(groups, key=lambda group: (-group.spread.mean, group.name))
+
+    @cached_property
+    def incomplete(self) -> Sequence[Course]:
+        """Robots of which recoveries of this period may be forgotten."""
+        return [course for course in self.courses if course.known is None or course.known.begin > self._since(course)]
+
+    @cached_property
+    def availability(self) -> float | None:
+        """The share of all robots' known time in which they were driven."""
+        known = sum(course.known.length for course in self.courses if course.known is not None)
+        return 1 - sum(course.down for course in self.courses) / known if known else None
+
+    def named(self, whose: Robot | Entry) -> str:
+        """A robot's name, with its namespace where there are several."""
+        several = len({course.robot.namespace for course in self.courses}) > 1
+        return f"{whose.namespace}/{whose.name}" if several else whose.name
+
+    def _since(self, course: Course) -> float:
+        created = course.robot.created
+        return max(self.period.begin, unix(created) if created else self.period.begin)
+
+
+def findings(
+    items: Iterable[Mapping[str, Any]], period: Span, pods: Iterable[Mapping[str, Any]] = (), *, pods_unknown: str = ""
+) -> Findings:
+    """What RobotWorkloads and pods as the API server gives them say of a period; ``pods_unknown`` says why there are no pods.
+
+    Raises Unusable where a status isn't understood.
+    """
+    courses = sorted((course(item, period) for item in items), key=lambda one: (one.robot.namespace, one.robot.name))
+    found = [] if pods_unknown else shares([one.robot for one in courses], pods)
+    return Findings(period, courses, found, pods_unknown)
+
+
+def course(item: Mapping[str, Any], period: Span) -> Course:
+    """One RobotWorkload over a period. Raises Unusable."""
+    shown, status = robot(item), status_of(item)
+    records = [
+        Entry(shown.namespace, shown.name, recovery, unix(start))
+        for recovery in status.recoveries or []
+        if (start := start_of(recovery)) is not None
+    ]
+    kept, ever = len(status.recoveries or []), max(status.recovery_count or 0, len(status.recoveries or []))
+    begin = max(period.begin, unix(shown.created)) if shown.created else period.begin
+    if ever > kept:
+        begin = max(begin, min((entry.began for entry in records), default=period.end))
+    known = Span(begin, period.end).within(period)
+    return Course(
+        robot=shown,
+        ever=ever,
+        kept=kept,
+        entries=[entry for entry in records if period.begin <= entry.began < period.end],
+        known=known,
+        outages=[
+            Outage(span, one.at_least)
+            for one in _outages(records, status, period.end)
+            if known is not None and (span := one.span.within(known)) is not None
+        ],
+    )
+
+
+def _outages(records: Sequence[Entry], status: RobotWorkloadStatus, end: float) -> Iterator[Outage]:
+    """By the records, newest first, and by the failure that isn't over at the ``end`` of what is looked at."""
+    for index, entry in enumerate(records):
+        told = Span(entry.began, entry.began + entry.down)
+        if not entry.failed or entry.recovery.switchover is not None:  # what wasn't switched is driven by the former
+            yield Outage(told)
+        elif index:  # what was done next, and when, the next one says
+            yield Outage(told, at_least=records[index - 1].began > told.end)
+        elif status.failing_since is not None:
+            yield Outage(told)
+        else:
+            healthy = _healthy_since(status)
+            over = healthy is not None and healthy >= entry.began
+            yield Outage(Span(entry.began, healthy) if over and healthy is not None else told, at_least=not over)
+    if status.failing_since is not None and (since := unix(status.failing_since)) < end:
+        yield Outage(Span(since, end))
+
+
+def _healthy_since(status: RobotWorkloadStatus) -> float | None:
+    found = next((c for c in status.conditions or [] if c.type == "Healthy" and c.status == "True"), None)
+    return unix(found.last_transition_time) if found is not None else None

@@ -1,0 +1,69 @@
+"""Times that are given by hand, at which something really failed, beside what was detected."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+from understudy.api.base import seconds
+from understudy.cli.simulate.clock_text import wall
+from understudy.cli.simulate.leaf_history import Failure
+
+
+@dataclass(frozen=True)
+class Onset:
+    """When something failed, and what detected it. Times are Unix seconds."""
+
+    at: float
+    detection: Failure | None
+    """The first detection from then on, before the next onset; None where there is none."""
+
+    @property
+    def delay(self) -> float | None:
+        """Seconds until it was detected."""
+        return self.detection.detected - self.at if self.detection and self.detection.detected is not None else None
+
+
+def parse(text: str, start: float, end: float) -> float:
+    """A time in Unix seconds, from seconds after ``start`` (``12.5``), a duration (``1m30s``) or a wall time (ISO 8601, UTC
+    where it names no zone). Raises ValueError.
+    """
+    moment = _moment(text, start)
+    if not start <= moment <= end:
+        raise ValueError(f"{text!r:.80} is not within the bag, which is {end - start:.3f} s long from {wall(start)} on")
+    return moment
+
+
+def _moment(text: str, start: float) -> float:
+    try:
+        found = float(text)
+        if math.isfinite(found):
+            return start + found
+    except ValueError:
+        pass
+    try:
+        return start + seconds(text)
+    except ValueError:
+        pass
+    try:
+        read = datetime.fromisoformat(text)
+    except ValueError:
+        raise ValueError(
+            f"{text!r:.80} is no time: give seconds from the bag's start such as 12.5, or a wall time such as 2026-03-01T10:00:12.5Z"
+        ) from None
+    return (read if read.tzinfo else read.replace(tzinfo=UTC)).timestamp()
+
+
+def matched(onsets: Sequence[float], detections: Sequence[Failure]) -> tuple[list[Onset], list[Failure]]:
+    """Each onset with its detection, and the detections that belong to none."""
+    times = sorted(onsets)
+    found, left = [], list(detections)
+    for index, at in enumerate(times):
+        until = times[index + 1] if index + 1 < len(times) else math.inf
+        first = next((one for one in left if one.detected is not None and at <= one.detected < until), None)
+        if first is not None:
+            left.remove(first)
+        found.append(Onset(at, first))
+    return found, left

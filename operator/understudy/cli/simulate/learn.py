@@ -1,0 +1,157 @@
+"""``understudy learn --bag BAG --topic NAME``: leaves for topics, with bounds as a healthy recording has them.
+
+They are printed and never written anywhere: whether the recording was a healthy one, and how much is too much, people must say.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from array import array
+from collections.abc import Iterator
+from typing import Any
+
+from understudy.cli.common.tree_text import plain
+from understudy.cli.simulate.bags import Bag
+from understudy.cli.simulate.clock_text import wall
+from understudy.cli.simulate.leaf_history import Failure
+from understudy.cli.simulate.learned_bounds import FACTOR, FEWEST, MARGIN, Bounds, Measures, measured, proposed
+from understudy.cli.simulate.replay import replay
+from understudy.cli.simulate.unusable import Unusable
+from understudy.trees.core.leaf import duration
+from understudy.trees.core.rate_window import hertz
+from understudy.trees.languages.short.health_loader import load
+from understudy.trees.source.problems import TreeError, did_you_mean
+
+FINE, CONTRADICTED, CANT = 0, 1, 2
+"""Exit statuses."""
+
+
+def main(arguments: list[str]) -> int:
+    """Run the command; the leaves go to standard output."""
+    given = _parser().parse_args(arguments)
+    try:
+        with Bag.open(given.bag) as bag:
+            learnt = [_learn(bag, name, given.factor, given.margin) for name in dict.fromkeys(given.topic)]
+            failures = _tried([leaf for leaf, _, _ in learnt], bag)
+            for line in _text(bag, learnt, given.factor, given.margin):
+                print(plain(line))
+            for failure in failures:
+                print(
+                    f"understudy learn: these bounds would have failed in this very bag, at {failure.failed - bag.start:.3f} s: "
+                    f"{plain(failure.reason)}; was it healthy then? If it was, give a greater --factor or --margin",
+                    file=sys.stderr,
+                )
+    except Unusable as error:
+        print(f"understudy learn: {error}", file=sys.stderr)
+        return CANT
+    return CONTRADICTED if failures else FINE
+
+
+Learnt = tuple[dict[str, Any], Measures, Bounds]
+
+
+def _learn(bag: Bag, name: str, factor: float, margin: float) -> Learnt:
+    """A topic's leaf. Raises Unusable."""
+    topic = bag.topics.get(name)
+    if topic is None:
+        raise Unusable(f"{bag.path}: the bag has no topic {name!r:.80}{did_you_mean(name, bag.topics)}")
+    if len(topic.types) > 1:
+        raise Unusable(f"{bag.path}: {name} was recorded as {' and as '.join(topic.types)}; a topic must have one type")
+    arrivals = array("d", (taken.received for taken in bag.messages({name: topic.types[0]})))
+    if len(arrivals) < FEWEST or arrivals[-1] <= arrivals[0]:
+        raise Unusable(
+            f"{bag.path}: the bag has {len(arrivals)} messages of {name}; at least {FEWEST} are needed to learn from, better "
+            "thousands: give a longer recording"
+        )
+    measures = measured(arrivals)
+    bounds = proposed(arrivals, measures, factor, margin)
+    leaf: dict[str, Any] = {"name": name, "type": topic.types[0], "gap": _written(bounds.gap)}
+    if bounds.band is not None:
+        leaf |= {"rate": str(bounds.band), "window": _written(bounds.window)}
+    return leaf, measures, bounds
+
+
+def _tried(leaves: list[dict[str, Any]], bag: Bag) -> list[Failure]:
+    """Where the leaves fail in the bag that they were learnt from, once each has had the time to start."""
+    try:
+        tree = load({"parallel": [{"topic": leaf} for leaf in leaves]}, path="learnt", grace=bag.end - bag.start)
+    except TreeError as error:  # such as for a name that ROS doesn't have
+        raise Unusable(f"{bag.path}: no leaf can be made of this: {error.in_short()}") from error
+    return replay(tree, 0.0, bag).course.failures
+
+
+def _text(bag: Bag, learnt: list[Learnt], factor: float, margin: float) -> Iterator[str]:
+    yield f"# Learnt from {bag.path}: {bag.end - bag.start:.3f} s from {wall(bag.start)} on. Look at it before you paste it."
+    yield f"# gap: {factor:g} times the gap that 99.9 % of the gaps don't exceed, rounded up."
+    yield (
+        f"# rate: from the least to the greatest over any window of the recording, {margin * 100:g} % further on both sides, "
+        "rounded outwards."
+    )
+    yield "parallel:"
+    for leaf, measures, bounds in learnt:
+        yield (
+            f"  # {measures.count} messages, {hertz(measures.rate)}; gaps: median {_told(measures.median)}, "
+            f"p99.9 {_told(measures.quantile)}, longest {_told(measures.longest)}"
+        )
+        if bounds.band is not None:
+            yield f"  # over {duration(bounds.window)}: {hertz(bounds.slowest)} to {hertz(bounds.fastest)}"
+        else:
+            yield f"  # over {duration(bounds.window)} the rate varies too much to be bounded, or the recording is shorter than that"
+        fields = ", ".join(f"{key}: {value}" for key, value in leaf.items())
+        yield f"  - topic: {{{fields}}}"
+
+
+def _told(seconds: float) -> str:
+    return duration(float(f"{seconds:.3g}"))
+
+
+def _written(seconds: float) -> str:
+    """A time as trees have it."""
+    return f"{seconds * 1000:.6g}ms" if seconds < 1 else f"{seconds:.6g}s"
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="understudy learn",
+        description="Proposes leaves for a health tree, with gaps and rates as a recording has them in which all was well. They are "
+        "printed, to be looked at and pasted into a policy; nothing is written.",
+        epilog="Exit status: 0 where the leaves hold all through the recording, 1 where they don't, 2 where it can't be done as asked "
+        "for.",
+    )
+    parser.add_argument("--bag", required=True, metavar="BAG", help="a rosbag2 folder, or an .mcap or .db3 file")
+    parser.add_argument(
+        "--topic", required=True, action="append", metavar="NAME", help="a topic to learn; may be given several times"
+    )
+    parser.add_argument(
+        "--factor",
+        type=_factor,
+        default=FACTOR,
+        help="how many times the p99.9 of its gaps a topic may be silent (%(default)s)",
+    )
+    parser.add_argument(
+        "--margin",
+        type=_margin,
+        default=MARGIN,
+        help="by which part the rate may be further out than what was recorded (%(default)s)",
+    )
+    return parser
+
+
+def _factor(text: str) -> float:
+    return _within(text, 1.0, 100.0)
+
+
+def _margin(text: str) -> float:
+    return _within(text, 0.01, 0.99)
+
+
+def _within(text: str, least: float, most: float) -> float:
+    try:
+        found = float(text)
+    except ValueError:
+        found = math.nan
+    if not least <= found <= most:
+        raise argparse.ArgumentTypeError(f"found {text!r}; give a number from {least:g} to {most:g}")
+    return found

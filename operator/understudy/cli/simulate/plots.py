@@ -1,0 +1,154 @@
+"""Draws what came of a policy over a bag: one lane for each leaf, over time."""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+from typing import Any
+
+from understudy.cli.simulate.leaf_history import Failure, Span
+from understudy.cli.simulate.replay import Replay
+from understudy.cli.simulate.unusable import Unusable
+from understudy.trees.core.leaf import duration
+
+WIDTH, LANE, REST, DOTS = 12.0, 0.55, 1.75, 150
+"""The picture's width, a lane's height, what stands around the lanes (all in inches), and dots per inch."""
+
+_COLOURS = {"Healthy": "#cfe8cf", "Starting": "#fdeab5", "Failed": "#f2b8b0", "Idle": "#ececec", "Unasked": "#ececec"}
+_WORDS = {
+    "Healthy": "healthy",
+    "Starting": "starting",
+    "Failed": "failed",
+    "Idle": "not asked for now",
+    "Unasked": "not asked for now",
+}
+_INK, _RED, _BLUE = "#2b2b2b", "#b3261e", "#1f5fa8"
+_LONGEST = 34
+"""Characters of a leaf's path that are shown beside its lane."""
+
+
+def draw(file: str, title: str, replay: Replay, start: float, end: float, onsets: Sequence[float] = ()) -> None:
+    """Draw it into a file. Times are Unix seconds. Raises Unusable where it can't be written."""
+    from matplotlib.figure import Figure
+
+    course = replay.course
+    lanes = list(replay.topics.items())
+    figure = Figure(figsize=(WIDTH, REST + LANE * (len(lanes) + 1)), dpi=DOTS, layout="constrained")
+    axes: Any = figure.subplots()
+    length = max(end - start, 1e-3)
+    _bands(axes, 0, course.spans[""], start, 0.7)
+    for row, (path, _) in enumerate(lanes, 1):
+        _bands(axes, row, course.spans[path], start, 0.7)
+        _messages(axes, row, replay.received(path), start, length)
+    _marks(axes, course.failures, onsets, start, length, len(lanes))
+    axes.set_yticks(range(len(lanes) + 1), ["whole tree", *(_lane(path, topic) for path, topic in lanes)])
+    axes.get_yticklabels()[0].set_fontweight("bold")
+    axes.set_ylim(len(lanes) + 0.6, -0.6)
+    axes.set_xlim(-0.01 * length, 1.01 * length)
+    axes.set_xlabel("seconds from the start of the bag")
+    axes.set_title(title, loc="left", fontsize=11, fontweight="bold", pad=24)
+    axes.tick_params(axis="y", length=0)
+    axes.grid(axis="x", color="#dddddd", linewidth=0.6)
+    axes.set_axisbelow(True)
+    for side in ("top", "right", "left"):
+        axes.spines[side].set_visible(False)
+    figure.legend(
+        handles=list(_legend(course.spans, bool(course.detections), bool(onsets))),
+        loc="outside lower center",
+        ncols=7,
+        frameon=False,
+        fontsize=8.5,
+    )
+    try:
+        figure.savefig(file)
+    except OSError as error:
+        raise Unusable(f"--plot: {file} can't be written: {error.strerror}; give another file") from error
+
+
+def _bands(axes: Any, row: int, spans: Sequence[Span], start: float, height: float) -> None:
+    """How a leaf was."""
+    for span in spans:
+        ended = span.ended if span.ended is not None else span.begun
+        axes.broken_barh(
+            [(span.begun - start, ended - span.begun)],
+            (row - height / 2, height),
+            facecolors=_COLOURS[span.state],
+            edgecolors=_COLOURS[span.state],
+            linewidth=0.4,
+        )
+
+
+def _messages(axes: Any, row: int, times: array[float], start: float, length: float) -> None:
+    """A tick for each message, as far as dots can tell them apart: where they are dense a bar, and a gap stays a gap."""
+    dot = length / (WIDTH * DOTS)
+    shown: list[float] = []
+    for moment in times:
+        if not shown or moment - start - shown[-1] >= dot:
+            shown.append(moment - start)
+    axes.vlines(shown, row + 0.08, row + 0.3, color=_INK, linewidth=72 / DOTS)
+    gaps = [(one, later) for one, later in pairwise([start, *times, start + length]) if later - one > length / 25]
+    for begun, ended in sorted(gaps, key=lambda gap: gap[0] - gap[1])[:4]:
+        middle = (begun + ended) / 2 - start
+        words = f"{duration(float(f'{ended - begun:.3g}'))} without"
+        axes.annotate(
+            words if ended - begun > length / 8 else words.removesuffix(" without"),
+            (middle, row + 0.19),
+            ha="center",
+            va="center",
+            fontsize=7,
+            color="#555555",
+            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 1.0},
+            zorder=5,
+        )
+
+
+def _marks(
+    axes: Any, failures: Sequence[Failure], onsets: Sequence[float], start: float, length: float, lanes: int
+) -> None:
+    """Lines for detections, and for onsets that were given."""
+    for onset in onsets:
+        axes.axvline(onset - start, color=_BLUE, linewidth=1.2, linestyle=(0, (4, 3)))
+    free = -length
+    for one in failures:
+        if one.detected is None:
+            continue
+        at = one.detected - start
+        axes.axvline(at, color=_RED, linewidth=1.4)
+        if at - free > length * 0.07:  # the words of the one before need their room
+            axes.annotate(
+                f"{at:.3f} s",
+                (at, -0.6),
+                xytext=(0, 4),
+                textcoords="offset points",
+                ha="center",
+                va="bottom",
+                fontsize=8,
+                color=_RED,
+                annotation_clip=False,
+            )
+            free = at
+
+
+def _legend(spans: dict[str, list[Span]], detected: bool, onsets: bool) -> Iterator[Any]:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    states = {span.state for one in spans.values() for span in one}
+    words = {_WORDS[state]: _COLOURS[state] for state in _COLOURS if state in states}
+    for word, colour in words.items():
+        yield Patch(facecolor=colour, label=word)
+    yield Line2D([], [], color=_INK, marker="|", linestyle="none", markersize=8, label="message")
+    if detected:
+        yield Line2D([], [], color=_RED, linewidth=1.4, label="detected")
+    if onsets:
+        yield Line2D([], [], color=_BLUE, linewidth=1.2, linestyle=(0, (4, 3)), label="onset, as given")
+
+
+def _lane(path: str, topic: str) -> str:
+    shown = path if len(path) <= _LONGEST else f"…{path[1 - _LONGEST :]}"
+    return (
+        shown
+        if topic.lstrip("/") == path
+        else f"{shown}\n{topic if len(topic) <= _LONGEST else f'…{topic[1 - _LONGEST :]}'}"
+    )

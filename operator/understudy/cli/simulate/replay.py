@@ -1,0 +1,164 @@
+"""Runs a health tree over a bag, by a virtual clock: from one moment at which something can change to the next.
+
+Nothing is ticked at a period. A moment is the receipt of a message, or a time that the tree itself foretells, so a
+500 ms gap is found exactly 500 ms after the last receipt.
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from understudy.cli.simulate.bags import Bag, Recorded, Taken
+from understudy.cli.simulate.leaf_history import Course
+from understudy.cli.simulate.unusable import Unusable
+from understudy.ros.observe.message_contents import ours
+from understudy.trees.core.health_tree import HealthTree, WatchedTopic
+from understudy.trees.core.observations import Recorded as Observed
+from understudy.trees.core.observations import TopicRecord, Unreadable
+from understudy.trees.core.task_activity import WORKED_ON
+from understudy.trees.leaves.diagnostics import TYPE as DIAGNOSTICS
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A part of the tree that a bag can't tell anything of."""
+
+    leaves: tuple[str, ...]
+    """Paths of the leaves that aren't judged for that."""
+    why: str
+
+
+@dataclass
+class Replay:
+    """What a policy would have made of a bag."""
+
+    course: Course
+    left_out: list[LeftOut]
+    arrivals: Mapping[str, array[float]]
+    """When each topic of the tree was received, in Unix seconds."""
+    topics: dict[str, str] = field(default_factory=dict)
+    """By path, the topic of each leaf that was judged."""
+
+    def received(self, path: str) -> array[float]:
+        """When a leaf's topic was, in Unix seconds."""
+        return self.arrivals.get(self.topics[path], array("d"))
+
+
+def replay(tree: HealthTree, debounce: float, bag: Bag) -> Replay:
+    """Judge a bag by a policy's tree and its debounce (seconds). Raises Unusable."""
+    left_out = _leave_out(tree, bag)
+    if tree.root is None:
+        told = "\n".join(f"{', '.join(one.leaves)}: {one.why}" for one in left_out)
+        raise Unusable(f"{bag.path}: nothing of the policy's tree can be judged by this bag\n{told}")
+    # A topic that only leaves need that are left out isn't read.
+    out = {path for one in left_out for path in one.leaves}
+    heard = [topic for topic in tree.topics if topic.heard and topic.name in bag.topics]
+    wanted = {topic.name: topic for topic in heard if _without(tree, out, topic.name)}
+    types = {name: _type(topic, bag) for name, topic in wanted.items()}
+    received = _Received(wanted, types, bag)
+    course = Course(tree, debounce, bag.start)
+    _run(course, received, bag, types)
+    course.end(bag.end)
+    return Replay(course, left_out, received.arrivals, {leaf.name: leaf.topic for leaf in tree.leaves})
+
+
+class _Received:
+    """What has been received until the virtual clock's moment."""
+
+    def __init__(self, wanted: Mapping[str, WatchedTopic], types: Mapping[str, str], bag: Bag) -> None:
+        self._wanted, self._types, self._definitions = wanted, types, bag.definitions
+        self._records = {name: TopicRecord(topic.window, topic.contents) for name, topic in wanted.items()}
+        self._tasks: dict[str, float] = {}
+        self.observations = Observed(self._records, self._tasks)
+        self.arrivals = {name: array("d") for name in wanted}
+
+    def take(self, taken: Taken) -> None:
+        """Note a message."""
+        if self._types[taken.topic] == DIAGNOSTICS and ours(taken.data):
+            return
+        want = self._wanted[taken.topic]
+        record = self._records[taken.topic]
+        record.add(taken.received)
+        self.arrivals[taken.topic].append(taken.received)
+        if want.contents:
+            record.contents.append(Recorded(taken, self._types[taken.topic], self._definitions))
+        if want.task:
+            self._note_goals(taken)
+
+    def _note_goals(self, taken: Taken) -> None:
+        try:
+            status: Any = Recorded(taken, self._types[taken.topic], self._definitions).message()
+        except Unreadable:
+            return
+        if any(goal.status in WORKED_ON for goal in status.status_list):
+            self._tasks.setdefault(taken.topic, taken.received)
+        else:
+            self._tasks.pop(taken.topic, None)
+
+
+def _run(course: Course, received: _Received, bag: Bag, types: Mapping[str, str]) -> None:
+    observations, now = received.observations, bag.start
+    following: Iterator[Taken] = bag.messages(types)
+    coming = next(following, None)
+    while True:
+        while coming is not None and coming.received <= now:
+            received.take(coming)
+            coming = next(following, None)
+        course.look(observations, now)
+        change = course.next_look(observations, now)
+        moments = [moment for moment in (change, coming.received if coming else None) if moment is not None]
+        if not moments or min(moments) > bag.end:
+            return
+        now = min(moments)
+
+
+def _leave_out(tree: HealthTree, bag: Bag) -> list[LeftOut]:
+    """Have a tree judged without what the bag doesn't have, and say what that is."""
+    leaves = {leaf.name: leaf for leaf in tree.leaves}
+    unheard = {path for path, leaf in leaves.items() if leaf.unrecorded}
+    lacking = [topic for topic in tree.topics if topic.heard and topic.name not in bag.topics]
+    found = [LeftOut((path,), f"{leaf.unrecorded} ({leaf.topic})") for path, leaf in leaves.items() if leaf.unrecorded]
+    for topic in lacking:
+        gone = tuple(path for path in leaves if path in _without(tree, unheard, topic.name))
+        if gone:
+            why = f"the bag lacks {topic.name}{', which tells whether the task is active' if topic.task else ''}"
+            found.append(LeftOut(gone, f"{why}; {_HIDDEN}" if "/_action/" in topic.name else why))
+    tree.leave_out({topic.name for topic in lacking} | unheard)
+    return found
+
+
+_HIDDEN = "`ros2 bag record` leaves it out unless --include-hidden-topics is given"
+
+
+def _without(tree: HealthTree, left_out: Collection[str], topic: str) -> set[str]:
+    """The paths of the leaves that go with a topic, where others are left out already; those stay as they are."""
+    tree.leave_out(set(left_out))
+    before = {leaf.name for leaf in tree.leaves}
+    tree.leave_out({*left_out, topic})
+    gone = before - {leaf.name for leaf in tree.leaves}
+    tree.leave_out(set(left_out))
+    return gone
+
+
+def _type(topic: WatchedTopic, bag: Bag) -> str:
+    """The type by which a topic's messages are read. Raises Unusable."""
+    recorded = bag.topics[topic.name].types
+    if topic.type is None and len(recorded) > 1:
+        raise Unusable(
+            f"{bag.path}: the bag has {topic.name} as {' and as '.join(recorded)}: give the type in the policy's tree"
+        )
+    wanted = topic.type or recorded[0]
+    if wanted not in recorded:
+        raise Unusable(
+            f"{bag.path}: the policy's tree says {wanted} of {topic.name}, but it was recorded as {' and as '.join(recorded)}; "
+            "a monitor would receive nothing: correct the type in the tree"
+        )
+    if (topic.contents or topic.task) and bag.definitions.fields(wanted) is None:
+        raise Unusable(
+            f"{bag.path}: the type {wanted} of {topic.name} is not known, and the tree looks into its messages: the bag has no "
+            "definition of it that can be read; record it as MCAP or with ROS 2 Iron or newer, which write the definitions too"
+        )
+    return wanted

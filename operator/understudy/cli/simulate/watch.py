@@ -1,0 +1,181 @@
+"""``understudy watch POLICY``: a policy's health tree beside a live ROS graph, acting on nothing."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import signal
+import sys
+import time
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+from understudy.api.base import seconds
+from understudy.cli.common.tree_text import plain
+from understudy.cli.simulate import policy_file
+from understudy.cli.simulate.leaf_history import Course
+from understudy.cli.simulate.live_screen import Display, Lines, Screen, told
+from understudy.cli.simulate.policy_file import Policy
+from understudy.cli.simulate.unusable import Unusable
+
+if TYPE_CHECKING:
+    from understudy.ros.observe.topic_watch import Watching
+
+FINE, FAILED, CANT = 0, 1, 2
+"""Exit statuses."""
+
+LEAST_REST = 0.001
+"""Seconds that are rested between two looks at least."""
+
+OF_CLUSTER = "is told by the cluster, which isn't asked here: it isn't judged"
+
+
+def main(arguments: list[str]) -> int:
+    """Run the command; how the tree is goes to standard output, what came of it to standard error."""
+    given = _parser().parse_args(arguments)
+    try:
+        policy = policy_file.read(given.policy_file, given.policy, given.grace)
+        with _joined() as watching:
+            course = _watch(policy, watching, given.length)
+    except Unusable as error:
+        print(f"understudy watch: {error}", file=sys.stderr)
+        return CANT
+    return _end(course)
+
+
+def _end(course: Course) -> int:
+    """Say what was seen; the exit status."""
+    for failure in course.detections:
+        print(f"understudy watch: failure: {told(failure)}", file=sys.stderr)
+    if course.detections:
+        return FAILED
+    last = course.spans[""][-1] if course.spans else None
+    if course.healthy is None:
+        why = f": {plain(last.reason)}" if last is not None and last.reason else ""
+        print(f"understudy watch: no failure was seen, but it wasn't healthy either{why}", file=sys.stderr)
+    else:
+        print("understudy watch: no failure was seen", file=sys.stderr)
+    return FINE
+
+
+@contextlib.contextmanager
+def _joined() -> Iterator[Watching]:
+    """The ROS graph that the environment names, of which only the topics of trees are received. Raises Unusable."""
+    try:
+        from understudy.ros.runtime.lean_imports import import_rclpy
+
+        import_rclpy()
+        from understudy.ros.observe.topic_watch import Watching
+        from understudy.ros.runtime.graph_node import Graph
+    except ImportError as error:
+        raise Unusable(
+            f"ROS 2 isn't here ({error}): source a ROS 2 installation, or install understudy with its extra ros: "
+            "pip install '.[ros]' in its repository"
+        ) from error
+    try:
+        graph = Graph(f"understudy_watch_{os.getpid()}")
+    except Exception as error:  # whatever the middleware raises
+        raise Unusable(
+            f"the ROS graph can't be joined: {error}; look at RMW_IMPLEMENTATION and ROS_DOMAIN_ID"
+        ) from error
+    watching = Watching(graph)
+    try:
+        yield watching
+    finally:
+        watching.close()
+        graph.close()
+
+
+def _watch(policy: Policy, watching: Watching, length: float | None) -> Course:
+    """Look until the time is over or somebody ends it. Raises Unusable."""
+    from understudy.ros.runtime.interface_types import message_fields
+
+    tree = policy.tree(message_fields)
+    unseen = {leaf.name for leaf in tree.leaves if leaf.of_cluster}
+    tree.leave_out(unseen)
+    if tree.root is None:
+        raise Unusable(f"nothing of the policy's tree can be judged here: {', '.join(sorted(unseen))} {OF_CLUSTER}")
+    watching.follow(tree.topics)
+    begun = time.time()
+    tree.begin(begun)
+    course = Course(tree, policy.debounce, begun)
+    end = time.monotonic() + length if length is not None else None
+    display = _display(policy)
+    before = signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        with contextlib.suppress(KeyboardInterrupt, BrokenPipeError):
+            _look(course, watching, display, end, unseen)
+    finally:
+        signal.signal(signal.SIGTERM, before)
+        with contextlib.suppress(BrokenPipeError):
+            display.close()
+    return course
+
+
+def _look(course: Course, watching: Watching, display: Display, end: float | None, unseen: set[str]) -> None:
+    from understudy.monitor.observe.wakeups import STALL_MOST, STALLED, TICK, WAKE_LATE
+
+    due, trusted = time.time(), 0.0
+    notes = [f"{path} {OF_CLUSTER}" for path in sorted(unseen)]
+    while True:
+        now = time.time()
+        # As the monitor does: after a stall the queues may lack what was received, and silence tells nothing yet.
+        if (late := now - due) > STALLED:
+            trusted = now + min(late, STALL_MOST)
+        watching.drain()
+        course.tree.leave_out(watching.unwatchable | unseen)
+        now = time.time()
+        due = now + TICK
+        if now >= trusted:
+            course.look(watching, now)
+            display.show(course, watching, now, [*watching.problems, *watching.waiting, *notes])
+            if (change := course.next_look(watching, now)) is not None:
+                due = min(due, change + WAKE_LATE)
+        rest = max(LEAST_REST, due - time.time())
+        if end is not None:
+            left = end - time.monotonic()
+            if left <= 0:
+                return
+            rest = min(rest, left)
+        time.sleep(rest)
+
+
+def _display(policy: Policy) -> Display:
+    if not sys.stdout.isatty():
+        return Lines(sys.stdout)
+    domain = os.environ.get("ROS_DOMAIN_ID", "0")
+    return Screen(sys.stdout, f"{policy.name} in ROS domain {domain}")
+
+
+def _interrupt(*_: Any) -> None:
+    raise KeyboardInterrupt
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="understudy watch",
+        description="Shows a FailurePolicy's health tree, as it is now, beside the ROS graph that the environment names "
+        "(ROS_DOMAIN_ID and so on). It subscribes to the topics of the tree and acts on nothing. In a terminal it shows the whole tree, "
+        "elsewhere it prints one line for each change.",
+        epilog="Exit status: 0 where no failure was seen, 1 where one was, 2 where it can't be done as asked for.",
+    )
+    parser.add_argument(
+        "policy_file", metavar="POLICY.yaml", help="a file with a FailurePolicy, or - for standard input"
+    )
+    parser.add_argument("--policy", metavar="NAME", help="which policy, where the file holds several")
+    parser.add_argument("--for", dest="length", type=_duration, metavar="TIME", help="end after this long, such as 30s")
+    parser.add_argument(
+        "--grace",
+        metavar="TIME",
+        help="how long topics have to come for the first time, instead of the policy's startupGrace: where the application has "
+        "been running for long, a short one such as 3s",
+    )
+    return parser
+
+
+def _duration(text: str) -> float:
+    try:
+        return seconds(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error

@@ -1,1 +1,0 @@
-"""Commands that ask a cluster, for people: ``understudy tree``, also as ``kubectl understudy tree``."""

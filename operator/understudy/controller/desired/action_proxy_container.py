@@ -1,0 +1,52 @@
+"""What tasks ask of a workload's pods: endpoints that only the pod's own agent reaches, and a proxy in front of all."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from understudy.api import names
+from understudy.api.kinds.robot_workload import RobotWorkloadSpec
+from understudy.controller.pods import instance_pod
+from understudy.kube.client import Object
+from understudy.ros.dds.profiles import instance_profiles_xml
+
+
+def proxied(spec: RobotWorkloadSpec) -> bool:
+    """Whether there is a task proxy: pods of a referred controller can't be kept from serving under the plain name."""
+    return bool(spec.tasks) and spec.workload_ref is None
+
+
+def instance_profiles(spec: RobotWorkloadSpec) -> str:
+    """The DDS profiles of the instances; empty where they need none."""
+    return instance_profiles_xml(spec.tasks if proxied(spec) else [], spec.outputs, spec.gate.reflex)
+
+
+def profiles_map(workload: str, profiles: str) -> Object:
+    """The ConfigMap that instances mount."""
+    return {
+        "apiVersion": "v1",
+        "kind": "ConfigMap",
+        "metadata": {"name": names.instance_profiles(workload)},
+        "data": {names.PROFILES_KEY: profiles},
+    }
+
+
+def problem(workload: str, spec: RobotWorkloadSpec, template: Mapping[str, Any]) -> str:
+    """Why the tasks have no proxy, or one that can't do all; empty if it can."""
+    if spec.tasks and spec.workload_ref is not None:
+        return (
+            f"spec.tasks: the pods of {spec.workload_ref.kind} {spec.workload_ref.name} serve {_actions(spec)} "
+            f"themselves, so no proxy keeps goals over a failover: give the pods as spec.template instead of workloadRef"
+        )
+    if proxied(spec) and (own := instance_pod.own_profiles(template)):
+        return (
+            f"spec.template: container {', '.join(own)} sets {names.PROFILES_VARIABLE} itself, so clients reach "
+            f"{_actions(spec)} past the proxy and goals there end with the instance: leave the variable out, or put the "
+            f"profiles of ConfigMap {names.instance_profiles(workload)} into its own file"
+        )
+    return ""
+
+
+def _actions(spec: RobotWorkloadSpec) -> str:
+    return ", ".join(task.action for task in spec.tasks)

@@ -1,0 +1,88 @@
+"""The managed ROS discovery server of a workload: a Deployment and the Service whose address everyone gets."""
+
+from __future__ import annotations
+
+from understudy.api import names
+from understudy.controller.desired.plan import Images, priority, pull_secrets
+from understudy.controller.pods.instance_pod import HARDENED
+from understudy.kube.client import Object
+
+_REQUESTS = {"cpu": "10m", "memory": "32Mi"}
+
+TOLERATIONS: list[Object] = [
+    {"key": f"node.kubernetes.io/{state}", "operator": "Exists", "effect": "NoExecute", "tolerationSeconds": 10}
+    for state in ("not-ready", "unreachable")
+]
+"""On a lost node it is replaced after 10 s, not after the five minutes that are the default."""
+
+
+def _labels(workload: str) -> dict[str, str]:
+    return {names.COMPONENT: "discovery", names.MONITORED: workload}
+
+
+def service(workload: str, address: str | None = None) -> Object:
+    """The Service. ``address`` is one to ask for again: running processes know no other."""
+    spec: Object = {
+        "selector": _labels(workload),
+        "ports": [
+            {
+                "name": "discovery",
+                "protocol": "UDP",
+                "port": names.DISCOVERY_PORT,
+                "targetPort": names.DISCOVERY_PORT,
+            }
+        ],
+    }
+    if address:
+        spec["clusterIP"] = address
+    return {
+        "apiVersion": "v1",
+        "kind": "Service",
+        "metadata": {"name": names.discovery(workload), "labels": _labels(workload)},
+        "spec": spec,
+    }
+
+
+def deployment(workload: str, images: Images, address: str) -> Object:
+    """The server, with the Service's address: it tells it as its own, which stays when its pod is another."""
+    container = {
+        "name": "discovery",
+        "image": images.monitor,
+        "imagePullPolicy": images.pull_policy,
+        "command": ["understudy-discovery-server"],
+        "args": [address, str(names.DISCOVERY_PORT)],
+        "env": [{"name": "HOME", "value": "/tmp"}],
+        "ports": [{"name": "discovery", "containerPort": names.DISCOVERY_PORT, "protocol": "UDP"}],
+        "resources": {"requests": dict(_REQUESTS)},
+        "securityContext": HARDENED,
+        "volumeMounts": [{"name": "tmp", "mountPath": "/tmp"}],
+    }
+    return {
+        "apiVersion": "apps/v1",
+        "kind": "Deployment",
+        "metadata": {"name": names.discovery(workload), "labels": _labels(workload)},
+        "spec": {
+            "replicas": 1,
+            "strategy": {"type": "Recreate"},
+            "selector": {"matchLabels": _labels(workload)},
+            "template": {
+                "metadata": {"labels": _labels(workload)},
+                "spec": {
+                    "automountServiceAccountToken": False,
+                    "enableServiceLinks": False,
+                    "terminationGracePeriodSeconds": 2,
+                    "tolerations": TOLERATIONS,
+                    **priority(images),
+                    **pull_secrets(images.pull_secrets),
+                    "containers": [container],
+                    "volumes": [{"name": "tmp", "emptyDir": {}}],
+                },
+            },
+        },
+    }
+
+
+def address(service_: Object | None) -> str | None:
+    """The address of a Service, once it has one."""
+    found: str | None = ((service_ or {}).get("spec") or {}).get("clusterIP")
+    return found if found and found != "None" else None

@@ -1,0 +1,151 @@
+"""Which strategies are in force for a workload: its policy's own, those that were chosen for it, or those of its situation.
+
+What the monitor was told last is the memory of it, by which it stays while a policy can't be followed, and in the midst of a recovery.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from understudy.advice.strategy_order import Order
+from understudy.api import names
+from understudy.api.kinds.failure_policy import Strategy
+from understudy.controller.desired import situation_strategies, strategy_selection
+from understudy.controller.observed import kube_objects
+from understudy.controller.observed.observation import WAITING, Observed
+from understudy.controller.pods import pool_pods, pool_size
+from understudy.controller.status import policy_status
+from understudy.kube.client import Object
+
+
+def strategies(observed: Observed) -> list[Strategy]:
+    """The strategies in force, in order. For a policy that can be followed."""
+    policy = observed.policy
+    assert policy is not None
+    found = chosen(observed)
+    return policy_status.spec(policy).strategies if found is None else found
+
+
+def order(observed: Observed, name: str | None = None) -> Order | None:
+    """The order of strategies that the workload's policy comes to, where it leaves that and can be followed.
+
+    ``name`` is a situation's (empty for none), in which it may be another than the one in force; that it is where none is given.
+    """
+    policy = observed.policy
+    if (
+        policy is None
+        or not strategy_selection.is_auto(policy)
+        or policy_status.problem(policy, observed.config_maps) is not None
+    ):
+        return None
+    name = situation(observed) if name is None else name
+    found = situation_strategies.find(policy_status.spec(policy), name) if name else None
+    # A pool that isn't accepted any more has still what it had: what counts on it goes on.
+    before = {choice.name for choice in observed.told_pools}
+    usable = {pool: item for pool, item in observed.serving.items() if observed.refused(pool) is None or pool in before}
+    requirements = found.requirements if found is not None else None
+    return strategy_selection.order(policy, observed.workload, usable, requirements=requirements)
+
+
+def chosen(observed: Observed) -> list[Strategy] | None:
+    """The strategies that were chosen for the workload, or are for its situation; None where its policy says them.
+
+    Those that it has stay while its policy can't be followed, and in the midst of a recovery, which goes by places in the order. Between
+    two recoveries that failed they don't: what was changed may be what helps.
+    """
+    policy = observed.policy
+    if policy is not None and not strategy_selection.varies(policy):
+        return None
+    settings = observed.told
+    present = settings.strategies if settings is not None else None
+    if policy is None or (present and observed.told_recovering):
+        return present
+    found = _of_situation(observed, policy, situation(observed))
+    return present if found is None else found
+
+
+def counted_on(observed: Observed, chosen: Sequence[Strategy]) -> set[str]:
+    """The pools of the strategies in force; with situations also of those that the monitor was told of last, and of those asked for."""
+    found = set(named_pools(chosen))
+    policy = observed.policy
+    if policy is not None and situation_strategies.has_some(policy):
+        for name in {_told(observed, policy), situation_strategies.asked(observed.workload, policy)}:
+            found |= set(named_pools(_of_situation(observed, policy, name) or []))
+    return found
+
+
+def named_pools(strategies: Sequence[Strategy]) -> list[str]:
+    """The pools that strategies take instances from, in order."""
+    return list(dict.fromkeys(one.pool_ref.name for one in strategies if one.pool_ref is not None))
+
+
+# -- by the robot's situation -----------------------------------------------------------------------------------------
+
+
+def situation(observed: Observed) -> str:
+    """The situation whose strategies are in force; empty for none.
+
+    It is another one than the monitor says until the first strategy of that one could be carried out, and in the midst of a recovery.
+    """
+    policy = observed.policy
+    if policy is None or not situation_strategies.has_some(policy):
+        return ""
+    told, asked = _told(observed, policy), situation_strategies.asked(observed.workload, policy)
+    if told == asked or _lacking(observed, policy, asked) is None:
+        return asked
+    return told
+
+
+def lacking(observed: Observed) -> str:
+    """Why the strategies of the situation that the monitor says aren't in force yet; empty where they are, or none has any."""
+    policy = observed.policy
+    if policy is None or not situation_strategies.has_some(policy):
+        return ""
+    return _lacking(observed, policy, situation_strategies.asked(observed.workload, policy)) or ""
+
+
+def _told(observed: Observed, policy: Object) -> str:
+    """The situation of whose strategies the monitor was told last."""
+    settings = observed.told
+    return situation_strategies.known(policy, settings.situation if settings is not None else None)
+
+
+def _of_situation(observed: Observed, policy: Object, name: str) -> list[Strategy] | None:
+    """The strategies of a situation (empty for none); None where the policy can't be followed."""
+    if strategy_selection.is_auto(policy):
+        found = order(observed, name)
+        return strategy_selection.strategies(policy, found) if found is not None else None
+    if policy_status.problem(policy, observed.config_maps) is not None:
+        return None
+    spec = policy_status.spec(policy)
+    one = situation_strategies.find(spec, name)
+    return one.strategies if one is not None and one.strategies else spec.strategies
+
+
+def _lacking(observed: Observed, policy: Object, name: str) -> str | None:
+    """Why the first strategy of a situation couldn't be carried out now, of those that ever could; None where it could."""
+    if observed.told_recovering:
+        return "a recovery is under way"
+    asked = _of_situation(observed, policy, name)
+    if asked is None:
+        return "its policy can't be followed"
+    served = observed.serving
+    sizes = {pool: pool_size.size(item) or item["spec"].get("perWorkload") for pool, item in served.items()}
+    first = situation_strategies.first_kept(asked, sizes)
+    if first is None or first.pool_ref is None:
+        return None
+    pool, least = first.pool_ref.name, 0
+    if policy_status.readiness(served[pool]) in WAITING:
+        ready = [
+            pod
+            for pod in observed.pods
+            if kube_objects.labels(pod).get(names.POOL) == pool
+            and kube_objects.ready(pod)
+            and kube_objects.alive(pod)
+            and not kube_objects.is_active(pod, observed.gate)
+        ]
+    else:
+        ready = pool_pods.claimable_now(observed.unclaimed.get(pool, ()), observed.held_policies.get(pool))
+        if observed.refused(pool) is None:
+            least = policy_status.pool_spec(served[pool]).kept_from(observed.workload["spec"].get("poolPriority") or 0)
+    return None if len(ready) > least else f"no pod of FallbackPool {pool} is ready for it"

@@ -1,0 +1,104 @@
+"""What a workload's monitor is told: the settings that it reads from a ConfigMap, also as they change."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+
+from understudy.api import names
+from understudy.api.protocol.monitor_settings import PoolChoice, WorkloadSettings
+from understudy.controller.desired import action_proxy_container, effective_policy, node_drain
+from understudy.controller.desired.workload_plan import Understanding
+from understudy.controller.observed import dependency_graph, kube_objects
+from understudy.controller.observed.observation import Observed
+from understudy.controller.pods import instance_pod, pool_pods
+from understudy.controller.status import policy_status
+from understudy.kube.client import Object
+
+
+def config_map(observed: Observed, understanding: Understanding, environment: Mapping[str, str]) -> Object:
+    """The ConfigMap from which the monitor reads them."""
+    assert understanding.spec is not None
+    workload = observed.workload
+    kind, name = source(observed, understanding)
+    selector: dict[str, str] = {}
+    if observed.reference is not None and observed.reference.controller is not None:
+        selector = observed.reference.controller["spec"]["selector"].get("matchLabels") or {}
+    settings = WorkloadSettings(
+        workload=kube_objects.name(workload),
+        namespace=workload["metadata"]["namespace"],
+        uid=kube_objects.uid(workload),
+        source_kind=kind,
+        source_name=name,
+        source_selector=selector,
+        ros_environment=dict(environment),
+        container_environment=instance_pod.literal_environment(understanding.template, environment),
+        instance_profiles=understanding.profiles,
+        tasks_problem=action_proxy_container.problem(
+            kube_objects.name(workload), understanding.spec, understanding.template
+        ),
+        pools=choices(observed, understanding),
+        drain=node_drain.seen(observed),
+        strategies=effective_policy.chosen(observed),
+        situation=_situation(observed),
+        upstream=dependency_graph.upstream(observed.dependencies, kube_objects.name(workload)),
+    )
+    # sorted and indented, since people read it when they look for why
+    text = json.dumps(settings.to_wire(), indent=1, sort_keys=True)
+    return {
+        "apiVersion": "v1",
+        "kind": "ConfigMap",
+        "metadata": {"name": names.settings(kube_objects.name(workload))},
+        "data": {"settings.json": text},
+    }
+
+
+def choices(observed: Observed, understanding: Understanding) -> list[PoolChoice]:
+    """The pools that the strategies name and that serve the workload, those in force first. While the policy can't be followed, as
+    they were.
+    """
+    assert understanding.spec is not None
+    if understanding.policy_problem is not None:
+        return observed.told_pools
+    served = observed.serving
+    present = {choice.name: choice for choice in observed.told_pools}
+    found = []
+    chosen = effective_policy.strategies(observed)
+    first = effective_policy.named_pools(chosen)
+    for name in (*first, *sorted(effective_policy.counted_on(observed, chosen).difference(first))):
+        if name not in served:
+            continue
+        if observed.refused(name) is not None:
+            # Its standbys were made and brought up by what was accepted before, and are judged by that.
+            found += [present[name]] if name in present else []
+            continue
+        pool = policy_status.pool_spec(served[name])
+        readiness = pool.readiness
+        keep_up = pool.keep_up.period if pool.keep_up and readiness == "Initialized" else None
+        allowed = pool_pods.claimable_hash(observed.held_policies.get(name)) if readiness == "Uninitialized" else ""
+        choice = PoolChoice(
+            name=name,
+            readiness=readiness,
+            template_hash=allowed,
+            reserved=pool.kept_from(understanding.spec.pool_priority),
+            initialization=pool.initialization,
+            readiness_check=pool.readiness_check,
+            keep_up=keep_up,
+        )
+        found.append(choice)
+    return found
+
+
+def source(observed: Observed, understanding: Understanding) -> tuple[str, str]:
+    """Kind and name of the controller that makes the pods of the workload itself."""
+    assert understanding.spec is not None
+    reference = understanding.spec.workload_ref
+    return (reference.kind, reference.name) if reference else ("ReplicaSet", kube_objects.name(observed.workload))
+
+
+def _situation(observed: Observed) -> str | None:
+    """What the monitor is told: the situation of the strategies that it is told of; None for none."""
+    if observed.policy is None:
+        settings = observed.told
+        return settings.situation if settings is not None else None
+    return effective_policy.situation(observed) or None

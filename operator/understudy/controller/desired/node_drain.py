@@ -1,0 +1,106 @@
+"""Nodes that are to be emptied, while the instance in control of a robot runs on one of them.
+
+Evictions of that instance wait, by a PodDisruptionBudget, until its monitor has handed over to an understudy on another node, or until
+they have waited for as long as the workload says. The operator sees the nodes and tells the monitor, whose rights stay small.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+from understudy.api import names
+from understudy.api.base import seconds
+from understudy.api.conditions import Condition, condition
+from understudy.api.kinds.switchover_spec import Drain
+from understudy.controller.desired import effective_policy
+from understudy.controller.desired.workload_plan import Understanding
+from understudy.controller.observed import kube_objects, leaving_nodes
+from understudy.controller.observed.observation import Observed
+from understudy.controller.pods import pool_evictions
+from understudy.kube.client import Object
+
+CONDITION = "Draining"
+
+
+def seen(observed: Observed) -> Drain | None:
+    """What a monitor is told of the node of its instance in control, where that is to be emptied."""
+    active, cordoned = observed.active, observed.cordoned
+    if active is None or (node := leaving_nodes.of(active)) not in cordoned:
+        return None
+    told, uid, now = observed.told, kube_objects.uid(active), round(observed.now, 3)
+    present = told.drain if told is not None else None
+    since = min(present.since, now) if present is not None and (present.uid, present.node) == (uid, node) else now
+    return Drain(uid=uid, node=node, since=since, cordoned=sorted(cordoned))
+
+
+@dataclass(frozen=True)
+class Hold:
+    """Whether evictions of the instance in control wait."""
+
+    reason: str
+    message: str
+    holds: bool = False
+    until: float | None = None
+    """When they no longer do, in unix seconds; None while nothing is drained."""
+
+
+def hold(observed: Observed, understanding: Understanding) -> Hold:
+    """Whether evictions of the instance in control wait for an understudy, and else why not."""
+    assert understanding.spec is not None
+    active, asked = observed.active, understanding.spec.draining
+    if active is None:
+        return Hold("NoneInControl", "no instance is in control")
+    length = seconds(asked.hold_for)
+    if not length:
+        return Hold("NotAskedFor", "spec.draining.holdFor is 0s")
+    if not _falls_back(observed, understanding):
+        return Hold(
+            "NoFallback", "its policy has no Fallback whose pool serves it, so nothing could take over before it goes"
+        )
+    if other := next(
+        (kube_objects.name(b) for b in observed.budgets if pool_evictions.selects(b, kube_objects.labels(active))), None
+    ):
+        # With two of them Kubernetes refuses every eviction, for good.
+        return Hold(
+            "OtherBudget", f"PodDisruptionBudget {other}, which isn't of Understudy, selects it and decides alone"
+        )
+    if (drain := seen(observed)) is None:
+        return Hold("Held", "", holds=True)
+    until = drain.since + length
+    if observed.now >= until:
+        words = f"no understudy on another node took over within {asked.hold_for}; see status.switchover for what it waited for"
+        return Hold("HoldEnded", words)
+    return Hold("Held", "", holds=True, until=until)
+
+
+def _falls_back(observed: Observed, understanding: Understanding) -> bool:
+    """Whether its policy has a pool that serves it. While that can't be followed, whether it had."""
+    if understanding.policy_problem is not None:
+        return bool(observed.told_pools)
+    served = observed.serving
+    return any(name in served for name in effective_policy.named_pools(effective_policy.strategies(observed)))
+
+
+def budget(workload: str, active: Object) -> Object:
+    """The budget by which an eviction of the instance in control is refused for now (429), as whoever drains tries again.
+
+    An instance that isn't ready doesn't wait: what isn't well fails over anyway.
+    """
+    chosen = {names.WORKLOAD: workload, names.INSTANCE: kube_objects.name(active)}
+    return pool_evictions.keeping(names.in_control(workload), 1, chosen)
+
+
+def conditions(observed: Observed, understanding: Understanding) -> list[Condition]:
+    """The condition that tells of it, while a node is drained."""
+    active, drain = observed.active, seen(observed)
+    if understanding.spec is None or drain is None or active is None:
+        return []
+    found, generation = hold(observed, understanding), kube_objects.generation(observed.workload)
+    told = f"Node {drain.node}, from which {kube_objects.name(active)} drives the robot, is to be emptied (it is cordoned)."
+    if not found.holds:
+        then = f"Evictions of it don't wait: {found.message}."
+        return [condition(CONDITION, False, found.reason, f"{told} {then}", generation=generation)]
+    clock = datetime.fromtimestamp(found.until or 0.0, UTC).strftime("%H:%M:%S UTC")
+    then = f"Evictions of it wait for an understudy on another node to take over, until {clock} at the latest."
+    return [condition(CONDITION, True, found.reason, f"{told} {then}", generation=generation)]

@@ -1,0 +1,52 @@
+"""Where a reflex is refused: it must not let a robot follow two instances at once, or none."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from understudy.api import names
+from understudy.api.kinds.robot_workload import RobotWorkloadSpec
+from understudy.controller.pods import instance_pod
+
+
+def problem(spec: RobotWorkloadSpec, template: Mapping[str, Any]) -> str | None:
+    """Why the reflex that a workload asks for is unsafe, and what to do; None if it isn't."""
+    reflex = spec.gate.reflex
+    if reflex is None:
+        return None
+    if spec.workload_ref is not None:
+        return (
+            f"spec.gate.reflex: the pods of {spec.workload_ref.kind} {spec.workload_ref.name} are left as they are, so their "
+            "writers have no strength and a robot's reader with exclusive ownership would hear none of them. Give the pods "
+            "as spec.template instead of workloadRef, or leave reflex out"
+        )
+    if own := instance_pod.own_profiles(template):
+        return (
+            f"spec.gate.reflex: container {', '.join(own)} of spec.template sets {names.PROFILES_VARIABLE} itself, so its "
+            "writers have no strength and the robot would hear none of them. Leave the variable out, or leave reflex out"
+        )
+    topics = [output.name for output in spec.outputs if output.topic]
+    if not topics:
+        return "spec.gate.reflex: outputs has no topic, and services and actions have no reflex. Leave reflex out"
+    others = [output.name for output in spec.outputs if not output.topic]
+    if len(topics) == 1 and not others:
+        return None
+    missing = [output.name for output in spec.outputs if output.name not in reflex.accept]
+    if not missing:
+        return None
+    why = []
+    if len(topics) > 1:
+        why.append(
+            f"each topic ({', '.join(topics)}) falls over by itself, so the robot may follow one instance on one and another "
+            "on the next"
+        )
+    if others:
+        why.append(
+            f"{', '.join(others)} (service or action) has no owner: the standby that is let through could use it while the "
+            "instance in control does"
+        )
+    return (
+        f"spec.gate.reflex is unsafe with these outputs: {'; and '.join(why)}. Leave reflex out, or accept that by naming all "
+        f"of them in spec.gate.reflex.accept (missing: {', '.join(missing)})"
+    )

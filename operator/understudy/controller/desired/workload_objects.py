@@ -1,0 +1,221 @@
+"""RobotWorkloads: from what is so to what should be.
+
+A spec that can't be followed changes nothing: what protects the robot already stays as it is. A policy that can't be
+followed keeps only what was derived from it; the rest is kept up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from understudy.api import names
+from understudy.api.kinds.robot_workload import RobotWorkloadSpec
+from understudy.controller.desired import (
+    action_proxy_container,
+    discovery_server,
+    gate_policies,
+    monitor_config,
+    monitor_deployment,
+    node_drain,
+    ros_environment,
+)
+from understudy.controller.desired.plan import Apply, Create, Delete, Images, Patch, Plan
+from understudy.controller.desired.workload_plan import Understanding
+from understudy.controller.observed import dependency_graph, kube_objects, ownership, workload_reference
+from understudy.controller.observed.observation import Observed
+from understudy.controller.pods import claim_tokens, instance_pod, standby_pods
+from understudy.controller.pods.pool_pods import Fresh
+from understudy.controller.status import policy_status
+from understudy.kube.client import (
+    CONFIG_MAPS,
+    DEPLOYMENTS,
+    DISRUPTION_BUDGETS,
+    NETWORK_POLICIES,
+    REPLICA_SETS,
+    ROLE_BINDINGS,
+    ROLES,
+    SECRETS,
+    SERVICE_ACCOUNTS,
+    SERVICES,
+    Object,
+    Resource,
+)
+
+_BY_KIND: dict[str, Resource] = {"ServiceAccount": SERVICE_ACCOUNTS, "Role": ROLES, "RoleBinding": ROLE_BINDINGS}
+
+SWEPT = (DEPLOYMENTS, SERVICES)
+"""Of these, what a workload controls and no longer needs is deleted (the discovery server)."""
+
+
+def plan(observed: Observed, understanding: Understanding, images: Images, fresh: Fresh) -> Plan:
+    """The writes for a workload."""
+    made = Plan()
+    workload, spec = observed.workload, understanding.spec
+    if kube_objects.deleted(workload):
+        return made
+    if not observed.rivals:
+        # Else both would put their labels on the same pods, by turns, and shut out who drives each time.
+        made.writes += workload_reference.labelling(kube_objects.name(workload), observed.pods, observed.reference)
+    if understanding.problem is not None or spec is None:
+        return made
+    _discover(made, observed, spec, images)
+    environment = understanding.environment
+    if environment is None:
+        return made
+    _gate(made, observed, spec)
+    _hold(made, observed, understanding)
+    _configure(made, observed, understanding, environment)
+    _monitor(made, observed, understanding, images, environment)
+    if spec.template is not None:
+        if standby_pods.awaited(observed, understanding) is None:
+            body = instance_pod.replica_set(understanding.builts[""], kube_objects.name(workload))
+            made.writes.append(_ours(observed, REPLICA_SETS, body))
+        standby_pods.scale(made, observed)
+    for pool in sorted(understanding.builts):
+        if pool:
+            standby_pods.keep(made, observed, understanding, pool, fresh)
+    if ("secrets", names.agent_secret(kube_objects.name(workload))) not in observed.owned:
+        secret = ownership.token(names.agent_secret(kube_objects.name(workload)), fresh.token())
+        owner = kube_objects.owner("RobotWorkload", workload)
+        made.writes.insert(0, Create(SECRETS, ownership.ours(secret, owner, workload)))
+    _sweep(made, observed)
+    standby_pods.sweep(made, observed)
+    return made
+
+
+def abandoned(workload: str, pods: Sequence[Object]) -> Plan:
+    """The writes for a workload that is gone: referred pods lose our labels; the rest is collected with their owner."""
+    return Plan(writes=list(workload_reference.unlabelling(workload, pods, keep=frozenset())))
+
+
+def _ours(observed: Observed, resource: Resource, body: Object) -> Apply:
+    owner = kube_objects.owner("RobotWorkload", observed.workload)
+    return Apply(resource, ownership.ours(body, owner, observed.workload))
+
+
+def _discover(made: Plan, observed: Observed, spec: RobotWorkloadSpec, images: Images) -> None:
+    if spec.ros.discovery.mode != "Managed":
+        return
+    name = kube_objects.name(observed.workload)
+    service = observed.owned.get(("services", names.discovery(name)))
+    remembered = None if service else _remembered_address(observed)
+    own_images = replace(images, monitor=spec.monitor.image or images.monitor)
+    made.writes.append(_ours(observed, SERVICES, discovery_server.service(name, remembered)))
+    if (address := discovery_server.address(service) or remembered) is not None:
+        made.writes.append(_ours(observed, DEPLOYMENTS, discovery_server.deployment(name, own_images, address)))
+
+
+def _remembered_address(observed: Observed) -> str | None:
+    """The address of a Service that somebody deleted: the robot's processes have it still."""
+    found = observed.owned.get(("configmaps", names.robot_env(kube_objects.name(observed.workload))))
+    server = ((found or {}).get("data") or {}).get("ROS_DISCOVERY_SERVER", "")
+    host, colon, port = server.rpartition(":")
+    return host.strip("[]") if colon and port == str(names.DISCOVERY_PORT) else None
+
+
+def _gate(made: Plan, observed: Observed, spec: RobotWorkloadSpec) -> None:
+    workload = observed.workload
+    name, owner = kube_objects.name(workload), kube_objects.owner("RobotWorkload", workload)
+    selector = None
+    if observed.reference is not None and observed.reference.controller is not None:
+        selector = observed.reference.controller["spec"]["selector"]
+    for policy in gate_policies.standby_policies(name, spec.gate.robots, selector):
+        made.writes.append(_ours(observed, NETWORK_POLICIES, policy))
+    gate = observed.gate
+    if gate is None:
+        epoch = ((workload.get("status") or {}).get("gate") or {}).get("epoch") or 0
+        body = ownership.ours(gate_policies.closed_gate(name, epoch=epoch), owner, workload)
+        made.writes.append(Create(NETWORK_POLICIES, body))
+    elif repair := gate_policies.gate_repair(gate, owner=owner, labels=kube_objects.MANAGED_BY):
+        made.writes.append(Patch(NETWORK_POLICIES, gate, repair))
+
+
+def _hold(made: Plan, observed: Observed, understanding: Understanding) -> None:
+    """The budget of the instance in control. While none is, in a recovery, it stays as it is: it selects nothing then."""
+    found, active, name = (
+        node_drain.hold(observed, understanding),
+        observed.active,
+        kube_objects.name(observed.workload),
+    )
+    if active is None:
+        return
+    live = observed.owned.get((DISRUPTION_BUDGETS.plural, names.in_control(name)))
+    if found.holds:
+        made.writes.append(_ours(observed, DISRUPTION_BUDGETS, node_drain.budget(name, active)))
+    elif live is not None and not kube_objects.deleted(live):
+        made.writes.append(Delete(DISRUPTION_BUDGETS, live))
+    if found.until is not None:
+        made.later(max(0.0, found.until - observed.now))
+
+
+def _configure(made: Plan, observed: Observed, understanding: Understanding, environment: Mapping[str, str]) -> None:
+    assert understanding.spec is not None
+    name = kube_objects.name(observed.workload)
+    spec = understanding.spec
+    for body in ros_environment.config_maps(name, environment, spec.outputs, spec.gate.reflex):
+        made.writes.append(_ours(observed, CONFIG_MAPS, body))
+    if understanding.profiles:
+        made.writes.append(
+            _ours(observed, CONFIG_MAPS, action_proxy_container.profiles_map(name, understanding.profiles))
+        )
+    made.writes.append(_ours(observed, CONFIG_MAPS, monitor_config.config_map(observed, understanding, environment)))
+
+
+def _monitor(
+    made: Plan, observed: Observed, understanding: Understanding, images: Images, environment: Mapping[str, str]
+) -> None:
+    spec = understanding.spec
+    assert spec is not None
+    name, namespace = kube_objects.name(observed.workload), observed.workload["metadata"]["namespace"]
+    profiles = ros_environment.config_maps(name, environment, spec.outputs, spec.gate.reflex)[1]["data"][
+        ros_environment.PROFILES_KEY
+    ]
+    live = observed.owned.get((DEPLOYMENTS.plural, names.monitor(name)))
+    if understanding.policy_problem is not None:
+        claim = monitor_deployment.claimed(live)
+    else:
+        claim = policy_status.spec(observed.policies[spec.failure_policy_ref.name]).state.storage.claim_name
+    body = monitor_deployment.deployment(
+        name,
+        namespace,
+        spec.monitor,
+        images,
+        environment,
+        profiles,
+        tasks=action_proxy_container.proxied(spec),
+        claim=claim,
+    )
+    for kind, granted in monitor_deployment.access(
+        name,
+        source=monitor_config.source(observed, understanding),
+        policy=spec.failure_policy_ref.name if monitor_deployment.asks_by_name(observed.workload, live, body) else None,
+        pools=_commanded(observed, understanding),
+        upstream=[one.name for one in dependency_graph.upstream(observed.dependencies, name)],
+    ):
+        made.writes.append(_ours(observed, _BY_KIND[kind], granted))
+    made.writes.append(_ours(observed, DEPLOYMENTS, body))
+
+
+def _commanded(observed: Observed, understanding: Understanding) -> list[str]:
+    """The shared pools whose agents the monitor commands: those of its strategies, and those that it has pods of, or may have.
+
+    A claimed pod stays when its pool is deleted, or is no longer used. What a monitor may write on its pods gives it no right
+    that it hasn't had, and that its pool's selector doesn't give it.
+    """
+    chosen = {
+        choice.name for choice in monitor_config.choices(observed, understanding) if choice.readiness == "Uninitialized"
+    }
+    had = monitor_deployment.commanded(
+        observed.owned.get((ROLES.plural, names.monitor(kube_objects.name(observed.workload))))
+    )
+    return sorted(chosen | (claim_tokens.pools_of(observed.pods) & (had | observed.serving.keys())) | observed.going)
+
+
+def _sweep(made: Plan, observed: Observed) -> None:
+    """Delete what the workload controls and no longer needs."""
+    wanted = {(w.resource.plural, kube_objects.name(w.body)) for w in made.writes if isinstance(w, Apply)}
+    swept = {resource.plural: resource for resource in SWEPT}
+    for (plural, name), item in sorted(observed.owned.items()):
+        if plural in swept and (plural, name) not in wanted and not kube_objects.deleted(item):
+            made.writes.append(Delete(swept[plural], item))

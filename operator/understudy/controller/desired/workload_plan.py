@@ -1,0 +1,131 @@
+"""What a RobotWorkload's spec comes to: whether it can be followed, and the pods that it asks for."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from pydantic import ValidationError
+
+from understudy.api import names
+from understudy.api.kinds.robot_workload import RobotWorkloadSpec
+from understudy.controller.desired import action_proxy_container, discovery_server, reflex_validation, ros_environment
+from understudy.controller.desired.plan import Images, Problem
+from understudy.controller.observed import kube_objects, workload_reference
+from understudy.controller.observed.observation import Observed
+from understudy.controller.pods import instance_pod
+from understudy.controller.status import policy_status
+from understudy.kube.client import Object
+from understudy.trees.languages.procedure_notations import composed
+
+
+@dataclass(frozen=True)
+class Understanding:
+    """What a workload's spec comes to."""
+
+    spec: RobotWorkloadSpec | None = None
+    problem: Problem | None = None
+    """Why its spec can't be followed."""
+    policy_problem: Problem | None = None
+    template: Mapping[str, Any] = field(default_factory=dict)
+    environment: Mapping[str, str] | None = None
+    """ROS environment; None while the discovery server's address isn't known."""
+    profiles: str = ""
+    """DDS profiles of the instances; empty where they need none."""
+    builts: Mapping[str, Object] = field(default_factory=dict)
+    """Built pod templates: of its own ReplicaSet ("") and of the standbys of each pool."""
+
+
+def understand(observed: Observed, images: Images) -> Understanding:
+    """What a workload's spec comes to, before the API server has judged its template."""
+    workload = observed.workload
+    name, namespace = kube_objects.name(workload), workload["metadata"]["namespace"]
+    try:
+        spec = RobotWorkloadSpec.model_validate(workload.get("spec") or {})
+    except ValidationError as error:
+        return Understanding(problem=Problem("SpecInvalid", policy_status.invalid(error)))
+    policy = _policy_problem(observed, spec)
+    trees = ((f"spec.dependsOn[{index}].procedure", one.procedure) for index, one in enumerate(spec.depends_on))
+    if words := policy_status.procedures_problem(("spec.bringUp", spec.bring_up), *trees):
+        return Understanding(spec=spec, problem=Problem("TreeInvalid", words), policy_problem=policy)
+
+    def refuse(problem: Problem) -> Understanding:
+        return Understanding(spec=spec, problem=problem, policy_problem=policy)
+
+    try:
+        ros_environment.config_maps(name, {}, spec.outputs)
+    except ValueError as error:
+        return refuse(Problem("PortsExhausted", str(error)))
+    template, path, stripped = spec.template or {}, "spec.template", frozenset[str]()
+    if spec.workload_ref is not None:
+        referred = observed.reference or workload_reference.Referred()
+        if found := workload_reference.problem(spec.workload_ref, referred, observed.rivals, namespace):
+            return refuse(found)
+        assert referred.controller is not None
+        template = referred.controller["spec"]["template"]
+        path = f"{spec.workload_ref.kind} {spec.workload_ref.name}: spec.template"
+        stripped = workload_reference.label_keys(referred)
+    if words := instance_pod.problem(template, held=False, path=path):
+        return refuse(Problem("TemplateInvalid", words))
+    if words := reflex_validation.problem(spec, template):
+        return refuse(Problem("ReflexUnsafe", words))
+    service = observed.owned.get(("services", names.discovery(name)))
+    address = discovery_server.address(service)
+    if spec.ros.discovery.mode == "Managed" and address is None:
+        return Understanding(spec=spec, policy_problem=policy, template=template)
+    environment = ros_environment.ros_environment(spec.ros, address)
+    own_images = replace(images, monitor=spec.monitor.image or images.monitor)
+    profiles = action_proxy_container.instance_profiles(spec)
+
+    def build(pool: str) -> Object:
+        recipe = instance_pod.Recipe(
+            workload=name,
+            namespace=namespace,
+            images=own_images,
+            secret=names.agent_secret(name),
+            environment=environment,
+            pool=pool,
+            stripped=stripped,
+            profiles=profiles,
+            procedure=_procedure(observed, spec, pool) if pool else "",
+        )
+        return instance_pod.build(template, recipe)
+
+    builts = {pool: build(pool) for pool in observed.standby_pools}
+    if spec.template is not None:
+        builts[""] = build("")
+    return Understanding(spec, None, policy, template, environment, profiles, builts)
+
+
+def probe_template(observed: Observed, understanding: Understanding) -> Object | None:
+    """A pod by which the API server can judge the template; None where none was built."""
+    if not understanding.builts:
+        return None
+    return instance_pod.trial(understanding.builts[min(understanding.builts)], "RobotWorkload", observed.workload)
+
+
+def _policy_problem(observed: Observed, spec: RobotWorkloadSpec) -> Problem | None:
+    """Why the workload's policy can't be followed."""
+    name = spec.failure_policy_ref.name
+    policy = observed.policies.get(name)
+    if policy is None:
+        return Problem(
+            "PolicyNotFound",
+            f'spec.failurePolicyRef.name: no FailurePolicy "{name}" in namespace '
+            f"{observed.workload['metadata']['namespace']} ({kube_objects.hint(name, observed.policies)}). "
+            f"Create it or correct the name",
+        )
+    if found := policy_status.problem(policy, observed.config_maps):
+        return Problem("PolicyNotAccepted", f"FailurePolicy {name}: {found.message}")
+    return None
+
+
+def _procedure(observed: Observed, spec: RobotWorkloadSpec, pool: str) -> str:
+    """The tree that brings a pool's standbys up, in the short form as text; empty where there is none, or the pool isn't accepted."""
+    if observed.refused(pool) is not None:
+        return ""
+    parsed = policy_status.pool_spec(observed.pools[pool])
+    found = parsed.initialization or (spec.bring_up if parsed.readiness == "Executing" else None)
+    return json.dumps(composed(found, path=pool).node, sort_keys=True) if found is not None else ""

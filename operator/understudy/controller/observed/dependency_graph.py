@@ -1,0 +1,129 @@
+"""Which workloads depend on which others: whether that can be followed, and all that one depends on, in order.
+
+Names alone, so that files can be checked by the same functions as objects.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+from understudy.api.conditions import Condition, condition
+from understudy.api.protocol.monitor_settings import Upstream
+from understudy.controller.desired.plan import Problem
+from understudy.controller.observed import kube_objects
+from understudy.kube.client import Object
+
+RESOLVED = "DependenciesResolved"
+"""The condition that says whether a workload's dependencies are followed."""
+
+Graph = Mapping[str, Sequence[str]]
+"""By name, what each workload depends on."""
+
+
+def named(workload: Object) -> list[str]:
+    """The workloads that one depends on, in order, as far as its spec can be read."""
+    spec = workload.get("spec")
+    entries = spec.get("dependsOn") if isinstance(spec, Mapping) else None
+    found = [one.get("name") for one in entries if isinstance(one, Mapping)] if isinstance(entries, list) else []
+    return list(dict.fromkeys(name for name in found if isinstance(name, str) and name))
+
+
+def graph(workloads: Iterable[Object]) -> dict[str, list[str]]:
+    """What each of the workloads of a namespace depends on, but for those that are on their way out."""
+    return {kube_objects.name(one): named(one) for one in workloads if not kube_objects.deleted(one)}
+
+
+def circle(known: Graph, name: str) -> list[str] | None:
+    """A shortest way from a workload over those that it depends on back to itself, such as ``[a, b, a]``; None where there is none.
+
+    It begins with the first name in the order of letters, so that it reads the same whichever of its members is asked about.
+    """
+    before: dict[str, str] = {}
+    queue = deque([name])
+    while queue:
+        at = queue.popleft()
+        for following in known.get(at, ()):
+            if following == name:
+                way = [at]
+                while way[-1] != name:
+                    way.append(before[way[-1]])
+                way.reverse()
+                first = way.index(min(way))
+                return [*way[first:], *way[:first], way[first]]
+            if following not in before:
+                before[following] = at
+                queue.append(following)
+    return None
+
+
+def upstream(known: Graph, name: str) -> list[Upstream]:
+    """All that a workload depends on, directly or through others, each after what it depends on itself; none where that is a circle."""
+    if first_circle(known, name) is not None:
+        return []
+    left = [one for one in _reached(known, name) if one != name]
+    order: list[str] = []
+    while left:
+        order += [one for one in left if all(before in order for before in known.get(one, ()))]
+        left = [one for one in left if one not in order]
+    return [Upstream(name=one, depends_on=list(known.get(one, ()))) for one in order]
+
+
+def first_circle(known: Graph, name: str) -> list[str] | None:
+    """The circle that a workload is in, or else one that is among those that it depends on."""
+    return next((found for one in _reached(known, name) if (found := circle(known, one)) is not None), None)
+
+
+def _reached(known: Graph, name: str) -> Iterator[str]:
+    """A workload and all that it depends on, the nearest first."""
+    seen, queue = {name}, deque([name])
+    while queue:
+        at = queue.popleft()
+        yield at
+        for following in known.get(at, ()):
+            if following not in seen:
+                seen.add(following)
+                queue.append(following)
+
+
+def drawn(found: Sequence[str]) -> str:
+    """A circle as people read it."""
+    return " -> ".join(found)
+
+
+def problem(known: Graph, name: str, namespace: str) -> Problem | None:
+    """Why a workload's dependencies, or some of them, aren't followed."""
+    found = first_circle(known, name)
+    if found is not None:
+        where = "" if name in found else f"{name} depends on a circle: "
+        if len(found) == 2:
+            what = f"{found[0]} depends on itself ({drawn(found)})"
+        else:
+            what = f"{drawn(found)} is a circle, in which none can be recovered first"
+        return Problem(
+            "DependencyCycle",
+            f"spec.dependsOn: {where}{what}. Take one of these dependencies out; until then each of them is protected as though it "
+            f"depended on none",
+        )
+    missing = [one for one in known.get(name, ()) if one not in known]
+    if missing:
+        others = [one for one in known if one != name]
+        return Problem(
+            "DependencyNotFound",
+            f'spec.dependsOn: no RobotWorkload "{missing[0]}" in namespace {namespace} ({kube_objects.hint(missing[0], others)}). '
+            f"Create it or correct the name; until then {name} is protected as though it didn't depend on it",
+        )
+    return None
+
+
+def resolved(known: Graph, workload: Object) -> list[Condition]:
+    """Whether a workload's dependencies are followed; nothing where it has none."""
+    name, generation = kube_objects.name(workload), kube_objects.generation(workload)
+    if not known.get(name):
+        return []
+    found = problem(known, name, workload["metadata"]["namespace"])
+    if found is not None:
+        return [condition(RESOLVED, False, found.reason, f"{found.message}.", generation=generation)]
+    order = ", ".join(one.name for one in upstream(known, name))
+    told = f"It depends on {order}; what has to be done after a recovery of theirs is done in this order."
+    return [condition(RESOLVED, True, "Resolved", told, generation=generation)]

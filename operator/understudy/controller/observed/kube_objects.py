@@ -1,0 +1,115 @@
+"""Reading Kubernetes objects as plain dictionaries."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Mapping
+from datetime import datetime
+from typing import Any
+
+from understudy.api import names
+from understudy.api.base import API_VERSION
+from understudy.kube.client import Object
+
+MANAGED_BY = {"app.kubernetes.io/managed-by": "understudy"}
+"""On everything the operator makes, so that one list per resource finds it all."""
+
+
+def name(item: Object) -> str:
+    """The object's name."""
+    text: str = item["metadata"]["name"]
+    return text
+
+
+def uid(item: Object) -> str:
+    """The object's UID."""
+    text: str = item["metadata"].get("uid", "")
+    return text
+
+
+def labels(item: Object) -> dict[str, str]:
+    """The object's labels."""
+    return item["metadata"].get("labels") or {}
+
+
+def notes(item: Object) -> dict[str, str]:
+    """The object's annotations."""
+    return item["metadata"].get("annotations") or {}
+
+
+def generation(item: Object) -> int | None:
+    """The generation of the object's spec."""
+    found: int | None = item["metadata"].get("generation")
+    return found
+
+
+def deleted(item: Object) -> bool:
+    """Whether the object is on its way out."""
+    return bool(item["metadata"].get("deletionTimestamp"))
+
+
+def owner(kind: str, item: Object) -> Object:
+    """The owner reference for what an object of ours controls. It never blocks its deletion."""
+    return {
+        "apiVersion": API_VERSION,
+        "kind": kind,
+        "name": name(item),
+        "uid": uid(item),
+        "controller": True,
+        "blockOwnerDeletion": False,
+    }
+
+
+def alive(pod: Object) -> bool:
+    """Whether a pod counts: not on its way out and not ended."""
+    return not deleted(pod) and (pod.get("status") or {}).get("phase") not in ("Failed", "Succeeded")
+
+
+def ended(pod: Object) -> bool:
+    """Whether a pod has ended for good, such as by eviction, and only remains as a record."""
+    return not deleted(pod) and (pod.get("status") or {}).get("phase") in ("Failed", "Succeeded")
+
+
+def ready(pod: Object) -> bool:
+    """Whether a pod is alive and Ready."""
+    conditions = (pod.get("status") or {}).get("conditions") or []
+    return alive(pod) and any(c["type"] == "Ready" and c["status"] == "True" for c in conditions)
+
+
+def created(item: Object) -> float:
+    """When the object was created, in unix seconds; 0 where it isn't known."""
+    text = item["metadata"].get("creationTimestamp")
+    return datetime.fromisoformat(text.replace("Z", "+00:00")).timestamp() if text else 0.0
+
+
+def sort_key(item: Object) -> tuple[float, str]:
+    """Oldest first, and always in the same order."""
+    return created(item), name(item)
+
+
+def active(gate: Object | None) -> tuple[str, str]:
+    """Name and UID of the pod in control by a gate's annotations; empty while the gate is closed or isn't there."""
+    found = notes(gate) if gate is not None else {}
+    return found.get(names.ACTIVE, ""), found.get(names.ACTIVE_UID, "")
+
+
+def is_active(pod: Object, gate: Object | None) -> bool:
+    """Whether a pod is the one in control."""
+    return bool(uid(pod)) and active(gate)[1] == uid(pod)
+
+
+def hint(found: str, known: Iterable[str]) -> str:
+    """A hint at what was meant, for the end of a message."""
+    candidates = sorted(known)
+    close = difflib.get_close_matches(found, candidates, n=1)
+    if close:
+        return f'did you mean "{close[0]}"?'
+    if candidates:
+        shown = ", ".join(candidates[:5]) + (", ..." if len(candidates) > 5 else "")
+        return f"there are: {shown}"
+    return "there is none in this namespace"
+
+
+def frozen(mapping: Mapping[str, Any] | None) -> dict[str, Any]:
+    """A shallow copy, also of nothing."""
+    return dict(mapping or {})

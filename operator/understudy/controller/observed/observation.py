@@ -1,0 +1,152 @@
+"""What is so around a workload, as it was read, and what follows from it alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from pydantic import ValidationError
+
+from understudy.api import names
+from understudy.api.kinds.switchover_spec import Phase
+from understudy.api.protocol.monitor_settings import PoolChoice, WorkloadSettings
+from understudy.controller.desired.plan import Problem
+from understudy.controller.observed import committed_recovery, kube_objects, workload_reference
+from understudy.controller.pods import pool_pods as pools
+from understudy.controller.status import policy_status as policies
+from understudy.kube.client import CONFIG_MAPS, Object
+
+WAITING = ("Initialized", "Executing")
+"""The readinesses at which a standby of a workload's own waits."""
+
+_UNDER_WAY: tuple[Phase, ...] = ("Preparing", "Switching")
+"""The phases of a planned switchover in which an understudy is used for it."""
+
+
+@dataclass(frozen=True)
+class Observed:
+    """What is so around a workload."""
+
+    workload: Object
+    now: float
+    policies: Mapping[str, Object] = field(default_factory=dict)
+    """All FailurePolicies of the namespace."""
+    config_maps: Mapping[str, Object] = field(default_factory=dict)
+    """The ConfigMaps of the namespace that policies may read, and ours."""
+    pools: Mapping[str, Object] = field(default_factory=dict)
+    """All FallbackPools of the namespace."""
+    held_policies: Mapping[str, Object] = field(default_factory=dict)
+    """The network policies of the pools' held pods, by pool."""
+    owned: Mapping[tuple[str, str], Object] = field(default_factory=dict)
+    """What the workload controls besides pods, by plural and name."""
+    pods: Sequence[Object] = ()
+    """Pods with the workload's label."""
+    monitors: Sequence[Object] = ()
+    """The monitor's pods."""
+    discovery: Sequence[Object] = ()
+    """The managed discovery server's pods."""
+    unclaimed: Mapping[str, Sequence[Object]] = field(default_factory=dict)
+    """Held pods, by pool."""
+    reference: workload_reference.Referred | None = None
+    """What ``workloadRef`` names; None where there is a template."""
+    rivals: Sequence[str] = ()
+    """Older RobotWorkloads that refer to the same controller."""
+    expected: Mapping[str, int] = field(default_factory=dict)
+    """By pool, standbys that were created and haven't been observed yet."""
+    dependencies: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    """What each workload of the namespace depends on; empty where this one depends on none."""
+    resized: Object | None = None
+    """The pod in control, whole, while the workload is degraded and its policy gives it more then."""
+    cordoned: frozenset[str] = frozenset()
+    """The nodes of the cluster that are to be emptied."""
+    budgets: Sequence[Object] = ()
+    """PodDisruptionBudgets of the namespace that aren't ours."""
+    leaving: frozenset[str] = frozenset()
+    """The nodes whose pods are about to go."""
+    going: frozenset[str] = frozenset()
+    """The shared pools that are gone and have pods that may be claimed yet, of those whose agents the monitor may command."""
+
+    @property
+    def policy(self) -> Object | None:
+        """The workload's policy."""
+        name = ((self.workload.get("spec") or {}).get("failurePolicyRef") or {}).get("name", "")
+        return self.policies.get(name)
+
+    @property
+    def serving(self) -> dict[str, Object]:
+        """The pools whose selector matches the workload, and that can be kept."""
+        return {
+            name: pool
+            for name, pool in self.pools.items()
+            if not kube_objects.deleted(pool) and pools.serves(pool, self.workload)
+        }
+
+    @property
+    def standby_pools(self) -> dict[str, Object]:
+        """The pools that keep standbys of the workload's own template."""
+        return {name: pool for name, pool in self.serving.items() if policies.readiness(pool) in WAITING}
+
+    def refused(self, pool: str) -> Problem | None:
+        """Why a pool isn't accepted. Nothing is made for it then, and what there is of it stays as it was."""
+        return policies.pool_problem(self.pools[pool])
+
+    @property
+    def told(self) -> WorkloadSettings | None:
+        """What the monitor was told last."""
+        present = self.owned.get((CONFIG_MAPS.plural, names.settings(kube_objects.name(self.workload))))
+        text = ((present or {}).get("data") or {}).get("settings.json")
+        try:
+            return WorkloadSettings.model_validate_json(text) if text else None
+        except ValidationError:
+            return None
+
+    @property
+    def told_pools(self) -> list[PoolChoice]:
+        """The pools that the monitor was told of last."""
+        told = self.told
+        return told.pools if told is not None else []
+
+    @property
+    def gate(self) -> Object | None:
+        """The gate's policy."""
+        return self.owned.get(("networkpolicies", names.gate(kube_objects.name(self.workload))))
+
+    @property
+    def active(self) -> Object | None:
+        """The pod in control."""
+        return next((p for p in self.pods if kube_objects.is_active(p, self.gate) and kube_objects.alive(p)), None)
+
+    @property
+    def instances(self) -> list[Object]:
+        """The workload's pods, of a referred controller also those that aren't labelled yet."""
+        found = {kube_objects.uid(pod): pod for pod in self.pods}
+        if self.reference is not None:
+            found |= {kube_objects.uid(pod): pod for pod in self.reference.pods}
+        return sorted(found.values(), key=kube_objects.sort_key)
+
+    @property
+    def told_recovering(self) -> bool:
+        """Whether the monitor says that it is recovering: beside the gate first, and in the status if that takes long."""
+        health = (self.workload.get("status") or {}).get("health")
+        return health == "Recovering" or committed_recovery.under_way(self.workload, self.gate, self.now)
+
+    @property
+    def recovering(self) -> bool:
+        """Whether a recovery is under way, as far as can be seen from here."""
+        epoch = kube_objects.notes(self.gate).get(names.EPOCH, "0") if self.gate else "0"
+        return self.told_recovering or (epoch != "0" and not kube_objects.active(self.gate)[0])
+
+    @property
+    def handing_over(self) -> bool:
+        """Whether a planned switchover is asked for, or its understudy is being prepared or takes over, by what the monitor says.
+
+        One for a drain that waits isn't under way: it may wait for as long as its node is to be emptied, for what is made meanwhile.
+        """
+        asked = kube_objects.notes(self.workload).get(names.SWITCHOVER)
+        return bool(asked and asked != self.switchover.get("handled")) or self.switchover.get("phase") in _UNDER_WAY
+
+    @property
+    def switchover(self) -> Mapping[str, Any]:
+        """What the monitor says of the last planned switchover; nothing where there was none."""
+        return (self.workload.get("status") or {}).get("switchover") or {}

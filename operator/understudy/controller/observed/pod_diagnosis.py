@@ -1,0 +1,81 @@
+"""Why a pod doesn't run, and what would put it right."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from understudy.controller.observed import kube_objects
+from understudy.kube.client import Object
+
+_ADVICE = {
+    "ImagePullBackOff": "Check the image's name, that its registry can be reached, and imagePullSecrets",
+    "ErrImageNeverPull": "The image isn't on the node and imagePullPolicy is Never: load it there or allow pulling",
+    "InvalidImageName": "Correct the image's name",
+    "CrashLoopBackOff": "See why it ends: kubectl logs --previous -n {namespace} {pod} -c {container}",
+    "CreateContainerConfigError": "Something that it refers to is missing, such as a ConfigMap or Secret",
+    "CreateContainerError": "See kubectl describe pod -n {namespace} {pod}",
+    "RunContainerError": "See kubectl describe pod -n {namespace} {pod}",
+    "StartError": "Check that its command exists in the image",
+    "Unschedulable": "No node takes it: see its requests, nodeSelector and the nodes' free resources",
+}
+_CRASHES = 2
+_SAME = {"ErrImagePull": "ImagePullBackOff", "ImageInspectError": "ImagePullBackOff"}  # they alternate for one cause
+
+
+@dataclass(frozen=True)
+class Trouble:
+    """What keeps a pod from running."""
+
+    reason: str
+    message: str
+
+
+def trouble(pod: Object) -> Trouble | None:
+    """Why a pod can't start, or None while it runs or merely hasn't started yet."""
+    if not kube_objects.alive(pod):
+        return None
+    status = pod.get("status") or {}
+    for entry in [*(status.get("initContainerStatuses") or []), *(status.get("containerStatuses") or [])]:
+        waiting = (entry.get("state") or {}).get("waiting") or {}
+        reason = _SAME.get(waiting.get("reason", ""), waiting.get("reason", ""))
+        if reason not in _ADVICE and _crashing(pod, entry):
+            reason, waiting = "CrashLoopBackOff", {}
+        if reason in _ADVICE:
+            return _told(
+                pod, reason, entry["name"], f"container {entry['name']} (image {entry.get('image', '')})", waiting
+            )
+    for condition in status.get("conditions") or []:
+        if condition["type"] == "PodScheduled" and condition["status"] == "False":
+            reason = condition.get("reason") or ""
+            if reason in _ADVICE:
+                return _told(pod, reason, "", "it", condition)
+    return None
+
+
+def first(pods: Sequence[Object]) -> Trouble | None:
+    """Why one of several pods can't start: that of the first that can't."""
+    return next((found for pod in sorted(pods, key=kube_objects.sort_key) if (found := trouble(pod))), None)
+
+
+def _crashing(pod: Object, entry: Object) -> bool:
+    """Whether a container is only between two crashes, so that what is told doesn't change with each."""
+    terminated = (entry.get("lastState") or {}).get("terminated") or {}
+    again = entry.get("restartCount", 0) >= _CRASHES and terminated.get("exitCode", 0) != 0
+    return again and not kube_objects.ready(pod)
+
+
+def _told(pod: Object, reason: str, container: str, what: str, found: Object) -> Trouble:
+    name, namespace = kube_objects.name(pod), pod["metadata"].get("namespace", "")
+    words = _steady(found.get("message", ""), name)
+    advice = _ADVICE[reason].format(namespace=namespace, pod=name, container=container)
+    said = f": {words}" if words else ""
+    return Trouble(reason, f"pod {name}: {what} can't start, {reason}{said}. {advice}.")
+
+
+def _steady(words: str, pod: str) -> str:
+    """The kubelet's words without what changes from one try to the next, so that a condition doesn't."""
+    if words.startswith("back-off "):
+        return ""
+    words = words.removesuffix(".").replace(f'"{pod}"', "the pod")
+    return words if len(words) <= 300 else words[:299] + "…"

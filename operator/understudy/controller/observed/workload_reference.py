@@ -1,0 +1,99 @@
+"""Existing controllers that a workload refers to: whether they can be protected, and the labels of their pods."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from understudy.api import names
+from understudy.api.kinds.robot_workload import WorkloadReference
+from understudy.controller.desired.plan import Patch, Problem
+from understudy.controller.observed import kube_objects, selectors
+from understudy.kube.client import PODS, Object
+
+
+@dataclass(frozen=True)
+class Referred:
+    """What ``workloadRef`` names."""
+
+    controller: Object | None = None
+    """The Deployment or StatefulSet; None where it isn't there."""
+    pods: Sequence[Object] = ()
+    """Its pods."""
+
+
+def problem(reference: WorkloadReference, referred: Referred, rivals: Sequence[str], namespace: str) -> Problem | None:
+    """Why a referred controller can't be protected, or None."""
+    told = f"{reference.kind} {reference.name}"
+    controller = referred.controller
+    if controller is None:
+        return Problem(
+            "ReferenceNotFound",
+            f'spec.workloadRef: no {reference.kind} "{reference.name}" in namespace {namespace}. Create it, or correct '
+            f"kind and name",
+        )
+    replicas = (controller.get("spec") or {}).get("replicas", 1)
+    if replicas != 1:
+        return Problem(
+            "ReplicasNotOne",
+            f"{told}: spec.replicas is {replicas}; one robot is driven by one pod, so it must be 1. Standbys come from "
+            f"a FallbackPool",
+        )
+    if rivals:
+        return Problem(
+            "ReferenceTaken",
+            f"{told} is protected by RobotWorkload {rivals[0]} already: delete one of the two",
+        )
+    selector = (controller.get("spec") or {}).get("selector") or {}
+    if not selectors.requirements(selector):
+        return Problem("ReferenceInvalid", f"{told}: spec.selector is empty, so its pods can't be told from others")
+    return None
+
+
+def label_keys(referred: Referred) -> frozenset[str]:
+    """The label keys by which the controller (or what it makes) would adopt a pod."""
+    selector = ((referred.controller or {}).get("spec") or {}).get("selector") or {}
+    return frozenset(requirement["key"] for requirement in selectors.requirements(selector))
+
+
+def controlled(controller: Object, replica_sets: Sequence[Object], pods: Sequence[Object]) -> list[Object]:
+    """The pods that a Deployment (through its ReplicaSets) or a StatefulSet really controls, of those it selects."""
+    controllers = {kube_objects.uid(controller)}
+    controllers |= {kube_objects.uid(item) for item in replica_sets if _controller_uid(item) in controllers}
+    return [pod for pod in pods if _controller_uid(pod) in controllers]
+
+
+def _controller_uid(item: Object) -> str:
+    owners = item["metadata"].get("ownerReferences") or []
+    return next((owner["uid"] for owner in owners if owner.get("controller")), "")
+
+
+def labelling(workload: str, pods: Sequence[Object], referred: Referred | None) -> Iterator[Patch]:
+    """Label every instance so that the gate can select it, and take the labels off pods that are none any more."""
+    for pod in pods:
+        if kube_objects.labels(pod).get(names.SOURCE) == "workload" and not kube_objects.deleted(pod):
+            yield from _label(pod, {names.INSTANCE: kube_objects.name(pod)})
+    if referred is None or referred.controller is None:
+        return
+    for pod in referred.pods:
+        if not kube_objects.deleted(pod):
+            yield from _label(pod, {names.WORKLOAD: workload, names.INSTANCE: kube_objects.name(pod)})
+    yield from unlabelling(workload, pods, keep={kube_objects.uid(pod) for pod in referred.pods})
+
+
+def _label(pod: Object, wanted: Mapping[str, Any]) -> Iterator[Patch]:
+    if any(kube_objects.labels(pod).get(key) != value for key, value in wanted.items()):
+        yield Patch(PODS, pod, {"metadata": {"labels": dict(wanted)}})
+
+
+def unlabelling(workload: str, pods: Sequence[Object], *, keep: Collection[str]) -> Iterator[Patch]:
+    """Take our labels off pods that we labelled and never made.
+
+    Pods made by us are left: their own ReplicaSet selects them by these labels and would let go of them.
+    """
+    for pod in pods:
+        found = kube_objects.labels(pod)
+        ours = names.SOURCE in found or names.POOL in found
+        if found.get(names.WORKLOAD) == workload and not ours and kube_objects.uid(pod) not in keep:
+            yield Patch(PODS, pod, {"metadata": {"labels": {names.WORKLOAD: None, names.INSTANCE: None}}})

@@ -1,0 +1,284 @@
+"""FallbackPools: what is so around one, what its spec comes to, and the held pods of a shared one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from datetime import datetime
+from typing import Any
+
+from understudy.api import names
+from understudy.api.kinds.fallback_pool import FallbackPoolSpec
+from understudy.controller.desired import gate_policies as gates
+from understudy.controller.desired.plan import Apply, Create, Delete, Images, Plan, Problem
+from understudy.controller.observed import kube_objects, leaving_nodes, ownership, selectors
+from understudy.controller.pods import claim_tokens, instance_pod, pod_counts, pool_evictions, pool_size
+from understudy.controller.pods.pool_size import Sized
+from understudy.controller.status import policy_status
+from understudy.failover.pool_queue import Waiter, in_order
+from understudy.failover.progress import waiter
+from understudy.kube.client import DISRUPTION_BUDGETS, NETWORK_POLICIES, PODS, Object
+
+MOVING = "Moving"
+"""The condition that is there while pods are replaced elsewhere."""
+
+FIRST_THE_CLAIMED = 10.0
+"""Seconds that a claimed pod has to get into control before the one in its place is started, which may be on its node: a
+robot waits for the one, nobody for the other.
+"""
+
+
+@dataclass(frozen=True)
+class Observed:
+    """What is so around a pool."""
+
+    pool: Object
+    workloads: Mapping[str, Object]
+    """All RobotWorkloads of the namespace."""
+    pods: Sequence[Object]
+    """Pods with the pool's label, whoever owns them now."""
+    owned: Mapping[tuple[str, str], Object]
+    """What the pool controls besides pods, by plural and name."""
+    now: float
+    source: Mapping[str, Any] | None = None
+    """Pod template of the workload that ``templateFrom`` names, if that has one."""
+    source_selector: Mapping[str, Any] | None = None
+    """Selector of that workload's referred controller, if it has one."""
+    active: frozenset[str] = frozenset()
+    """UIDs of the pods in control of some robot."""
+    stand_ins: Sequence[Object] = ()
+    """Pods of its workloads' own controllers that wait where a pod of it drives."""
+    expected: int = 0
+    """Pods that were created and haven't been observed yet."""
+    prewarmed: int = 0
+    """Workloads that are to have a standby more, since they are degraded."""
+    waiting: Sequence[Waiter] = ()
+    """The workloads that wait for a pod of it, who is served first before the others."""
+    spared: int = 0
+    """Workloads that it serves and that have no standby of it, since other strategies were chosen for them."""
+    asking: Sequence[Object] = ()
+    """The workloads that take a pod of it when they fail, where its size follows that."""
+    leaving: frozenset[str] = frozenset()
+    """The nodes whose pods are about to go."""
+    budgets: Sequence[Object] = ()
+    """PodDisruptionBudgets of the namespace that aren't ours."""
+    secret: Object | None = None
+    """The Secret with the name of the one for its agents."""
+
+
+@dataclass(frozen=True)
+class Understanding:
+    """What a pool's spec comes to."""
+
+    spec: FallbackPoolSpec | None = None
+    problem: Problem | None = None
+    built: Object | None = None
+    """The pod template of its held pods, for a shared pool."""
+    sized: Sized | None = None
+    """Its size, where it follows the failures."""
+
+
+def serves(pool: Object, workload: Object) -> bool:
+    """Whether a pool's selector matches a workload."""
+    selector = (pool.get("spec") or {}).get("workloadSelector") or {}
+    return selectors.matches(selector, kube_objects.labels(workload))
+
+
+def unclaimed(pool: Object, pods: Sequence[Object]) -> list[Object]:
+    """The pods that a shared pool holds: still its own, and still held."""
+    return [
+        pod
+        for pod in pods
+        if kube_objects.labels(pod).get(names.HELD) == "true" and ownership.controls(kube_objects.uid(pool), pod)
+    ]
+
+
+def queue(pool: str, gates: Sequence[Object], now: float) -> list[Waiter]:
+    """The workloads that wait for a pod of a shared pool by what is beside their gates, who is served first before the others."""
+    found = []
+    for gate in gates:
+        if kube_objects.labels(gate).get(names.WAITS_FOR) != pool:
+            continue
+        one = waiter(kube_objects.notes(gate).get(names.RECOVERY, ""))
+        if one is not None and names.gate(one.workload) == kube_objects.name(gate):  # each speaks for itself only
+            found.append(one)
+    return in_order(found, pool, now)
+
+
+def understand(observed: Observed, images: Images) -> Understanding:
+    """What a pool's spec comes to, before the API server has judged its template."""
+    pool = observed.pool
+    refused = policy_status.pool_problem(pool)
+    if refused is not None and refused.reason == "SpecInvalid":
+        return Understanding(problem=refused)
+    spec = policy_status.pool_spec(pool)
+    sized = pool_size.sized(pool, spec, observed.asking, observed.now)
+    if refused is not None:
+        return Understanding(spec, refused, sized=sized)
+    if spec.readiness != "Uninitialized":
+        return Understanding(spec)
+    template, path, image = spec.template, "spec.template", images
+    if spec.template_from is not None:
+        source = spec.template_from.workload
+        path = f"RobotWorkload {source}: spec.template"
+        template = dict(observed.source) if observed.source is not None else None
+        if template is None:
+            return Understanding(spec, _no_source(source, observed), sized=sized)
+        own = ((observed.workloads[source].get("spec") or {}).get("monitor") or {}).get("image")
+        image = replace(images, monitor=own or images.monitor)
+    if found := instance_pod.problem(template or {}, held=True, path=path):
+        return Understanding(spec, Problem("TemplateInvalid", found), sized=sized)
+    requirements = selectors.requirements(observed.source_selector or {})
+    recipe = instance_pod.Recipe(
+        workload="",
+        namespace=pool["metadata"]["namespace"],
+        images=image,
+        secret=names.pool_secret(kube_objects.name(pool)),
+        pool=kube_objects.name(pool),
+        held=True,
+        warm_paths=spec.warm_paths,
+        stripped=frozenset(requirement["key"] for requirement in requirements),
+    )
+    return Understanding(spec, built=instance_pod.build(template or {}, recipe), sized=sized)
+
+
+def _no_source(source: str, observed: Observed) -> Problem:
+    if source in observed.workloads:
+        message = f'spec.templateFrom.workload: what RobotWorkload "{source}" refers to is not there'
+    else:
+        message = (
+            f'spec.templateFrom.workload: no RobotWorkload "{source}" in namespace '
+            f"{observed.pool['metadata']['namespace']} ({kube_objects.hint(source, observed.workloads)})"
+        )
+    return Problem("TemplateSourceNotFound", f"{message}. Pods that the pool has are kept")
+
+
+@dataclass(frozen=True)
+class Fresh:
+    """Where names and secrets that never were before come from."""
+
+    name: Callable[[str], str]
+    token: Callable[[], str] = field(repr=False)
+
+
+def plan(observed: Observed, understanding: Understanding, fresh: Fresh) -> Plan:
+    """The writes for a pool whose spec was accepted. Claimed pods are never among them."""
+    made = Plan()
+    spec, built = understanding.spec, understanding.built
+    if understanding.problem is not None or spec is None or built is None or kube_objects.deleted(observed.pool):
+        made.writes += claim_tokens.release(kube_objects.name(observed.pool), observed.secret)
+        if any(leaving_nodes.on(pod, observed.leaving) for pod in observed.pods):
+            _let_go(made, observed)  # nothing comes in their place
+        return made
+    pool, name = observed.pool, kube_objects.name(observed.pool)
+    owner = kube_objects.owner("FallbackPool", pool)
+    held = unclaimed(pool, observed.pods)
+    present = instance_pod.template_hash(built)
+    made.writes += claim_tokens.keep(name, pool["metadata"]["namespace"], observed.secret, fresh.token)
+    living = [pod for pod in held if kube_objects.alive(pod)]
+    want = pool_size.wanted(spec, understanding.sized)
+    update = _update(spec, want)
+    # Which pods may be claimed is said before others go.
+    policy = gates.held_policy(name, pod_counts.claimable(living, present, update))
+    made.writes.append(Apply(NETWORK_POLICIES, ownership.ours(policy, owner, pool)))
+    change = pod_counts.change(
+        held,
+        want=want,
+        template_hash=present,
+        expected=observed.expected,
+        now=observed.now,
+        moving=lambda pod: leaving_nodes.on(pod, observed.leaving),
+        update=update,
+    )
+    _hold(made, observed, living, built, want)
+    namespace = pool["metadata"]["namespace"]
+    waits = _until_driving(observed)
+    # Each claim holds back the one in its own place: where claims keep coming, the pool fills up behind them all the same.
+    due = max(0, change.create - len(waits))
+    if change.create > due:
+        made.later(min(waits))
+    for _ in range(due):
+        body = instance_pod.pod(built, name=fresh.name(name), namespace=namespace, owner=owner)
+        made.writes.append(Create(PODS, body, counted=True))
+    made.writes += [Delete(PODS, pod) for pod in change.delete]
+    if change.again_after is not None:
+        made.later(change.again_after)
+    for one in observed.waiting:  # a monitor that is gone leaves behind that it waits
+        made.later(one.until - observed.now)
+    if understanding.sized is not None:
+        made.later(pool_size.LOOK_AGAIN)
+    return made
+
+
+def _hold(made: Plan, observed: Observed, living: Sequence[Object], built: Object, want: int) -> None:
+    """Have evictions of waiting pods wait for others elsewhere, as long as those may come."""
+    name = kube_objects.name(observed.pool)
+    moving = any(leaving_nodes.on(pod, observed.leaving) for pod in living)
+    coming = [pod for pod in living if not kube_objects.ready(pod) and not leaving_nodes.on(pod, observed.leaving)]
+    left = pool_evictions.patience(coming, _moving_since(observed), observed.now) if moving else pool_evictions.PATIENCE
+    if not want or not left or pool_evictions.decided_elsewhere(observed.budgets, built["metadata"]["labels"]):
+        _let_go(made, observed)
+        return
+    owner = kube_objects.owner("FallbackPool", observed.pool)
+    made.writes.append(
+        Apply(DISRUPTION_BUDGETS, ownership.ours(pool_evictions.budget(name, want), owner, observed.pool))
+    )
+    if moving:
+        made.later(left)
+
+
+def _moving_since(observed: Observed) -> float:
+    """When pods began to be replaced elsewhere, by the pool's status; now where it doesn't say so yet."""
+    conditions = (observed.pool.get("status") or {}).get("conditions") or []
+    said = next((one["lastTransitionTime"] for one in conditions if one["type"] == MOVING), None)
+    return datetime.fromisoformat(said).timestamp() if said is not None else observed.now
+
+
+def _let_go(made: Plan, observed: Observed) -> None:
+    """Let waiting pods be evicted."""
+    live = observed.owned.get((DISRUPTION_BUDGETS.plural, names.held(kube_objects.name(observed.pool))))
+    if live is not None and not kube_objects.deleted(live):
+        made.writes.append(Delete(DISRUPTION_BUDGETS, live))
+
+
+def _update(spec: FallbackPoolSpec, want: int) -> pod_counts.Update:
+    """What becomes of pods of an old template, for a pool of such a size."""
+    found = spec.update_strategy
+    if found is None:
+        return pod_counts.Update()
+    least = min(want, found.min_ready) if found.min_ready is not None else None
+    return pod_counts.Update(stay=found.type == "OnReplenish", min_ready=least)
+
+
+def _until_driving(observed: Observed) -> list[float]:
+    """Seconds to wait for each of the pods that were claimed just now; nothing of those that drive, have ended or had their time, and
+    where another robot waits for the one that is to be started.
+    """
+    if observed.waiting:
+        return []
+    waits = [
+        float(claimed) + FIRST_THE_CLAIMED - observed.now
+        for pod in observed.pods
+        if (claimed := kube_objects.notes(pod).get(names.CLAIMED_AT, "")).isdigit()
+        and kube_objects.alive(pod)
+        and kube_objects.uid(pod) not in observed.active
+    ]
+    # By another machine's clock a claim may seem to be of the future: no wait is longer than it can be.
+    return [min(FIRST_THE_CLAIMED, wait) for wait in waits if wait > 0]
+
+
+def claimable_now(held: Sequence[Object], policy: Object | None) -> list[Object]:
+    """Held pods that could be claimed now: ready, and of the template that the pool's policy names."""
+    allowed = claimable_hash(policy)
+    return [pod for pod in held if is_claimable(pod, allowed)]
+
+
+def is_claimable(pod: Object, allowed: str) -> bool:
+    """Whether a pod of a shared pool is held, ready and of the template whose hash is allowed; of any where that is empty."""
+    held = kube_objects.labels(pod).get(names.HELD) == "true"
+    return held and kube_objects.ready(pod) and (not allowed or pod_counts.hash_of(pod) == allowed)
+
+
+def claimable_hash(policy: Object | None) -> str:
+    """The hash of the template whose pods may be claimed, as kept at the pool's policy; empty if unknown."""
+    return kube_objects.notes(policy).get(names.TEMPLATE_HASH, "") if policy else ""

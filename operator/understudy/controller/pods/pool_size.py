@@ -1,0 +1,232 @@
+"""How many pods a shared pool holds: as its spec says, or as the failures of its robots ask for.
+
+All that this goes by is in statuses: what was seen in those of the workloads, which their monitors write at a recovery, and the
+pool's present size in its own. So nothing is written for robots that are well, and another operator goes on where one has ended.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
+
+from understudy.advice.adaptive_size import COUNTED, REST, Aim, Decision, Held, decided
+from understudy.advice.failure_rate import SURE, Rate, estimated
+from understudy.api.base import fraction, seconds
+from understudy.api.conditions import Condition, condition
+from understudy.api.kinds.fallback_pool import FallbackPoolSpec, Sizing, SizingStatus
+from understudy.controller.observed import kube_objects
+from understudy.kube.client import Object
+
+CONDITION = "Sized"
+SHORT = "AtMaximum"
+"""Its reason where more pods were needed than there may be."""
+LOOK_AGAIN = 60.0
+"""Seconds after which the size is thought over though nothing was seen: that nothing fails tells something too."""
+
+_HOUR = 3600.0
+_LITTLE = 0.1
+"""Figures that only time changes stay as they were written as long as the rate has changed by no more than this share."""
+_SHARED = "Fallback/Uninitialized"
+"""How the strategies that take a pod of a shared pool are called in the record of a recovery."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What was seen of the robots that share a pool."""
+
+    robots: int = 0
+    failures: int = 0
+    hours: float = 0.0
+
+
+@dataclass(frozen=True)
+class Sized:
+    """A pool's size with all that it came from."""
+
+    spec: Sizing
+    rate: Rate
+    decision: Decision
+    said: SizingStatus
+    before: Held | None
+    short: bool
+    """Whether its maximum isn't enough for the risk."""
+
+
+def size(pool: Object) -> int:
+    """How many unclaimed pods a shared pool is to hold, as far as that was decided."""
+    spec = pool.get("spec") or {}
+    sizing = spec.get("sizing")
+    if sizing is None:
+        return spec.get("replicas") or 0
+    held = _held(pool)
+    least: int = Sizing.model_fields["min"].default
+    return held.size if held is not None else sizing.get("min", least)
+
+
+def wanted(spec: FallbackPoolSpec, sized: Sized | None) -> int:
+    """How many unclaimed pods a shared pool is to hold now."""
+    return sized.decision.size if sized is not None else spec.replicas or 0
+
+
+def sized(pool: Object, spec: FallbackPoolSpec, asking: Sequence[Object], now: float) -> Sized | None:
+    """The size that the failures of the workloads that take from a pool ask for; None where its spec says it."""
+    sizing = spec.sizing
+    if sizing is None:
+        return None
+    found = seen(kube_objects.name(pool), asking, now - seconds(sizing.history), now)
+    rate = estimated(sizing.failures_per_robot_hour, found.failures, found.hours)
+    aim = Aim(
+        risk=fraction(sizing.risk),
+        measure=sizing.risk_of.lower(),
+        refill=seconds(sizing.refill),
+        least=sizing.min,
+        most=sizing.max,
+        kept_back=spec.reserve.pods if spec.reserve is not None else 0,
+    )
+    before = _held(pool)
+    decision = decided(aim, found.robots, rate, before, now)
+    said = _settled(_stored(pool), _said(found, rate, decision))
+    # Said until it surely isn't so any more, as the size is kept.
+    short = decision.needed > sizing.max or (_was_short(pool) and decision.safe > sizing.max)
+    return Sized(sizing, rate, decision, said, before, short)
+
+
+def seen(pool: str, asking: Iterable[Object], begin: float, now: float) -> Seen:
+    """How often workloads have asked for a pod of a pool since then, and for how long they were observed."""
+    robots, failures, hours = 0, 0, 0.0
+    for workload in asking:
+        since = max(begin, kube_objects.created(workload))
+        status = workload.get("status") or {}
+        recoveries: list[Object] = status.get("recoveries") or []
+        if (status.get("recoveryCount") or 0) > len(recoveries) and recoveries:
+            # Of more than its status keeps, those before are unknown: it was observed from the oldest one that is left.
+            since, recoveries = max(since, _when(recoveries[-1])), recoveries[:-1]
+        robots += 1
+        failures += sum(since < _when(one) <= now and _asked(pool, one) for one in recoveries)
+        hours += max(0.0, now - since) / _HOUR
+    return Seen(robots, failures, hours)
+
+
+def _when(recovery: Object) -> float:
+    """When a failure was detected, in unix seconds; 0 where that isn't known."""
+    text = (recovery.get("moments") or {}).get("detected")
+    return datetime.fromisoformat(text).timestamp() if text else 0.0
+
+
+def _asked(pool: str, recovery: Object) -> bool:
+    """Whether a recovery took a pod of a pool, or would have if there had been one.
+
+    A pod is named after its pool. Where there was none, it may have been asked for from another shared pool as well.
+    """
+    tried = [one for one in recovery.get("attempts") or [] if one.get("strategy") == _SHARED]
+    return any(not one.get("pod") or one["pod"].rpartition("-")[0] == pool for one in tried)
+
+
+def _stored(pool: Object) -> dict[str, Any]:
+    """What the pool's status says of its size; empty where it says nothing."""
+    found: dict[str, Any] = (pool.get("status") or {}).get("sizing") or {}
+    return found
+
+
+def _held(pool: Object) -> Held | None:
+    """The size that was decided last."""
+    found = _stored(pool)
+    return Held(found["size"], datetime.fromisoformat(found["lastChange"]).timestamp()) if found else None
+
+
+def _was_short(pool: Object) -> bool:
+    conditions = (pool.get("status") or {}).get("conditions") or []
+    return any(one["type"] == CONDITION and one["reason"] == SHORT for one in conditions)
+
+
+def last(pool: Object) -> Object:
+    """What the status said last of its size, for a pool whose spec can't be understood."""
+    known = _stored(pool)
+    return {"sizing": known} if known else {}
+
+
+def status(found: Sized) -> Object:
+    """What the status says of its size."""
+    return {"sizing": found.said.to_wire()}
+
+
+def _said(of: Seen, rate: Rate, decision: Decision) -> SizingStatus:
+    return SizingStatus(
+        size=decision.size,
+        last_change=datetime.fromtimestamp(decision.since, UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        needed=decision.needed,
+        robots=of.robots,
+        failures=of.failures,
+        robot_hours=_figure(of.hours),
+        failures_per_robot_hour=_figure(rate.expected),
+        low=_figure(rate.low),
+        high=_figure(rate.high),
+    )
+
+
+def _settled(stored: Object, new: SizingStatus) -> SizingStatus:
+    """What is to be said; what was said where only time has gone by, which it does always and would be written always."""
+    if not stored:
+        return new
+    old = SizingStatus.model_validate(stored)
+    passing = {"robot_hours", "failures_per_robot_hour", "low", "high"}
+    same = old.model_dump(exclude=passing) == new.model_dump(exclude=passing)
+    change = abs(new.failures_per_robot_hour - old.failures_per_robot_hour)
+    return old if same and change <= _LITTLE * old.failures_per_robot_hour else new
+
+
+def judged(pool: Object, found: Sized) -> Condition:
+    """How many pods there are to be, and why."""
+    generation = kube_objects.generation(pool)
+    decision, spec = found.decision, found.spec
+    if found.short:
+        told = f"{_reason(found)} That takes {_pods(decision.needed)}, and spec.sizing.max is {spec.max}: raise it, or the risk."
+        return condition(CONDITION, False, SHORT, told, generation=generation)
+    return condition(CONDITION, True, CONDITION, f"{_reason(found)} {_outlook(found)}", generation=generation)
+
+
+def _reason(found: Sized) -> str:
+    """The rate and where it is from."""
+    spec, said = found.spec, found.said
+    robots = "1 robot" if said.robots == 1 else f"{said.robots} robots"
+    hours = "1 robot hour" if said.robot_hours == 1 else f"{said.robot_hours:g} robot hours"
+    figures = f"{said.failures_per_robot_hour:g} per robot and hour ({said.low:g} to {said.high:g})"
+    if said.failures:
+        times = "once" if said.failures == 1 else f"{said.failures} times"
+        source = f"{robots} asked for a pod {times} in {hours}"
+    else:
+        source = (
+            f"{robots} asked for none in {hours}, and {spec.failures_per_robot_hour:g} per robot and hour were assumed"
+        )
+    kind = "find none" if spec.risk_of == "Loss" else "have to wait"
+    return f"{source}: {figures}, each of which takes one away for {spec.refill}. {spec.risk} of them may {kind}."
+
+
+def _outlook(found: Sized) -> str:
+    decision, spec = found.decision, found.spec
+    told = f"So it keeps {_pods(decision.size)}"
+    if decision.size > decision.needed and decision.size == spec.min:
+        return f"{told}, which is spec.sizing.min; {decision.needed} would be enough."
+    if decision.shrinks and decision.size > spec.min:
+        fewer = max(decision.safe, spec.min)
+        return f"{told}; {fewer} would surely be enough, so it becomes one less every {REST / 60:g} minutes."
+    if decision.size > decision.needed:
+        return f"{told}; {decision.needed} may be enough, which isn't sure yet ({SURE:.0%})."
+    return f"{told}."
+
+
+def change(found: Sized) -> str | None:
+    """What an Event tells of a size that was changed; None where it stays."""
+    if found.before is None or found.before.size == found.decision.size:
+        return None
+    return f"from {found.before.size} to {found.decision.size} pods: {_reason(found)}"
+
+
+def _pods(number: int) -> str:
+    return f"{COUNTED} pods or more" if number >= COUNTED else "1 pod" if number == 1 else f"{number} pods"
+
+
+def _figure(value: float) -> float:
+    return float(f"{value:.2g}")

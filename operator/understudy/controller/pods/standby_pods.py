@@ -1,0 +1,219 @@
+"""The standbys of a workload's own: how many of which pool it is to have, and the writes by which it has them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from understudy.api import names
+from understudy.controller.desired import degraded_measures, effective_policy
+from understudy.controller.desired.plan import Create, Delete, Patch, Plan
+from understudy.controller.desired.workload_plan import Understanding
+from understudy.controller.observed import committed_recovery, kube_objects, leaving_nodes, ownership, stand_ins
+from understudy.controller.observed.observation import Observed
+from understudy.controller.pods import instance_pod, pod_counts
+from understudy.controller.pods.pool_pods import Fresh
+from understudy.kube.client import PODS, REPLICA_SETS, Object
+
+
+def wanted(observed: Observed, pool: str) -> int:
+    """How many standbys of a pool the workload is to have now."""
+    return _kept(observed, pool) + degraded_measures.prewarmed(observed.workload, observed.policy, pool)
+
+
+def _kept(observed: Observed, pool: str) -> int:
+    """How many standbys of a pool the workload is to have always: none where others were chosen for it."""
+    chosen = effective_policy.chosen(observed)
+    if chosen is not None and pool not in effective_policy.counted_on(observed, chosen):
+        return 0
+    kept: int = observed.pools[pool]["spec"].get("perWorkload") or 0
+    return kept
+
+
+def own_stands_by(observed: Observed) -> bool:
+    """Whether a pod that the workload's own controller makes waits as a standby while another one drives."""
+    return stand_ins.may_stand_in(observed.workload, observed.policy)
+
+
+def keep(made: Plan, observed: Observed, understanding: Understanding, pool: str, fresh: Fresh) -> None:
+    """As many standbys of a pool as the workload is to have, of the present template."""
+    workload, gate, built = observed.workload, observed.gate, understanding.builts[pool]
+    owner = kube_objects.owner("RobotWorkload", workload)
+    if observed.refused(pool) is not None:
+        return
+    mine = [
+        pod
+        for pod in observed.pods
+        if kube_objects.labels(pod).get(names.POOL) == pool
+        and names.CLAIM not in kube_objects.notes(pod)
+        and ownership.controls(kube_objects.uid(workload), pod)
+    ]
+    want, spared = wanted(observed, pool), 0
+    if not own_stands_by(observed):
+        # what a referred controller makes instead of the failed pod has no agent, so it can't be the standby
+        want += sum(kube_objects.is_active(pod, gate) for pod in mine) if want else 0
+    elif want:
+        more, replaced = _renewed(observed, understanding, pool, mine, want)
+        want, spared = want + more, _spared(observed, pool)
+        made.writes += [Delete(PODS, pod) for pod in replaced]
+    change = pod_counts.change(
+        mine,
+        want=want,
+        template_hash=instance_pod.template_hash(built),
+        expected=observed.expected.get(pool, 0),
+        now=observed.now,
+        kept=lambda pod: kube_objects.is_active(pod, gate),
+        moving=lambda pod: leaving_nodes.on(pod, observed.leaving),
+        hold=_held(observed),
+        spared=spared,
+    )
+    for _ in range(change.create):
+        name = fresh.name(kube_objects.name(workload))
+        body = instance_pod.pod(built, name=name, namespace=workload["metadata"]["namespace"], owner=owner)
+        made.writes.append(Create(PODS, body, counted=True))
+    made.writes += [Delete(PODS, pod) for pod in change.delete]
+    if change.again_after is not None:
+        made.later(change.again_after)
+
+
+def _renewed(
+    observed: Observed, understanding: Understanding, pool: str, mine: Sequence[Object], want: int
+) -> tuple[int, list[Object]]:
+    """How many standbys more there are to be while a pod that stands in for one is replaced, and which of these pods go now.
+
+    What the workload's own controller has made of an old template, or what is on a node that is about to go, waits like any standby, and
+    like one it goes when another is ready. That is a standby more, which is spared until the controller's next pod is ready. Where it
+    stands in for none, as when a pod of a shared pool drives, there are as many standbys as are wanted besides it: it goes for its
+    template alone, when a pool's are ready.
+    """
+    gate, present = observed.gate, instance_pod.template_hash(understanding.builts[pool])
+    if observed.active is None or kube_objects.labels(observed.active).get(names.SOURCE) == "workload":
+        return 0, []
+    displaced = stand_ins.displaced(gate, observed.pods)
+    own = instance_pod.template_hash(understanding.builts[""])
+    found = [pod for pod in observed.pods if stand_ins.is_own(pod)]
+    outdated = [pod for pod in found if pod_counts.hash_of(pod) != own]
+    moving = [
+        pod for pod in found if pool == displaced and leaving_nodes.on(pod, observed.leaving) and pod not in outdated
+    ]
+    if not outdated and not moving:
+        return 0, []
+    if displaced != pool and pool != _first_kept(observed, understanding, displaced):
+        return 0, []
+    ready = [
+        pod
+        for pod in mine
+        if kube_objects.ready(pod)
+        and pod_counts.hash_of(pod) == present
+        and not kube_objects.is_active(pod, gate)
+        and not leaving_nodes.on(pod, observed.leaving)
+    ]
+    live = observed.owned.get(("replicasets", kube_objects.name(observed.workload)))
+    # Before the controller has the present template, it would make another of the old one.
+    go = len(ready) >= want and live is not None and _template_of(live) == own and not _held(observed)
+    # Where a template has its pods placed on such a node again, the next one is newer than those in its place: it would never end.
+    newest = max(map(kube_objects.created, ready), default=0.0)
+    going = outdated + [pod for pod in moving if kube_objects.created(pod) < newest]
+    return int(pool == displaced), going if go else []
+
+
+def _held(observed: Observed) -> bool:
+    """Whether no standby is deleted: in a recovery or a planned switchover, which may be about to take any of them."""
+    return observed.recovering or observed.handing_over
+
+
+def _spared(observed: Observed, pool: str) -> int:
+    """How many standbys more than are wanted stay where there are more: one while what is to stand in for one isn't ready.
+
+    It isn't told by their number whether there are: while one is replaced elsewhere, both are there.
+    """
+    if stand_ins.displaced(observed.gate, observed.pods) != pool:
+        return 0
+    return int(not any(kube_objects.ready(pod) for pod in observed.pods if stand_ins.is_own(pod)))
+
+
+def _first_kept(observed: Observed, understanding: Understanding, displaced: str) -> str:
+    """The pool by whose standbys a pod goes that stands in for none: the first that keeps some, unless the displaced one does."""
+    kept = [
+        name
+        for name in sorted(understanding.builts)
+        if name and observed.refused(name) is None and wanted(observed, name)
+    ]
+    return kept[0] if kept and displaced not in kept else ""
+
+
+def _template_of(replica_set: Object) -> str:
+    """The hash of the template that a ReplicaSet makes pods from."""
+    found: str = (replica_set["spec"]["template"]["metadata"].get("labels") or {}).get(names.TEMPLATE_HASH, "")
+    return found
+
+
+def scale(made: Plan, observed: Observed) -> None:
+    """One pod of the template, or none while a pod of a shared pool drives and nobody wants another as a standby.
+
+    While the gate is closed the monitor may be at it, so it stays as it is; and while a switchover is asked for or under way, for
+    which a pod may be started beside the one that drives.
+    """
+    live = observed.owned.get(("replicasets", kube_objects.name(observed.workload)))
+    if live is None or observed.gate is None or not kube_objects.active(observed.gate)[0]:
+        return
+    if observed.handing_over or observed.switchover.get("phase") == "Waiting":
+        return
+    driving = [p for p in observed.pods if kube_objects.is_active(p, observed.gate) and kube_objects.alive(p)]
+    foreign = any(kube_objects.labels(pod).get(names.SOURCE) != "workload" for pod in driving)
+    standing_by = sum(wanted(observed, pool) for pool in observed.standby_pools) if own_stands_by(observed) else 0
+    replicas = 0 if foreign and not standing_by else 1
+    if (live.get("spec") or {}).get("replicas", 1) != replicas:
+        made.writes.append(Patch(REPLICA_SETS, live, {"spec": {"replicas": replicas}}, subresource="scale"))
+
+
+def awaited(observed: Observed, understanding: Understanding) -> str | None:
+    """Why the ReplicaSet doesn't get the present template yet, or None.
+
+    A restart must not fall for a template that can't start: where there are standbys, one of the new template is ready
+    first. While a standby is in control there is none to go first.
+    """
+    built, live = (
+        understanding.builts.get(""),
+        observed.owned.get(("replicasets", kube_objects.name(observed.workload))),
+    )
+    if built is None or live is None:
+        return None
+    if _template_of(live) == instance_pod.template_hash(built):
+        return None
+    if any(
+        kube_objects.is_active(pod, observed.gate) and names.POOL in kube_objects.labels(pod) for pod in observed.pods
+    ):
+        return None
+    pools_first = {
+        name: instance_pod.template_hash(understanding.builts[name])
+        for name in observed.standby_pools
+        if _kept(observed, name)
+    }
+    if not pools_first or any(
+        kube_objects.ready(pod)
+        and pools_first.get(kube_objects.labels(pod).get(names.POOL, "")) == pod_counts.hash_of(pod)
+        for pod in observed.pods
+    ):
+        return None
+    told = f"ReplicaSet {kube_objects.name(observed.workload)} gets the new template when a standby of it is ready"
+    unmade = [name for name in sorted(pools_first) if observed.refused(name) is not None]
+    return f"{told}, and FallbackPool {unmade[0]}, which is not accepted, makes none" if unmade else told
+
+
+def sweep(made: Plan, observed: Observed) -> None:
+    """Delete standbys of pools that don't serve the workload any more."""
+    if _held(observed):
+        made.later(committed_recovery.LASTS)  # it may have been given up, which nothing tells
+        return
+    serving_now = observed.standby_pools
+    for pod in observed.pods:
+        pool = kube_objects.labels(pod).get(names.POOL)
+        if (
+            pool
+            and pool not in serving_now
+            and names.CLAIM not in kube_objects.notes(pod)
+            and ownership.controls(kube_objects.uid(observed.workload), pod)
+            and not kube_objects.is_active(pod, observed.gate)
+            and not kube_objects.deleted(pod)
+        ):
+            made.writes.append(Delete(PODS, pod))

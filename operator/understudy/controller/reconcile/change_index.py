@@ -1,0 +1,372 @@
+"""Which of our objects must be looked at again after a change that was seen."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Collection, Iterator
+from typing import Any, NamedTuple
+
+from understudy.api import names
+from understudy.api.base import API_VERSION
+from understudy.controller.desired import strategy_selection
+from understudy.controller.observed import committed_recovery, dependency_graph, kube_objects, leaving_nodes, stand_ins
+from understudy.controller.pods import pool_pods
+from understudy.controller.runtime.object_store import Sight, Store
+from understudy.controller.status import health_tree_sources, policy_status, storm_detection
+from understudy.kube.apply import controller_of
+from understudy.kube.client import (
+    CONFIG_MAPS,
+    DEPLOYMENTS,
+    DISRUPTION_BUDGETS,
+    NETWORK_POLICIES,
+    NODES,
+    PODS,
+    POLICIES,
+    POOLS,
+    SECRETS,
+    STATEFUL_SETS,
+    WORKLOADS,
+    Object,
+    Resource,
+)
+
+
+class Key(NamedTuple):
+    """One object of ours."""
+
+    plural: str
+    namespace: str
+    name: str
+
+
+_PLURALS = {"RobotWorkload": WORKLOADS.plural, "FallbackPool": POOLS.plural}
+
+
+class Affected(NamedTuple):
+    """What a change comes to."""
+
+    keys: set[Key]
+    """What it may mean something for; too many do no harm."""
+    is_claim: bool
+    """Whether a workload has taken one of many pods of a shared pool. Until its gate says what came of it, that means nothing to others."""
+
+
+def of(sight: Sight, store: Store) -> Affected:
+    """What a change comes to, with the store as it is after it."""
+    plenty = _plenty(sight, store)
+    return Affected(set(_keys(sight, store, plenty)), _is_claim(sight, plenty))
+
+
+def keys(sight: Sight, store: Store) -> set[Key]:
+    """The keys of :func:`of`, for who does nothing else with it."""
+    return of(sight, store).keys
+
+
+def _keys(sight: Sight, store: Store, plenty: Collection[str]) -> Iterator[Key]:
+    found = sight.new or sight.old
+    assert found is not None
+    namespace = found["metadata"].get("namespace", "")
+    plural = sight.resource.plural
+    if plural == NODES.plural:
+        yield from _after_node(sight, store)
+        return
+    if plural == DISRUPTION_BUDGETS.plural:
+        yield from _after_budget(sight, store, namespace)
+        return
+    for item in (sight.old, sight.new):
+        owner = controller_of(item) if item is not None else None
+        if owner is not None and owner.get("apiVersion") == API_VERSION and owner.get("kind") in _PLURALS:
+            yield Key(_PLURALS[owner["kind"]], namespace, owner["name"])
+    if plural in (WORKLOADS.plural, POLICIES.plural, POOLS.plural):
+        yield Key(plural, namespace, kube_objects.name(found))
+        if _spec_changed(sight):
+            yield from _after_spec(sight, store, namespace)
+        elif plural == WORKLOADS.plural:
+            if _chosen_anew(sight):
+                for name in store.in_namespace(POOLS, namespace):  # how many standbys it has of each
+                    yield Key(POOLS.plural, namespace, name)
+            elif _recovered_anew(sight):
+                yield from _sized(store, namespace)
+            yield from _after_health(sight, store, namespace)
+    elif plural == PODS.plural:
+        yield from _after_pod(sight, store, namespace, plenty)
+    elif plural == NETWORK_POLICIES.plural:
+        yield from _after_policy(found, store, namespace)
+        yield from _after_commit(sight, store, namespace)
+    elif plural == CONFIG_MAPS.plural:
+        yield from _after_trees(found, store, namespace)
+    elif plural == SECRETS.plural and (pool := kube_objects.labels(found).get(names.POOL)):
+        yield Key(POOLS.plural, namespace, pool)
+
+
+def _is_claim(sight: Sight, plenty: Collection[str]) -> bool:
+    if sight.resource.plural != PODS.plural or sight.old is None or sight.new is None:
+        return False
+    before = kube_objects.labels(sight.old)
+    return (
+        names.HELD in before and names.CLAIM in kube_objects.notes(sight.new) and before.get(names.POOL, "") in plenty
+    )
+
+
+def _spec_changed(sight: Sight) -> bool:
+    if sight.old is None or sight.new is None:
+        return True
+    old, new = sight.old["metadata"], sight.new["metadata"]
+    return any(old.get(key) != new.get(key) for key in ("uid", "generation", "labels", "deletionTimestamp"))
+
+
+def _chosen_anew(sight: Sight) -> bool:
+    return sight.old is not None and sight.new is not None and chosen(sight.old) != chosen(sight.new)
+
+
+def _recovered_anew(sight: Sight) -> bool:
+    counts = [((item or {}).get("status") or {}).get("recoveryCount") for item in (sight.old, sight.new)]
+    return counts[0] != counts[1]
+
+
+def _sized(store: Store, namespace: str) -> Iterator[Key]:
+    """The pools whose size follows the failures."""
+    for name, pool in store.in_namespace(POOLS, namespace).items():
+        if (pool.get("spec") or {}).get("sizing"):
+            yield Key(POOLS.plural, namespace, name)
+
+
+def _depends_anew(sight: Sight) -> bool:
+    """Whether a workload has come or gone, or depends on others than before."""
+    if sight.old is None or sight.new is None or kube_objects.deleted(sight.old) != kube_objects.deleted(sight.new):
+        return True
+    return dependency_graph.named(sight.old) != dependency_graph.named(sight.new)
+
+
+def _after_health(sight: Sight, store: Store, namespace: str) -> Iterator[Key]:
+    """The policy that looks how many of its workloads fail at once."""
+    if sight.old is None or sight.new is None or storm_detection.health(sight.old) == storm_detection.health(sight.new):
+        return
+    yield from _guard(sight.new, store, namespace)
+
+
+def _after_commit(sight: Sight, store: Store, namespace: str) -> Iterator[Key]:
+    """The same where a recovery begins: its gate is the first that tells."""
+    if (
+        sight.old is None
+        or sight.new is None
+        or committed_recovery.beside(sight.old) == committed_recovery.beside(sight.new)
+    ):
+        return
+    owner = controller_of(sight.new)
+    workload = store.get(WORKLOADS, namespace, owner["name"]) if owner is not None else None
+    if workload is not None:
+        yield from _guard(workload, store, namespace)
+
+
+def _guard(workload: Object, store: Store, namespace: str) -> Iterator[Key]:
+    """A workload's policy, where it guards against storms."""
+    policy = store.get(POLICIES, namespace, used_policy(workload))
+    if policy is not None and policy_status.storm_guard(policy) is not None:
+        yield Key(POLICIES.plural, namespace, kube_objects.name(policy))
+
+
+def _after_spec(sight: Sight, store: Store, namespace: str) -> Iterator[Key]:
+    found = sight.new or sight.old
+    assert found is not None
+    if sight.resource.plural == WORKLOADS.plural:
+        for item in (sight.old, sight.new):
+            if item is not None and (policy := used_policy(item)):
+                yield Key(POLICIES.plural, namespace, policy)
+        for name in store.in_namespace(POOLS, namespace):
+            yield Key(POOLS.plural, namespace, name)
+        anew = _depends_anew(sight)
+        for name, other in store.in_namespace(WORKLOADS, namespace).items():
+            rival = reference(other) and reference(other) == reference(found)
+            if rival or (anew and dependency_graph.named(other)):  # it may depend on this one, or in a circle with it
+                yield Key(WORKLOADS.plural, namespace, name)
+    elif sight.resource.plural == POLICIES.plural:
+        yield from users(kube_objects.name(found), store, namespace)
+        yield from _sized(store, namespace)  # who takes from them
+    else:
+        for name in store.in_namespace(POLICIES, namespace):
+            yield Key(POLICIES.plural, namespace, name)
+        for name in store.in_namespace(WORKLOADS, namespace):
+            yield Key(WORKLOADS.plural, namespace, name)
+
+
+def _after_pod(sight: Sight, store: Store, namespace: str, plenty: Collection[str]) -> Iterator[Key]:
+    for item in (sight.old, sight.new):
+        if item is None:
+            continue
+        labels = kube_objects.labels(item)
+        for label, plural in ((names.WORKLOAD, WORKLOADS), (names.MONITORED, WORKLOADS), (names.POOL, POOLS)):
+            if label in labels:
+                yield Key(plural.plural, namespace, labels[label])
+        if labels.get(names.SOURCE) == "workload":
+            yield from _stood_in_for(labels.get(names.WORKLOAD, ""), store, namespace)
+        if names.HELD in labels and labels.get(names.POOL, "") not in plenty:
+            yield from _pool_users(labels.get(names.POOL, ""), store, namespace)
+
+
+def _stood_in_for(workload: str, store: Store, namespace: str) -> Iterator[Key]:
+    """The pool for which a pod of a workload's own controller waits, while a pod of that pool drives."""
+    gate = store.get(NETWORK_POLICIES, namespace, names.gate(workload))
+    if not kube_objects.active(gate)[1]:
+        return
+    pool = stand_ins.displaced(gate, store.labelled(PODS, namespace, names.WORKLOAD, workload))
+    if pool:
+        yield Key(POOLS.plural, namespace, pool)
+
+
+def _plenty(sight: Sight, store: Store) -> Collection[str]:
+    """The shared pools, of those that a pod was or is held for, that have plenty without it."""
+    if sight.resource.plural != PODS.plural:
+        return ()
+    known = [item for item in (sight.old, sight.new) if item is not None and names.HELD in kube_objects.labels(item)]
+    # Mostly it is the same one before and after: one question.
+    held = {kube_objects.labels(item).get(names.POOL, ""): item for item in known}
+    return [pool for pool, item in held.items() if _has_plenty(pool, item, store, item["metadata"]["namespace"])]
+
+
+def _has_plenty(name: str, held: Object, store: Store, namespace: str) -> bool:
+    """Whether a shared pool has so many other pods that can be claimed that this one makes no difference to any workload.
+
+    Without that each claim, and each step of a pod that comes up, would have every workload of a fleet looked at.
+    """
+    pool = store.get(POOLS, namespace, name)
+    if pool is None:
+        return False
+    reserved = ((pool.get("spec") or {}).get("reserve") or {}).get("pods") or 0
+    allowed = pool_pods.claimable_hash(store.get(NETWORK_POLICIES, namespace, names.held(name)))
+    others = (
+        pod
+        for pod in store.labelled(PODS, namespace, names.POOL, name)
+        if kube_objects.uid(pod) != kube_objects.uid(held)
+    )
+    # A fleet's pool has hundreds, and this is asked with each step of each of them: the first few will do.
+    found = itertools.islice((pod for pod in others if pool_pods.is_claimable(pod, allowed)), reserved + 1)
+    return sum(1 for _ in found) > reserved
+
+
+def _after_policy(policy: Object, store: Store, namespace: str) -> Iterator[Key]:
+    owner = controller_of(policy)
+    if owner is not None and owner["kind"] == "FallbackPool":
+        yield from _pool_users(owner["name"], store, namespace)
+    elif owner is not None and owner["kind"] == "RobotWorkload":
+        for name in store.in_namespace(POOLS, namespace):  # which of their pods are in control
+            yield Key(POOLS.plural, namespace, name)
+
+
+def _going(node: Object) -> tuple[bool, bool]:
+    return leaving_nodes.is_cordoned(node), leaving_nodes.is_leaving(node)
+
+
+def _after_node(sight: Sight, store: Store) -> Iterator[Key]:
+    """Nodes report all the time; only which pods are about to go means something, and to those whose pods these are."""
+    known = [item for item in (sight.old, sight.new) if item is not None]
+    if len(known) == 2 and _going(known[0]) == _going(known[1]):
+        return
+    # Those on other nodes too: there may be one now that they can go to, or none any more.
+    places = {kube_objects.name(node) for node in (*known, *store.all(NODES)) if leaving_nodes.is_leaving(node)}
+    for pod in store.all(PODS):
+        if leaving_nodes.of(pod) not in places:
+            continue
+        labels, namespace = kube_objects.labels(pod), pod["metadata"]["namespace"]
+        for label, plural in ((names.WORKLOAD, WORKLOADS), (names.POOL, POOLS)):
+            if label in labels:
+                yield Key(plural.plural, namespace, labels[label])
+        if labels.get(names.SOURCE) == "workload":
+            yield from _stood_in_for(labels.get(names.WORKLOAD, ""), store, namespace)
+
+
+def _after_budget(sight: Sight, store: Store, namespace: str) -> Iterator[Key]:
+    """Ours is its owner's. One of somebody else's may select any instance, and the waiting pods of any pool."""
+    if not _spec_changed(sight):  # its status is another with every pod
+        return
+    owner = controller_of(sight.new or sight.old or {"metadata": {}})
+    if owner is not None and owner.get("apiVersion") == API_VERSION:
+        yield Key(_PLURALS[owner["kind"]], namespace, owner["name"])
+        return
+    for plural in (WORKLOADS, POOLS):
+        for name in store.in_namespace(plural, namespace):
+            yield Key(plural.plural, namespace, name)
+
+
+def _after_trees(config_map: Object, store: Store, namespace: str) -> Iterator[Key]:
+    """The policies whose health tree is in a ConfigMap, and whom they protect."""
+    for name, policy in store.in_namespace(POLICIES, namespace).items():
+        if health_tree_sources.reference(policy) == kube_objects.name(config_map):
+            yield Key(POLICIES.plural, namespace, name)
+            yield from users(name, store, namespace)
+
+
+def _pool_users(pool: str, store: Store, namespace: str) -> Iterator[Key]:
+    for name, policy in store.in_namespace(POLICIES, namespace).items():
+        if strategy_selection.is_auto(policy) or pool in policy_status.named_pools(policy):
+            yield from users(name, store, namespace)
+
+
+def users(policy: str, store: Store, namespace: str) -> Iterator[Key]:
+    """The workloads that a policy protects."""
+    for name, workload in store.in_namespace(WORKLOADS, namespace).items():
+        if used_policy(workload) == policy:
+            yield Key(WORKLOADS.plural, namespace, name)
+
+
+def used_policy(workload: Object) -> str:
+    """The policy that a workload names."""
+    found: str = ((workload.get("spec") or {}).get("failurePolicyRef") or {}).get("name", "")
+    return found
+
+
+def chosen(workload: Object) -> str:
+    """The strategies in force, in short, as a workload's status has them; empty where that says nothing yet."""
+    found: str = (workload.get("status") or {}).get("strategies") or ""
+    return found
+
+
+def reference(workload: Object) -> tuple[str, str] | None:
+    """Kind and name of what a workload refers to."""
+    found: dict[str, Any] | None = (workload.get("spec") or {}).get("workloadRef")
+    return (found["kind"], found["name"]) if found else None
+
+
+def referring(resource: Resource, item: Object, store: Store) -> set[Key]:
+    """The workloads that refer to a controller, or to the controller of a pod that isn't labelled yet.
+
+    A Deployment's pod is recognized by its ReplicaSet's name; a mistake costs one look and no more.
+    """
+    target: tuple[str, str] | None = None
+    if resource.plural == DEPLOYMENTS.plural:
+        target = ("Deployment", kube_objects.name(item))
+    elif resource.plural == STATEFUL_SETS.plural:
+        target = ("StatefulSet", kube_objects.name(item))
+    elif resource.plural == PODS.plural and (owner := controller_of(item)) is not None:
+        if owner["kind"] == "ReplicaSet":
+            hashed = kube_objects.labels(item).get("pod-template-hash", "")
+            target = ("Deployment", owner["name"].removesuffix(f"-{hashed}"))
+        elif owner["kind"] == "StatefulSet":
+            target = ("StatefulSet", owner["name"])
+    if target is None:
+        return set()
+    namespace = item["metadata"].get("namespace", "")
+    found = {
+        Key(WORKLOADS.plural, namespace, name)
+        for name, workload in store.in_namespace(WORKLOADS, namespace).items()
+        if reference(workload) == target
+    }
+    if resource.plural != PODS.plural:
+        found |= {pool for workload in found for pool in _copying(workload, store)}
+    return found
+
+
+def _copying(workload: Key, store: Store) -> Iterator[Key]:
+    """The pools that take their template from a workload."""
+    for name, pool in store.in_namespace(POOLS, workload.namespace).items():
+        if ((pool.get("spec") or {}).get("templateFrom") or {}).get("workload") == workload.name:
+            yield Key(POOLS.plural, workload.namespace, name)
+
+
+def unlisted(store: Store) -> Iterator[Key]:
+    """What depends on referred controllers: those aren't listed, so it is looked at again with every list."""
+    for workload in store.all(WORKLOADS):
+        if reference(workload) is not None:
+            key = Key(WORKLOADS.plural, workload["metadata"]["namespace"], kube_objects.name(workload))
+            yield key
+            yield from _copying(key, store)

@@ -1,0 +1,135 @@
+"""Gives the pod in control more CPU or memory in place while its workload is degraded (KEP-1287).
+
+What is there is only ever raised, and stays raised for as long as the pod lives: taken back as soon as the workload is well, it
+would be lacking again. The next pod begins with what its template says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from understudy.api.conditions import Condition, condition
+from understudy.api.kinds.degraded_spec import Resize
+from understudy.api.quantities import amount
+from understudy.controller.desired import degraded_measures
+from understudy.controller.desired.plan import Patch, Problem
+from understudy.controller.desired.workload_plan import Understanding
+from understudy.controller.observed import kube_objects
+from understudy.controller.observed.observation import Observed
+from understudy.controller.reconcile.executor import RESIZE
+from understudy.kube.client import PODS, STRATEGIC, Object
+
+CONDITION = "Resized"
+
+_ADVICE = {
+    "Deferred": "It is done as soon as the node has room",
+    "Infeasible": "Ask for less in the policy, or give its pods larger nodes",
+}
+"""What can be done, by the kubelet's reasons for a resize that is pending."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How far one resize has come, and the write that it needs."""
+
+    reason: str
+    """Resized where it is done."""
+    message: str
+    write: Patch | None = None
+
+
+def outcomes(observed: Observed, understanding: Understanding) -> list[Outcome]:
+    """How far the resizes of the workload's policy have come on the pod in control; none while it isn't degraded."""
+    pod, spec = observed.resized, understanding.spec
+    if pod is None or spec is None or understanding.policy_problem is not None:
+        return []
+    asked = degraded_measures.actions(observed.policies.get(spec.failure_policy_ref.name))
+    return [_outcome(pod, index, action.resize) for index, action in enumerate(asked) if action.resize is not None]
+
+
+def refused(outcome: Outcome, problem: Problem) -> Outcome:
+    """The outcome where the API server doesn't take the write."""
+    words = f"{outcome.message}, which the API server refuses: {problem.message}"
+    return replace(outcome, reason="Refused", message=words, write=None)
+
+
+def judged(observed: Observed, found: Sequence[Outcome]) -> Condition | None:
+    """What the workload's status says of it; None while nothing is asked for."""
+    if not found:
+        return None
+    shown = next((one for one in found if one.reason != "Resized"), None)
+    generation = kube_objects.generation(observed.workload)
+    if shown is not None:
+        return condition(CONDITION, False, shown.reason, f"{shown.message}.", generation=generation)
+    words = "; ".join(one.message for one in found)
+    return condition(CONDITION, True, "Resized", f"{words}.", generation=generation)
+
+
+def _outcome(pod: Object, index: int, resize: Resize) -> Outcome:
+    containers = pod["spec"]["containers"]
+    name = resize.container or containers[0]["name"]
+    container = next((one for one in containers if one["name"] == name), None)
+    if container is None:
+        field = f"spec.degraded.actions[{index}].resize.container"
+        known = kube_objects.hint(name, (one["name"] for one in containers))
+        words = f'FailurePolicy: {field}: pod {kube_objects.name(pod)} has no container "{name}" ({known})'
+        return Outcome("ContainerNotFound", words)
+    told = f"container {name} of pod {kube_objects.name(pod)}"
+    amounts = ", ".join(f"{resource} {given}" for resource, given in resize.amounts.items())
+    more = raised(container.get("resources") or {}, resize.amounts)
+    if not more:
+        return _progress(pod, name, resize, f"{told} has {amounts}", f"{told} is to have {amounts}")
+    restarting = _restarting(container) & {resource for given in more.values() for resource in given}
+    if restarting:
+        words = (
+            f"{told} isn't given {amounts}, since that would restart it: its resizePolicy for {', '.join(sorted(restarting))} is "
+            f"RestartContainer. Make it NotRequired in the template"
+        )
+        return Outcome("WouldRestart", words)
+    metadata = {"uid": kube_objects.uid(pod)}
+    body = {"metadata": metadata, "spec": {"containers": [{"name": name, "resources": more}]}}
+    return Outcome("InProgress", f"{told} is given {amounts}", Patch(PODS, pod, body, RESIZE, STRATEGIC))
+
+
+def raised(present: Mapping[str, Mapping[str, str]], amounts: Mapping[str, str]) -> dict[str, dict[str, str]]:
+    """The requests and limits that must change for a container to have these amounts: empty where it has them.
+
+    A limit that isn't there isn't added: that would take something away.
+    """
+    requests, limits = present.get("requests") or {}, present.get("limits") or {}
+    more = {
+        "requests": {r: given for r, given in amounts.items() if r not in requests or _less(requests[r], given)},
+        "limits": {r: given for r, given in amounts.items() if r in limits and _less(limits[r], given)},
+    }
+    return {kind: given for kind, given in more.items() if given}
+
+
+def _less(present: str, wanted: str) -> bool:
+    return amount(str(present)) < amount(wanted)
+
+
+def _restarting(container: Object) -> set[str]:
+    return {
+        one["resourceName"]
+        for one in container.get("resizePolicy") or []
+        if one.get("restartPolicy") == "RestartContainer"
+    }
+
+
+def _progress(pod: Object, name: str, resize: Resize, done: str, begun: str) -> Outcome:
+    """What the kubelet has made of it."""
+    status = pod.get("status") or {}
+    said = {c["type"]: c for c in status.get("conditions") or [] if c["status"] == "True"}
+    if (pending := said.get("PodResizePending")) is not None:
+        reason = pending.get("reason") or "Deferred"
+        advice = f". {_ADVICE[reason]}" if reason in _ADVICE else ""
+        return Outcome(reason, f"{begun}, but not now: {pending.get('message', '').rstrip('.') or reason}{advice}")
+    if (doing := said.get("PodResizeInProgress")) is not None:
+        failed = f": {doing['message'].rstrip('.')}" if doing.get("message") else ""
+        return Outcome("ResizeError" if doing.get("reason") == "Error" else "InProgress", f"{begun}{failed}")
+    statuses = {one["name"]: one for one in status.get("containerStatuses") or []}
+    in_force = statuses.get(name, {}).get("resources")
+    if in_force is not None and raised(in_force, resize.amounts):
+        return Outcome("InProgress", begun)
+    return Outcome("Resized", done)

@@ -1,0 +1,295 @@
+"""Puts together what the pure functions look at, from the store and, for referred controllers, from the API."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from typing import Any, Protocol
+
+from understudy.api import names
+from understudy.controller.desired import degraded_measures, monitor_deployment, strategy_selection
+from understudy.controller.observed import (
+    dependency_graph,
+    kube_objects,
+    leaving_nodes,
+    selectors,
+    stand_ins,
+    workload_reference,
+)
+from understudy.controller.observed.observation import Observed
+from understudy.controller.pods import claim_tokens, pool_evictions, pool_pods
+from understudy.controller.pods.expectations import Expectations
+from understudy.controller.reconcile import change_index
+from understudy.controller.reconcile.change_index import Key
+from understudy.controller.runtime.object_store import Store
+from understudy.controller.status import policy_status, workload_status
+from understudy.kube.client import (
+    CONFIG_MAPS,
+    DEPLOYMENTS,
+    DISRUPTION_BUDGETS,
+    NETWORK_POLICIES,
+    NODES,
+    PODS,
+    POLICIES,
+    POOLS,
+    REPLICA_SETS,
+    ROLES,
+    SECRETS,
+    STATEFUL_SETS,
+    WORKLOADS,
+    Object,
+    Resource,
+)
+
+
+class Reader(Protocol):
+    """Reads what isn't in the store, as :class:`understudy.kube.client.Client` does."""
+
+    async def find(self, resource: Resource, namespace: str | None, name: str) -> Object | None:
+        """An object, or None where it isn't there."""
+
+    async def list(self, resource: Resource, namespace: str | None = None, *, labels: str | None = None) -> Object:
+        """A collection: ``items``."""
+
+
+class Observer:
+    """What is so around one object of ours."""
+
+    def __init__(self, client: Reader, store: Store, expectations: Expectations) -> None:
+        self._client, self._store, self._expectations = client, store, expectations
+        self._looked: dict[tuple[str, str], tuple[str, str]] = {}
+        """By namespace and name, for which pool a Secret that is older than it was read, and which one was there: their UIDs."""
+
+    async def workload(self, item: Object) -> Observed:
+        """What is so around a workload."""
+        store = self._store
+        name, namespace = kube_objects.name(item), item["metadata"]["namespace"]
+        found_pools = store.in_namespace(POOLS, namespace)
+        key = Key(WORKLOADS.plural, namespace, name)
+        serving = [p for p, pool in found_pools.items() if pool_pods.serves(pool, item)]
+        return Observed(
+            workload=item,
+            now=time.time(),
+            policies=store.in_namespace(POLICIES, namespace),
+            config_maps=store.in_namespace(CONFIG_MAPS, namespace),
+            pools=found_pools,
+            held_policies={
+                pool: policy
+                for pool in serving
+                if (policy := store.get(NETWORK_POLICIES, namespace, names.held(pool))) is not None
+            },
+            owned=store.owned(kube_objects.uid(item)),
+            # In one moment with the next: a pod that comes while something is waited for must be in one of the two.
+            pods=store.labelled(PODS, namespace, names.WORKLOAD, name),
+            expected={pool: self._expected(key, pool) for pool in serving},
+            monitors=self._serving(item, "monitor"),
+            discovery=self._serving(item, "discovery"),
+            unclaimed={
+                pool: pool_pods.unclaimed(found_pools[pool], store.labelled(PODS, namespace, names.POOL, pool))
+                for pool in serving
+            },
+            reference=await self._referred(item),
+            rivals=self._rivals(item),
+            dependencies=self._dependencies(item),
+            resized=await self._resized(item),
+            cordoned=frozenset(kube_objects.name(node) for node in store.all(NODES) if leaving_nodes.is_cordoned(node)),
+            leaving=self._leaving(),
+            budgets=self._budgets(namespace),
+            going=frozenset(self._going(namespace, store.get(ROLES, namespace, names.monitor(name)))),
+        )
+
+    def _going(self, namespace: str, role: Object | None) -> Iterator[str]:
+        """Of the pools whose agents a monitor may command by its role, those that are gone and have pods that may be claimed yet."""
+        for pool in monitor_deployment.commanded(role):
+            pods = self._store.labelled(PODS, namespace, names.POOL, pool)
+            if self._store.get(POOLS, namespace, pool) is None and any(map(claim_tokens.claimable, pods)):
+                yield pool
+
+    def _budgets(self, namespace: str) -> list[Object]:
+        """The PodDisruptionBudgets of others."""
+        found = self._store.in_namespace(DISRUPTION_BUDGETS, namespace).values()
+        return [budget for budget in found if not pool_evictions.is_ours(budget)]
+
+    def _leaving(self) -> frozenset[str]:
+        """The nodes whose pods are about to go."""
+        return leaving_nodes.leaving(self._store.all(NODES))
+
+    def _expected(self, key: Key, pool: str) -> int:
+        """Pods that were asked for, and of which neither an answer nor a watch has told."""
+        return self._expectations.count(
+            key, pool, observed=lambda name: self._store.get(PODS, key.namespace, name) is not None
+        )
+
+    async def _resized(self, item: Object) -> Object | None:
+        """Read from the API, not from the store: of a pod's spec nothing is kept there."""
+        namespace = item["metadata"]["namespace"]
+        policy = self._store.get(POLICIES, namespace, change_index.used_policy(item))
+        if (
+            not degraded_measures.degraded(item)
+            or degraded_measures.paused(item)
+            or not any(action.resize for action in degraded_measures.actions(policy))
+        ):
+            return None
+        name, uid = kube_objects.active(
+            self._store.get(NETWORK_POLICIES, namespace, names.gate(kube_objects.name(item)))
+        )
+        pod = await self._client.find(PODS, namespace, name) if name else None
+        return pod if pod is not None and kube_objects.uid(pod) == uid and kube_objects.alive(pod) else None
+
+    def _serving(self, item: Object, component: str) -> list[Object]:
+        """The pods of a workload's monitor or discovery server."""
+        namespace = item["metadata"]["namespace"]
+        found = self._store.labelled(PODS, namespace, names.MONITORED, kube_objects.name(item))
+        return [pod for pod in found if kube_objects.labels(pod).get(names.COMPONENT) == component]
+
+    def _rivals(self, item: Object) -> list[str]:
+        """Workloads that referred to the same controller before this one did."""
+        target = change_index.reference(item)
+        if target is None:
+            return []
+        others = self._store.in_namespace(WORKLOADS, item["metadata"]["namespace"]).values()
+        older = [
+            other
+            for other in others
+            if change_index.reference(other) == target
+            and not kube_objects.deleted(other)
+            and kube_objects.sort_key(other) < kube_objects.sort_key(item)
+        ]
+        return [kube_objects.name(other) for other in sorted(older, key=kube_objects.sort_key)]
+
+    def _dependencies(self, item: Object) -> dict[str, list[str]]:
+        """What each workload of the namespace depends on; nothing where this one depends on none."""
+        if not dependency_graph.named(item):
+            return {}
+        others = self._store.in_namespace(WORKLOADS, item["metadata"]["namespace"])
+        return dependency_graph.graph([*others.values(), item])
+
+    async def _referred(self, item: Object) -> workload_reference.Referred | None:
+        """Read from the API, not from the store: the pods of others aren't kept there."""
+        target = change_index.reference(item)
+        if target is None:
+            return None
+        kind, name = target
+        namespace = item["metadata"]["namespace"]
+        controller = await self._client.find(DEPLOYMENTS if kind == "Deployment" else STATEFUL_SETS, namespace, name)
+        selector = ((controller or {}).get("spec") or {}).get("selector") or {}
+        if controller is None or not selectors.requirements(selector):
+            return workload_reference.Referred(controller)
+        text = selectors.as_text(selector)
+        pods = (await self._client.list(PODS, namespace, labels=text)).get("items") or []
+        sets: list[Object] = []
+        if kind == "Deployment":
+            sets = (await self._client.list(REPLICA_SETS, namespace, labels=text)).get("items") or []
+        return workload_reference.Referred(controller, workload_reference.controlled(controller, sets, pods))
+
+    async def pool(self, item: Object) -> pool_pods.Observed:
+        """What is so around a pool."""
+        store = self._store
+        name, namespace = kube_objects.name(item), item["metadata"]["namespace"]
+        found = store.in_namespace(WORKLOADS, namespace)
+        template, selector = await self._source(item, found)
+        secret = await self._token(item)
+        gates = [store.get(NETWORK_POLICIES, namespace, names.gate(workload)) for workload in found]
+        now = time.time()
+        made = store.labelled(PODS, namespace, names.POOL, name)
+        active = frozenset(uid for gate in gates if (uid := kube_objects.active(gate)[1]))
+        return pool_pods.Observed(
+            pool=item,
+            workloads=found,
+            pods=made,
+            owned=store.owned(kube_objects.uid(item)),
+            now=now,
+            waiting=pool_pods.queue(name, [gate for gate in gates if gate is not None], now),
+            source=template,
+            source_selector=selector,
+            active=active,
+            stand_ins=self._standing_in(item, found, made, active),
+            expected=self._expected(Key(POOLS.plural, namespace, name), name),
+            prewarmed=sum(
+                pool_pods.serves(item, workload)
+                and degraded_measures.prewarmed(
+                    workload, store.get(POLICIES, namespace, change_index.used_policy(workload)), name
+                )
+                for workload in found.values()
+            ),
+            spared=sum(self._spared(item, workload) for workload in found.values()),
+            asking=[workload for workload in found.values() if self._asks(item, workload)],
+            leaving=self._leaving(),
+            budgets=self._budgets(namespace),
+            secret=secret,
+        )
+
+    async def _token(self, pool: Object) -> Object | None:
+        """The Secret for the agents of a pool's pods.
+
+        One that is older than the pool may have gone with the pool of that name before it, or with their namespace. No watch tells of that,
+        and the pool's pods wait for their Secret: it is read from the API, once.
+        """
+        place = pool["metadata"]["namespace"], names.pool_secret(kube_objects.name(pool))
+        stored = self._store.get(SECRETS, *place)
+        if stored is None or kube_objects.created(stored) >= kube_objects.created(pool):
+            return stored
+        if self._looked.get(place) == (kube_objects.uid(pool), kube_objects.uid(stored)):
+            return stored
+        live = await self._client.find(SECRETS, *place)
+        if live is None:
+            self._store.remove(SECRETS, stored)
+        else:
+            self._store.put(SECRETS, live)
+            self._looked[place] = kube_objects.uid(pool), kube_objects.uid(live)
+        return self._store.get(SECRETS, *place)
+
+    def _standing_in(
+        self, pool: Object, workloads: Mapping[str, Object], pods: Sequence[Object], active: Collection[str]
+    ) -> list[Object]:
+        """The pods of workloads' own controllers that wait where one of the pool's pods drives."""
+        namespace, found = pool["metadata"]["namespace"], []
+        for name in {
+            kube_objects.labels(pod).get(names.WORKLOAD, "") for pod in pods if kube_objects.uid(pod) in active
+        }:
+            workload = workloads.get(name)
+            if workload is None or not pool_pods.serves(pool, workload):
+                continue
+            policy = self._store.get(POLICIES, namespace, change_index.used_policy(workload))
+            if stand_ins.may_stand_in(workload, policy):
+                gate = self._store.get(NETWORK_POLICIES, namespace, names.gate(name))
+                its = self._store.labelled(PODS, namespace, names.WORKLOAD, name)
+                found += stand_ins.standing_in(kube_objects.name(pool), gate, its)
+        return found
+
+    def _asks(self, pool: Object, workload: Object) -> bool:
+        """Whether a workload takes a pod of a pool when it fails, where the pool's size follows that."""
+        if not (pool.get("spec") or {}).get("sizing") or not pool_pods.serves(pool, workload):
+            return False
+        policy = self._store.get(POLICIES, pool["metadata"]["namespace"], change_index.used_policy(workload))
+        if policy is None:
+            return False
+        if strategy_selection.is_auto(policy):
+            return workload_status.takes_from(change_index.chosen(workload), kube_objects.name(pool))
+        return kube_objects.name(pool) in policy_status.named_pools(policy)
+
+    def _spared(self, pool: Object, workload: Object) -> bool:
+        """Whether a workload that a pool serves has no standby of it, since other strategies were chosen for it, or are in force now.
+
+        By its status, in which that stands once it was chosen: a fleet's orders aren't thought over for every pod of a pool.
+        """
+        policy = self._store.get(POLICIES, pool["metadata"]["namespace"], change_index.used_policy(workload))
+        if policy is None or not strategy_selection.varies(policy) or not pool_pods.serves(pool, workload):
+            return False
+        chosen = change_index.chosen(workload)
+        return bool(chosen) and not workload_status.takes_from(chosen, kube_objects.name(pool))
+
+    async def _source(
+        self, item: Object, found: Mapping[str, Object]
+    ) -> tuple[Mapping[str, Any] | None, Mapping[str, Any] | None]:
+        source = ((item.get("spec") or {}).get("templateFrom") or {}).get("workload")
+        if source is None or source not in found:
+            return None, None
+        workload = found[source]
+        if change_index.reference(workload) is None:
+            return (workload.get("spec") or {}).get("template"), None
+        referred = await self._referred(workload)
+        if referred is None or referred.controller is None:
+            return None, None
+        spec = referred.controller["spec"]
+        return spec["template"], spec["selector"]

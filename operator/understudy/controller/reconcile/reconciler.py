@@ -1,0 +1,361 @@
+"""Brings one object of ours to what it says: observe, plan, write, tell. Run again on every change, and harmless to."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+import secrets
+import time
+from collections.abc import Sequence
+
+from understudy.api import names
+from understudy.api.base import API_VERSION
+from understudy.api.conditions import Condition
+from understudy.controller.desired import node_drain, workload_objects
+from understudy.controller.desired.plan import UNANSWERED, Images, Problem
+from understudy.controller.desired.workload_plan import Understanding, probe_template, understand
+from understudy.controller.observed import dependency_graph, kube_objects
+from understudy.controller.observed.observation import Observed
+from understudy.controller.pods import claim_tokens, instance_pod, pool_pods, pool_size
+from understudy.controller.reconcile import change_index, in_place_resize
+from understudy.controller.reconcile.change_index import Key
+from understudy.controller.reconcile.executor import MANAGER, Executor
+from understudy.controller.reconcile.observer import Observer
+from understudy.controller.reconcile.rollouts import Rollouts
+from understudy.controller.reconcile.template_validation import FORGET_REFUSAL, Judge
+from understudy.controller.runtime import operator_metrics
+from understudy.controller.runtime.object_store import Store
+from understudy.controller.status import policy_status, pool_status, storm_detection, workload_status
+from understudy.kube.client import (
+    CONFIG_MAPS,
+    NETWORK_POLICIES,
+    PODS,
+    POLICIES,
+    POOLS,
+    SECRETS,
+    WORKLOADS,
+    ApiError,
+    Client,
+    Object,
+    Resource,
+)
+from understudy.kube.events import Recorder
+from understudy.kube.undeclared_fields import apply_declared, lacking
+
+_logger = logging.getLogger(__name__)
+
+_ALPHABET = "bcdfghjklmnpqrstvwxz2456789"  # as Kubernetes' own generated names: no words by chance
+ABSENT = frozenset(
+    {
+        "PolicyNotFound",
+        "DependencyNotFound",
+        "PoolNotFound",
+        "NoPool",
+        "PoolDoesNotServe",
+        "NoMatchingWorkload",
+        "ReferenceNotFound",
+        "TemplateSourceNotFound",
+        "RequirementsNotMet",
+    }
+)
+"""Reasons that say that another object is missing."""
+TOGETHER_SECONDS = 3.0
+"""For so long after an object was created, what it lacks isn't told yet."""
+
+COUNT_SECONDS = 1.0
+"""Between two writes of a pool's status: in a burst it changes with every claim, and the API server then has better things to
+do. What is new for a new spec is told at once.
+"""
+
+WITHDRAWN = frozenset(
+    {
+        in_place_resize.CONDITION,
+        workload_status.CHOSEN,
+        node_drain.CONDITION,
+        pool_size.CONDITION,
+        pool_pods.MOVING,
+        dependency_graph.RESOLVED,
+        storm_detection.CONDITION,
+    }
+)
+"""Conditions of ours that are there only while there is something to be said."""
+
+_RESOURCES = {resource.plural: resource for resource in (WORKLOADS, POLICIES, POOLS)}
+
+
+def fresh() -> pool_pods.Fresh:
+    """Random names of pods and tokens of agents."""
+    return pool_pods.Fresh(
+        name=lambda prefix: f"{prefix}-{''.join(secrets.choice(_ALPHABET) for _ in range(5))}",
+        token=lambda: secrets.token_hex(32),
+    )
+
+
+class Reconciler:
+    """Reconciles keys of all three kinds."""
+
+    def __init__(
+        self,
+        client: Client,
+        store: Store,
+        observer: Observer,
+        executor: Executor,
+        recorder: Recorder,
+        images: Images,
+        rollouts: Rollouts,
+    ) -> None:
+        self._client, self._store, self._observer, self._executor = client, store, observer, executor
+        self._recorder, self._images, self._judge = recorder, images, Judge(client)
+        self._rollouts = rollouts
+        self._fresh = fresh()
+        self._counted: dict[Key, float] = {}
+        """When the status of each pool was written last, in seconds of the monotonic clock."""
+        self._unknown: set[str] = set()
+        """The fields of status that a definition lacks."""
+
+    async def reconcile(self, key: Key) -> float | None:
+        """Bring the object to what it says; seconds after which to look again, if it must be.
+
+        Raises what :meth:`Executor.run` raises.
+        """
+        item = self._store.get(_RESOURCES[key.plural], key.namespace, key.name)
+        if key.plural == WORKLOADS.plural:
+            return await self._workload(key, item)
+        if item is None or kube_objects.deleted(item):
+            if key.plural == POOLS.plural:
+                await self._without_pool(key, item)
+            if key.plural == POLICIES.plural:
+                operator_metrics.storm(key.namespace, key.name, None)
+            return None
+        if key.plural == POOLS.plural:
+            return await self._pool(key, item)
+        return await self._policy(item)
+
+    async def _workload(self, key: Key, item: Object | None) -> float | None:
+        if item is None or kube_objects.deleted(item):
+            pods = self._store.labelled(PODS, key.namespace, names.WORKLOAD, key.name)
+            await self._executor.run(key, workload_objects.abandoned(key.name, pods).writes)
+            self._rollouts.forget(key)
+            if item is None:
+                self._executor.forget(key)
+            return None
+        observed = await self._observer.workload(item)
+        understanding = understand(observed, self._images)
+        try:
+            return await self._build(key, observed, understanding)
+        except ApiError as error:
+            if (problem := _unanswered(error)) is not None:
+                resized = in_place_resize.judged(observed, in_place_resize.outcomes(observed, understanding))
+                await self._tell(WORKLOADS, item, workload_status.status(observed, understanding, [problem], resized))
+            raise
+
+    async def _build(self, key: Key, observed: Observed, understanding: Understanding) -> float | None:
+        again = None
+        if (pod := probe_template(observed, understanding)) is not None:
+            path = "spec.template" if observed.reference is None else "the referred controller's spec.template"
+            refusal = await self._judge.judge(pod, path)
+            if refusal is not None:
+                understanding = dataclasses.replace(understanding, problem=refusal)
+                again = FORGET_REFUSAL
+        plan = workload_objects.plan(observed, understanding, self._images, self._fresh)
+        writes, turn = self._rollouts.admitted(key, plan.writes)
+        problems = await self._executor.run(key, writes)
+        raised = await self._resize(key, observed, understanding)
+        if problems or any(one.reason == "Refused" for one in raised):
+            again = FORGET_REFUSAL
+        observed = self._seen(observed)
+        status = workload_status.status(observed, understanding, problems, in_place_resize.judged(observed, raised))
+        return _earliest(plan.again_after, again, turn, await self._tell(WORKLOADS, observed.workload, status))
+
+    async def _resize(
+        self, key: Key, observed: Observed, understanding: Understanding
+    ) -> list[in_place_resize.Outcome]:
+        """Resize the pod in control as far as it is asked for; what the API server refuses concerns nothing else."""
+        found = []
+        for outcome in in_place_resize.outcomes(observed, understanding):
+            writes = [outcome.write] if outcome.write is not None else []
+            problems = await self._executor.run(key, writes)
+            found.append(in_place_resize.refused(outcome, problems[0]) if problems else outcome)
+        return found
+
+    def _seen(self, observed: Observed) -> Observed:
+        """With what was just written, so that the status isn't one step behind."""
+        return dataclasses.replace(observed, owned=self._store.owned(kube_objects.uid(observed.workload)))
+
+    async def _pool(self, key: Key, item: Object) -> float | None:
+        observed = await self._observer.pool(item)
+        understanding = pool_pods.understand(observed, self._images)
+        try:
+            return await self._keep(key, observed, understanding)
+        except ApiError as error:
+            if (problem := _unanswered(error)) is not None:
+                await self._count(key, item, pool_status.status(observed, understanding, [problem]))
+            raise  # by which it is tried again, and told what wasn't yet
+
+    async def _keep(
+        self, key: Key, observed: pool_pods.Observed, understanding: pool_pods.Understanding
+    ) -> float | None:
+        item, again = observed.pool, None
+        if understanding.built is not None:
+            trial = instance_pod.trial(understanding.built, "FallbackPool", item)
+            refusal = await self._judge.judge(trial, "the pool's template")
+            if refusal is not None:
+                understanding = dataclasses.replace(understanding, problem=refusal, built=None)
+                again = FORGET_REFUSAL
+        plan = pool_pods.plan(observed, understanding, self._fresh)
+        problems = await self._executor.run(key, plan.writes)
+        if problems:
+            again = FORGET_REFUSAL
+        seen = dataclasses.replace(
+            observed,
+            owned=self._store.owned(kube_objects.uid(item)),
+            pods=self._store.labelled(PODS, key.namespace, names.POOL, key.name),
+        )
+        later = await self._count(key, item, pool_status.status(seen, understanding, problems))
+        self._measure(key, understanding.sized)
+        if understanding.sized is not None and (told := pool_size.change(understanding.sized)) is not None:
+            await self._recorder.normal(item, "Resized", told)
+        return _earliest(plan.again_after, again, later)
+
+    async def _without_pool(self, key: Key, item: Object | None) -> None:
+        """What is left to do for a pool that is gone, or on its way out: pods that were claimed from it drive on."""
+        self._measure(key, None)
+        self._counted.pop(key, None)
+        pods = self._store.labelled(PODS, key.namespace, names.POOL, key.name)
+        writes = claim_tokens.outlast(
+            key.name,
+            key.namespace,
+            self._store.get(SECRETS, key.namespace, names.pool_secret(key.name)),
+            deleted=item is not None,
+            pods=pods,
+            workloads=self._store.in_namespace(WORKLOADS, key.namespace),
+            token=self._fresh.token,
+        )
+        for problem in await self._executor.run(key, writes):
+            _logger.warning("FallbackPool %s/%s is gone: %s", key.namespace, key.name, problem.message)
+        # While it has pods it is looked at again with each of their changes and with every list, and with it others would be forgotten each
+        # time whose names begin alike.
+        if item is None and not pods:
+            self._executor.forget(key)
+
+    def _measure(self, key: Key, sized: pool_size.Sized | None) -> None:
+        """The metrics of a pool's size, where it follows the failures."""
+        figures = (operator_metrics.POOL_SIZE, operator_metrics.POOL_NEEDED, operator_metrics.POOL_FAILURES)
+        if sized is None:
+            for gauge in figures:
+                gauge.remove(key.namespace, key.name)
+            return
+        values = (sized.decision.size, sized.decision.needed, sized.rate.expected)
+        for gauge, value in zip(figures, values, strict=True):
+            gauge.labels(key.namespace, key.name).set(value)
+
+    async def _policy(self, item: Object) -> float | None:
+        namespace, name = item["metadata"]["namespace"], kube_objects.name(item)
+        users = [key.name for key in change_index.users(name, self._store, namespace)]
+        found = self._store.in_namespace(POOLS, namespace)
+        config_maps = self._store.in_namespace(CONFIG_MAPS, namespace)
+        storm, again = self._storm(item, users)
+        status = policy_status.status(item, pools=found, config_maps=config_maps, users=users, storm=storm)
+        return _earliest(again, await self._tell(POLICIES, item, status))
+
+    def _storm(self, policy: Object, users: Sequence[str]) -> tuple[Condition | None, float | None]:
+        """What is said of a storm, and when to look again; nothing where the policy has no guard."""
+        guard, namespace = policy_status.storm_guard(policy), policy["metadata"]["namespace"]
+        if guard is None:
+            operator_metrics.storm(namespace, kube_objects.name(policy), None)
+            return None, None
+        found = self._store.in_namespace(WORKLOADS, namespace)
+        fleet = [(found[name], self._store.get(NETWORK_POLICIES, namespace, names.gate(name))) for name in users]
+        said, again = storm_detection.judge(policy, guard, fleet, time.time())
+        operator_metrics.storm(namespace, kube_objects.name(policy), said.status == "True")
+        return said, again
+
+    async def _count(self, key: Key, pool: Object, status: Object) -> float | None:
+        """As :meth:`_tell`, but not more often than COUNT_SECONDS."""
+        now = time.monotonic()
+        wait = self._counted.get(key, now - COUNT_SECONDS) + COUNT_SECONDS - now
+        stored = pool.get("status") or {}
+        if _says(pool, status):
+            return None
+        if wait > 0 and stored.get("observedGeneration") == status["observedGeneration"]:
+            return wait
+        later = await self._tell(POOLS, pool, status)
+        self._counted[key] = now
+        return later
+
+    async def _tell(self, resource: Resource, item: Object, status: Object) -> float | None:
+        """Write the status where it differs from the stored one, and tell transitions as Events.
+
+        Seconds after which to look again, where it is too early to say something.
+        """
+        if _says(item, status):
+            return None
+        if _too_early(item, status):
+            return TOGETHER_SECONDS
+        timed = workload_status.timed(item, status)
+        metadata = item["metadata"]
+        body = {
+            "apiVersion": API_VERSION,
+            "kind": item["kind"],
+            "metadata": {key: metadata[key] for key in ("name", "namespace", "uid")},
+            "status": timed,
+        }
+        self._executor.check()
+        operator_metrics.WRITES.labels(resource.plural, "status").inc()
+        try:
+            made, unknown = await apply_declared(
+                self._client, resource, metadata["namespace"], body, manager=MANAGER, subresource="status"
+            )
+        except ApiError as error:
+            if error.not_found or error.conflict:  # it was deleted meanwhile
+                return None
+            raise
+        if told := set(unknown) - self._unknown:
+            self._unknown |= told
+            _logger.warning("%s", lacking(resource, told, "operator"))
+        self._store.put(resource, made)
+        await self._announce(item, workload_status.transitions(item, status))
+        return None
+
+    async def _announce(self, item: Object, transitions: Sequence[Object]) -> None:
+        for found in transitions:
+            reason = found["reason"] if found["status"] == "False" else found["type"]
+            if (found["status"] == "False") != (found["type"] == storm_detection.CONDITION):
+                await self._recorder.warning(item, reason, f"{found['type']}: {found['message']}")
+            else:
+                await self._recorder.normal(item, reason, found["message"])
+
+
+def _unanswered(error: ApiError) -> Problem | None:
+    """What is told where the API server asks an admission webhook that doesn't answer: in the same words each time that it's tried."""
+    if not error.webhook:
+        return None
+    return Problem(
+        UNANSWERED,
+        f'The admission webhook "{error.webhook}" doesn\'t answer, and without it the API server takes nothing that it is to judge '
+        "(failurePolicy Fail). It is tried again until it does. Look after the webhook, or except this namespace from it",
+    )
+
+
+def _says(item: Object, status: Object) -> bool:
+    """Whether the stored status says the same already, whenever that became so."""
+    live = item.get("status") or {}
+    stored = {c["type"]: c for c in live.get("conditions") or []}
+    if WITHDRAWN & stored.keys() - {new["type"] for new in status["conditions"]}:
+        return False
+    for new in status["conditions"]:
+        old = stored.get(new["type"])
+        if old is None or any(old.get(k) != v for k, v in new.items() if k != "lastTransitionTime"):
+            return False
+    return all(live.get(key) == value for key, value in status.items() if key != "conditions")
+
+
+def _too_early(item: Object, status: Object) -> bool:
+    """Whether something that is missing may simply be written next: objects that belong together come one by one."""
+    age = time.time() - kube_objects.created(item)
+    return 0 <= age < TOGETHER_SECONDS and any(c["reason"] in ABSENT for c in status["conditions"])
+
+
+def _earliest(*delays: float | None) -> float | None:
+    found = [delay for delay in delays if delay is not None]
+    return min(found) if found else None

@@ -1,0 +1,118 @@
+"""New monitors and discovery servers come to a fleet in steps, as after an upgrade: a robot isn't watched while its monitor is replaced.
+
+Their Deployments are replaced one pod after the other (Recreate), so a change that concerns all would leave every robot of a fleet
+without its monitor at the same time, and a version whose monitors don't come up would leave them so. So only a share is under way at
+once, and the next ones follow when those are ready. What isn't ready before it is changed has nothing to lose and waits for nobody.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+
+from understudy.api import names
+from understudy.controller.desired.plan import Apply, Write
+from understudy.controller.observed import kube_objects
+from understudy.controller.reconcile.change_index import Key
+from understudy.controller.runtime import operator_metrics
+from understudy.controller.runtime.object_store import Store
+from understudy.kube import apply
+from understudy.kube.client import DEPLOYMENTS, PODS, WORKLOADS, Object
+
+_logger = logging.getLogger(__name__)
+
+PERCENT = 10
+"""Of the workloads whose monitors may be replaced at once, unless the operator is told otherwise; at least one."""
+
+HOLD = 300.0
+"""Seconds for which one that doesn't become ready keeps its place. By then somebody was told (UnderstudyMonitorNotReady), and a robot
+that was switched off meanwhile doesn't keep a fleet from what mends the others.
+"""
+
+LOOK = 3.0
+"""Seconds after which one looks again whose turn is next."""
+
+
+@dataclass(frozen=True)
+class _Step:
+    """One workload whose pods are being replaced."""
+
+    before: frozenset[str]
+    """UIDs of its pods when that began."""
+    fresh: int
+    """How many are replaced."""
+    until: float
+
+
+class Rollouts:
+    """Which workloads' monitors are replaced now."""
+
+    def __init__(self, store: Store, *, percent: int = PERCENT, clock: Callable[[], float] = time.monotonic) -> None:
+        self._store, self._percent, self._clock = store, percent, clock
+        self._steps: dict[Key, _Step] = {}
+        self._waiting: dict[Key, None] = {}
+
+    def admitted(self, key: Key, writes: Sequence[Write]) -> tuple[list[Write], float | None]:
+        """The writes without those for which it isn't the workload's turn yet; if there are such, seconds after which to look again."""
+        self._finish()
+        late = [write for write in writes if isinstance(write, Apply) and self._replaces(key, write)]
+        if not late or self._may(key, len(late)):
+            self._waiting.pop(key, None)
+            self._count()
+            return list(writes), None
+        self._waiting.setdefault(key)
+        self._count()
+        ahead = list(self._waiting).index(key)
+        return [write for write in writes if write not in late], LOOK * (1 + ahead // self._places)
+
+    def forget(self, key: Key) -> None:
+        """The workload is gone."""
+        self._steps.pop(key, None)
+        self._waiting.pop(key, None)
+        self._count()
+
+    @property
+    def _places(self) -> int:
+        return max(1, math.ceil(len(self._store.all(WORKLOADS)) * self._percent / 100))
+
+    def _replaces(self, key: Key, write: Apply) -> bool:
+        """Whether a write replaces pods that are there."""
+        if write.resource.plural != DEPLOYMENTS.plural:
+            return False
+        live = self._store.get(DEPLOYMENTS, key.namespace, kube_objects.name(write.body))
+        if live is None or kube_objects.notes(live).get(apply.APPLIED) == apply.digest(write.body):
+            return False  # what somebody else has changed is put right at once
+        return bool(apply.differences(live["spec"]["template"], write.body["spec"]["template"]))
+
+    def _may(self, key: Key, replaced: int) -> bool:
+        if key in self._steps:
+            return True
+        pods = self._pods(key)
+        if not any(kube_objects.ready(pod) for pod in pods):
+            return True
+        if len(self._steps) >= self._places:
+            return False
+        self._steps[key] = _Step(frozenset(map(kube_objects.uid, pods)), replaced, self._clock() + HOLD)
+        return True
+
+    def _finish(self) -> None:
+        for key, step in list(self._steps.items()):
+            pods = self._pods(key)
+            fresh = [pod for pod in pods if kube_objects.uid(pod) not in step.before]
+            done = len(fresh) >= step.fresh and all(kube_objects.ready(pod) for pod in pods)
+            late = self._clock() >= step.until
+            if late and not done:
+                _logger.warning("%s/%s: its new monitor isn't ready yet, others go on", key.namespace, key.name)
+            if done or late or self._store.get(WORKLOADS, key.namespace, key.name) is None:
+                del self._steps[key]
+
+    def _pods(self, key: Key) -> Collection[Object]:
+        found = self._store.labelled(PODS, key.namespace, names.MONITORED, key.name)
+        return [pod for pod in found if kube_objects.alive(pod)]
+
+    def _count(self) -> None:
+        operator_metrics.ROLLOUTS.labels("waiting").set(len(self._waiting))
+        operator_metrics.ROLLOUTS.labels("under_way").set(len(self._steps))

@@ -1,0 +1,184 @@
+"""What ``helm test`` runs in the operator's namespace: whether the installation works, asked of its API server.
+
+``understudy verify`` runs as an account of its own whose name ends as a monitor's does, so that the admission policy means it too.
+Nothing is changed: what is created or deleted is only ever a dry run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import copy
+import os
+import time
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+
+import aiohttp
+
+from understudy.api.base import API_VERSION, VERSION
+from understudy.api.schema.definitions import definitions
+from understudy.controller.runtime.process import LEASE
+from understudy.kube.client import CRDS, DEPLOYMENTS, LEASES, PODS, WORKLOADS, Access, ApiError, Client, Object
+
+WITHIN = 60.0
+"""Seconds in which everything must be in order: an installation may have been finished a moment ago."""
+
+_AGAIN = 2.0
+_LED = 60.0
+"""Seconds since a leader's last sign of life, by clocks of two nodes that may differ; it gives one every 2 s."""
+
+_WORKLOAD: Object = {
+    "apiVersion": API_VERSION,
+    "kind": "RobotWorkload",
+    "metadata": {"name": "verified"},
+    "spec": {
+        "workloadRef": {"kind": "Deployment", "name": "verified"},
+        "outputs": [{"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist"}],
+        "failurePolicyRef": {"name": "verified"},
+    },
+}
+
+
+@dataclass(frozen=True)
+class Place:
+    """What is looked at."""
+
+    namespace: str
+    operator: str
+    """Name of the operator's Deployment."""
+    pod: str
+    """The pod that looks."""
+    admission: bool
+    """Whether the admission policy is in force."""
+
+
+def operator_problem(deployment: Object, lease: Object | None, now: float) -> str | None:
+    """Why the operator isn't at work; None where it is."""
+    wanted = deployment["spec"].get("replicas", 1)
+    status = deployment.get("status") or {}
+    available = status.get("availableReplicas", 0)
+    if status.get("observedGeneration", 0) < deployment["metadata"]["generation"] or available < wanted or not wanted:
+        return f"{available} of {wanted} replicas are available"
+    spec = (lease or {}).get("spec") or {}
+    if not spec.get("holderIdentity") or not spec.get("renewTime"):
+        return f"none of its replicas leads: Lease {LEASE} has no holder"
+    silent = now - datetime.fromisoformat(spec["renewTime"]).timestamp()
+    if silent > _LED:
+        return f"{spec['holderIdentity']} leads, and hasn't renewed Lease {LEASE} for {silent:.0f} s"
+    return None
+
+
+def definition_problem(found: Object, wanted: Mapping[str, object]) -> str | None:
+    """How a CustomResourceDefinition in the cluster isn't the one of this version; None where it is."""
+    conditions = (found.get("status") or {}).get("conditions") or []
+    if not any(c["type"] == "Established" and c["status"] == "True" for c in conditions):
+        return "it isn't established"
+    versions = {version["name"]: version for version in found["spec"]["versions"]}
+    if VERSION not in versions or not versions[VERSION]["served"]:
+        return f"{VERSION} isn't served, but {', '.join(versions)}"
+    [mine] = wanted["spec"]["versions"]  # type: ignore[index]
+    if versions[VERSION]["schema"] != mine["schema"]:
+        return "its schema is that of another version of Understudy: with crds.install=false, apply the one of this version"
+    return None
+
+
+async def _operator(client: Client, place: Place) -> str | None:
+    deployment = await client.get(DEPLOYMENTS, place.namespace, place.operator)
+    return operator_problem(deployment, await client.find(LEASES, place.namespace, LEASE), time.time())
+
+
+async def _definitions(client: Client, place: Place) -> str | None:
+    for wanted in definitions().values():
+        name = wanted["metadata"]["name"]
+        found = await client.find(CRDS, None, name)
+        problem = "it isn't there" if found is None else definition_problem(found, wanted)
+        if problem is not None:
+            return f"{name}: {problem}"
+    return None
+
+
+async def _accepted(client: Client, place: Place) -> str | None:
+    refusal = await _refusal(client, place, _WORKLOAD)
+    return None if refusal is None else f"a RobotWorkload as it should be is refused: {refusal}"
+
+
+async def _refused(client: Client, place: Place) -> str | None:
+    unknown, neither = copy.deepcopy(_WORKLOAD), copy.deepcopy(_WORKLOAD)
+    unknown["spec"]["outptus"] = []
+    del neither["spec"]["workloadRef"]
+    for wrong, word in ((unknown, "outptus"), (neither, "workloadRef")):
+        refusal = await _refusal(client, place, wrong)
+        if refusal is None or word not in refusal:
+            return f"a RobotWorkload with a wrong spec ({word}) isn't refused for that: {refusal or 'it is accepted'}"
+    return None
+
+
+async def _refusal(client: Client, place: Place, workload: Object) -> str | None:
+    """Why the API server would not take a RobotWorkload; None where it would."""
+    params = {"dryRun": "All", "fieldValidation": "Strict"}
+    try:
+        await client.request("POST", WORKLOADS.path(place.namespace), params=params, body=workload)
+    except ApiError as error:
+        if error.passing or error.status not in (400, 422):  # such as 403: that isn't about what it says
+            raise
+        return error.message
+    return None
+
+
+async def _held_back(client: Client, place: Place) -> str | None:
+    """A monitor's account whose Role would let it may still not delete a pod that isn't of its workload."""
+    try:
+        await client.request("DELETE", PODS.path(place.namespace, place.pod), body={"dryRun": ["All"]})
+    except ApiError as error:
+        if error.status == 403 and "may delete only pods labelled" in error.message:
+            return None
+        raise
+    return "a monitor could delete a pod that isn't of its workload: the ValidatingAdmissionPolicy isn't in force"
+
+
+Look = Callable[[Client, Place], Awaitable[str | None]]
+
+_LOOKS: dict[str, Look] = {
+    "the operator is at work": _operator,
+    "the three kinds are those of this version": _definitions,
+    "a RobotWorkload is accepted": _accepted,
+    "wrong ones are refused": _refused,
+}
+
+
+async def verify(access: Access, place: Place) -> dict[str, str | None]:
+    """What was looked at, with the problem where there is one after ``WITHIN`` seconds."""
+    looks = dict(_LOOKS) | ({"monitors are held to their own pods": _held_back} if place.admission else {})
+    end = time.monotonic() + WITHIN
+    async with Client(access) as client:
+        while True:
+            found = {what: await _problem(look, client, place) for what, look in looks.items()}
+            if not any(found.values()) or time.monotonic() >= end:
+                return found
+            await asyncio.sleep(_AGAIN)
+
+
+async def _problem(look: Look, client: Client, place: Place) -> str | None:
+    try:
+        return await look(client, place)
+    except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
+        return str(error) or type(error).__name__
+
+
+def main(argv: Sequence[str]) -> int:
+    """Say what is in order and what isn't; the exit status."""
+    parser = argparse.ArgumentParser(
+        prog="understudy verify",
+        description="Says whether this installation works; helm test runs it in a pod.",
+        epilog="Exit status: 0 where all is in order, 1 where something isn't.",
+    )
+    parser.add_argument("--operator", required=True, metavar="NAME", help="name of the operator's Deployment")
+    parser.add_argument("--no-admission", action="store_true", help="the admission policy was left out")
+    given = parser.parse_args(argv)
+    place = Place(os.environ["UNDERSTUDY_NAMESPACE"], given.operator, os.environ["POD_NAME"], not given.no_admission)
+    found = asyncio.run(verify(Access.default(), place))
+    for what, problem in found.items():
+        print(f"FAILED  {what}: {problem}" if problem else f"ok      {what}")
+    return int(any(found.values()))

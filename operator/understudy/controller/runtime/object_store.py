@@ -1,0 +1,230 @@
+"""A copy of what was seen of the cluster, fed by watches, by lists and by the answers to the operator's own writes.
+
+A watch may be late, repeat itself or fall silent. So versions decide which of two sights of an object is the newer one
+(they are comparable within a resource, KEP-5504), and a full list both repairs what a watch missed and tells it.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+from understudy.api import names
+from understudy.controller.runtime.interning import Sharing
+from understudy.kube.apply import controller_of
+from understudy.kube.client import Object, Resource
+
+REMEMBERED_SECONDS = 300.0
+"""How long a deleted object is remembered, so that a list from before its deletion doesn't bring it back."""
+
+Index = tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Sight:
+    """A change that was noticed."""
+
+    resource: Resource
+    old: Object | None
+    new: Object | None
+
+
+class Store:
+    """Objects by resource, namespace and name."""
+
+    def __init__(self, *, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._items: dict[str, dict[tuple[str, str], Object]] = defaultdict(dict)
+        self._index: dict[Index, dict[tuple[str, str, str], Object]] = defaultdict(dict)
+        self._gone: dict[str, tuple[int, float]] = {}
+        self._swept = self._changed = clock()
+        self._sharing = Sharing(clock=clock)
+        self.noticed: Callable[[Sight], None] = lambda sight: None
+        """Called with every change, whoever brought it: what one object's work writes may mean something to another."""
+
+    @property
+    def quiet(self) -> float:
+        """Seconds since it noticed a change."""
+        return self._clock() - self._changed
+
+    def get(self, resource: Resource, namespace: str, name: str) -> Object | None:
+        """An object, or None."""
+        return self._items[resource.plural].get((namespace, name))
+
+    def knows(self, resource: Resource, item: Object) -> bool:
+        """Whether an object of that name is in the store."""
+        return self.get(resource, item["metadata"].get("namespace", ""), item["metadata"]["name"]) is not None
+
+    def all(self, resource: Resource) -> list[Object]:
+        """Every object of a resource."""
+        return list(self._items[resource.plural].values())
+
+    def in_namespace(self, resource: Resource, namespace: str) -> dict[str, Object]:
+        """The objects of a resource in a namespace by name."""
+        found = self._index.get(("namespace", resource.plural, namespace), {})
+        return {name: item for (_, _, name), item in found.items()}
+
+    def owned(self, uid: str) -> dict[tuple[str, str], Object]:
+        """What the object with that UID controls, by plural and name."""
+        found = self._index.get(("owner", uid), {})
+        return {(plural, name): item for (plural, _, name), item in found.items()}
+
+    def labelled(self, resource: Resource, namespace: str, label: str, value: str) -> list[Object]:
+        """The objects with one of the labels that are indexed (workload, pool, monitored)."""
+        return list(self._index.get(("label", resource.plural, namespace, label, value), {}).values())
+
+    def put(self, resource: Resource, item: Object) -> Sight | None:
+        """Take in a sight of an object; None if it tells nothing new."""
+        metadata = item["metadata"]
+        place = (metadata.get("namespace", ""), metadata["name"])
+        old = self._items[resource.plural].get(place)
+        if old is not None and same(old, item) and version(old) >= version(item):
+            return None
+        if old is not None and not same(old, item) and version(old) > version(item):
+            return None
+        gone = self._gone.get(metadata.get("uid", ""))
+        if gone is not None and gone[0] >= version(item):
+            return None
+        new = self._sharing.of(slim(resource, item), old)
+        self._unindex(resource, place, old)
+        self._items[resource.plural][place] = new
+        entry = (resource.plural, *place)
+        for key in _keys(resource, new):
+            self._index[key][entry] = new
+        return self._notice(Sight(resource, old, new))
+
+    def remove(self, resource: Resource, item: Object) -> Sight | None:
+        """Take in that an object is gone; None if that is known."""
+        metadata = item["metadata"]
+        place = (metadata.get("namespace", ""), metadata["name"])
+        self._bury(item)
+        old = self._items[resource.plural].get(place)
+        if old is None or not same(old, item):
+            return None
+        del self._items[resource.plural][place]
+        self._unindex(resource, place, old)
+        return self._notice(Sight(resource, old, None))
+
+    def _notice(self, sight: Sight) -> Sight:
+        self._changed = self._clock()
+        self.noticed(sight)
+        return sight
+
+    def replace(
+        self,
+        resource: Resource,
+        items: Iterable[Object],
+        listed: int,
+        namespace: str | None,
+        *,
+        covered: Callable[[Object], bool] = lambda item: True,
+    ) -> list[Sight]:
+        """Take in a list of a resource (in one namespace, or in all) as of a version; what it changes.
+
+        ``covered`` tells of an object that is kept whether such a list would have it.
+        """
+        self._sharing.forget()
+        found = list(items)
+        present = {(i["metadata"].get("namespace", ""), i["metadata"]["name"]) for i in found}
+        sights = [self.put(resource, item) for item in found]
+        for place, old in list(self._items[resource.plural].items()):
+            if place in present or (namespace is not None and place[0] != namespace):
+                continue
+            if version(old) <= listed and covered(old):  # newer ones were made after the list
+                sights.append(self.remove(resource, old))
+        return [sight for sight in sights if sight is not None]
+
+    def _bury(self, item: Object) -> None:
+        now = self._clock()
+        self._gone[item["metadata"].get("uid", "")] = (version(item), now)
+        if now - self._swept >= REMEMBERED_SECONDS / 10:
+            self._swept = now
+            self._gone = {uid: seen for uid, seen in self._gone.items() if now - seen[1] < REMEMBERED_SECONDS}
+
+    def _unindex(self, resource: Resource, place: tuple[str, str], old: Object | None) -> None:
+        if old is None:
+            return
+        for key in _keys(resource, old):
+            entries = self._index.get(key)
+            if entries is not None:
+                entries.pop((resource.plural, *place), None)
+                if not entries:
+                    del self._index[key]
+
+
+def _keys(resource: Resource, item: Object) -> list[Index]:
+    metadata = item["metadata"]
+    namespace = metadata.get("namespace", "")
+    found: list[Index] = [("namespace", resource.plural, namespace)]
+    owner = controller_of(item)
+    if owner is not None:
+        found.append(("owner", owner["uid"]))
+    labels = metadata.get("labels") or {}
+    found += [
+        ("label", resource.plural, namespace, label, labels[label])
+        for label in (names.WORKLOAD, names.POOL, names.MONITORED)
+        if label in labels
+    ]
+    return found
+
+
+def version(item: Object) -> int:
+    """The object's resourceVersion as a number."""
+    text = item["metadata"].get("resourceVersion", "")
+    return int(text) if text.isdigit() else 0
+
+
+def same(a: Object, b: Object) -> bool:
+    """Whether two sights are of one object, and not of two that had the same name one after the other."""
+    return bool(a["metadata"].get("uid") == b["metadata"].get("uid"))
+
+
+def slim(resource: Resource, item: Object) -> Object:
+    """The object without what is never looked at: a fleet's copies live in memory. Secrets lose what they keep."""
+    metadata = {sys.intern(key): value for key, value in item["metadata"].items() if key != "managedFields"}
+    kept = {**{sys.intern(key): value for key, value in item.items()}, "metadata": metadata}
+    if resource.plural == "secrets":
+        kept.pop("data", None)
+        kept.pop("stringData", None)
+    if resource.plural == "pods":
+        kept["spec"] = {"nodeName": (item.get("spec") or {}).get("nodeName")}
+        kept["status"] = _slim_status(item.get("status") or {})
+    if resource.plural == "nodes":
+        kept["metadata"] = {key: metadata[key] for key in ("name", "uid", "resourceVersion") if key in metadata}
+        kept["spec"] = {
+            key: found for key in ("unschedulable", "taints") if (found := (item.get("spec") or {}).get(key))
+        }
+    if resource.plural in _WITHOUT_STATUS:
+        kept.pop("status", None)
+    return kept
+
+
+_WITHOUT_STATUS = frozenset(
+    {"nodes", "deployments", "replicasets", "services", "networkpolicies", "poddisruptionbudgets"}
+)
+"""Of these only what they say is looked at: what became of it is seen by their pods."""
+
+
+def _slim_status(status: Object) -> Object:
+    """A pod's status as far as it tells whether it runs, and why not: most pods then say the same (interning.py)."""
+    kept: Object = {"phase": status.get("phase")}
+    kept["conditions"] = [_only(one, ("type", "status", "reason", "message")) for one in status.get("conditions") or []]
+    for key in ("initContainerStatuses", "containerStatuses"):
+        if containers := status.get(key):
+            kept[key] = [_slim_container(one) for one in containers]
+    return kept
+
+
+def _slim_container(container: Object) -> Object:
+    kept = _only(container, ("name", "image", "restartCount"))
+    for key, state in (("state", "waiting"), ("lastState", "terminated")):
+        if found := (container.get(key) or {}).get(state):
+            kept[key] = {state: _only(found, ("reason", "message", "exitCode"))}
+    return kept
+
+
+def _only(whole: Object, keys: Iterable[str]) -> Object:
+    return {key: whole[key] for key in keys if key in whole}

@@ -1,0 +1,78 @@
+"""The operator's Prometheus metrics."""
+
+from __future__ import annotations
+
+import contextlib
+
+from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, ProcessCollector
+
+from understudy.kube import api_traffic
+
+REGISTRY = CollectorRegistry()
+ProcessCollector(registry=REGISTRY)
+
+RECONCILED = Counter(
+    "understudy_reconciliations_total", "Reconciliations by kind and result.", ["kind", "result"], registry=REGISTRY
+)
+SECONDS = Histogram(
+    "understudy_reconciliation_seconds",
+    "Time of one reconciliation.",
+    ["kind"],
+    registry=REGISTRY,
+    buckets=(0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1, 3, 10),
+)
+WRITES = Counter(
+    "understudy_writes_total", "Writes to the API by resource and verb.", ["resource", "verb"], registry=REGISTRY
+)
+WAITING = Gauge("understudy_queue_length", "Objects waiting to be reconciled.", registry=REGISTRY)
+ROLLOUTS = Gauge(
+    "understudy_monitor_rollouts",
+    "Workloads whose monitor or discovery server is to be replaced: under_way, or waiting for their turn.",
+    ["state"],
+    registry=REGISTRY,
+)
+LEADER = Gauge("understudy_leader", "1 while this replica holds the lease.", registry=REGISTRY)
+POOL_SIZE = Gauge(
+    "understudy_pool_size",
+    "Unclaimed pods that a shared pool is to hold, where spec.sizing says how many.",
+    ["namespace", "pool"],
+    registry=REGISTRY,
+)
+POOL_NEEDED = Gauge(
+    "understudy_pool_size_needed",
+    "How many would be enough for the risk at the expected rate, without regard to min and max.",
+    ["namespace", "pool"],
+    registry=REGISTRY,
+)
+POOL_FAILURES = Gauge(
+    "understudy_pool_failures_per_robot_hour",
+    "How often a robot is expected to ask for a pod of the pool.",
+    ["namespace", "pool"],
+    registry=REGISTRY,
+)
+_STORM = Gauge(
+    "understudy_storm",
+    "1 while so many workloads of a policy fail at once that recoveries are held.",
+    ["namespace", "policy"],
+    registry=REGISTRY,
+)
+MISSED = Counter(
+    "understudy_watch_missed_total",
+    "Changes that only a full list brought, by resource.",
+    ["resource"],
+    registry=REGISTRY,
+)
+RESYNC_SECONDS = Gauge("understudy_last_resync_seconds", "How long it took to list everything last.", registry=REGISTRY)
+RESYNCED = Gauge("understudy_last_resync_timestamp_seconds", "When everything was listed last.", registry=REGISTRY)
+
+_REQUESTS, _HEARD = api_traffic.series(REGISTRY)
+TRAFFIC = api_traffic.Traffic(_REQUESTS, _HEARD)
+
+
+def storm(namespace: str, policy: str, on: bool | None) -> None:
+    """Set whether a policy says that a storm is on; None where it says nothing of storms."""
+    if on is not None:
+        _STORM.labels(namespace, policy).set(float(on))
+        return
+    with contextlib.suppress(KeyError):
+        _STORM.remove(namespace, policy)

@@ -1,0 +1,244 @@
+"""The operator's process: ``understudy operator``.
+
+Both replicas watch, so that the one that takes over knows the cluster already; only the holder of the Lease acts. When
+the lease is lost the process ends: nothing less would surely stop a write that is under way.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import logging
+import os
+import socket
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from understudy.api import names
+from understudy.controller.desired.plan import Images
+from understudy.controller.pods.expectations import Expectations
+from understudy.controller.reconcile.executor import MANAGER, Executor
+from understudy.controller.reconcile.observer import Observer
+from understudy.controller.reconcile.reconciler import Reconciler
+from understudy.controller.reconcile.rollouts import PERCENT, Rollouts
+from understudy.controller.runtime import http_server, kopf_handlers, operator_metrics, watches
+from understudy.controller.runtime.object_store import Store
+from understudy.controller.runtime.workers import Operator
+from understudy.controller.status.fleet_metrics import FleetMetrics
+from understudy.kube.client import SERVICE_ACCOUNT, Access, Client
+from understudy.kube.events import Recorder
+from understudy.kube.leader_election import LeadershipLost, Lease, Timing
+from understudy.process import json_logs
+
+_logger = logging.getLogger(__name__)
+
+LEASE = "understudy-operator"
+
+
+@dataclass(frozen=True)
+class Options:
+    """How an operator runs."""
+
+    images: Images
+    lease_namespace: str
+    lease: str = LEASE
+    identity: str = field(default_factory=socket.gethostname)
+    namespaces: tuple[str, ...] = ()
+    """Namespaces to look after; none for all."""
+    resync_every: float = 30.0
+    rollout_percent: int = PERCENT
+    """Of the workloads, how many may have their monitors replaced at once."""
+    port: int = names.METRICS_PORT
+    timing: Timing = field(default_factory=Timing)
+
+
+async def run(access: Access, options: Options, *, stop: asyncio.Event | None = None) -> int:
+    """Run an operator until ``stop`` is set, a signal comes or the lease is lost; the exit status."""
+    kopf_handlers.quiet()
+    # a fleet's lists are long, and each watch of each namespace has a connection
+    async with Client(access, timeout=20, connections=0) as client:
+        client.listener = operator_metrics.TRAFFIC
+        lease = Lease(client, options.lease_namespace, options.lease, options.identity, timing=options.timing)
+        store, expectations = Store(), Expectations()
+        reconciler = Reconciler(
+            client,
+            store,
+            Observer(client, store, expectations),
+            Executor(client, store, expectations, may_write=lambda: lease.held),
+            Recorder(client, MANAGER, options.identity),
+            options.images,
+            Rollouts(store, percent=options.rollout_percent),
+        )
+        operator = Operator(client, store, reconciler, namespaces=options.namespaces, resync_every=options.resync_every)
+        fleet = FleetMetrics(store, lambda: lease.held)
+        operator_metrics.REGISTRY.register(fleet)
+        server = await http_server.serve(
+            options.port,
+            alive=lambda: "nothing could be listed for long" if operator.stalled else None,
+            ready=lambda: None if operator.synced else "not everything was listed yet",
+        )
+        tasks = {
+            asyncio.create_task(
+                kopf_handlers.watch(operator.see, access, options.namespaces), name="watches of our own kinds"
+            ),
+            asyncio.create_task(watches.watch(client, operator.see, options.namespaces), name="watches"),
+            asyncio.create_task(operator.keep_listing(), name="lists"),
+            asyncio.create_task(_lead(lease, operator), name="leading"),
+        }
+        if stop is not None:
+            tasks.add(asyncio.create_task(_until(stop), name="stop"))
+        try:
+            return await _first(tasks)
+        finally:
+            operator_metrics.LEADER.set(0)
+            operator_metrics.REGISTRY.unregister(fleet)
+            await _cancel(tasks)
+            await lease.release()
+            await server.cleanup()
+
+
+async def _until(stop: asyncio.Event) -> None:
+    await stop.wait()
+
+
+async def _lead(lease: Lease, operator: Operator) -> None:
+    await lease.acquire()
+    async with asyncio.TaskGroup() as group:
+        group.create_task(lease.keep())
+        group.create_task(operator.lead())
+
+
+async def _first(tasks: set[asyncio.Task[None]]) -> int:
+    """Wait for the first task to end. Watches end at a signal, which is in order; nothing else ends by itself."""
+    done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+    for task in done:
+        error = task.exception() if not task.cancelled() else None
+        if error is None:
+            continue
+        if isinstance(error, BaseExceptionGroup) and error.subgroup(LeadershipLost) is not None:
+            _logger.error("%s; ending", error.subgroup(LeadershipLost).exceptions[0])  # type: ignore[union-attr]
+        else:
+            _logger.error("%s ended", task.get_name(), exc_info=error)
+        return 1
+    return 0
+
+
+async def _cancel(tasks: set[asyncio.Task[None]]) -> None:
+    for task in tasks:
+        task.cancel()
+    await asyncio.gather(*tasks, return_exceptions=True)
+
+
+def options(argv: Sequence[str]) -> tuple[argparse.Namespace, Options]:
+    """The options of a command line, with what the pod's environment says as defaults."""
+    environment = os.environ.get
+    parser = argparse.ArgumentParser(
+        prog="understudy operator",
+        description="Reconciles RobotWorkloads, FailurePolicies and FallbackPools, while it holds the lease.",
+        epilog="Exit status: 0 where it was told to end, 1 where it lost the lease or a part of it failed, 2 where it isn't told the "
+        "monitor's image.",
+    )
+    parser.add_argument("--kubeconfig", help="instead of the pod's own account")
+    parser.add_argument(
+        "--monitor-image",
+        default=environment(names.MONITOR_IMAGE_VARIABLE),
+        metavar="IMAGE",
+        help="of monitors and agents; required, here or as UNDERSTUDY_MONITOR_IMAGE",
+    )
+    parser.add_argument(
+        "--image-pull-policy",
+        default=environment("UNDERSTUDY_IMAGE_PULL_POLICY", "IfNotPresent"),
+        metavar="POLICY",
+        help="of the monitor's image",
+    )
+    parser.add_argument(
+        "--image-pull-secret",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="a Secret of the workloads' namespaces by which the monitor's image is pulled; may be repeated",
+    )
+    parser.add_argument(
+        "--priority-class",
+        default=environment("UNDERSTUDY_PRIORITY_CLASS", ""),
+        metavar="NAME",
+        help="PriorityClass of the pods of monitors and discovery servers",
+    )
+    parser.add_argument(
+        "--rollout-percent",
+        type=_percent,
+        default=environment("UNDERSTUDY_ROLLOUT_PERCENT", str(PERCENT)),
+        metavar="PERCENT",
+        help=f"of the workloads whose monitors are replaced at once, as after an upgrade; one at least ({PERCENT}, unless "
+        "UNDERSTUDY_ROLLOUT_PERCENT says otherwise)",
+    )
+    parser.add_argument(
+        "--watch-namespace", action="append", default=[], help="look after this namespace only; may be repeated"
+    )
+    parser.add_argument(
+        "--lease", default=LEASE, metavar="NAME", help="of the Lease that one replica holds (%(default)s)"
+    )
+    parser.add_argument(
+        "--lease-namespace",
+        default=environment("UNDERSTUDY_NAMESPACE") or _own_namespace(),
+        metavar="NAMESPACE",
+        help="where that is; its own, unless told otherwise",
+    )
+    parser.add_argument(
+        "--identity",
+        default=environment("POD_NAME") or socket.gethostname(),
+        metavar="NAME",
+        help="by which it holds that; its pod's name, unless told otherwise",
+    )
+    parser.add_argument(
+        "--resync", type=float, default=30.0, metavar="SECONDS", help="list everything so often (%(default)g)"
+    )
+    parser.add_argument(
+        "--port", type=int, default=names.METRICS_PORT, help="of /healthz, /ready and /metrics (%(default)s)"
+    )
+    parser.add_argument(
+        "--log-level",
+        default=environment("UNDERSTUDY_LOG_LEVEL", "info"),
+        metavar="LEVEL",
+        help="debug, info, warning or error; info, unless UNDERSTUDY_LOG_LEVEL says otherwise",
+    )
+    given = parser.parse_args(argv)
+    if not given.monitor_image:
+        parser.error("--monitor-image (or UNDERSTUDY_MONITOR_IMAGE) is required: the image of monitors and agents")
+    secrets = given.image_pull_secret or (environment("UNDERSTUDY_IMAGE_PULL_SECRETS") or "").split(",")
+    watched = [n for n in given.watch_namespace or (environment("UNDERSTUDY_WATCH_NAMESPACES") or "").split(",") if n]
+    return given, Options(
+        images=Images(given.monitor_image, given.image_pull_policy, tuple(filter(None, secrets)), given.priority_class),
+        lease_namespace=given.lease_namespace,
+        lease=given.lease,
+        identity=given.identity,
+        namespaces=tuple(watched),
+        resync_every=given.resync,
+        rollout_percent=given.rollout_percent,
+        port=given.port,
+    )
+
+
+def _percent(text: str) -> int:
+    if not text.isdigit() or not 1 <= int(text) <= 100:
+        raise argparse.ArgumentTypeError(f"{text!r} isn't a whole number from 1 to 100")
+    return int(text)
+
+
+def _own_namespace() -> str:
+    with contextlib.suppress(OSError):
+        return Path(SERVICE_ACCOUNT, "namespace").read_text().strip()
+    return "default"
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the operator; the exit status."""
+    given, chosen = options(argv)
+    json_logs.configure(given.log_level)
+    access = Access.from_kubeconfig(given.kubeconfig) if given.kubeconfig else Access.default()
+    status = asyncio.run(run(access, chosen))
+    sys.stderr.flush()
+    return status

@@ -1,0 +1,184 @@
+"""The operator at work: watches and lists feed the store, changes become keys, and the leader's workers take them."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections.abc import Sequence
+
+import aiohttp
+
+from understudy.api import names
+from understudy.controller.observed import kube_objects
+from understudy.controller.reconcile import change_index
+from understudy.controller.reconcile.change_index import Key
+from understudy.controller.reconcile.executor import Ending, Stale
+from understudy.controller.reconcile.reconciler import Reconciler
+from understudy.controller.runtime import operator_metrics, resync
+from understudy.controller.runtime.object_store import Sight, Store
+from understudy.controller.runtime.work_queue import Queue
+from understudy.kube.client import PODS, POLICIES, POOLS, SECRETS, WORKLOADS, ApiError, Client, Object, Resource
+from understudy.kube.leader_election import LeadershipLost
+
+_logger = logging.getLogger(__name__)
+
+WORKERS = 8
+
+SOON = 0.2
+"""Seconds that a change waits for others. A failover by a monitor, which is several, is then over, on processors that this
+operator may share with it.
+"""
+
+CLAIMED = {POOLS.plural: 1.0, WORKLOADS.plural: 15.0}
+"""Seconds that a claim waits for what follows it, such as its gate's opening, which doesn't wait so long: of a pool, whose numbers have
+changed, and of the workload, for which nothing has. Where many claim at once, these looks would be what the next ones wait for.
+"""
+
+_UNREACHABLE = (ApiError, aiohttp.ClientError, TimeoutError, OSError)
+
+
+class Operator:
+    """One replica's eyes, and its hands once it leads."""
+
+    def __init__(
+        self, client: Client, store: Store, reconciler: Reconciler, *, namespaces: Sequence[str], resync_every: float
+    ) -> None:
+        self._store, self._reconciler = store, reconciler
+        store.noticed = self._enqueue
+        self._lists, self._resync_every = resync.Lists(client, store, namespaces), resync_every
+        self.queue: Queue[Key] = Queue()
+        self._leading = False
+        self._resynced: float | None = None
+
+    @property
+    def synced(self) -> bool:
+        """Whether everything was listed once."""
+        return self._resynced is not None
+
+    @property
+    def stalled(self) -> bool:
+        """Whether lists have failed for so long that what is known can't be trusted."""
+        return self._resynced is not None and time.monotonic() - self._resynced > 10 * self._resync_every
+
+    def see(self, resource: Resource, item: Object, gone: bool) -> None:
+        """Take in what a watch brought: into the store where it is ours, and to whom it means something."""
+        ours = resync.kept(resource, item)
+        if ours and not gone:
+            self._store.put(resource, item)
+        elif ours or self._store.knows(resource, item):  # of strangers not even their end is remembered
+            self._store.remove(resource, item)
+        if not ours:
+            for key in change_index.referring(resource, item, self._store):
+                self._add(key)
+
+    def _enqueue(self, sight: Sight) -> None:
+        found = change_index.of(sight, self._store)
+        delays = CLAIMED if found.is_claim else {}
+        for key in found.keys:
+            self._add(key, delays.get(key.plural, SOON))
+
+    def _add(self, key: Key, delay: float = SOON) -> None:
+        if self._leading:
+            self.queue.add_after(key, delay)
+            operator_metrics.WAITING.set(len(self.queue))
+
+    async def keep_listing(self) -> None:
+        """List everything again and again; what only a list brought is counted and worked on."""
+        retry = 1.0
+        while True:
+            try:
+                await self._list(report=self.synced)
+                retry = 1.0
+                await asyncio.sleep(self._resync_every)
+            except _UNREACHABLE as error:
+                _logger.warning("listing failed, again in %.0f s: %s", retry, error)
+                await asyncio.sleep(retry)
+                retry = min(retry * 2, self._resync_every)
+
+    async def _list(self, *, report: bool) -> None:
+        begun = time.time()
+        for sight in await self._lists.resync(gently=report):
+            if report and sight.resource.plural in resync.WATCHED and _aged(sight, begun):
+                operator_metrics.MISSED.labels(sight.resource.plural).inc()
+        for key in change_index.unlisted(self._store):
+            self._add(key)
+        self._strays()
+        self._resynced = time.monotonic()
+        operator_metrics.RESYNCED.set_to_current_time()
+        operator_metrics.RESYNC_SECONDS.set(time.time() - begun)
+
+    def _strays(self) -> None:
+        """Pods and Secrets that carry the label of a workload or pool which isn't there: nobody else would look at them again."""
+        for resource, label, of in (
+            (PODS, names.WORKLOAD, WORKLOADS),
+            (PODS, names.POOL, POOLS),
+            (SECRETS, names.POOL, POOLS),
+        ):
+            for item in self._store.all(resource):
+                name, namespace = kube_objects.labels(item).get(label), item["metadata"]["namespace"]
+                if name and self._store.get(of, namespace, name) is None:
+                    self._add(Key(of.plural, namespace, name))
+
+    async def lead(self) -> None:
+        """Work as the leader until cancelled. Begins from a fresh list: what was seen before may be old.
+
+        Raises LeadershipLost when a write is due and the lease wasn't renewed.
+        """
+        self._leading = True
+        operator_metrics.LEADER.set(1)
+        while True:
+            try:
+                await self._list(report=False)
+                break
+            except _UNREACHABLE as error:
+                _logger.warning("listing failed: %s", error)
+                await asyncio.sleep(1)
+        for resource in (POLICIES, POOLS, WORKLOADS):
+            for item in self._store.all(resource):
+                self._add(Key(resource.plural, item["metadata"]["namespace"], kube_objects.name(item)))
+        _logger.info("leading: %d objects to look at", len(self.queue))
+        async with asyncio.TaskGroup() as group:
+            for _ in range(WORKERS):
+                group.create_task(self._work())
+
+    async def _work(self) -> None:
+        while True:
+            key = await self.queue.take()
+            operator_metrics.WAITING.set(len(self.queue))
+            try:
+                await self._one(key)
+            finally:
+                self.queue.done(key)
+
+    async def _one(self, key: Key) -> None:
+        result = "ok"
+        try:
+            with operator_metrics.SECONDS.labels(key.plural).time():
+                again = await self._reconciler.reconcile(key)
+            self.queue.succeeded(key)
+            if again is not None:
+                self.queue.add_after(key, again)
+        except LeadershipLost:
+            raise
+        except Ending:
+            result = "ending"
+            _logger.info("%s %s/%s: the namespace is being deleted", *key)
+        except Stale as stale:
+            result = "stale"
+            delay = self.queue.retry(key)
+            _logger.info("%s %s/%s: %s; again in %.1f s", *key, stale, delay)
+        except _UNREACHABLE as error:
+            result = "unreachable"
+            delay = self.queue.retry(key)
+            _logger.warning("%s %s/%s: %s; again in %.1f s", *key, error or type(error).__name__, delay)
+        except Exception:  # one object's surprise must not end the protection of all others
+            result = "error"
+            delay = self.queue.retry(key)
+            _logger.exception("%s %s/%s failed; again in %.1f s", *key, delay)
+        operator_metrics.RECONCILED.labels(key.plural, result).inc()
+
+
+def _aged(sight: Sight, begun: float) -> bool:
+    """Whether a watch had time to bring it: a list may simply have been a moment faster."""
+    return sight.new is None or begun - kube_objects.created(sight.new) > 5

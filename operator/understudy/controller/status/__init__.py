@@ -1,0 +1,1 @@
+"""What the status of the three kinds reports: conditions, numbers and printed columns. Pure."""

@@ -1,0 +1,99 @@
+"""What the operator knows of the workloads and pools, as metrics that are worked out when somebody asks for them.
+
+They come from the very objects that ``kubectl get`` shows, so they need no counting of their own and are right after a restart. Only
+the replica that leads tells them: two would tell everything twice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from datetime import datetime
+
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
+from prometheus_client.registry import Collector
+
+from understudy.controller.observed import kube_objects
+from understudy.controller.runtime.object_store import Store
+from understudy.kube.client import POOLS, WORKLOADS, Object
+
+CONDITIONS = ("Accepted", "Reconciled", "Protected", "Monitored", "GateEnforced")
+"""Conditions of a workload that somebody may want to be woken for while they aren't True."""
+
+_OF_WORKLOAD = ["namespace", "workload"]
+_OF_POOL = ["namespace", "pool"]
+
+
+class FleetMetrics(Collector):
+    """The RobotWorkloads and FallbackPools of a store."""
+
+    def __init__(self, store: Store, leading: Callable[[], bool]) -> None:
+        self._store, self._leading = store, leading
+
+    def describe(self) -> Iterable[Metric]:
+        """Their names, without looking at anything: asked for when it is registered."""
+        return [*_workloads([]), *_pools([])]
+
+    def collect(self) -> Iterable[Metric]:
+        """All of them as of now; none while another replica leads."""
+        if not self._leading():
+            return []
+        return [*_workloads(self._store.all(WORKLOADS)), *_pools(self._store.all(POOLS))]
+
+
+def _workloads(items: Iterable[Object]) -> list[Metric]:
+    health = GaugeMetricFamily(
+        "understudy_workload_health", "1 for the present health of a workload.", labels=[*_OF_WORKLOAD, "health"]
+    )
+    conditions = GaugeMetricFamily(
+        "understudy_workload_condition",
+        "1 where a condition of a workload is True, else 0, with its reason.",
+        labels=[*_OF_WORKLOAD, "condition", "reason"],
+    )
+    recoveries = CounterMetricFamily(
+        "understudy_workload_recoveries",
+        "Recoveries of a workload since it was made, whatever came of them.",
+        labels=_OF_WORKLOAD,
+    )
+    last = GaugeMetricFamily(
+        "understudy_workload_last_recovery_timestamp_seconds",
+        "When a workload was last recovered (Unix time).",
+        labels=_OF_WORKLOAD,
+    )
+    for item in items:
+        labels = [item["metadata"]["namespace"], kube_objects.name(item)]
+        status = item.get("status") or {}
+        health.add_metric([*labels, status.get("health") or "Unknown"], 1)
+        for found in status.get("conditions") or []:
+            if found["type"] in CONDITIONS:
+                conditions.add_metric([*labels, found["type"], found["reason"]], float(found["status"] == "True"))
+        recoveries.add_metric(labels, status.get("recoveryCount") or 0)
+        if moment := status.get("lastRecoveryTime"):
+            last.add_metric(labels, datetime.fromisoformat(moment).timestamp())
+    return [health, conditions, recoveries, last]
+
+
+def _pools(items: Iterable[Object]) -> list[Metric]:
+    pods = GaugeMetricFamily(
+        "understudy_pool_pods",
+        "Pods of a pool by state: ready to take over, unready, or claimed (they drive a robot).",
+        labels=[*_OF_POOL, "state"],
+    )
+    desired = GaugeMetricFamily(
+        "understudy_pool_desired_pods", "Unclaimed pods that a pool should have.", labels=_OF_POOL
+    )
+    waiting = GaugeMetricFamily(
+        "understudy_pool_waiting_workloads", "Workloads that wait for a pod of a pool.", labels=_OF_POOL
+    )
+    for item in items:
+        labels = [item["metadata"]["namespace"], kube_objects.name(item)]
+        status: Mapping[str, int | None] = item.get("status") or {}
+        ready, there = status.get("ready") or 0, status.get("replicas") or 0
+        for state, count in (
+            ("ready", ready),
+            ("unready", max(0, there - ready)),
+            ("claimed", status.get("claimed") or 0),
+        ):
+            pods.add_metric([*labels, state], count)
+        desired.add_metric(labels, status.get("desired") or 0)
+        waiting.add_metric(labels, status.get("waiting") or 0)
+    return [pods, desired, waiting]

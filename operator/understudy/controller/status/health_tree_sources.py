@@ -1,0 +1,77 @@
+"""Health trees in ConfigMaps: found by the policy's reference, and checked before any monitor goes by them."""
+
+from __future__ import annotations
+
+import functools
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from understudy.api import names
+from understudy.api.base import seconds
+from understudy.api.kinds.failure_policy import Monitoring, TreeInForce, TreeReference
+from understudy.controller.desired.plan import Problem
+from understudy.controller.observed import kube_objects
+from understudy.kube.client import Object
+from understudy.trees.languages.text_files import load_text
+from understudy.trees.source.problems import TreeError
+
+FIELD = "spec.monitoring.configMapKeyRef"
+
+
+def reference(policy: Object) -> str:
+    """The ConfigMap that a policy's health tree is in; empty where it is in the policy."""
+    monitoring = (policy.get("spec") or {}).get("monitoring") or {}
+    found: str = (monitoring.get("configMapKeyRef") or {}).get("name", "")
+    return found
+
+
+def lent(config_map: Object) -> bool:
+    """Whether the owner of a ConfigMap lets policies read it."""
+    return kube_objects.labels(config_map).get(names.HEALTH_TREE) == "true"
+
+
+def find(monitoring: Monitoring, config_maps: Mapping[str, Object], namespace: str) -> TreeInForce | Problem | None:
+    """The tree that a policy's reference stands for, or why there is none; None where the tree is in the policy."""
+    referred = monitoring.config_map_key_ref
+    if referred is None:
+        return None
+    text = _text(referred, config_maps, namespace)
+    if isinstance(text, Problem):
+        return text
+    tree, problem = _loaded(referred.form, text, referred.name, referred.key, seconds(monitoring.startup_grace))
+    if problem:
+        return Problem("TreeInvalid", problem)
+    return TreeInForce(name=referred.name, key=referred.key, **{referred.form: json.loads(tree)})
+
+
+def _text(referred: TreeReference, config_maps: Mapping[str, Object], namespace: str) -> str | Problem:
+    known = {name: item for name, item in config_maps.items() if lent(item)}
+    found = known.get(referred.name)
+    if found is None:
+        label = f"{names.HEALTH_TREE}=true"
+        return Problem(
+            "TreeNotFound",
+            f'{FIELD}.name: no ConfigMap "{referred.name}" with the label {label} in namespace {namespace} '
+            f"({kube_objects.hint(referred.name, known)}). Create it, or, where it is there, let policies read it: "
+            f"kubectl label configmap -n {namespace} {referred.name} {label}",
+        )
+    data = found.get("data") or {}
+    text = data.get(referred.key)
+    if text is None:
+        there = kube_objects.hint(referred.key, data) if data else "it has none"
+        return Problem(
+            "TreeNotFound",
+            f'{FIELD}.key: ConfigMap {referred.name} has no "{referred.key}" in its data ({there}). Correct one of the two',
+        )
+    return str(text)
+
+
+@functools.lru_cache(maxsize=512)
+def _loaded(form: str, text: str, name: str, key: str, grace: float) -> tuple[str, str]:
+    """The tree as JSON, or what is wrong with it."""
+    try:
+        tree: Any = load_text(form, text, path=f"ConfigMap {name}, {key}", grace=grace)
+    except TreeError as error:
+        return "", error.in_short()
+    return json.dumps(tree), ""

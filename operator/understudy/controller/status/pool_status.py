@@ -1,0 +1,207 @@
+"""FallbackPools: what the status of one says, its numbers and its conditions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+from understudy.api import names
+from understudy.api.conditions import Condition, condition
+from understudy.api.kinds.fallback_pool import FallbackPoolSpec
+from understudy.controller.desired.plan import UNANSWERED, Problem
+from understudy.controller.observed import kube_objects, leaving_nodes, selectors
+from understudy.controller.observed.pod_diagnosis import trouble
+from understudy.controller.pods import instance_pod, pod_counts, pool_pods, pool_size
+from understudy.controller.pods.pool_size import Sized
+from understudy.controller.status import policy_status
+from understudy.kube.client import Object
+
+_MOST_NAMED = 3
+
+
+@dataclass(frozen=True)
+class Counts:
+    """The numbers of a pool."""
+
+    replicas: int
+    desired: int
+    ready: int
+    claimed: int
+
+
+def count(observed: pool_pods.Observed, spec: FallbackPoolSpec, sized: Sized | None = None) -> Counts:
+    """The numbers of a pool's status."""
+    living = [pod for pod in observed.pods if kube_objects.alive(pod)]
+    if spec.readiness == "Uninitialized":
+        held = _held(observed)
+        policy = observed.owned.get(("networkpolicies", names.held(kube_objects.name(observed.pool))))
+        return Counts(
+            replicas=len(held),
+            desired=pool_size.wanted(spec, sized),
+            ready=len(pool_pods.claimable_now(held, policy)),
+            claimed=len(living) - len(held),
+        )
+    driving = [pod for pod in living if kube_objects.uid(pod) in observed.active]
+    waiting = [*(pod for pod in living if pod not in driving), *observed.stand_ins]
+    served = sum(pool_pods.serves(observed.pool, workload) for workload in observed.workloads.values())
+    return Counts(
+        replicas=len(waiting),
+        desired=(served - observed.spared) * (spec.per_workload or 0) + observed.prewarmed,
+        ready=sum(kube_objects.ready(pod) for pod in waiting),
+        claimed=len(driving),
+    )
+
+
+def _held(observed: pool_pods.Observed) -> list[Object]:
+    """The living pods that nobody has claimed."""
+    return [
+        pod for pod in observed.pods if kube_objects.alive(pod) and kube_objects.labels(pod).get(names.HELD) == "true"
+    ]
+
+
+def status(observed: pool_pods.Observed, understanding: pool_pods.Understanding, problems: Sequence[Problem]) -> Object:
+    """The pool's status, but for the times of its conditions."""
+    pool, spec = observed.pool, understanding.spec
+    generation = kube_objects.generation(pool)
+    # That a webhook doesn't answer says nothing of the pool.
+    found = understanding.problem or next((one for one in problems if one.reason != UNANSWERED), None)
+    if found is not None:
+        accepted = condition("Accepted", False, found.reason, found.message, generation=generation)
+    else:
+        accepted = condition("Accepted", True, "Accepted", "It can be kept.", generation=generation)
+    result: Object = {"observedGeneration": generation}
+    if spec is not None:
+        counts = count(observed, spec, understanding.sized)
+        result |= {
+            "replicas": counts.replicas,
+            "desired": counts.desired,
+            "ready": counts.ready,
+            "claimed": counts.claimed,
+            "selector": _selector(kube_objects.name(pool), spec),
+        }
+        conditions = [accepted, _reconciled(observed, problems, found), _ready(observed, counts, found)]
+        if spec.readiness == "Uninitialized":
+            result["waiting"] = len(observed.waiting)
+            conditions.append(_available(observed, spec, counts))
+            if understanding.built is not None:
+                present = instance_pod.template_hash(understanding.built)
+                result["updated"] = sum(pod_counts.hash_of(pod) == present for pod in _held(observed))
+                conditions.append(_updated(observed, spec, counts, result["updated"]))
+        if understanding.sized is not None:
+            result |= pool_size.status(understanding.sized)
+            conditions.append(pool_size.judged(pool, understanding.sized))
+        conditions += _moving(observed)
+    else:
+        result |= pool_size.last(pool)
+        conditions = [accepted]
+    return result | {"conditions": [c.to_wire() for c in conditions]}
+
+
+def _reconciled(observed: pool_pods.Observed, problems: Sequence[Problem], found: Problem | None) -> Condition:
+    generation = kube_objects.generation(observed.pool)
+
+    def no(reason: str, message: str) -> Condition:
+        return condition("Reconciled", False, reason, message, generation=generation)
+
+    if problems:
+        return no(problems[0].reason, "; ".join(problem.message for problem in problems))
+    if found is not None:
+        return no("NotAccepted", "Its spec can't be followed, see Accepted; pods that it has are kept.")
+    for pod in sorted(observed.pods, key=kube_objects.sort_key):
+        if bad := trouble(pod):
+            return no(bad.reason, bad.message)
+    return condition("Reconciled", True, "Reconciled", "Its pods are being kept.", generation=generation)
+
+
+def _selector(name: str, spec: FallbackPoolSpec) -> str:
+    text = f"{names.POOL}={name}"
+    return f"{text},{names.HELD}=true" if spec.readiness == "Uninitialized" else text
+
+
+def _ready(observed: pool_pods.Observed, counts: Counts, problem: Problem | None) -> Condition:
+    pool = observed.pool
+    generation = kube_objects.generation(pool)
+
+    def no(reason: str, message: str) -> Condition:
+        return condition("Ready", False, reason, message, generation=generation)
+
+    if not any(pool_pods.serves(pool, workload) for workload in observed.workloads.values()):
+        selector = selectors.as_text((pool.get("spec") or {}).get("workloadSelector") or {})
+        return no(
+            "NoMatchingWorkload",
+            f"spec.workloadSelector ({selector or 'everything'}) matches none of the {len(observed.workloads)} "
+            f"RobotWorkloads in namespace {pool['metadata']['namespace']}: correct it, or put its labels on the "
+            f"RobotWorkload (on its own metadata, not on its template)",
+        )
+    if counts.ready >= counts.desired:
+        return condition("Ready", True, "Ready", f"{counts.ready} could take over now.", generation=generation)
+    if problem is not None:
+        return no("NotAccepted", f"{counts.ready} of {counts.desired} are ready, and no more are made: see Accepted.")
+    for pod in sorted([*observed.pods, *observed.stand_ins], key=kube_objects.sort_key):
+        if found := trouble(pod):
+            return no(found.reason, f"{counts.ready} of {counts.desired} are ready; {found.message}")
+    told = f"{counts.ready} of {counts.desired} are ready"
+    if policy_status.readiness(pool) == "Uninitialized":
+        return no("PodsNotReady", f"{told}.")
+    served = sorted(name for name, workload in observed.workloads.items() if pool_pods.serves(pool, workload))
+    return no("PodsNotReady", f"{told}; what is being done to them is in the condition BroughtUp of {_named(served)}.")
+
+
+def _available(observed: pool_pods.Observed, spec: FallbackPoolSpec, counts: Counts) -> Condition:
+    """Whether a robot that fails now would be given a pod, and who waits for one."""
+    found = [f"{one.workload} (poolPriority {one.priority}, since {_moment(one.since)})" for one in observed.waiting]
+    told = f"{counts.ready} of {counts.desired} could be claimed now"
+    if spec.reserve is not None:
+        told = f"{told}, the last {spec.reserve.pods} from poolPriority {spec.reserve.pool_priority} upwards"
+    if found:
+        more = f" and {len(found) - _MOST_NAMED} more" if len(found) > _MOST_NAMED else ""
+        told = f"{told}; these wait for one, in this order: {', '.join(found[:_MOST_NAMED])}{more}"
+    free = counts.ready > len(found)
+    generation = kube_objects.generation(observed.pool)
+    return condition("Available", free, "Available" if free else "Dry", f"{told}.", generation=generation)
+
+
+def _moving(observed: pool_pods.Observed) -> list[Condition]:
+    """Which pods are being replaced elsewhere since their node is about to go; nothing where none is."""
+    made = [pod for pod in observed.pods if kube_objects.alive(pod) and kube_objects.uid(pod) not in observed.active]
+    waiting = [*made, *observed.stand_ins]
+    found = [
+        pod for pod in waiting if names.CLAIM not in kube_objects.notes(pod) and leaving_nodes.on(pod, observed.leaving)
+    ]
+    if not found:
+        return []
+    places = sorted({leaving_nodes.of(pod) for pod in found})
+    more = f" and {len(places) - _MOST_NAMED} more" if len(places) > _MOST_NAMED else ""
+    told = (
+        f"{len(found)} of {len(waiting)} waiting pods {'is' if len(found) == 1 else 'are'} on a node that is to be emptied or was lost "
+        f"({', '.join(places[:_MOST_NAMED])}{more}), and {'goes' if len(found) == 1 else 'go'} once there are others elsewhere."
+    )
+    return [condition(pool_pods.MOVING, True, "NodeLeaves", told, generation=kube_objects.generation(observed.pool))]
+
+
+def _updated(observed: pool_pods.Observed, spec: FallbackPoolSpec, counts: Counts, updated: int) -> Condition:
+    """How far a change of the template has come."""
+    generation = kube_objects.generation(observed.pool)
+    old = counts.replicas - updated
+    if not old:
+        told = "Every unclaimed pod is of the present template."
+        return condition("Updated", True, "Updated", told, generation=generation)
+    are = "is of an earlier template, and waits" if old == 1 else "are of earlier templates, and wait"
+    told = f"{old} of {counts.replicas} unclaimed pods {are}"
+    if spec.update_strategy is not None and spec.update_strategy.type == "OnReplenish":
+        told = f"{told} until they are claimed (spec.updateStrategy)."
+        return condition("Updated", True, "OnReplenish", told, generation=generation)
+    told = f"{told} until there are enough of the present one that are ready."
+    return condition("Updated", False, "RollingOut", told, generation=generation)
+
+
+def _moment(seconds: float) -> str:
+    return datetime.fromtimestamp(seconds, UTC).strftime("%H:%M:%S UTC")
+
+
+def _named(workloads: Sequence[str]) -> str:
+    """Workloads in a message that doesn't grow with their number."""
+    if len(workloads) > _MOST_NAMED:
+        return f"its {len(workloads)} RobotWorkloads"
+    return f"RobotWorkload {', '.join(workloads)}"

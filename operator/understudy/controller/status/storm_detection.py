@@ -1,0 +1,79 @@
+"""Whether so many workloads of a policy fail at once that it looks like the network or the cluster (limits.stormGuard); pure.
+
+It is said in a condition of the policy, which the monitors watch anyway: one write for a whole fleet. Nobody waits for it. A monitor that
+has heard of no storm acts as if there were none.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from datetime import datetime
+
+from understudy.api.base import seconds
+from understudy.api.conditions import Condition, condition
+from understudy.api.kinds.failure_policy import StormGuard
+from understudy.controller.desired import degraded_measures
+from understudy.controller.observed import committed_recovery, kube_objects
+from understudy.kube.client import Object
+
+CONDITION = "Storm"
+
+FAILING = ("Failed", "Recovering")
+"""What the health of a workload is that fails."""
+
+NAMED = 5
+"""Workloads that are named in a message."""
+
+
+def health(workload: Object) -> str:
+    """What a workload's monitor says."""
+    found: str = (workload.get("status") or {}).get("health") or ""
+    return found
+
+
+def counted_until(workload: Object, gate: Object | None, now: float, within: float) -> float | None:
+    """Until when a workload counts as one that fails (unix seconds): infinite where it fails now, None where it doesn't count.
+
+    Of a failure its gate tells first, and the status once the recovery is over or takes long.
+    """
+    if health(workload) in FAILING:
+        return float("inf")
+    moments = []
+    recoveries = (workload.get("status") or {}).get("recoveries") or []
+    moment = (recoveries[0].get("moments") or {}).get("detected") if recoveries else None
+    if moment is not None and not recoveries[0].get("planned"):
+        moments.append(datetime.fromisoformat(moment).timestamp())
+    beside = committed_recovery.beside(gate)
+    if beside is not None and not beside.planned:
+        moments.append(beside.detected)
+    until = max(moments, default=-math.inf) + within
+    return until if now < until else None
+
+
+def judge(
+    policy: Object, guard: StormGuard, workloads: Sequence[tuple[Object, Object | None]], now: float
+) -> tuple[Condition, float | None]:
+    """The condition of a policy, given all of its workloads with their gates; and seconds after which it may be another by time alone."""
+    awake = [(workload, gate) for workload, gate in workloads if not degraded_measures.paused(workload)]
+    until = {kube_objects.name(w): counted_until(w, gate, now, seconds(guard.within)) for w, gate in awake}
+    failing = sorted(name for name, moment in until.items() if moment is not None)
+    passing = [moment for moment in until.values() if moment is not None and moment != float("inf")]
+    again = max(0.0, min(passing) - now) if passing else None
+    generation = kube_objects.generation(policy)
+    if len(failing) < guard.workloads or 100 * len(failing) <= guard.percent * len(awake):
+        text = f"No more than {guard.percent} % of its workloads fail at once, or fewer than {guard.workloads} of them."
+        return condition(CONDITION, False, "FewFail", text, generation=generation), again
+    live = (policy.get("status") or {}).get("conditions") or []
+    before = next((c for c in live if (c["type"], c["status"]) == (CONDITION, "True")), None)
+    # As it was when it began: every monitor hears of each change of this text.
+    text = before["message"] if before is not None else _words(failing, len(awake), guard)
+    return condition(CONDITION, True, "ManyFail", text, generation=generation), again
+
+
+def _words(failing: Sequence[str], of: int, guard: StormGuard) -> str:
+    more = f" and {len(failing) - NAMED} more" if len(failing) > NAMED else ""
+    return (
+        f"{len(failing)} of {of} workloads fail, or have failed within {guard.within}: {', '.join(failing[:NAMED])}{more}. That looks "
+        f"like the network or the cluster. Where no standby is ready nothing is done until fewer fail, for {guard.hold_for} at most."
+    )

@@ -1,0 +1,171 @@
+"""What a workload's status says: whether it was accepted, built and is protected, and by what."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from understudy.advice import order_explanation
+from understudy.api.conditions import Condition, condition, merged
+from understudy.api.kinds.failure_policy import Strategy
+from understudy.controller.desired import effective_policy, node_drain, situation_strategies
+from understudy.controller.desired.plan import Problem
+from understudy.controller.desired.workload_plan import Understanding
+from understudy.controller.observed import dependency_graph, kube_objects, pod_diagnosis
+from understudy.controller.observed.observation import Observed
+from understudy.controller.pods import standby_pods
+from understudy.controller.status import policy_status, protection
+from understudy.kube.client import Object
+
+PROGRESSING = frozenset(
+    {
+        "MonitorNotReady",
+        "StandbyNotReady",
+        "PodsReserved",
+        "DiscoveryNotReady",
+        "InProgress",
+        "PodsNotReady",
+        "GateMissing",
+        "FewFail",
+    }
+)
+"""Reasons that are in order while something is being built: no Event when they come first."""
+
+UNTOLD = frozenset({"Available", "Updated"})
+"""Conditions without Events: a pool that runs dry is told of by Ready, and by the monitors of those that wait; one whose new pods
+can't start by Reconciled.
+"""
+
+CHOSEN = "StrategiesChosen"
+"""The condition that says which order was chosen and why, of workloads whose policy leaves that."""
+
+
+def status(
+    observed: Observed, understanding: Understanding, problems: Sequence[Problem], resized: Condition | None = None
+) -> Object:
+    """The operator's part of a workload's status, but for the times of its conditions.
+
+    ``problems`` are what the API server refused of what was written; ``resized`` says what became of the pod in control.
+    """
+    workload = observed.workload
+    conditions = [
+        _accepted(observed, understanding, problems),
+        _reconciled(observed, understanding, problems),
+        protection.protected(observed, understanding),
+        *_chosen(observed, understanding),
+        *_situation(observed, understanding),
+        *dependency_graph.resolved(observed.dependencies, workload),
+        *([resized] if resized is not None else []),
+        *node_drain.conditions(observed, understanding),
+    ]
+    return {
+        "observedGeneration": kube_objects.generation(workload),
+        "standby": protection.standby(observed, understanding),
+        **protection.stocked(observed, understanding),
+        **_order(observed, understanding),
+        "conditions": [c.to_wire() for c in conditions],
+    }
+
+
+def timed(live: Object, desired: Object) -> Object:
+    """A status whose conditions keep the live ones' transition times where their status is the same."""
+    old = [Condition.model_validate(c) for c in (live.get("status") or {}).get("conditions") or []]
+    new = [Condition.model_validate(c) for c in desired["conditions"]]
+    return {**desired, "conditions": [c.to_wire() for c in merged(old, new)]}
+
+
+def transitions(live: Object, desired: Object) -> list[Object]:
+    """The conditions that are told as Events: status or reason changed, but for what is merely not finished yet."""
+    old = {c["type"]: c for c in (live.get("status") or {}).get("conditions") or []}
+    found = []
+    for new in desired["conditions"]:
+        before = old.get(new["type"])
+        if new["type"] in UNTOLD or new["reason"] in [reason for _, _, reason, _ in protection.LIMITED]:
+            continue
+        if before is not None and (before["status"], before["reason"]) == (new["status"], new["reason"]):
+            continue
+        begun = before is None or before["status"] != "True"
+        if begun and new["status"] == "False" and new["reason"] in PROGRESSING:
+            continue
+        found.append(new)
+    return found
+
+
+def _accepted(observed: Observed, understanding: Understanding, problems: Sequence[Problem]) -> Condition:
+    generation = kube_objects.generation(observed.workload)
+    taken = next((p for p in problems if p.reason in ("NameTaken", "TemplateInvalid")), None)
+    found = understanding.problem or understanding.policy_problem or taken
+    if found is not None:
+        return condition("Accepted", False, found.reason, found.message, generation=generation)
+    return condition("Accepted", True, "Accepted", "Its spec and its policy can be followed.", generation=generation)
+
+
+def _reconciled(observed: Observed, understanding: Understanding, problems: Sequence[Problem]) -> Condition:
+    generation = kube_objects.generation(observed.workload)
+
+    def no(reason: str, message: str) -> Condition:
+        return condition("Reconciled", False, reason, message, generation=generation)
+
+    if understanding.problem is not None:
+        return no("NotAccepted", "Its spec can't be followed, see Accepted; what was built before stays as it is.")
+    if problems:
+        return no(problems[0].reason, "; ".join(problem.message for problem in problems))
+    if understanding.environment is None:
+        return no("InProgress", "Waiting for the address of the discovery server's Service.")
+    kept = standby_pods.awaited(observed, understanding)
+    if found := pod_diagnosis.first(observed.instances):
+        return no(found.reason, f"{found.message} {kept}." if kept else found.message)
+    if kept:
+        return no("InProgress", f"{kept}.")
+    return condition("Reconciled", True, "Reconciled", "Everything was built as it says.", generation=generation)
+
+
+def _order(observed: Observed, understanding: Understanding) -> Object:
+    """The strategies in force, in short; what was said last while the policy can't be followed."""
+    if understanding.spec is None or understanding.policy_problem is not None:
+        known = (observed.workload.get("status") or {}).get("strategies")
+        return {"strategies": known} if known else {}
+    return {"strategies": ", ".join(_short(observed, one) for one in effective_policy.strategies(observed))}
+
+
+def _short(observed: Observed, strategy: Strategy) -> str:
+    if strategy.pool_ref is None:
+        return strategy.type
+    name = strategy.pool_ref.name
+    pool = observed.pools.get(name)
+    return f"{policy_status.readiness(pool) if pool is not None else strategy.type} ({name})"
+
+
+def takes_from(strategies: str, pool: str) -> bool:
+    """Whether one of the strategies that a status has in short takes instances from a pool."""
+    return f"({pool})" in strategies
+
+
+def _chosen(observed: Observed, understanding: Understanding) -> list[Condition]:
+    """Which order was chosen and why, where the policy leaves it; what was said last while the policy can't be followed."""
+    if understanding.spec is None or understanding.policy_problem is not None:
+        live = (observed.workload.get("status") or {}).get("conditions") or []
+        return [Condition.model_validate(one) for one in live if one["type"] == CHOSEN]
+    order = effective_policy.order(observed)
+    if order is None:
+        return []
+    told, present = order_explanation.reason(order), _order(observed, understanding)["strategies"]
+    if present != order_explanation.in_short(order):
+        told += f" Until the recovery that is under way is over, the order stays {present}."
+    met = not order_explanation.unmet(order)
+    why = "Chosen" if met else "RequirementsNotMet"
+    return [condition(CHOSEN, met, why, told, generation=kube_objects.generation(observed.workload))]
+
+
+def _situation(observed: Observed, understanding: Understanding) -> list[Condition]:
+    """Whether what is in force is what the robot's situation asks for; what was said last while the policy can't be followed."""
+    if understanding.spec is None or understanding.policy_problem is not None:
+        live = (observed.workload.get("status") or {}).get("conditions") or []
+        return [Condition.model_validate(one) for one in live if one["type"] == situation_strategies.CONDITION]
+    policy = observed.policies[understanding.spec.failure_policy_ref.name]
+    if not situation_strategies.has_some(policy):
+        return []
+    asked, in_force = situation_strategies.asked(observed.workload, policy), effective_policy.situation(observed)
+    order, lacking = _order(observed, understanding)["strategies"], effective_policy.lacking(observed)
+    reason, told = situation_strategies.told(asked, in_force, order, lacking)
+    generation = kube_objects.generation(observed.workload)
+    return [condition(situation_strategies.CONDITION, asked == in_force, reason, told, generation=generation)]

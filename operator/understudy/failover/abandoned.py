@@ -1,0 +1,34 @@
+"""A recovery that isn't gone on with, and how it is known again beside a gate, where it may stand as though it were under way."""
+
+from __future__ import annotations
+
+from understudy.api.base import Model
+from understudy.failover.progress import Progress, beside
+
+
+class GivenUp(Model):
+    """What may stand beside a gate of a recovery that was given up."""
+
+    id: str
+    epoch: int
+    """The gate's by the last of its commits that is known to have been carried out, or when it was taken up."""
+    sent: str
+    """The text of the last one that was sent, which may be carried out still."""
+
+    def stands(self, epoch: int, text: str) -> bool:
+        """Whether a gate of this epoch and with this text beside it tells of it as under way.
+
+        Another monitor may have taken it up since, under the same id: what that one has committed isn't given up.
+        """
+        found = beside(text)
+        ours = epoch == self.epoch or text == self.sent
+        return found is not None and (found.id, found.result) == (self.id, "Running") and ours
+
+    def may_come(self, epoch: int) -> bool:
+        """Whether a gate of this epoch may yet come to tell of it: a commit holds over what its sender knew, and over nothing newer."""
+        return epoch <= self.epoch
+
+
+def ended(progress: Progress) -> Progress:
+    """A recovery that isn't gone on with, as it stands beside a gate. Which pods had failed in it is still true."""
+    return progress.model_copy(update={"result": "Failed", "strategy": "", "waiting": None})

@@ -1,0 +1,58 @@
+"""What is done to an instance on its way to driving: a procedure of the workload's, the policy's or a pool's."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any
+
+from understudy.api.base import seconds
+from understudy.api.kinds.procedure_spec import Procedure
+from understudy.trees.languages.procedure_notations import compose
+from understudy.trees.source.problems import TreeError
+
+
+@dataclass(frozen=True)
+class BringUp:
+    """A procedure, and what messages call it."""
+
+    name: str
+    """Such as bringUp, recovery or initialization."""
+    tree: Mapping[str, Any]
+    """In the short form."""
+    within: float
+    """Seconds."""
+    digest: str
+    """Tells it from every other one, in whichever language it is written."""
+    restores_state: bool
+    """Whether the tree says itself where kept state is restored."""
+    places: Mapping[str, str] = field(default_factory=dict)
+    """Where in its text its nodes are, where it was written in another language."""
+    problem: str = ""
+    """Why it can't be run; empty where it can."""
+
+    @classmethod
+    def of(cls, name: str, procedure: Procedure | None) -> BringUp | None:
+        """From a spec; None where there is none."""
+        if procedure is None:
+            return None
+        tree = json.dumps(procedure.tree, sort_keys=True)
+        return _known(name, procedure.form, tree, seconds(procedure.within))
+
+
+@lru_cache(maxsize=64)
+def _known(name: str, form: str, tree: str, within: float) -> BringUp:
+    """Asked for every second, and loading a tree takes a while."""
+    try:
+        found = compose(form, json.loads(tree), check=False, path=name)
+    except TreeError as error:
+        return BringUp(name, {}, within, _digest(tree), False, problem=str(error))
+    digest = _digest(json.dumps(found.node, sort_keys=True))
+    return BringUp(name, found.node, within, digest, found.tree.restores_state, found.places)
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:12]

@@ -1,0 +1,211 @@
+"""Whether a failure may follow from that of another workload, and what is to be done once that one was recovered.
+
+Workloads that depend on each other fail together: where localization falls silent, so does the planner, and its own monitor sees no
+more than that. What the others' monitors say, beside their gates and in their status, tells which of them was first. Pure: times are
+unix seconds.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
+
+from understudy.api.base import seconds
+from understudy.api.kinds.robot_workload import Dependency, DependencyRecovery, RobotWorkloadStatus
+from understudy.api.protocol.monitor_settings import Upstream
+from understudy.failover.progress import Committed, Progress, told_in, under_way
+
+SLACK = 0.1
+"""Seconds by which what follows from a failure may seem to come before it: the clocks of two nodes, and messages under way."""
+
+FAILING = ("Starting", "Failed", "Recovering")
+"""Healths of a workload that nobody can depend on. Nothing is concluded from Unknown: it may have no monitor."""
+
+
+@dataclass(frozen=True)
+class Recovered:
+    """The newest recovery of a workload."""
+
+    id: str
+    onset: float
+    """Its last healthy output before."""
+    end: float | None
+    """When it was over; None where nothing verified."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What is known of a workload upstream."""
+
+    health: str = ""
+    """As its monitor has said last; empty where it isn't there."""
+    failing_since: float | None = None
+    """Its last healthy output before the failure that isn't over, where that is known."""
+    last: Recovered | None = None
+    followed: Mapping[str, str] = field(default_factory=dict)
+    """By name, the recoveries of those that it depends on itself after which it has done what it does then."""
+
+    @property
+    def failing(self) -> bool:
+        """Whether nobody can depend on it now."""
+        return self.health in FAILING
+
+    @classmethod
+    def of(cls, status: RobotWorkloadStatus, committed: Progress | None) -> Seen:
+        """From its status, and from the recovery that stands beside its gate, which is there sooner: with the first commit."""
+        health, since = status.health or "", _unix(status.failing_since)
+        recoveries = status.recoveries or []
+        newest = recoveries[0] if recoveries else None
+        last = None
+        if newest is not None:
+            moments = newest.moments
+            end = _unix(moments.verified) if newest.result == "Recovered" else None
+            last = Recovered(newest.id, _unix(moments.last_healthy) or _unix(moments.detected) or 0.0, end)
+        # Without a bound: who depends on it has its own, and a monitor that is replaced in the midst of it takes longer than any.
+        if committed is not None and under_way(Committed.of(committed), told_in(recoveries)):
+            health, since = "Recovering", committed.moments.get("last_healthy", committed.moments.get("detected", 0.0))
+        followed = {one.name: one.recovery for one in status.dependencies or []}
+        return cls(health, since, last, followed)
+
+
+@dataclass(frozen=True)
+class Outage:
+    """For how long a workload upstream could not be depended on."""
+
+    onset: float
+    """Its last healthy output; minus infinity where that isn't known."""
+    end: float | None = None
+    """When it was over; None while it isn't."""
+
+
+def outage(before: Outage | None, seen: Seen, now: float) -> Outage | None:
+    """The present outage of a workload upstream, or else the last one that is known; ``before`` is what was known until now."""
+    lasting = before if before is not None and before.end is None else None
+    if seen.failing:
+        told = seen.failing_since
+        if lasting is not None:
+            return lasting if told is None else Outage(min(lasting.onset, told))
+        return Outage(-math.inf if told is None else told)
+    last = seen.last
+    if lasting is not None:
+        recovered = last is not None and last.end is not None and last.end >= lasting.onset
+        return Outage(lasting.onset, last.end if recovered and last is not None else now)
+    if last is not None and last.end is not None and (before is None or before.end is None or last.end > before.end):
+        return Outage(last.onset, last.end)
+    return before
+
+
+@dataclass(frozen=True)
+class Held:
+    """A failure that isn't acted on yet."""
+
+    until: float
+    """By then it is, if it lasts."""
+    name: str = ""
+    """The workload from whose failure it may follow; empty where it is only looked whether there is one."""
+    settling: bool = False
+    """Whether that one is healthy again."""
+
+
+def held(
+    onset: float,
+    noticed: float,
+    now: float,
+    *,
+    depends_on: Sequence[Dependency],
+    outages: Mapping[str, Outage],
+) -> Held | None:
+    """Whether a failure with its last healthy output at ``onset`` isn't acted on yet, since it may follow from another's.
+
+    ``noticed`` is when it was noticed first; ``outages`` are those of all workloads upstream, by name.
+    """
+    if not depends_on:
+        return None
+    found: Held | None = None
+    for name, known in outages.items():
+        if onset < known.onset - SLACK:
+            continue  # it was first
+        settle, wait = _patience(name, depends_on)
+        until = noticed + wait
+        if known.end is not None:
+            if onset > known.end + settle:
+                continue
+            until = min(until, known.end + settle)
+        if until > now and (found is None or until > found.until):
+            found = Held(until, name, known.end is not None)
+    if found is not None:
+        return found
+    look = noticed + max(seconds(one.notice_within) for one in depends_on)
+    return Held(look) if look > now else None
+
+
+def _patience(name: str, depends_on: Sequence[Dependency]) -> tuple[float, float]:
+    """How long a failure may take to settle, and how long it is held at most. What is depended on through others has the
+    longest times of all.
+    """
+    direct = [one for one in depends_on if one.name == name] or depends_on
+    return max(seconds(one.settle_within) for one in direct), max(seconds(one.wait_for) for one in direct)
+
+
+@dataclass(frozen=True)
+class Due:
+    """What is to be done now, since others were recovered."""
+
+    follows: list[DependencyRecovery]
+    since: float
+    """When the last of them was."""
+
+
+def due(
+    depends_on: Sequence[Dependency],
+    upstream: Sequence[Upstream],
+    seen: Mapping[str, Seen],
+    outages: Mapping[str, Outage],
+    *,
+    followed: Mapping[str, str],
+    now: float,
+) -> Due | None:
+    """The recoveries after which something is to be done now; None where there are none, or others come first.
+
+    ``followed`` are those after which it was done. It waits for each of those that are recovered, and for each upstream that has to do
+    something after a recovery itself: so each is done in the order of the graph, once for all that came before, and at the same time
+    as by those that don't depend on each other. One that never gets there is waited for no longer than ``waitFor``.
+    """
+    pending = {
+        one.name: last
+        for one in depends_on
+        if one.name in followed and (last := _last(seen, one.name)) is not None and last.id != followed[one.name]
+    }
+    if not pending or any(seen[name].failing for name in pending):
+        return None
+    since = max(_over(last, outages.get(name)) for name, last in pending.items())
+    patience = max(seconds(one.wait_for) for one in depends_on if one.name in pending)
+    if now < since + patience and any(_unsettled(upstream, seen)):
+        return None
+    return Due([DependencyRecovery(name=name, recovery=last.id) for name, last in pending.items()], since)
+
+
+def _last(seen: Mapping[str, Seen], name: str) -> Recovered | None:
+    return seen[name].last if name in seen else None
+
+
+def _over(last: Recovered, known: Outage | None) -> float:
+    """When a workload was healthy again."""
+    if last.end is not None:
+        return last.end
+    return known.end if known is not None and known.end is not None else last.onset
+
+
+def _unsettled(upstream: Sequence[Upstream], seen: Mapping[str, Seen]) -> Iterator[bool]:
+    for one in upstream:
+        known = seen.get(one.name, Seen())
+        yield known.failing
+        for name in one.depends_on:
+            last = _last(seen, name)
+            yield last is not None and name in known.followed and known.followed[name] != last.id
+
+
+def _unix(moment: str | None) -> float | None:
+    return datetime.fromisoformat(moment).timestamp() if moment is not None else None

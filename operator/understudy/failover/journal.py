@@ -1,0 +1,57 @@
+"""The monitor's own record of a recovery under way, and of those that it gave up, in files that last over a restart of its container."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from pydantic import TypeAdapter, ValidationError
+
+from understudy.failover.abandoned import GivenUp
+from understudy.failover.progress import Progress
+
+_GIVEN_UP = TypeAdapter(list[GivenUp])
+
+
+class Journal:
+    """Files, each replaced atomically. They aren't synced: they guard against a killed process, not against a lost node."""
+
+    def __init__(self, path: Path) -> None:
+        """``path`` is the file of the present recovery; what was given up is beside it."""
+        self._path, self._given_up = path, path.with_suffix(".given-up")
+
+    def save(self, progress: Progress) -> None:
+        """Keep the progress of the present recovery."""
+        _replace(self._path, progress.model_dump_json())
+
+    def load(self) -> Progress | None:
+        """The last progress kept, or None; a damaged file counts as none."""
+        try:
+            return Progress.model_validate_json(self._path.read_text())
+        except (OSError, ValidationError):
+            return None
+
+    def clear(self) -> None:
+        """Forget it: the recovery is in the status."""
+        self._path.unlink(missing_ok=True)
+
+    def give_up(self, given_up: Sequence[GivenUp]) -> None:
+        """Keep which recoveries aren't gone on with, although the gate may tell of them: these, and no others."""
+        if given_up:
+            _replace(self._given_up, _GIVEN_UP.dump_json(list(given_up)).decode())
+        else:
+            self._given_up.unlink(missing_ok=True)
+
+    def given_up(self) -> list[GivenUp]:
+        """Those kept; a damaged file counts as none."""
+        try:
+            return _GIVEN_UP.validate_json(self._given_up.read_text())
+        except (OSError, ValidationError):
+            return []
+
+
+def _replace(path: Path, text: str) -> None:
+    temporary = path.with_name(f"{path.name}.new")
+    temporary.write_text(text)
+    os.replace(temporary, path)

@@ -1,0 +1,199 @@
+"""One recovery from its first strategy to its record: choose, carry out, verify, escalate.
+
+It may be entered with the progress of an interrupted run; every step looks at what is so before it acts.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Coroutine, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from understudy.api.kinds.robot_workload import Attempt
+from understudy.failover.interfaces import Instance, NotAvailable, NotVerified, Overtaken, Superseded
+from understudy.failover.progress import Progress
+from understudy.failover.strategies import Means, Strategy
+
+_logger = logging.getLogger(__name__)
+
+IN_FLIGHT = 0.010
+"""Seconds for which samples of the failed pod may still be under way after it was fenced."""
+
+LOST = 2.0
+"""Seconds without its pod after which an instance that is being brought up counts as lost; a new claim is seen sooner."""
+
+LOST_LOOK = 0.1
+"""Seconds between two looks whether it is."""
+
+QUIET = 0.200
+"""Seconds without a sample of any other instance before a leak counts as closed."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A strategy of the policy and the time it has."""
+
+    strategy: Strategy
+    verify_within: float
+
+
+async def recover(progress: Progress, choices: Sequence[Choice], means: Means) -> Progress:
+    """Put a healthy instance in control, by the first of the strategies that verifies.
+
+    Returns the progress with its result, Recovered or Failed.
+    Raises Superseded when another monitor commits to the gate.
+    """
+    if progress.result == "Recovered":
+        await retire(progress, means)
+        return progress
+    for index in range(min(progress.index, len(choices)), len(choices)):
+        choice = choices[index]
+        progress.index, progress.strategy = index, choice.strategy.name
+        # A run that is taken up again was decided by the one before it.
+        progress.charge("cluster", progress.moments.setdefault("decided", means.clock()))
+        if progress.attempts:
+            means.save(progress)  # else nothing was done yet, and the first commit is in a hurry
+        result, message = await _attempt(progress, choice, means, last=index == len(choices) - 1)
+        pod = progress.target.name if progress.target else ""
+        progress.attempts.append(Attempt(strategy=choice.strategy.name, pod=pod, result=result, message=message))
+        _logger.info("strategy %s with %s: %s %s", choice.strategy.name, pod or "no pod", result, message)
+        if result == "Verified":
+            progress.result = "Recovered"
+            break
+        progress.fail_target()
+        progress.forget_attempt()
+    else:
+        progress.result, progress.strategy = "Failed", ""
+    means.save(progress)
+    if progress.result == "Recovered":
+        await retire(progress, means)
+    return progress
+
+
+async def _attempt(
+    progress: Progress, choice: Choice, means: Means, *, last: bool
+) -> tuple[Literal["Verified", "NotVerified", "NotAvailable"], str]:
+    begun = progress.target is not None or progress.waiting is not None  # by a monitor that is gone
+    if not begun and (reason := means.holds(choice.strategy)) is not None:
+        return "NotAvailable", reason
+    try:
+        await _in_its_time(progress, choice, means, last=last)
+    except NotAvailable as reason:
+        return "NotAvailable", str(reason)
+    except NotVerified as reason:
+        return "NotVerified", str(reason)
+    except TimeoutError:
+        return "NotVerified", f"not verified within {choice.verify_within:g} s: {_missing(progress)}"
+    progress.epoch = means.gate.state.epoch
+    return "Verified", ""
+
+
+async def _in_its_time(progress: Progress, choice: Choice, means: Means, *, last: bool) -> None:
+    """Wait for what the strategy needs, as it says, and carry it out in the time that it has for that."""
+    while True:
+        await choice.strategy.wait(progress, means)
+        try:
+            async with asyncio.timeout(choice.verify_within):
+                await unless_lost(_carry_out(progress, choice, means), progress, means, crashing_counts=not last)
+            return
+        except Overtaken as reason:
+            _logger.info("%s", reason)
+
+
+async def _carry_out(progress: Progress, choice: Choice, means: Means) -> None:
+    target = await choice.strategy.prepare(progress, means, within=choice.verify_within)
+    await _verify(target, progress, means)
+
+
+async def unless_lost(
+    work: Coroutine[None, None, None], progress: Progress, means: Means, *, crashing_counts: bool
+) -> None:
+    """Do the work, and give it up where the instance that it's about is lost: the next strategy then has its time.
+
+    ``crashing_counts`` is whether one that ends again and again is lost too: where nothing else is left to be tried, it may
+    still come up. Raises NotVerified.
+    """
+    working = asyncio.create_task(work)
+    watching = asyncio.create_task(_loss(progress, means, crashing_counts=crashing_counts))
+    try:
+        await asyncio.wait((working, watching), return_when=asyncio.FIRST_COMPLETED)
+        if not working.done():
+            raise NotVerified(watching.result())
+        working.result()
+    finally:
+        for task in (working, watching):
+            task.cancel()
+        await asyncio.gather(working, watching, return_exceptions=True)
+
+
+async def _loss(progress: Progress, means: Means, *, crashing_counts: bool) -> str:
+    """Wait until the instance that is brought up is lost; how."""
+    missing: float | None = None
+    while True:
+        await asyncio.sleep(LOST_LOOK)
+        if progress.target is None:
+            continue
+        uid, name = progress.target.uid, progress.target.name
+        found = next((i for i in means.instances.of_workload() if i.uid == uid), None)
+        if found is not None and found.terminating:
+            return f"pod {name} is being deleted"
+        if found is not None and found.running:
+            if crashing_counts and found.crashing and not means.agents.is_ready(found)[0]:
+                return f"a container of pod {name} ends again and again"
+            missing = None
+            continue
+        missing = missing if missing is not None else means.clock()
+        if means.clock() - missing >= LOST:
+            return f"pod {name} {'is gone' if found is None else 'has stopped running'}"
+
+
+def _missing(progress: Progress) -> str:
+    for moment, message in (
+        ("first_output", "outputs of another instance still arrived"),
+        ("routed", "no output of the understudy reached the gated readers"),
+        ("ready", "the gate could not be opened"),
+        ("started", "the understudy's outputs did not become healthy"),
+        ("claimed", "the understudy's processes did not come up"),
+    ):
+        if moment in progress.moments:
+            return message
+    return "no instance was running" if progress.target is None else "the understudy's processes did not come up"
+
+
+async def _verify(target: Instance, progress: Progress, means: Means) -> None:
+    """Outputs are seen to come from the new instance and from no other (DESIGN: the failover protocol, step 4)."""
+    since = progress.moments.get("committing", progress.cursor)
+    first = await means.outputs.first_from(target, since=since)
+    if first is not None:
+        progress.note_first_output(first)
+    await alone(target, progress, means)
+
+
+async def alone(target: Instance, progress: Progress, means: Means) -> None:
+    """Wait until an instance that drives the robot is the only one: what still gets through of a failed pod ends with that pod.
+
+    Raises Superseded.
+    """
+    since = progress.moments.get("committing", progress.cursor)
+    fenced = progress.moments.get("fenced", since)
+    last, pod = means.outputs.last_from_others(target)
+    if last > fenced + IN_FLIGHT:
+        _logger.warning("outputs of %s still arrived %.0f ms after it was fenced", pod, (last - fenced) * 1000)
+        progress.moments["fenced"] = last
+        await retire(progress, means)
+        while means.clock() - last < QUIET:
+            await asyncio.sleep(QUIET / 4)
+            last, pod = means.outputs.last_from_others(target)
+            progress.moments["fenced"] = max(progress.moments["fenced"], last)
+    if means.gate.state.active_uid != target.uid:
+        raise Superseded(f"the gate names {means.gate.state.active or 'no pod'}, not {target.name}")
+    progress.moments["verified"] = means.clock()
+
+
+async def retire(progress: Progress, means: Means) -> None:
+    """Delete the pods that failed: a policy patch routes, it doesn't kill."""
+    for instance in means.instances.of_workload():
+        if progress.has_failed(instance.uid) and not instance.terminating:
+            await means.instances.retire(instance)

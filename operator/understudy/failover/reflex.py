@@ -1,0 +1,170 @@
+"""What follows when the robot's own readers have fallen over to a standby: commit what happened, and fence the loser.
+
+The robot is driven again before anything is decided, so only the detection counts (t_cluster, t_startup and
+t_re-initialization are zero). What is left is to keep the loser, which is the stronger one, from taking the robot back.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from bisect import bisect_right
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+from understudy.failover.interfaces import Instance, NotAvailable
+from understudy.failover.progress import PodIdentity, Progress
+from understudy.failover.strategies import PROBE_SECONDS, Means, Strategy
+
+FENCE_QUIET = 0.03
+"""Seconds without a packet of the loser, whose agent sends one every ten milliseconds at least, before it counts as fenced."""
+
+FENCE_WITHIN = 1.0
+"""Seconds to wait for that."""
+
+
+@dataclass(frozen=True)
+class TakenOver:
+    """A standby drives the robot instead of the instance that the gate names. Times are unix seconds."""
+
+    standby: PodIdentity
+    last: float
+    """Last output of the instance that was in control."""
+    first: float
+    """First output of the standby after it."""
+
+
+JITTER = 0.05
+"""Part of the gaps between outputs that may be longer than the deadline before it counts as too short."""
+
+ENOUGH = 10
+"""Outputs that must have been seen before anything is said about their period."""
+
+ENOUGH_FOR = 2.0
+"""Seconds over which they must have been seen."""
+
+
+def switched(
+    active: Sequence[float], standby: Sequence[float], *, deadline: float, now: float
+) -> tuple[float, float] | None:
+    """When the instance in control was last heard and the standby first after it, where the standby drives now; else None.
+
+    ``active`` and ``standby`` are when samples of them were received, by a reader that chooses as the robot's does, in unix
+    seconds; ``deadline`` is in seconds. Nothing is concluded where the one in control was never heard: discovery may find the
+    standby seconds before it.
+
+    A standby that is a little ahead when both begin after a pause is heard for a moment: so after a longer silence the one
+    in control gets another deadline.
+    """
+    if not active:
+        return None
+    last = active[-1]
+    place = bisect_right(standby, last)
+    if place == len(standby) or now - last < deadline:
+        return None
+    first = standby[place]
+    if first - last >= 2 * deadline and now - first < deadline:
+        return None
+    return last, first
+
+
+def longest_gap(arrivals: Sequence[float], deadline: float) -> float | None:
+    """The longest gap between outputs (seconds) where the deadline is too short for them: longer ones come again and again.
+
+    None where it is long enough, or where not enough was seen to say so.
+    """
+    gaps = [later - earlier for earlier, later in pairwise(arrivals)]
+    over = [gap for gap in gaps if gap > deadline]
+    return max(over) if len(over) >= 3 and len(over) > JITTER * len(gaps) else None
+
+
+def measured(arrivals: Sequence[float], now: float) -> bool:
+    """Whether enough outputs were seen of late to know their period."""
+    return len(arrivals) >= ENOUGH and arrivals[-1] - arrivals[0] >= ENOUGH_FOR and now - arrivals[-1] < ENOUGH_FOR
+
+
+def begin(taken: TakenOver, active: PodIdentity, deadline: float) -> Progress:
+    """The recovery that the reflex has all but carried out."""
+    progress = Progress.begin(
+        f"{active.name} was silent for more than the deadline of {deadline * 1000:.0f} ms and {taken.standby.name} took over "
+        f"by the reflex",
+        last_healthy=taken.last,
+        detected=taken.first,
+        failed=[active],
+    )
+    progress.taken_over, progress.strategy = taken.standby, ReflexFallback.name
+    progress.moments["routed"] = progress.moments["first_output"] = taken.first
+    return progress
+
+
+async def commit(progress: Progress, means: Means) -> None:
+    """Have the gate name the standby that took over, however long the API server is away. Raises Superseded.
+
+    Nothing is committed where that standby is gone, or where it was done before: recover() finds out.
+    """
+    taken = progress.taken_over
+    target = _standing(progress, means)
+    if taken is None or target is None or means.gate.state.active_uid == taken.uid:
+        return
+    progress.target = taken
+    progress.moments.setdefault("decided", means.clock())
+    progress.moments["committing"] = means.clock()
+    means.save(progress)
+    for instance in means.instances.of_workload():
+        if progress.has_failed(instance.uid):
+            # No API server is needed for this, and a crashed container is back in a second.
+            await means.agents.give_way(instance)
+            await means.agents.probe(instance, PROBE_SECONDS)
+    await means.gate.commit(target, progress)
+    progress.moments["committed"] = means.clock()
+
+
+class ReflexFallback(Strategy):
+    """The robot's readers chose the standby by themselves; it is seen to be fenced off from the one that was in control."""
+
+    name = "Fallback/Executing (reflex)"
+
+    def available(self, means: Means, progress: Progress | None = None) -> str | None:
+        """Why what the reflex did can't be built upon."""
+        if progress is None or progress.taken_over is None:
+            return "no standby has taken over"
+        if _standing(progress, means) is None:
+            return f"{progress.taken_over.name}, which took over, is gone"
+        if means.gate.state.active_uid != progress.taken_over.uid:
+            return f"the gate names {means.gate.state.active or 'no pod'} and not {progress.taken_over.name}"
+        return None
+
+    async def prepare(self, progress: Progress, means: Means, *, within: float) -> Instance:
+        """Wait until the loser is fenced. Raises NotAvailable."""
+        target = _standing(progress, means)
+        if target is None or (reason := self.available(means, progress)) is not None:
+            reason = self.available(means, progress) or ""
+            if progress.taken_over is not None and not progress.has_failed(progress.taken_over.uid):
+                progress.failed.append(progress.taken_over)  # from here on, time is lost again
+            raise NotAvailable(reason)
+        progress.target = PodIdentity(name=target.name, uid=target.uid)
+        await _fenced(progress, means)
+        for part in ("cluster", "startup", "reinitialization"):
+            progress.parts.setdefault(part, 0.0)
+        return target
+
+
+def _standing(progress: Progress, means: Means) -> Instance | None:
+    taken = progress.taken_over
+    if taken is None:
+        return None
+    return next((i for i in means.instances.of_workload() if i.uid == taken.uid and i.usable), None)
+
+
+async def _fenced(progress: Progress, means: Means) -> None:
+    """Note when the loser was: at the commit, or with its last packet that got through after it."""
+    committed = progress.moments.get("committed", means.clock())
+    begun = means.clock()
+    while True:
+        last = max((means.gate.last_packet(pod.uid) or 0.0 for pod in progress.failed), default=0.0)
+        fenced = max(committed, last)
+        now = means.clock()
+        if now - fenced >= FENCE_QUIET or now - begun >= FENCE_WITHIN:
+            break
+        await asyncio.sleep(FENCE_QUIET / 6)
+    progress.moments["fenced"] = fenced

@@ -1,0 +1,190 @@
+"""A planned switchover: nothing has failed, so nothing is given up before its successor was seen to drive.
+
+The order differs from a failure's. First an understudy is brought to where it can drive, behind the gate and with the state of the
+instance that drives; if none gets there, nothing was changed. Then one write of the gate fences the one and routes the other. The
+former instance goes on running until the robot is seen to be driven by the next one: if it isn't, the gate is given back. Only then
+the former one is retired.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+from understudy.api.kinds.robot_workload import Attempt
+from understudy.failover.interfaces import Instance, NotAvailable, NotVerified, Superseded
+from understudy.failover.progress import PodIdentity, Progress
+from understudy.failover.protocol import Choice, alone, retire, unless_lost
+from understudy.failover.strategies import Means, Unfit, open_for, wait_enforced
+
+_logger = logging.getLogger(__name__)
+
+COMMIT_WITHIN = 2.0
+"""Seconds that the API server has to carry out the switch. The robot is driven meanwhile, and nobody looks at it."""
+
+SEEN_WITHIN = 2.0
+"""Seconds within which outputs of an understudy, which flowed behind the gate, are seen at the gated readers."""
+
+SILENT_WITHIN = 30.0
+"""Seconds that what still gets through of the former instance has to end, once that is being deleted."""
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What became of a preparation."""
+
+    progress: Progress
+    target: Instance | None = None
+    """The understudy that can drive; None where there is none."""
+    attempts: list[Attempt] = field(default_factory=list)
+    """What was tried in vain, and why."""
+
+    @property
+    def reason(self) -> str:
+        """Why there is none."""
+        return "; ".join(f"{attempt.strategy}: {attempt.message}" for attempt in self.attempts)
+
+    @property
+    def passing(self) -> bool:
+        """Whether nothing was done to any understudy: there may be one a moment later."""
+        return all(attempt.result == "NotAvailable" for attempt in self.attempts)
+
+
+async def prepare(progress: Progress, choices: Sequence[Choice], means: Means, unfit: Unfit) -> Prepared:
+    """Bring an understudy to where it can drive, by the first of the strategies that gets there in its time.
+
+    The gate is left alone, and nothing is written down that a new monitor would go on with: it begins anew.
+    """
+    aside = replace(means, save=lambda progress: None)
+    attempts: list[Attempt] = []
+    for index, choice in enumerate(choices):
+        progress.index, progress.strategy = index, choice.strategy.name
+        found: list[Instance] = []
+
+        async def work(choice: Choice = choice, found: list[Instance] = found) -> None:
+            within = choice.verify_within
+            found.append(await choice.strategy.make_ready(progress, aside, within=within, unfit=unfit))
+
+        result: Literal["NotVerified", "NotAvailable"] = "NotVerified"
+        try:
+            async with asyncio.timeout(choice.verify_within):
+                await unless_lost(work(), progress, means, crashing_counts=True)
+            return Prepared(progress, found[0], attempts)
+        except NotAvailable as error:
+            result, reason = "NotAvailable", str(error)
+        except NotVerified as error:
+            reason = str(error)
+        except TimeoutError:
+            reason = f"its understudy could not drive within {choice.verify_within:g} s"
+        pod = progress.target.name if progress.target else ""
+        attempts.append(Attempt(strategy=choice.strategy.name, pod=pod, result=result, message=reason))
+        _logger.info("%s prepares nothing: %s", choice.strategy.name, reason)
+        if progress.target is not None:  # what was begun with it nobody else would make an end of
+            progress.fail_target()
+            await retire(progress, means)
+        progress.forget_attempt()
+    return Prepared(progress, None, attempts)
+
+
+async def switch(prepared: Prepared, means: Means) -> Progress:
+    """Have a prepared understudy drive, and the instance that drives now no longer.
+
+    Returns the progress with its result; with Failed the former instance drives. Raises NotAvailable where the understudy is gone
+    meanwhile, Superseded, and TimeoutError where the API server didn't answer: whether the gate was switched will be seen.
+    """
+    progress, target, state = prepared.progress, prepared.target, means.gate.state
+    assert target is not None, "it was prepared"
+    if not any(i.uid == target.uid and i.usable for i in means.instances.of_workload()):
+        raise NotAvailable(f"{target.name}, which was ready, is gone")
+    progress.former = PodIdentity(name=state.active, uid=state.active_uid)
+    progress.attempts = list(prepared.attempts)
+    now = means.clock()
+    # What went before cost the robot nothing: its time counts from here.
+    progress.parts, progress.cursor = {}, now
+    progress.moments |= {"last_healthy": now, "detected": now, "decided": now}
+    progress.charge("detection", now)
+    async with asyncio.timeout(COMMIT_WITHIN):
+        await open_for(target, progress, means)
+    return await settle(progress, means)
+
+
+def committed(progress: Progress, means: Means) -> bool:
+    """Whether a switchover is the last thing that was done to the gate."""
+    state = means.gate.state
+    target = progress.target.uid if progress.target is not None else ""
+    return state.recovery is not None and state.recovery.id == progress.id and state.active_uid == target
+
+
+async def settle(progress: Progress, means: Means) -> Progress:
+    """See who drives after the gate was switched, and retire the former instance or give the gate back to it.
+
+    It may be entered with what another monitor has begun. Raises Superseded.
+    """
+    if progress.result == "Running":
+        _still_ours(progress, means)
+        uid = progress.target.uid if progress.target is not None else ""
+        target = next((i for i in means.instances.of_workload() if i.uid == uid), None)
+        if target is None or not await _seen(target, progress, means):
+            return await _give_back(target, progress, means)
+        progress.epoch, progress.result = means.gate.state.epoch, "Recovered"
+        pod, strategy = target.name, progress.strategy
+        progress.attempts.append(Attempt(strategy=strategy, pod=pod, result="Verified"))
+        if progress.former is not None:
+            progress.fail(progress.former)  # from here on it is treated as what has failed is
+        means.save(progress)
+        try:
+            async with asyncio.timeout(SILENT_WITHIN):
+                await alone(target, progress, means)
+        except TimeoutError:
+            _logger.warning("outputs of another instance than %s still arrive", target.name)
+    await retire(progress, means)
+    return progress
+
+
+async def _seen(target: Instance, progress: Progress, means: Means) -> bool:
+    """Whether the robot is seen to be driven by an instance."""
+    try:
+        async with asyncio.timeout(SEEN_WITHIN):
+            await wait_enforced(target, progress, means)
+            since = progress.moments.get("committing", progress.cursor)
+            first = await means.outputs.first_from(target, since=since)
+    except TimeoutError:
+        return False
+    if first is not None:
+        progress.note_first_output(first)
+    last, _ = means.outputs.last_from_others(target)
+    if last:
+        progress.moments["last_output"] = last
+    return True
+
+
+async def _give_back(target: Instance | None, progress: Progress, means: Means) -> Progress:
+    """Let the former instance drive again, and retire the one that wasn't seen to drive."""
+    _still_ours(progress, means)
+    uid = progress.former.uid if progress.former is not None else ""
+    former = next((i for i in means.instances.of_workload() if i.uid == uid), None)
+    pod = progress.target.name if progress.target is not None else ""
+    words = "is gone" if target is None else f"was not seen to drive within {SEEN_WITHIN:g} s"
+    strategy, progress.strategy, progress.result = progress.strategy, "", "Failed"
+    gone = former is None or not former.usable
+    told = f"{pod} {words}{', and the former instance is gone' if gone else ''}"
+    progress.attempts.append(Attempt(strategy=strategy, pod=pod, result="NotVerified", message=told))
+    if former is None or gone:  # whoever watches sees a failure of the next one
+        means.save(progress)
+        return progress
+    progress.fail_target()
+    await means.gate.commit(former, progress)
+    progress.epoch = means.gate.state.epoch
+    means.save(progress)
+    await retire(progress, means)
+    return progress
+
+
+def _still_ours(progress: Progress, means: Means) -> None:
+    """Raise Superseded where somebody else has committed to the gate since."""
+    if not committed(progress, means):
+        state = means.gate.state
+        raise Superseded(f"the gate names {state.active or 'no pod'} at epoch {state.epoch}, by another writer")

@@ -1,0 +1,78 @@
+"""The pose in a serialized message, without ROS: stamp, frames and pose are at its beginning, whatever follows.
+
+A monitor reads ten of a topic's messages in a second. Making messages of them would cost more than all else that it does.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import NamedTuple
+
+from understudy.kinematics.poses import Pose
+
+ODOMETRY = "nav_msgs/msg/Odometry"
+
+POSE_TYPES = (
+    "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+    ODOMETRY,
+)
+"""Types that begin with a header, for the last also the body's frame, and then a pose."""
+
+_HEADER = 4
+"""Bytes before the message itself, by which the alignment of what follows is counted (CDR, OMG DDS-XTypes 7.4)."""
+
+
+class Reading(NamedTuple):
+    """What a message says of a pose."""
+
+    stamp: int
+    """When it was so, in ns by the clock of who said it; 0 where it doesn't say."""
+    frame: str
+    child: str
+    """The body's own frame; empty where the type has none."""
+    pose: Pose
+
+
+def stamp_of(data: bytes) -> int:
+    """The stamp in ns of a message whose type begins with a header; 0 where it has none. Raises ValueError."""
+    order = _order(data)
+    try:
+        seconds, rest = struct.unpack_from(f"{order}iI", data, _HEADER)
+    except struct.error as error:
+        raise ValueError(f"{len(data)} bytes are no message with a header") from error
+    return int(seconds) * 1_000_000_000 + int(rest)
+
+
+def read(type_name: str, data: bytes) -> Reading:
+    """What a message of one of POSE_TYPES says, given as CDR with its header. Raises ValueError where it is none."""
+    if type_name not in POSE_TYPES:
+        raise ValueError(f"{type_name} has no pose at its beginning: {', '.join(POSE_TYPES)} do")
+    order = _order(data)
+    try:
+        place = _HEADER + 8
+        frame, place = _text(order, data, place)
+        child = ""
+        if type_name == ODOMETRY:
+            child, place = _text(order, data, place)
+        place += (_HEADER - place) % 8
+        values = struct.unpack_from(f"{order}7d", data, place)
+    except (struct.error, UnicodeDecodeError) as error:
+        raise ValueError(f"its {len(data)} bytes are no {type_name}: {error}") from error
+    return Reading(stamp_of(data), frame, child, Pose.of(values))
+
+
+def _order(data: bytes) -> str:
+    """The byte order, as of the struct module. Raises ValueError where the bytes are serialized in another way."""
+    if len(data) < _HEADER or data[0] != 0 or data[1] > 1:
+        raise ValueError(f"it isn't plain CDR: it begins with {data[:_HEADER].hex() or 'nothing'}")
+    return "<" if data[1] == 1 else ">"
+
+
+def _text(order: str, data: bytes, place: int) -> tuple[str, int]:
+    place += (_HEADER - place) % 4
+    (length,) = struct.unpack_from(f"{order}I", data, place)
+    end = place + 4 + length
+    if not 1 <= length <= len(data) or end > len(data):
+        raise struct.error(f"a text of {length} bytes")
+    return data[place + 4 : end - 1].decode(), end

@@ -1,0 +1,4 @@
+"""Everything that touches the Kubernetes API, for objects as plain dictionaries.
+
+What should be written is decided elsewhere.
+"""

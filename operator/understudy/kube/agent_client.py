@@ -1,0 +1,317 @@
+"""The monitor's end of an agent's control channel."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import itertools
+import logging
+import os
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from understudy.api.protocol import agent_messages as wire
+from understudy.api.protocol.agent_messages import AgentStatus, ProtocolError
+
+_logger = logging.getLogger(__name__)
+
+RETRY_FIRST, RETRY_MOST = 0.05, 1.0  # seconds
+CONNECT_FIRST, CONNECT_MOST = 0.25, 1.0  # seconds; a policy that just opened is found sooner than by the kernel's SYN
+GREETING = 3.0  # seconds
+ANSWER = 5.0  # seconds
+
+
+class AgentGone(ConnectionError):
+    """There is no connection to the agent, or it was lost before the answer came: the request may have been done."""
+
+
+class AgentRefused(Exception):
+    """The agent answered that it will not or cannot."""
+
+
+class AgentLink:
+    """A connection to one agent that is kept up in the background until closed. Needs a running event loop.
+
+    Requests can be repeated: the agent does each again to the same effect.
+    """
+
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        token: bytes,
+        workload: str,
+        claim: str,
+        *,
+        on_change: Callable[[AgentLink], None] | None = None,
+        on_event: Callable[[AgentLink, Mapping[str, Any]], None] | None = None,
+    ) -> None:
+        """``on_change`` is called with each status and when the connection comes or goes, ``on_event`` with each event.
+
+        Events that happen while there is no connection are lost: whoever counts on them asks anew when it is back.
+        """
+        self.host, self.port, self.workload, self.claim = host, port, workload, claim
+        self.token = token
+        """The secret shared with the agent; another one counts from the next session on."""
+        self._on_change, self._on_event = on_change, on_event
+        self._status: AgentStatus | None = None
+        self._writer: asyncio.StreamWriter | None = None
+        self._numbers = itertools.count(1)
+        self._answers: dict[int, asyncio.Future[dict[str, Any]]] = {}
+        self._changed = asyncio.Event()
+        self._accepted = False
+        self.sessions = 0
+        """Times that it was connected."""
+        self.pod = ""
+        """Name of the pod that answers, once connected."""
+        self.uid = ""
+        """UID of the pod that answers, once connected."""
+        self.refused = False
+        """Whether the agent was there and refused this side when it was last tried."""
+        self.problem = f"connecting to {host}:{port}"
+        """Why it isn't connected; empty while it is."""
+        self._task = asyncio.create_task(self._run(), name=f"agent {host}")
+
+    @property
+    def connected(self) -> bool:
+        """Whether the agent accepted this session and has been heard of within the last seconds."""
+        return self._writer is not None
+
+    @property
+    def status(self) -> AgentStatus | None:
+        """What the agent last said; None while it isn't connected, since it may be otherwise by now."""
+        return self._status
+
+    async def wait_connected(self, within: float | None = None) -> None:
+        """Wait for the connection. Raises AgentGone, saying why, when there is none within so many seconds."""
+        try:
+            async with asyncio.timeout(within):
+                while not self.connected:
+                    await self._changed.wait()
+        except TimeoutError:
+            raise AgentGone(self.problem) from None
+
+    async def wait_for(self, predicate: Callable[[AgentStatus], bool], within: float | None = None) -> AgentStatus:
+        """The first status for which it holds, waiting through lost connections.
+
+        Raises TimeoutError, with the last status or problem, when none came within so many seconds.
+        """
+        try:
+            async with asyncio.timeout(within):
+                while self._status is None or not predicate(self._status):
+                    await self._changed.wait()
+                return self._status
+        except TimeoutError:
+            last = self.problem or (self._status and (self._status.reason or self._status.phase)) or "no status yet"
+            raise TimeoutError(f"agent {self.pod or self.host}: not within {within:g} s: {last}") from None
+
+    async def configure(
+        self,
+        tree: Mapping[str, Any] | str,
+        outputs: Sequence[Mapping[str, Any]],
+        grace: float,
+        *,
+        form: str = "yaml",
+        probe: tuple[str, int] | None = None,
+        standby: Mapping[str, Any] | None = None,
+        managed: bool = False,
+    ) -> None:
+        """Give it the health tree (of the policy's ``monitoring``) and the workload's outputs as on the wire.
+
+        ``form`` is what the tree is written in, ``grace`` in seconds. ``probe`` is where its probe of every second goes;
+        this side of the connection, at the probe port, where none is given. ``standby`` is what it must be to be ready
+        while it waits (agent/readiness.py), ``managed`` says that procedures bring its nodes up. Raises AgentRefused (a
+        tree that doesn't load, say) and AgentGone.
+        """
+        body: dict[str, Any] = {"tree": tree, "outputs": list(outputs), "grace": grace}
+        if form != "yaml":
+            body["form"] = form
+        if standby is not None:
+            body["standby"] = standby
+        if managed:
+            body["managed"] = True
+        if probe is not None:
+            body["probe"] = {"host": probe[0], "port": probe[1]}
+        await self.request("configure", body)
+
+    async def start(
+        self, environment: Mapping[str, Mapping[str, str]], ros: Mapping[str, str], *, profiles: str = ""
+    ) -> None:
+        """Start the held containers, each with its environment, in a robot's ROS graph.
+
+        ``profiles`` are DDS profiles for all processes of the pod, where they need any.
+
+        Raises AgentRefused, when another claim was first among others, and AgentGone.
+        """
+        await self.request("start", {"environment": environment, "ros": ros, "profiles": profiles})
+
+    async def probe(self, host: str, port: int, interval: float, duration: float) -> None:
+        """Have it send gate probes for ``duration`` seconds: one every ``interval`` seconds, later less often.
+
+        Raises AgentRefused and AgentGone.
+        """
+        await self.request("probe", {"host": host, "port": port, "interval": interval, "duration": duration})
+
+    async def procedure(
+        self,
+        tree: Mapping[str, Any],
+        within: float,
+        *,
+        name: str,
+        state: Mapping[str, Any] | None = None,
+        brought: str = "",
+        places: Mapping[str, str] | None = None,
+    ) -> Mapping[str, Any]:
+        """Run a procedure on its instance for at most so many seconds; it takes the place of one that runs.
+
+        ``state`` is kept state on the wire for its leaves, ``brought`` what its success is remembered by, ``places`` where
+        its nodes were written, if not in the short form. What became of the state is in the answer. Raises AgentRefused,
+        which says why it failed, and AgentGone.
+        """
+        body: dict[str, Any] = {"tree": tree, "within": within, "name": name, "state": state, "as": brought}
+        if places:
+            body["places"] = places
+        answer = await self.request("procedure", body, within=within + ANSWER)
+        found: Mapping[str, Any] = answer.get("report") or {}
+        return found
+
+    async def ask(self) -> AgentStatus:
+        """Its status at this moment. Raises AgentGone."""
+        answer = await self.request("status", {})
+        return AgentStatus.from_wire(answer.get("status", {}))
+
+    async def close(self) -> None:
+        """Let go of the agent. Requests in flight fail."""
+        self._task.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await self._task
+
+    async def request(self, op: str, body: Mapping[str, Any], *, within: float = ANSWER) -> dict[str, Any]:
+        """Ask for an operation and wait for its answer, for at most so many seconds. Raises AgentRefused and AgentGone."""
+        writer = self._writer
+        if writer is None:
+            raise AgentGone(f"agent {self.host}: {self.problem}")
+        number = next(self._numbers)
+        line = wire.encode({"id": number, "op": op, **body})
+        answer: asyncio.Future[dict[str, Any]] = asyncio.get_running_loop().create_future()
+        self._answers[number] = answer
+        try:
+            async with asyncio.timeout(within):
+                try:
+                    writer.write(line)
+                    await writer.drain()
+                except OSError as error:
+                    raise AgentGone(f"agent {self.host}: {error}") from error
+                message = await answer
+        except TimeoutError:
+            raise AgentGone(f"agent {self.host}: no answer to {op} within {within:g} s") from None
+        finally:
+            self._answers.pop(number, None)
+        if "error" in message:
+            raise AgentRefused(f"agent {self.pod or self.host}: {op}: {message['error']}")
+        return message
+
+    async def _run(self) -> None:
+        retry, patience = RETRY_FIRST, CONNECT_FIRST
+        while True:
+            writer: asyncio.StreamWriter | None = None
+            self._accepted = refused = False
+            try:
+                async with asyncio.timeout(patience):
+                    reader, writer = await asyncio.open_connection(self.host, self.port, limit=wire.MAX_LINE)
+                async with asyncio.timeout(GREETING):
+                    await self._greet(reader, writer)
+                await self._read(reader, writer)
+            except TimeoutError:
+                problem = f"silent for {wire.SILENCE:g} s" if self.connected else "no answer"
+            except (OSError, EOFError, ValueError, ProtocolError) as error:
+                problem = _words(error)
+            except AgentRefused as error:
+                problem = str(error)
+                refused = True
+                retry = RETRY_MOST  # a wrong token or another's claim won't change in milliseconds
+            except Exception as error:
+                _logger.exception("agent %s:%s", self.host, self.port)
+                problem = repr(error)
+            finally:
+                self._disconnect(writer)
+            if self._accepted:
+                retry, patience = RETRY_FIRST, CONNECT_FIRST
+            if problem != self.problem:
+                _logger.info("agent %s (%s:%s): %s", self.pod or "?", self.host, self.port, problem)
+            self.problem, self.refused = problem, refused
+            self._notify()
+            await asyncio.sleep(retry)
+            retry, patience = min(2 * retry, RETRY_MOST), min(2 * patience, CONNECT_MOST)
+
+    async def _greet(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Prove the token, and take the first message after that, which is a status or a refusal."""
+        greeting = wire.decode(await _line(reader))
+        if greeting.get("version") != wire.PROTOCOL or not isinstance(greeting.get("nonce"), str):
+            raise ProtocolError(f"expected a greeting of version {wire.PROTOCOL}, got {greeting!r:.200}")
+        proof = wire.mac(self.token, greeting["nonce"], self.workload, self.claim)
+        writer.write(wire.encode({"workload": self.workload, "claim": self.claim, "mac": proof}))
+        first = wire.decode(await _line(reader))
+        if "error" in first:
+            raise AgentRefused(str(first["error"]))
+        status = AgentStatus.from_wire(first.get("status", {}))
+        self.pod, self.uid = str(greeting.get("pod", "")), str(greeting.get("uid", ""))
+        self._writer, self._status, self.problem, self._accepted = writer, status, "", True
+        self.refused = False
+        self.sessions += 1
+        self._notify()
+
+    async def _read(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        while True:
+            async with asyncio.timeout(wire.SILENCE):
+                message = wire.decode(await _line(reader))
+            if "status" in message and "id" not in message:
+                self._status = AgentStatus.from_wire(message["status"])
+                self._notify()
+            elif "event" in message and "id" not in message:
+                self._tell_event(message["event"])
+            elif isinstance(number := message.get("id"), int):
+                answer = self._answers.get(number)
+                if answer is not None and not answer.done():
+                    answer.set_result(message)
+            elif "error" in message:
+                raise AgentRefused(str(message["error"]))
+
+    def _disconnect(self, writer: asyncio.StreamWriter | None) -> None:
+        self._writer = self._status = None
+        if writer is not None:
+            writer.transport.abort()
+        for answer in self._answers.values():
+            if not answer.done():
+                answer.set_exception(AgentGone(f"agent {self.pod or self.host}: the connection was lost"))
+
+    def _tell_event(self, event: object) -> None:
+        if self._on_event is None or not isinstance(event, dict):
+            return
+        try:
+            self._on_event(self, event)
+        except Exception:
+            _logger.exception("an event of agent %s", self.pod or self.host)
+
+    def _notify(self) -> None:
+        self._changed.set()
+        self._changed = asyncio.Event()
+        if self._on_change is not None:
+            try:
+                self._on_change(self)
+            except Exception:
+                _logger.exception("noting a change of agent %s", self.pod or self.host)
+
+
+async def _line(reader: asyncio.StreamReader) -> bytes:
+    line = await reader.readline()
+    if not line.endswith(b"\n"):
+        raise EOFError("the agent closed the connection")
+    return line
+
+
+def _words(error: BaseException) -> str:
+    """An error without the address, which the log line has already."""
+    if isinstance(error, OSError) and error.errno is not None:
+        return os.strerror(error.errno)
+    return str(error) or repr(error)

@@ -1,0 +1,47 @@
+"""What is asked of the API server, and when its watches told something last, as metrics."""
+
+from __future__ import annotations
+
+from prometheus_client import CollectorRegistry, Counter, Gauge
+
+
+def series(registry: CollectorRegistry) -> tuple[Counter, Gauge]:
+    """The metrics of one process."""
+    requests = Counter(
+        "understudy_api_requests",
+        "Requests to the API server, by what came of them: the status, or error where there was no answer.",
+        ["method", "resource", "code"],
+        registry=registry,
+    )
+    heard = Gauge(
+        "understudy_watch_last_event_timestamp_seconds",
+        "When watches of a resource last brought something, a bookmark at least, of which there is one a minute (Unix time).",
+        ["resource"],
+        registry=registry,
+    )
+    return requests, heard
+
+
+class Traffic:
+    """Implements :class:`understudy.kube.client.Listener`."""
+
+    def __init__(self, requests: Counter, heard: Gauge) -> None:
+        self._requests, self._heard = requests, heard
+
+    def asked(self, method: str, path: str, status: int | None) -> None:
+        """Count a request."""
+        code = "error" if status is None else str(status)
+        self._requests.labels(method=method, resource=plural(path), code=code).inc()
+
+    def heard(self, resource: str) -> None:
+        """Note that a watch brought something."""
+        self._heard.labels(resource=resource).set_to_current_time()
+
+
+def plural(path: str) -> str:
+    """Which resource a path of the API is of; empty where it is of none."""
+    parts = path.strip("/").split("/")
+    parts = parts[3:] if parts[0] == "apis" else parts[2:]
+    if parts[:1] == ["namespaces"] and len(parts) > 2:
+        parts = parts[2:]
+    return parts[0] if parts else ""

@@ -1,0 +1,159 @@
+"""Making objects be as they should, without ever overwriting somebody else's.
+
+Whole objects are written by server-side apply (KEP-555), so that a field that is no longer wanted goes away, and only
+when something differs, so that a cluster at rest sees no writes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from typing import Any
+
+from understudy.api.base import GROUP
+from understudy.kube.client import APPLY, ApiError, Client, Object, Resource
+
+APPLIED = f"{GROUP}/applied"
+"""Annotation with the hash of what was applied last: it tells of a field taken back, which the live object can't."""
+
+
+class Taken(Exception):
+    """An object of that name exists and belongs to somebody else; it was left alone."""
+
+    def __init__(self, kind: str, namespace: str, name: str, owner: str) -> None:
+        super().__init__(
+            f'{kind} "{name}" exists in namespace {namespace} and belongs to {owner}; it was left as it is. '
+            f"Delete or rename it"
+        )
+
+
+def digest(value: Any, length: int = 10) -> str:
+    """A short stable hash of plain data."""
+    text = json.dumps(value, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()[:length]
+
+
+def controller_of(item: Object) -> Object | None:
+    """The owner reference of the object's controller."""
+    for owner in item["metadata"].get("ownerReferences") or []:
+        if owner.get("controller"):
+            found: Object = owner
+            return found
+    return None
+
+
+def owned_by(item: Object, uid: str) -> bool:
+    """Whether an object's controller is the one with that UID."""
+    owner = controller_of(item)
+    return owner is not None and owner.get("uid") == uid
+
+
+def stamped(body: Object) -> Object:
+    """The object with the hash of itself in an annotation."""
+    metadata = body["metadata"]
+    annotations = {**(metadata.get("annotations") or {}), APPLIED: digest(body)}
+    return {**body, "metadata": {**metadata, "annotations": annotations}}
+
+
+def differences(live: Any, desired: Any, path: str = "") -> list[str]:
+    """Paths where the live object lacks what is desired; what only the live one has (defaults, status) is none.
+
+    The API server leaves out what is empty, so that counts as there.
+    """
+    if live is None and not desired:
+        return []
+    if isinstance(desired, dict):
+        if not isinstance(live, dict):
+            return [path] if desired else []
+        return [found for key in desired for found in differences(live.get(key), desired[key], f"{path}.{key}")]
+    if isinstance(desired, list):
+        if not isinstance(live, list) or len(live) != len(desired):
+            return [path] if desired or live else []
+        return [
+            found
+            for i, (a, b) in enumerate(zip(live, desired, strict=True))
+            for found in differences(a, b, f"{path}[{i}]")
+        ]
+    return [] if live == desired else [path]
+
+
+async def establish(client: Client, resource: Resource, namespace: str, body: Object, *, manager: str) -> Object:
+    """Create by server-side apply an object that should not exist yet, or take over one that has our owner already.
+
+    Raises Taken where it exists with another controller, ApiError.
+    """
+    name = body["metadata"]["name"]
+    live = await client.find(resource, namespace, name)
+    if live is None:
+        path = resource.path(namespace, name)
+        # not forced: if another's object appears between the look and the write, fields in conflict are refused
+        return await client.request("PATCH", path, params={"fieldManager": manager}, body=body, content_type=APPLY)
+    refuse_foreign(live, body)
+    return await overwrite(client, resource, namespace, body, live=live, manager=manager)
+
+
+async def overwrite(
+    client: Client, resource: Resource, namespace: str, body: Object, *, live: Object, manager: str
+) -> Object:
+    """Apply over a live object that is ours: exactly that one, not a later one of its name. Raises ApiError."""
+    exact = {**body, "metadata": {**body["metadata"], "uid": live["metadata"]["uid"]}}
+    return await client.apply(resource, namespace, exact, manager=manager)
+
+
+async def create(client: Client, resource: Resource, namespace: str, body: Object) -> Object:
+    """Create an object, or find it as an earlier attempt of ours left it.
+
+    Raises Taken where it exists with another controller, ApiError.
+    """
+    try:
+        return await client.create(resource, namespace, body)
+    except ApiError as error:
+        if error.reason != "AlreadyExists":
+            raise
+    live = await client.get(resource, namespace, body["metadata"]["name"])
+    refuse_foreign(live, body)
+    return live
+
+
+async def delete_exactly(client: Client, resource: Resource, item: Object) -> None:
+    """Delete an object only if nothing has changed it since it was read.
+
+    A pod of a shared pool may be claimed in that very moment, and a claimed pod must not be deleted. Raises ApiError:
+    409 when it has changed.
+    """
+    metadata = item["metadata"]
+    options = {
+        "kind": "DeleteOptions",
+        "apiVersion": "v1",
+        "propagationPolicy": "Background",
+        "preconditions": {"uid": metadata["uid"], "resourceVersion": metadata["resourceVersion"]},
+    }
+    try:
+        await client.request("DELETE", resource.path(metadata["namespace"], metadata["name"]), body=options)
+    except ApiError as error:
+        if not error.not_found:
+            raise
+
+
+def same_controller(live: Object, body: Object) -> bool:
+    """Whether the live object has the desired one's controller, or the desired one has none."""
+    desired = controller_of(body)
+    return desired is None or owned_by(live, desired["uid"])
+
+
+def _of_nobody(live: Object, body: Object) -> bool:
+    """Whether both have no controller, and the live object has our labels of the desired one."""
+    if controller_of(live) is not None or controller_of(body) is not None:
+        return False
+    labels = live["metadata"].get("labels") or {}
+    wanted = body["metadata"].get("labels") or {}
+    return all(labels.get(key) == value for key, value in wanted.items() if key.startswith(f"{GROUP}/"))
+
+
+def refuse_foreign(live: Object, body: Object) -> None:
+    """Raise Taken unless the live object has the same controller as the desired one, or is ours and has none as well."""
+    if not (_of_nobody(live, body) if controller_of(body) is None else same_controller(live, body)):
+        found = controller_of(live)
+        owner = f"{found['kind']} {found['name']}" if found else "nobody of ours"
+        metadata = live["metadata"]
+        raise Taken(body.get("kind", "object"), metadata.get("namespace", ""), metadata["name"], owner)

@@ -1,0 +1,145 @@
+"""Claiming a pod of a shared pool: one optimistic write that exactly one workload can win."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import time
+from collections.abc import Awaitable, Callable
+from typing import TypeVar
+
+import aiohttp
+
+from understudy.api import names
+from understudy.api.base import API_VERSION
+from understudy.kube.client import JSON, PODS, ApiError, Client, Object
+
+RETRY_FIRST, RETRY_MOST = 0.05, 1.0  # seconds
+
+PARTS = 16
+"""Of a shared pool's pods. Who needs one asks for one part: where a fleet's pool is large, all of it is a megabyte."""
+
+T = TypeVar("T")
+
+
+def part(key: str) -> str:
+    """The part of a pool that a pod belongs to, by its name, or that a workload asks for first, by its UID."""
+    return str(hashlib.sha256(key.encode()).digest()[0] % PARTS)
+
+
+async def claim(client: Client, pod: Object, *, workload: str, workload_uid: str, claim: str) -> Object:
+    """Make an unclaimed pod an instance of a workload, which from then on owns it.
+
+    Of a pod that was read whole, the write holds for that version only. One of which a table told just the name is claimed if it is
+    unclaimed and of its pool then.
+
+    A pod that has changed since it was read but is still unclaimed (the kubelet writes its status) is tried again. So is a
+    claim that got no answer, once it is known that it wasn't carried out: else the pod would belong to a workload that
+    doesn't know of it. Raises ApiError: 409 when another workload's claim was first, 404 when the pod is gone.
+    """
+    retry = RETRY_FIRST
+    while True:
+        whole = "resourceVersion" in pod["metadata"]
+        try:
+            return await (_write if whole else _test_and_write)(client, pod, workload, workload_uid, claim)
+        except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
+            changed = isinstance(error, ApiError) and error.status == (409 if whole else 422)
+            if not changed and not _unanswered(error):
+                raise
+            if not changed:
+                await asyncio.sleep(retry)
+                retry = min(2 * retry, RETRY_MOST)
+            fresh = await _reread(client, pod)
+            if (fresh["metadata"].get("annotations") or {}).get(names.CLAIM) == claim:
+                return fresh
+            if not unclaimed(fresh) or not _same(fresh, pod):
+                raise ApiError(409, "Conflict", f"pod {pod['metadata']['name']} isn't free any more") from error
+            pod = fresh
+
+
+def _unanswered(error: Exception) -> bool:
+    """Whether nobody knows if a request was carried out, or it is worth being sent again."""
+    return not isinstance(error, ApiError) or error.passing
+
+
+async def _reread(client: Client, pod: Object) -> Object:
+    """The pod as it is. Waits while the API server is away."""
+    return await answered(lambda: client.get(PODS, pod["metadata"]["namespace"], pod["metadata"]["name"]))
+
+
+async def answered(ask: Callable[[], Awaitable[T]]) -> T:
+    """What the API server says, asked until it does. Raises ApiError where it refuses."""
+    retry = RETRY_FIRST
+    while True:
+        try:
+            return await ask()
+        except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
+            if not _unanswered(error):
+                raise
+            await asyncio.sleep(retry)
+            retry = min(2 * retry, RETRY_MOST)
+
+
+def unclaimed(pod: Object) -> bool:
+    """Whether a pod of a shared pool belongs to no workload and isn't being deleted."""
+    metadata = pod["metadata"]
+    return (metadata.get("labels") or {}).get(names.HELD) == "true" and not metadata.get("deletionTimestamp")
+
+
+def _same(fresh: Object, pod: Object) -> bool:
+    """Whether a pod that was read anew is the one that was meant."""
+    if "resourceVersion" in pod["metadata"]:
+        return bool(fresh["metadata"]["uid"] == pod["metadata"]["uid"])
+    return bool(pod["metadata"]["labels"].items() <= fresh["metadata"]["labels"].items())
+
+
+async def _write(client: Client, pod: Object, workload: str, workload_uid: str, claim: str) -> Object:
+    metadata = pod["metadata"]
+    body = {
+        "metadata": {
+            "uid": metadata["uid"],
+            "resourceVersion": metadata["resourceVersion"],
+            "labels": {names.HELD: None, names.WORKLOAD: workload},
+            "annotations": _annotations(claim),
+            "ownerReferences": [_owner(workload, workload_uid)],
+        }
+    }
+    return await client.patch(PODS, metadata["namespace"], metadata["name"], body)
+
+
+async def _test_and_write(client: Client, pod: Object, workload: str, workload_uid: str, claim: str) -> Object:
+    """By a JSON patch (RFC 6902), which the API server carries out whole, on the pod as it is then, or refuses with 422.
+
+    It also refuses where the pod has no annotations at all.
+    """
+    metadata = pod["metadata"]
+    body = [{"op": "test", "path": _path("labels", key), "value": value} for key, value in metadata["labels"].items()]
+    body.append({"op": "remove", "path": _path("labels", names.HELD)})
+    body.append({"op": "add", "path": _path("labels", names.WORKLOAD), "value": workload})
+    for key, value in _annotations(claim).items():
+        body.append({"op": "add", "path": _path("annotations", key), "value": value})
+    body.append({"op": "add", "path": _path("ownerReferences"), "value": [_owner(workload, workload_uid)]})
+    made = await client.patch(PODS, metadata["namespace"], metadata["name"], body, kind=JSON)
+    if made["metadata"].get("deletionTimestamp"):
+        raise ApiError(404, "NotFound", f"pod {metadata['name']} is being deleted")
+    return made
+
+
+def _path(*keys: str) -> str:
+    """A JSON pointer (RFC 6901) into an object's metadata."""
+    return "/".join(["/metadata", *(key.replace("~", "~0").replace("/", "~1") for key in keys)])
+
+
+def _annotations(claim: str) -> dict[str, str]:
+    return {names.CLAIM: claim, names.CLAIMED_AT: str(int(time.time()))}
+
+
+def _owner(workload: str, uid: str) -> Object:
+    return {
+        "apiVersion": API_VERSION,
+        "kind": "RobotWorkload",
+        "name": workload,
+        "uid": uid,
+        "controller": True,
+        "blockOwnerDeletion": False,
+    }

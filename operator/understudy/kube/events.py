@@ -1,0 +1,179 @@
+"""Kubernetes Events that count up instead of flooding.
+
+The same thing said again raises the count of its Event; many different messages for one reason become one Event; and
+what one object may cause is bounded by a token bucket (the rules of client-go's EventCorrelator). Events tell people
+what happened, they are never what anything depends on: no failure to write one is raised.
+"""
+
+from __future__ import annotations
+
+import logging
+import secrets
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import Any, Literal, TypeVar
+
+import aiohttp
+
+from understudy.kube.client import EVENTS, ApiError, Client, Object
+
+_logger = logging.getLogger(__name__)
+
+_K = TypeVar("_K")
+_V = TypeVar("_V")
+
+SIMILAR_MOST = 10
+"""Different messages of one reason for one object within SIMILAR_SECONDS, before they are told as one."""
+SIMILAR_SECONDS = 600.0
+BURST = 25.0
+"""Writes that one object may cause at once; afterwards one every REFILL_SECONDS."""
+REFILL_SECONDS = 60.0
+COUNT_SECONDS = 5.0
+"""A count is written at most this often; what comes between is counted and written later."""
+REMEMBERED_MOST = 4096
+MESSAGE_MOST = 1024
+"""Longest message the API server takes, in characters."""
+
+
+def reference(target: Mapping[str, Any]) -> Object:
+    """The ObjectReference of an object (or of a reference to one), as ``involvedObject`` wants it."""
+    if "metadata" not in target:
+        return dict(target)
+    metadata = target["metadata"]
+    found = {
+        "apiVersion": target.get("apiVersion", ""),
+        "kind": target.get("kind", ""),
+        "name": metadata["name"],
+        "namespace": metadata.get("namespace", ""),
+        "uid": metadata.get("uid", ""),
+    }
+    return {key: value for key, value in found.items() if value}
+
+
+@dataclass
+class _Told:
+    name: str = ""
+    first: str = ""
+    count: int = 0
+    written: float = float("-inf")
+
+
+@dataclass
+class _Similar:
+    since: float
+    messages: set[str] = field(default_factory=set)
+
+
+@dataclass
+class _Bucket:
+    tokens: float
+    at: float
+
+
+class Recorder:
+    """Writes Events as one component."""
+
+    def __init__(
+        self, client: Client, component: str, instance: str, *, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        """``component`` is such as ``understudy-operator``, ``instance`` the pod that reports."""
+        self._client, self._component, self._instance, self._clock = client, component, instance, clock
+        self._told: OrderedDict[tuple[str, ...], _Told] = OrderedDict()
+        self._similar: OrderedDict[tuple[str, ...], _Similar] = OrderedDict()
+        self._buckets: OrderedDict[str, _Bucket] = OrderedDict()
+
+    async def warning(self, target: Mapping[str, Any], reason: str, message: str) -> None:
+        """Tell of something that needs attention, about an object or an ObjectReference."""
+        await self._tell(reference(target), "Warning", reason, message)
+
+    async def normal(self, target: Mapping[str, Any], reason: str, message: str) -> None:
+        """Tell of something in order, about an object or an ObjectReference."""
+        await self._tell(reference(target), "Normal", reason, message)
+
+    async def _tell(self, about: Object, kind: Literal["Warning", "Normal"], reason: str, message: str) -> None:
+        now = self._clock()
+        message = message if len(message) <= MESSAGE_MOST else message[: MESSAGE_MOST - 1] + "…"
+        subject = (about.get("uid", ""), about.get("namespace", ""), about.get("kind", ""), about.get("name", ""))
+        common = (*subject, kind, reason)
+        if self._too_many(common, message, now):
+            key: tuple[str, ...] = common
+            message = f"(combined from similar events) {message}"[:MESSAGE_MOST]
+        else:
+            key = (*common, message)
+        told = _remember(self._told, key, _Told)
+        told.count += 1
+        if now - told.written < COUNT_SECONDS or not self._allowed("/".join(subject), now):
+            return
+        told.written = now
+        try:
+            await self._write(told, about, kind, reason, message)
+        except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
+            _logger.info("event %s about %s %s not written: %s", reason, subject[2], subject[3], error)
+
+    def _too_many(self, common: tuple[str, ...], message: str, now: float) -> bool:
+        similar = _remember(self._similar, common, lambda: _Similar(now))
+        if now - similar.since > SIMILAR_SECONDS:
+            similar.since, similar.messages = now, set()
+        if message in similar.messages:
+            return False
+        if len(similar.messages) >= SIMILAR_MOST:
+            return True
+        similar.messages.add(message)
+        return False
+
+    def _allowed(self, subject: str, now: float) -> bool:
+        bucket = _remember(self._buckets, subject, lambda: _Bucket(BURST, now))
+        bucket.tokens = min(BURST, bucket.tokens + (now - bucket.at) / REFILL_SECONDS)
+        bucket.at = now
+        if bucket.tokens < 1:
+            return False
+        bucket.tokens -= 1
+        return True
+
+    async def _write(self, told: _Told, about: Object, kind: str, reason: str, message: str) -> None:
+        namespace = about.get("namespace") or "default"
+        stamp = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+        if told.name:
+            change = {"count": told.count, "lastTimestamp": stamp, "message": message}
+            try:
+                await self._client.patch(EVENTS, namespace, told.name, change)
+                return
+            except ApiError as error:
+                if not error.not_found:
+                    raise
+            told.count = 1  # the API server forgets events after an hour: this is a new one
+        told.name, told.first = f"{about['name']}.{time.time_ns():x}{secrets.token_hex(2)}", stamp
+        try:
+            await self._client.create(EVENTS, namespace, self._event(told, about, namespace, kind, reason, message))
+        except BaseException:
+            told.name = ""
+            raise
+
+    def _event(self, told: _Told, about: Object, namespace: str, kind: str, reason: str, message: str) -> Object:
+        return {
+            "apiVersion": "v1",
+            "kind": "Event",
+            "metadata": {"name": told.name, "namespace": namespace},
+            "involvedObject": about,
+            "type": kind,
+            "reason": reason,
+            "message": message,
+            "count": told.count,
+            "firstTimestamp": told.first,
+            "lastTimestamp": told.first,
+            "source": {"component": self._component},
+            "reportingComponent": self._component,
+            "reportingInstance": self._instance[:128],
+        }
+
+
+def _remember(known: OrderedDict[_K, _V], key: _K, make: Callable[[], _V]) -> _V:
+    if key not in known:
+        known[key] = make()
+        if len(known) > REMEMBERED_MOST:
+            known.popitem(last=False)
+    known.move_to_end(key)
+    return known[key]

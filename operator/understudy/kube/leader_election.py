@@ -1,0 +1,177 @@
+"""Leader election by a ``coordination.k8s.io`` Lease, so that of two operators one acts.
+
+Expiry is judged by how long the lease's record was seen unchanged on the own clock, never by comparing clocks of two
+machines (as client-go's leaderelection does). A holder that can't renew in time gives up before another may take over;
+the caller then ends the process, since nothing less stops every write that may be under way.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+import aiohttp
+
+from understudy.kube.client import LEASES, ApiError, Client, Object
+
+_logger = logging.getLogger(__name__)
+
+_FAILURES = (ApiError, aiohttp.ClientError, TimeoutError, OSError)
+
+
+class LeadershipLost(Exception):
+    """The lease could not be renewed in time, or another holds it: stop acting at once."""
+
+
+@dataclass(frozen=True)
+class Timing:
+    """When a lease is renewed, given up and taken over, in seconds; the defaults are those of Kubernetes' own parts."""
+
+    lasts: float = 15.0
+    """A lease unchanged for so long may be taken over."""
+
+    renew_within: float = 10.0
+    """A holder that couldn't renew for so long gives up; less than ``lasts``, to end before another begins."""
+
+    every: float = 2.0
+    """How often it is renewed or tried for."""
+
+
+class Lease:
+    """One candidate for a lease."""
+
+    def __init__(
+        self,
+        client: Client,
+        namespace: str,
+        name: str,
+        identity: str,
+        *,
+        timing: Timing | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._client, self._namespace, self._name, self._identity = client, namespace, name, identity
+        self._timing = timing or Timing()
+        self._clock = clock
+        self._record: tuple[str, str, int] | None = None
+        self._seen = 0.0
+        self._renewed: float | None = None
+
+    @property
+    def held(self) -> bool:
+        """Whether this candidate may act now: it renewed within ``renew_within``."""
+        return self._renewed is not None and self._clock() - self._renewed < self._timing.renew_within
+
+    async def acquire(self) -> None:
+        """Wait until the lease is ours."""
+        holder = None
+        while True:
+            try:
+                if await self._attempt():
+                    _logger.info("lease %s/%s is held by %s", self._namespace, self._name, self._identity)
+                    return
+                if self._record is not None and self._record[0] != holder:
+                    holder = self._record[0]
+                    _logger.info("lease %s/%s: waiting, it is held by %s", self._namespace, self._name, holder)
+            except _FAILURES as error:
+                _logger.warning("lease %s/%s: %s", self._namespace, self._name, error)
+            await asyncio.sleep(self._timing.every)
+
+    async def keep(self) -> None:
+        """Renew it for ever. Raises LeadershipLost when that fails for too long or another has taken it."""
+        while True:
+            await asyncio.sleep(self._timing.every)
+            assert self._renewed is not None, "acquire it first"
+            left = self._timing.renew_within - (self._clock() - self._renewed)
+            try:
+                async with asyncio.timeout(max(left, 0)):
+                    if not await self._attempt():
+                        raise LeadershipLost(f"lease {self._namespace}/{self._name} was taken over")
+            except _FAILURES as error:
+                _logger.warning("lease %s/%s could not be renewed: %s", self._namespace, self._name, error)
+            if not self.held:
+                raise LeadershipLost(
+                    f"lease {self._namespace}/{self._name} was not renewed for {self._timing.renew_within:g} s"
+                )
+
+    async def release(self) -> None:
+        """Let another have it at once. Only when nothing acts any more."""
+        if not self.held:
+            return
+        self._renewed = None
+        with contextlib.suppress(*_FAILURES):
+            lease = await self._client.get(LEASES, self._namespace, self._name)
+            if lease["spec"].get("holderIdentity") == self._identity:
+                await self._write(lease, holder="", lasts=1, transitions=lease["spec"].get("leaseTransitions") or 0)
+
+    async def _attempt(self) -> bool:
+        """Take or renew it if that is allowed; whether it is ours now."""
+        begun = self._clock()
+        lease = await self._client.find(LEASES, self._namespace, self._name)
+        if lease is None:
+            try:
+                await self._client.create(LEASES, self._namespace, self._new())
+            except ApiError as error:
+                if error.conflict:
+                    return False
+                raise
+            self._renewed = begun
+            return True
+        spec = lease.get("spec") or {}
+        holder = spec.get("holderIdentity") or ""
+        transitions = spec.get("leaseTransitions") or 0
+        record = (holder, spec.get("renewTime") or "", transitions)
+        if record != self._record:
+            self._record, self._seen = record, begun
+        lasts = float(spec.get("leaseDurationSeconds") or self._timing.lasts)
+        if holder not in ("", self._identity) and begun - self._seen < lasts:
+            return False
+        try:
+            await self._write(
+                lease,
+                holder=self._identity,
+                lasts=self._timing.lasts,
+                transitions=transitions + (holder != self._identity),
+            )
+        except ApiError as error:
+            if error.conflict:  # another candidate was first; the next attempt sees its record
+                return False
+            raise
+        self._renewed = begun
+        return True
+
+    async def _write(self, lease: Object, *, holder: str, lasts: float, transitions: int) -> None:
+        spec: Object = {
+            "holderIdentity": holder,
+            "leaseDurationSeconds": max(1, round(lasts)),
+            "renewTime": _now(),
+            "leaseTransitions": transitions,
+        }
+        if holder != (lease.get("spec") or {}).get("holderIdentity"):
+            spec["acquireTime"] = spec["renewTime"]
+        version = lease["metadata"]["resourceVersion"]
+        body = {"metadata": {"resourceVersion": version}, "spec": spec}
+        await self._client.patch(LEASES, self._namespace, self._name, body)
+
+    def _new(self) -> Object:
+        return {
+            "apiVersion": "coordination.k8s.io/v1",
+            "kind": "Lease",
+            "metadata": {"name": self._name, "namespace": self._namespace},
+            "spec": {
+                "holderIdentity": self._identity,
+                "leaseDurationSeconds": max(1, round(self._timing.lasts)),
+                "acquireTime": _now(),
+                "renewTime": _now(),
+                "leaseTransitions": 0,
+            },
+        }
+
+
+def _now() -> str:
+    return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S.%fZ")

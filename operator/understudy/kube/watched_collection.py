@@ -1,0 +1,151 @@
+"""A local copy of a collection, kept by list and watch, so that the fast path never has to ask.
+
+What a write of ours returned is put into it too, and comes before or after what the watch tells of it. Versions decide
+which of the two is newer (they are comparable within a resource, KEP-5504).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+from collections.abc import Awaitable, Callable, Iterable
+from typing import Protocol
+
+import aiohttp
+
+from understudy.kube.client import ApiError, Client, Expired, Object, Resource
+
+_logger = logging.getLogger(__name__)
+
+RETRY_FIRST, RETRY_MOST = 0.2, 5.0  # seconds
+
+
+class Reflector:
+    """Objects of one resource by name, as the API server last told."""
+
+    def __init__(
+        self,
+        client: Client,
+        resource: Resource,
+        namespace: str,
+        *,
+        labels: str | None = None,
+        fields: str | None = None,
+        cached: bool = False,
+        on_change: Callable[[], None] | None = None,
+    ) -> None:
+        """``on_change`` is called whenever an object is new, changed or gone. ``cached`` is how it's listed."""
+        self._client, self._resource, self._namespace = client, resource, namespace
+        self._labels, self._fields, self._cached = labels, fields, cached
+        self._on_change = on_change
+        self._changed = asyncio.Event()
+        self._told = 0
+        """The version up to which the last list and the watch have told everything."""
+        self.items: dict[str, Object] = {}
+        self.revision = 0
+        """Grows with every change, for caches of what is made of the objects."""
+        self.synced = asyncio.Event()
+
+    async def run(self) -> None:
+        """List and watch until cancelled, through every error."""
+        retry = RETRY_FIRST
+        while True:
+            try:
+                version = await self._relist()
+                retry = RETRY_FIRST
+                while True:
+                    version = await self._follow(version)
+            except Expired:
+                continue
+            except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
+                level = logging.DEBUG if retry == RETRY_FIRST else logging.WARNING
+                _logger.log(level, "watching %s in %s: %s", self._resource.plural, self._namespace, error)
+                await asyncio.sleep(retry)
+                retry = min(retry * 2, RETRY_MOST)
+
+    async def _relist(self) -> str:
+        before = dict(self.items)
+        answer = await self._client.list(
+            self._resource, self._namespace, labels=self._labels, fields=self._fields, cached=self._cached
+        )
+        version: str = answer["metadata"]["resourceVersion"]
+        self._told = version_of(answer)
+        fresh = {item["metadata"]["name"]: item for item in answer.get("items") or []}
+        # What was put while the list was under way may be newer than it.
+        newer = {n for n, i in self.items.items() if before.get(n) is not i and version_of(i) > self._told}
+        for name in [n for n in self.items if n not in fresh and n not in newer]:
+            self._set(name, None)
+        for name, item in fresh.items():
+            known = self.items.get(name, {}).get("metadata", {}).get("resourceVersion")
+            if name not in newer and known != item["metadata"]["resourceVersion"]:
+                self._set(name, item)
+        self.synced.set()
+        self._notify()
+        return version
+
+    async def _follow(self, version: str) -> str:
+        events = self._client.watch(
+            self._resource, self._namespace, version=version, labels=self._labels, fields=self._fields
+        )
+        async with contextlib.aclosing(events):  # type: ignore[type-var]
+            async for kind, item in events:
+                version = item["metadata"]["resourceVersion"]
+                self._told = max(self._told, version_of(item))
+                if kind == "BOOKMARK" or version_of(self.items.get(item["metadata"]["name"])) > version_of(item):
+                    continue
+                self._set(item["metadata"]["name"], None if kind == "DELETED" else item)
+                self._notify()
+        return version
+
+    def put(self, item: Object) -> None:
+        """Take in an object that a write of ours returned, unless the watch told of it already: maybe that it's gone."""
+        name = item["metadata"]["name"]
+        known = self.items.get(name)
+        if known is not None and version_of(known) >= version_of(item):
+            return
+        if 0 < version_of(item) <= self._told:
+            return
+        self._set(name, item)
+        self._notify()
+
+    def _set(self, name: str, item: Object | None) -> None:
+        old = self.items.pop(name, None)
+        if item is not None:
+            self.items[name] = item
+        if item is None and old is None:
+            return
+        self.revision += 1
+        if self._on_change is not None:
+            self._on_change()
+
+    def _notify(self) -> None:
+        self._changed.set()
+        self._changed = asyncio.Event()
+
+    def changed(self) -> Awaitable[object]:
+        """What ends with the next change from now on, also with one that comes before it is waited for."""
+        return self._changed.wait()
+
+
+class Changing(Protocol):
+    """What may become another."""
+
+    def changed(self) -> Awaitable[object]:
+        """What ends with the next change."""
+
+
+async def any_changed(sources: Iterable[Changing]) -> None:
+    """Wait until the first of these changes."""
+    waits = [asyncio.ensure_future(source.changed()) for source in sources]
+    try:
+        await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        for task in waits:
+            task.cancel()
+
+
+def version_of(item: Object | None) -> int:
+    """The version of an object, or of a list; 0 where there is none or it isn't a number."""
+    text = item["metadata"].get("resourceVersion", "0") if item is not None else "0"
+    return int(text) if text.isdigit() else 0

@@ -1,0 +1,211 @@
+"""The monitor's end of the task proxy: tells it who is in control, and reports how the tasks are doing.
+
+The proxy is a process of its own beside this one, and goes on while this one is away.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from understudy.api import names
+from understudy.api.base import seconds
+from understudy.api.kinds.robot_workload import RobotWorkloadSpec
+from understudy.api.kinds.task_spec import TaskStatus
+from understudy.failover.interfaces import GateState, Instance
+from understudy.monitor.act.gate_control import PolicyGate
+from understudy.monitor.act.pod_control import Fleet
+from understudy.monitor.observe.agent_connections import Sidecars
+from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.report.reporter import Reporter
+
+_logger = logging.getLogger(__name__)
+
+LOOK = 0.25
+"""Most seconds between two looks at what is so; a change of the gate or of a pod is noticed at once."""
+
+RETRY = 0.2
+"""Seconds before connecting to the proxy is tried again."""
+
+PATIENCE = 30.0
+"""Seconds after which a proxy that can't be reached is reported."""
+
+MOST = 1 << 20
+"""Bytes of one line."""
+
+CONDITION = "TasksProxied"
+
+
+class TaskLink:
+    """Keeps the proxy informed until cancelled."""
+
+    def __init__(
+        self, socket: Path, view: View, fleet: Fleet, gate: PolicyGate, sidecars: Sidecars, reporter: Reporter
+    ) -> None:
+        """``socket`` is the proxy's."""
+        self._socket = socket
+        self._view, self._fleet, self._gate = view, fleet, gate
+        self._sidecars, self._reporter = sidecars, reporter
+
+    async def run(self) -> None:
+        """Connect, tell, listen; again and again."""
+        away_since = time.monotonic()
+        while True:
+            spec = self._view.spec
+            if spec is None or not spec.tasks or spec.workload_ref is not None:
+                self._say_without(spec)
+                away_since = time.monotonic()
+                await asyncio.sleep(1.0)
+                continue
+            try:
+                reader, writer = await asyncio.open_unix_connection(self._socket, limit=MOST)
+            except OSError as error:
+                if time.monotonic() - away_since > PATIENCE:
+                    words = f"The task proxy (container {names.TASKS_CONTAINER} of this pod) can't be reached: {error}"
+                    self._say("False", "ProxyNotReady", words)
+                await asyncio.sleep(RETRY)
+                continue
+            try:
+                async with asyncio.TaskGroup() as group:
+                    telling = group.create_task(self._tell(writer))
+                    await self._listen(reader)
+                    telling.cancel()
+            except* OSError as group_error:
+                _logger.info("the task proxy is gone: %s", group_error.exceptions[0])
+            except* (ValueError, KeyError, TypeError) as group_error:
+                _logger.error("the task proxy said what can't be understood: %r", group_error.exceptions[0])
+            except* Exception:
+                # Whatever it is, it must not end the monitor.
+                _logger.exception("speaking with the task proxy")
+            finally:
+                writer.close()
+            away_since = time.monotonic()
+            await asyncio.sleep(RETRY)
+
+    async def _tell(self, writer: asyncio.StreamWriter) -> None:
+        told: dict[str, Any] | None = None
+        while True:
+            changes = [asyncio.ensure_future(source.changed()) for source in (self._view.gates, self._view.pods)]
+            try:
+                spec = self._view.spec
+                if spec is not None and (present := await self._situation(spec)) != told:
+                    told = present
+                    writer.write(json.dumps({"situation": present}).encode() + b"\n")
+                    await writer.drain()
+                await asyncio.wait(changes, timeout=LOOK, return_when=asyncio.FIRST_COMPLETED)
+            finally:
+                for change in changes:
+                    change.cancel()
+
+    async def _listen(self, reader: asyncio.StreamReader) -> None:
+        while line := await reader.readline():
+            self._report(json.loads(line)["report"])
+
+    async def _situation(self, spec: RobotWorkloadSpec) -> dict[str, Any]:
+        """What is so, as the proxy's Situation has it on the wire."""
+        state = self._gate.state
+        settings = self._view.settings
+        full = {choice.name for choice in settings.pools if choice.readiness == "Executing"} if settings else set[str]()
+        peers = []
+        for instance in self._fleet.of_workload():
+            if not reachable(instance, state):
+                continue
+            token = await self._sidecars.token(instance)
+            if token is not None:
+                peers.append(
+                    {
+                        "uid": instance.uid,
+                        "pod": instance.name,
+                        "ip": instance.ip,
+                        "port": names.AGENT_PORT,
+                        "token": token.decode(),
+                        "claim": instance.claim,
+                        "executing": executing(instance, state, full),
+                    }
+                )
+        return {
+            "workload": self._view.workload,
+            "epoch": state.epoch,
+            "active": state.active_uid,
+            "settled": settled(self._reporter.health, self._fleet.find(state.active_uid)),
+            "rules": [
+                {
+                    "action": task.action,
+                    "type": task.type,
+                    "on_failover": task.on_failover,
+                    "abort_grace": seconds(task.abort_grace),
+                }
+                for task in spec.tasks
+            ],
+            "peers": peers,
+        }
+
+    def _report(self, report: Mapping[str, Any]) -> None:
+        tasks = report["tasks"]
+        try:
+            self._reporter.tasks(
+                [
+                    TaskStatus(
+                        action=task["action"], active=task["active"], resent=task["resent"], message=task["message"]
+                    )
+                    for task in tasks
+                ]
+            )
+        except ValidationError as error:
+            raise ValueError(str(error)) from error
+        self._say(*judged(tasks, self._problem))
+
+    @property
+    def _problem(self) -> str:
+        """What the operator found wrong with how the tasks are set up."""
+        return self._view.settings.tasks_problem if self._view.settings else ""
+
+    def _say_without(self, spec: RobotWorkloadSpec | None) -> None:
+        self._reporter.tasks([])
+        if spec is not None and spec.tasks and self._problem:
+            self._say("False", "NoAgent", self._problem)
+        else:
+            self._reporter.withdraw(CONDITION)
+
+    def _say(self, status: str, reason: str, message: str) -> None:
+        if self._reporter.condition(CONDITION, status, reason, message) and status == "False":
+            self._reporter.event("Warning", reason, message)
+
+
+def reachable(instance: Instance, state: GateState) -> bool:
+    """Whether the proxy can have goals at an instance: one that is being deleted only while it is in control."""
+    leaving = instance.terminating and instance.uid != state.active_uid
+    return instance.has_agent and bool(instance.ip) and instance.running and not instance.held and not leaving
+
+
+def executing(instance: Instance, state: GateState, full: set[str]) -> bool:
+    """Whether an instance is a standby that runs in full: of such a pool, or the controller's own where there is one."""
+    standby = instance.uid != state.active_uid and not instance.claim
+    return standby and (instance.pool in full or (instance.from_source and bool(full)))
+
+
+def settled(health: str, active: Instance | None) -> bool:
+    """Whether no failure is seen and no recovery under way."""
+    return health not in ("Failed", "Recovering") and active is not None and active.running and not active.leaving
+
+
+def judged(tasks: Sequence[Mapping[str, Any]], problem: str) -> tuple[str, str, str]:
+    """The condition: status, reason and message."""
+    messages = [f"{task['action']}: {task['message']}" for task in tasks if task["message"]]
+    if any("not installed" in message for message in messages):
+        return "False", "TypeNotInstalled", f"spec.tasks: {'. '.join(messages)}"
+    if problem:
+        return "False", "OwnProfiles", problem
+    if messages:
+        return "False", "GoalsNotSent", ". ".join(messages)
+    actions = ", ".join(task["action"] for task in tasks)
+    if not all(task["served"] for task in tasks):
+        return "Unknown", "Starting", f"The task proxy is about to serve {actions}."
+    return "True", "Serving", f"The task proxy serves {actions}."

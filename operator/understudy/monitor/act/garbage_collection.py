@@ -1,0 +1,92 @@
+"""Deletes what recoveries have left: pods that were claimed and that nobody brings up, and failed ones whose deletion failed.
+
+A claim may be carried out after its monitor has given it up, or has died together with its journal. Such a pod is of no
+use to anybody: it belongs to this workload, no recovery knows it, and no pool counts it. A failed one counts as a
+standby, and would keep its place.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+from collections.abc import Sequence
+
+import aiohttp
+
+from understudy.failover.interfaces import Instance
+from understudy.failover.progress import PodIdentity
+from understudy.kube.client import ApiError
+from understudy.monitor.act.gate_control import PolicyGate
+from understudy.monitor.act.pod_control import Fleet
+from understudy.monitor.report.reporter import Reporter
+
+_logger = logging.getLogger(__name__)
+
+LEFT_FOR = 30.0
+"""Seconds for which a claimed pod must not have been in control: another monitor of this workload may be bringing it up, while
+this one is about to be replaced by it.
+"""
+
+
+FAILED_FOR = 2.0
+"""Seconds after which a pod that has failed is deleted again: that it was deleted before may be seen only then."""
+
+
+class Leftovers:
+    """Pods of one workload that aren't in control, and of no use."""
+
+    def __init__(self, fleet: Fleet, gate: PolicyGate, reporter: Reporter) -> None:
+        self._fleet, self._gate, self._reporter = fleet, gate, reporter
+        self._since: dict[str, float] = {}
+        self._failed: dict[str, PodIdentity] = {}
+        """Pods that failed in the last recovery, or in one before, by UID."""
+        self._deleting: asyncio.Task[None] | None = None
+
+    def remember(self) -> None:
+        """Note the pods that failed in the recovery which the gate tells of: the next one may begin at once."""
+        recovery = self._gate.state.recovery
+        if recovery is not None:
+            self._failed |= {pod.uid: pod for pod in recovery.replaced}
+
+    def add(self, pod: PodIdentity) -> None:
+        """A pod that was begun with and isn't needed."""
+        self._failed[pod.uid] = pod
+
+    def failed(self) -> list[PodIdentity]:
+        """Pods that failed in earlier recoveries and are there still: the next one deletes them too, whoever finishes it."""
+        self.remember()
+        active = self._gate.state.active_uid
+        there = {i.uid for i in self._fleet.of_workload() if i.usable}
+        return [pod for uid, pod in self._failed.items() if uid in there and uid != active]
+
+    def housekeeping(self, instances: Sequence[Instance], now: float) -> None:
+        """Look at every instance while nothing is being recovered; ``now`` is by a clock that is never set. Returns at once."""
+        state = self._gate.state
+        in_use = (state.active_uid, state.admitted_uid)
+        self.remember()
+        there = {i.uid for i in instances if i.uid not in in_use}
+        self._failed = {uid: pod for uid, pod in self._failed.items() if uid in there}
+        left = [
+            i
+            for i in instances
+            if not i.terminating
+            and i.uid not in in_use
+            and not state.closed
+            and (i.claim or (i.uid in self._failed and i.usable))
+        ]
+        self._since = {i.uid: self._since.get(i.uid, now) for i in left}
+        due = [i for i in left if now - self._since[i.uid] >= (FAILED_FOR if i.uid in self._failed else LEFT_FOR)]
+        if due and (self._deleting is None or self._deleting.done()):
+            self._deleting = asyncio.create_task(self._delete(due))
+
+    async def _delete(self, due: Sequence[Instance]) -> None:
+        for instance in due:
+            with contextlib.suppress(ApiError, aiohttp.ClientError, TimeoutError, OSError):
+                # What was seen of the gate may be old.
+                if await self._gate.lets_through(instance):
+                    continue
+                await self._fleet.retire(instance)
+                _logger.warning("%s was left behind by a recovery: deleted", instance.name)
+                why = "has failed" if instance.uid in self._failed else "was claimed by a recovery that came to nothing"
+                self._reporter.event("Normal", "LeftoverDeleted", f"{instance.name} {why}: it is deleted")

@@ -1,0 +1,242 @@
+"""The gate as the failover protocol sees it: commits over the last known epoch, and packets as the proof."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import math
+import time
+
+import aiohttp
+from pydantic import ValidationError
+
+from understudy.api import names
+from understudy.failover.abandoned import GivenUp, ended
+from understudy.failover.interfaces import GateState, Instance, Superseded
+from understudy.failover.progress import Progress, beside
+from understudy.kube import claims
+from understudy.kube.client import NETWORK_POLICIES, ApiError, Client
+from understudy.kube.gates import network_policy
+from understudy.kube.gates.probes import ProbeReceiver
+from understudy.monitor.act.pod_control import Fleet
+from understudy.monitor.crash_points import CrashPoints
+from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.report import monitor_metrics
+
+_logger = logging.getLogger(__name__)
+
+RETRY_FIRST, RETRY_MOST = 0.05, 1.0  # seconds
+
+WAKING = 15.0
+"""Seconds after its return for which a refusal of an API server isn't final: it may not know the roles again yet."""
+
+
+class PolicyGate:
+    """Implements :class:`understudy.failover.interfaces.Gate` with the workload's NetworkPolicy."""
+
+    def __init__(
+        self, client: Client, view: View, fleet: Fleet, probes: ProbeReceiver, crash_points: CrashPoints
+    ) -> None:
+        self._client, self._view, self._fleet, self._probes = client, view, fleet, probes
+        self._crash_points = crash_points
+        self._cached: tuple[int, GateState] = (-1, GateState())
+        self._own: tuple[str, int, str] = ("", 0, "")
+        """The recovery that committed last from here: its id, the epoch of that, and the text that was sent along."""
+
+    @property
+    def record(self) -> network_policy.GateRecord | None:
+        """What it says, as last seen or committed; None where there is none."""
+        policy = self._view.gates.items.get(names.gate(self._view.workload))
+        return network_policy.read(policy) if policy else None
+
+    @property
+    def exists(self) -> bool:
+        """Whether the operator has made it (and nobody has deleted it)."""
+        return self.record is not None
+
+    @property
+    def state(self) -> GateState:
+        """As last seen or committed."""
+        if self._cached[0] != self._view.gates.revision:
+            self._cached = (self._view.gates.revision, self._read())
+        return self._cached[1]
+
+    def _read(self) -> GateState:
+        record = self.record
+        if record is None:
+            return GateState()
+        recovery = None
+        if record.recovery:
+            try:
+                recovery = Progress.model_validate_json(record.recovery)
+            except ValidationError as error:
+                _logger.warning("the gate's recovery annotation can't be read: %s", error)
+        return GateState(
+            epoch=record.epoch,
+            active=record.active,
+            active_uid=record.active_uid,
+            recovery=recovery,
+            admitted=record.admitted,
+            admitted_uid=record.admitted_uid,
+        )
+
+    async def commit(self, target: Instance | None, progress: Progress | None) -> GateState:
+        """Open it for one instance, or close it, at the next epoch. Raises Superseded, also where somebody else has committed since the
+        recovery did, or names another pod than the recovery is about.
+        """
+        begun = self.record
+        if begun is None:
+            raise Superseded(f"NetworkPolicy {names.gate(self._view.workload)} is gone")
+        self._still_ours(begun, progress)
+        if (instance := target) is not None:
+            await claims.answered(lambda: self._fleet.label(instance))
+        record, retry, away = begun, RETRY_FIRST, -math.inf
+        name, uid = (target.name, target.uid) if target else ("", "")
+        self._crash_points.step("before commit")
+        recovery = progress.model_copy(update={"epoch": begun.epoch + 1}).model_dump_json() if progress else ""
+        waits_for = progress.waiting.pool if progress is not None and progress.waiting is not None else ""
+        if progress is not None:
+            self._own = (progress.id, begun.epoch, recovery)
+        asked = time.monotonic()
+        while True:
+            try:
+                policy = await network_policy.commit(
+                    self._client,
+                    self._view.namespace,
+                    self._view.workload,
+                    over=record,
+                    active=name,
+                    active_uid=uid,
+                    recovery=recovery,
+                    waits_for=waits_for,
+                )
+                break
+            except ApiError as error:
+                waking = error.status in (401, 403) and time.monotonic() - away < WAKING
+                if error.status < 500 and error.status not in (409, 429) and not waking:
+                    raise
+                _logger.warning("committing the gate: %s", error)
+                if waking:
+                    await asyncio.sleep(RETRY_FIRST)
+            except (aiohttp.ClientError, TimeoutError, OSError) as error:
+                _logger.warning("committing the gate, the API server is away: %r", error)
+                away = time.monotonic()
+                await asyncio.sleep(retry)
+                retry = min(2 * retry, RETRY_MOST)
+            record = await self._reread(begun, uid, recovery) or record
+            if record.epoch > begun.epoch:
+                self._own = (self._own[0], record.epoch, recovery)
+                return self.state
+        monitor_metrics.committed(time.monotonic() - asked)
+        self._view.gates.put(policy)
+        self._own = (self._own[0], begun.epoch + 1, recovery)
+        self._crash_points.step("after commit")
+        return self.state
+
+    def _still_ours(self, begun: network_policy.GateRecord, progress: Progress | None) -> None:
+        """Raise Superseded where a recovery under way would undo what somebody else has done: another monitor, or who fences by hand.
+
+        Of what isn't gone on with, only the record is kept: whoever opens the gate then does so over anything.
+        """
+        if progress is None or progress.result != "Running":
+            return
+        id_, epoch, sent = self._own
+        if id_ == progress.id:
+            # A commit that nobody answered may have been carried out. What was sent stands beside the gate too where somebody has closed it
+            # since, and left the rest as it was.
+            carried_out = begun.recovery == sent and (tells := beside(sent)) is not None and begun.epoch == tells.epoch
+            if begun.epoch != epoch and not carried_out:
+                raise Superseded(f"the gate is at epoch {begun.epoch} by another writer, this recovery knew {epoch}")
+            return
+        about = [*progress.failed, progress.target, progress.former, progress.taken_over]
+        if begun.active_uid and begun.active_uid not in {pod.uid for pod in about if pod is not None}:
+            raise Superseded(f"the gate names {begun.active} by another writer, which this recovery isn't about")
+
+    async def admit(self, standby: Instance | None) -> bool:
+        """Let a standby through beside the pod in control, or none; whether that was written.
+
+        It is tried once: a commit matters more and may be waiting, and what is wanted is looked at again anyway.
+        """
+        record = self.record
+        if record is None or not record.active:
+            return False
+        name, uid = (standby.name, standby.uid) if standby else ("", "")
+        try:
+            if standby is not None:
+                await self._fleet.label(standby)
+            policy = await network_policy.admit(
+                self._client,
+                self._view.namespace,
+                self._view.workload,
+                over=record,
+                admitted=name,
+                admitted_uid=uid,
+            )
+        except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
+            _logger.warning("letting %s through the gate: %r", name or "no standby", error)
+            return False
+        self._view.gates.put(policy)
+        return True
+
+    def left_by(self, recovery: str) -> GivenUp | None:
+        """What may stand beside it, now or later, of a recovery (its id) that isn't gone on with from here; None for nothing."""
+        id_, epoch, sent = self._own
+        if id_ == recovery:
+            return GivenUp(id=id_, epoch=epoch, sent=sent)
+        record = self.record
+        found = beside(record.recovery) if record is not None else None
+        if record is None or found is None or found.id != recovery:
+            return None
+        return GivenUp(id=recovery, epoch=record.epoch, sent=record.recovery)
+
+    async def end_recovery(self, over: network_policy.GateRecord) -> None:
+        """Say that nobody goes on with the recovery that this record tells of, if that is still what it says.
+
+        It is tried once, as :meth:`admit` is, and for the same reason.
+        """
+        found = beside(over.recovery)
+        if found is None:
+            return
+        try:
+            policy = await network_policy.end_recovery(
+                self._client,
+                self._view.namespace,
+                self._view.workload,
+                over=over,
+                recovery=ended(found).model_dump_json(),
+            )
+        except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
+            _logger.warning("saying beside the gate that recovery %s isn't gone on with: %r", found.id, error)
+            return
+        _logger.info("beside the gate it is said that recovery %s isn't gone on with", found.id)
+        self._view.gates.put(policy)
+
+    async def _reread(
+        self, begun: network_policy.GateRecord, uid: str, recovery: str
+    ) -> network_policy.GateRecord | None:
+        """The gate as it is, after a refused or unanswered commit; our own commit may have been carried out."""
+        try:
+            policy = await self._client.get(NETWORK_POLICIES, self._view.namespace, names.gate(self._view.workload))
+        except (ApiError, aiohttp.ClientError, TimeoutError, OSError):
+            return None
+        record = network_policy.read(policy)
+        ours = record.epoch == begun.epoch + 1 and record.active_uid == uid and record.recovery == recovery
+        if record.epoch != begun.epoch and not ours:
+            self._view.gates.put(policy)
+            raise Superseded(f"the gate is at epoch {record.epoch} by another writer, this monitor knew {begun.epoch}")
+        self._view.gates.put(policy)
+        return record
+
+    async def lets_through(self, instance: Instance) -> bool:
+        """Whether it lets an instance through as the API server has it now. Raises what a request raises."""
+        policy = await self._client.get(NETWORK_POLICIES, self._view.namespace, names.gate(self._view.workload))
+        record = network_policy.read(policy)
+        return instance.uid in (record.active_uid, record.admitted_uid)
+
+    async def enforced(self, target: Instance, *, since: float) -> float:
+        """Wait until a probe of the instance gets through; when the first one did, in unix seconds."""
+        return await self._probes.wait(target.uid, since)
+
+    def last_packet(self, uid: str) -> float | None:
+        """When a probe of a pod last got through, in unix seconds."""
+        return self._probes.last(uid)

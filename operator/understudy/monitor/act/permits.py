@@ -1,0 +1,254 @@
+"""What becomes of an instance that was cut off and is held by its agent (agent/permit.py), and who may show that one isn't.
+
+Once it is connected again the policies on its node may be those of before for a while, so its agent doesn't let it go on
+before it has heard from here that it still drives, or stands by.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import ipaddress
+import logging
+import time
+from collections.abc import Callable, Collection, Sequence
+from datetime import UTC, datetime
+from functools import partial
+from typing import Any, Literal
+
+import aiohttp
+
+from understudy.api import names
+from understudy.api.kinds.robot_workload import RobotWorkloadSpec
+from understudy.failover.interfaces import GateState, Instance
+from understudy.failover.progress import Progress
+from understudy.kube.agent_client import AgentGone, AgentRefused
+from understudy.kube.client import PODS, ApiError, Client, Object
+from understudy.monitor.act.gate_control import PolicyGate
+from understudy.monitor.act.pod_control import Fleet
+from understudy.monitor.observe.agent_connections import Sidecars
+from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.health_observer import Sight
+from understudy.monitor.report.reporter import Reporter
+from understudy.ros.dds.sample_sources import HOST, VENDOR, host_id
+
+_logger = logging.getLogger(__name__)
+
+REFRESH = 10.0
+"""Seconds between two looks at who is there to answer an instance."""
+
+PERIOD = 1.0
+"""Seconds between two looks at the instances where none of them says anything."""
+
+REMEMBERED = 1000
+"""Pods that were replaced, of which it is still known."""
+
+SAY_AGAIN = 0.5
+"""Seconds after which a word that wasn't followed is said again."""
+
+CATCH_UP = 1.0
+"""Seconds that the node of an instance that is connected again has to learn of the policies of now. One that isn't in control hears what
+becomes of it only then: by an old policy it might be let through, and be the robot's choice.
+"""
+
+MOST_OTHERS = 3
+"""Pods beside the robots that an agent is told of; each is on another node than the instance."""
+
+Word = Literal["Go", "Stay"]
+
+
+def word(instance: Instance, state: GateState, replaced: Collection[str], recovering: Progress | None) -> Word:
+    """What becomes of an instance that was cut off.
+
+    ``replaced`` has the UIDs of the pods that failed in earlier recoveries. While one is under way the instance in control is
+    that until the gate says otherwise; but where the robot follows a standby already, it mustn't take the robot back.
+    """
+    failed = {pod.uid for pod in recovering.failed} if recovering is not None else set()
+    if instance.terminating:
+        return "Stay"
+    if instance.uid == state.active_uid:
+        lost = recovering is not None and recovering.taken_over is not None and instance.uid in failed
+        return "Stay" if lost else "Go"
+    return "Stay" if instance.uid in failed or instance.uid in replaced else "Go"
+
+
+def witnesses(
+    instance: Instance, pods: Sequence[Object], *, workload: str, readers: Collection[bytes], robots: Sequence[str]
+) -> list[str]:
+    """Addresses that show an instance that it isn't cut off, where one of them answers.
+
+    First the robots, wherever they are, since who reaches its robot may drive it: pods on whose hosts (the first four bytes
+    of a GID) there are readers of its outputs, and single addresses outside the cluster (CIDRs). Then pods on other nodes.
+    Those of its own workload answer to none of each other, and its monitor it knows.
+    """
+    found = [str(net.network_address) for net in map(ipaddress.ip_network, robots) if net.num_addresses == 1]
+    node = next((_node(pod) for pod in pods if pod["metadata"]["uid"] == instance.uid), "")
+    others: dict[str, str] = {}
+    for pod in sorted(pods, key=lambda pod: (pod["metadata"].get("creationTimestamp") or "", pod["metadata"]["name"])):
+        labels, ip = pod["metadata"].get("labels") or {}, pod.get("status", {}).get("podIP", "")
+        if not ip or pod["status"].get("phase") != "Running" or pod["metadata"].get("deletionTimestamp"):
+            continue
+        if workload in (labels.get(names.WORKLOAD), labels.get(names.MONITORED)) or labels.get(names.HELD) == "true":
+            continue
+        if _host(ip) in readers:
+            found.append(ip)
+        elif node and _node(pod) != node and not pod["spec"].get("hostNetwork"):
+            others.setdefault(ip, _node(pod))
+    return list(dict.fromkeys([*found, *_apart(others)]))
+
+
+def _apart(others: dict[str, str]) -> list[str]:
+    """Some of these addresses, of as many nodes as possible."""
+    first = {node: ip for ip, node in reversed(others.items())}
+    return [*first.values(), *(ip for ip in others if ip not in first.values())][:MOST_OTHERS]
+
+
+def _node(pod: Object) -> str:
+    found: str = pod["spec"].get("nodeName") or ""
+    return found
+
+
+def _host(ip: str) -> bytes:
+    try:
+        return VENDOR + host_id(ip)
+    except ValueError:
+        return b""
+
+
+class Leases:
+    """Those of one workload; idle where its agents needn't hold anything."""
+
+    def __init__(
+        self,
+        client: Client,
+        view: View,
+        fleet: Fleet,
+        gate: PolicyGate,
+        sidecars: Sidecars,
+        sight: Sight,
+        reporter: Reporter,
+    ) -> None:
+        self._client, self._view, self._fleet, self._gate = client, view, fleet, gate
+        self._sidecars, self._sight, self._reporter = sidecars, sight, reporter
+        self.wake = asyncio.Event()
+        """Set when an agent has said something."""
+        self.recovering: Callable[[], Progress | None] = lambda: None
+        """The recovery under way."""
+        self._pods: list[Object] = []
+        self._readers: frozenset[bytes] = frozenset()
+        self._witnesses: dict[str, list[str]] = {}
+        self._refreshing: asyncio.Task[None] | None = None
+        self._refresh_at = 0.0
+        self._replaced: dict[str, None] = {}
+        self._back: dict[str, float] = {}
+        """When those were heard of first, by UID, that are held since they were cut off."""
+        self._sent: dict[str, tuple[Any, float]] = {}
+        self._telling: dict[str, asyncio.Task[None]] = {}
+        self._told: set[tuple[str, float, Word]] = set()
+
+    async def run(self) -> None:
+        """Keep them until cancelled."""
+        while True:
+            self.wake.clear()
+            spec = self._view.spec
+            if spec is not None and spec.gate.reflex is not None and self._gate.exists:
+                self._refresh(spec)
+                self._tell(spec)
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(SAY_AGAIN if self._back else PERIOD):
+                    await self.wake.wait()
+
+    def _refresh(self, spec: RobotWorkloadSpec) -> None:
+        """Look now and then who is there, in the background: an API server that is away mustn't hold up a word."""
+        if time.monotonic() < self._refresh_at or (self._refreshing is not None and not self._refreshing.done()):
+            return
+
+        async def refresh() -> None:
+            try:
+                self._pods = (await self._client.list(PODS, self._view.namespace))["items"]
+            except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
+                _logger.debug("who could answer an instance that is cut off: %r", error)
+                self._refresh_at = time.monotonic() + PERIOD
+                return
+            self._refresh_at = time.monotonic() + REFRESH
+            topics = [output.topic for output in spec.outputs if output.topic]
+            found = [endpoint for topic in topics for endpoint in self._sight.graph.subscribers(topic)]
+            self._readers = frozenset(endpoint.gid[HOST] for endpoint in found)
+            self._witnesses.clear()
+
+        self._refreshing = asyncio.create_task(refresh())
+
+    def _tell(self, spec: RobotWorkloadSpec) -> None:
+        state, recovering = self._gate.state, self.recovering()
+        committed = state.recovery
+        # One that is stopped before it has committed has replaced nobody.
+        under_way = recovering if committed and recovering and committed.id == recovering.id else None
+        for progress in filter(None, (committed, under_way)):
+            for pod in progress.replaced:
+                # Whoever is cut off may come back late, and isn't always listed meanwhile: only the oldest are forgotten.
+                self._replaced.pop(pod.uid, None)
+                self._replaced[pod.uid] = None
+        while len(self._replaced) > REMEMBERED:
+            del self._replaced[next(iter(self._replaced))]
+        instances = {i.uid: i for i in self._fleet.of_workload() if i.has_agent and not i.held}
+        self._sent = {uid: sent for uid, sent in self._sent.items() if uid in instances}
+        self._back = {uid: since for uid, since in self._back.items() if uid in instances}
+        self._told = {told for told in self._told if told[0] in instances}
+        for uid, instance in instances.items():
+            if (status := self._sidecars.status(instance)) is None:
+                self._back.pop(uid, None)
+                continue
+            if uid in self._telling:
+                continue
+            body: dict[str, Any] = {"witnesses": self._witnesses_of(instance, spec)}
+            if status.cut_off is None:
+                self._back.pop(uid, None)
+            elif (said := self._word_for(instance, state, recovering)) is not None:
+                body["word"] = said
+                self._say(instance, status.cut_off, said)
+            wanted = (self._sidecars.session(instance), body)
+            sent, at = self._sent.get(uid, (None, 0.0))
+            if sent != wanted or ("word" in body and time.monotonic() - at >= SAY_AGAIN):
+                self._sent[uid] = (wanted, time.monotonic())
+                # Each by itself: one that doesn't answer mustn't hold up the others.
+                self._telling[uid] = task = asyncio.create_task(self._request(instance, body))
+                task.add_done_callback(partial(self._done, uid))
+
+    def _word_for(self, instance: Instance, state: GateState, recovering: Progress | None) -> Word | None:
+        """What a held instance that is connected again is told now; None while its node may still go by old policies."""
+        now = time.monotonic()
+        caught_up = now - self._back.setdefault(instance.uid, now) >= CATCH_UP
+        found = word(instance, state, self._replaced, recovering)
+        return found if found == "Stay" or caught_up or instance.uid == state.active_uid else None
+
+    def _done(self, uid: str, task: asyncio.Task[None]) -> None:
+        self._telling.pop(uid, None)
+        self.wake.set()
+
+    def _witnesses_of(self, instance: Instance, spec: RobotWorkloadSpec) -> list[str]:
+        if instance.uid not in self._witnesses:
+            self._witnesses[instance.uid] = witnesses(
+                instance, self._pods, workload=self._view.workload, readers=self._readers, robots=spec.gate.robots
+            )
+        return self._witnesses[instance.uid]
+
+    async def _request(self, instance: Instance, body: dict[str, Any]) -> None:
+        try:
+            await self._sidecars.lease(instance, body)
+        except AgentGone as error:
+            _logger.info("%s", error)
+            self._sent.pop(instance.uid, None)
+        except AgentRefused as error:
+            _logger.warning("%s", error)
+
+    def _say(self, instance: Instance, since: float, word: Word) -> None:
+        if (instance.uid, since, word) in self._told:
+            return
+        self._told.add((instance.uid, since, word))
+        when = datetime.fromtimestamp(since, UTC).strftime("%H:%M:%S UTC")
+        then = "it goes on" if word == "Go" else "it stays held, since it was replaced"
+        self._reporter.event(
+            "Normal" if word == "Go" else "Warning",
+            "InstanceCutOff",
+            f"{instance.name} was cut off at {when} and held by its agent; {then}",
+        )

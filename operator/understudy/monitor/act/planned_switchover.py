@@ -1,0 +1,342 @@
+"""Planned switchovers: notices who asks for one, has an understudy prepared beside the loop, and says what becomes of it.
+
+A user asks by an annotation of the RobotWorkload, the operator for the sake of a node that is being drained. Both last over a restart of
+this process, and so does what is said of the last request: it is carried out once. Until the gate is switched nothing else is
+changed, so a preparation that was interrupted is simply begun anew.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from understudy.api import names
+from understudy.api.conditions import now as moment
+from understudy.api.kinds.switchover_spec import ENDED, Drain, Kind, Phase, Request, SwitchoverStatus, parse
+from understudy.failover import switchover
+from understudy.failover.bring_up import BringUp
+from understudy.failover.interfaces import Instance
+from understudy.failover.progress import PodIdentity, Progress
+from understudy.failover.protocol import Choice
+from understudy.failover.strategies import Means, Restart
+from understudy.failover.switchover import Prepared
+from understudy.monitor.act.garbage_collection import Leftovers
+from understudy.monitor.act.gate_control import PolicyGate
+from understudy.monitor.act.pod_control import Fleet
+from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.report.reporter import Reporter
+
+_logger = logging.getLogger(__name__)
+
+EXPIRES = 600.0
+"""Seconds after which a request isn't begun any more. Whoever asked doesn't wait for it by then, and their clock may be a little off."""
+
+PATIENCE = 30.0
+"""Seconds that a request waits for an understudy, or for whatever else it can't begin for. A drain waits for as long as it lasts."""
+
+LOOK = 1.0
+"""Seconds between two looks whether one that waits can begin."""
+
+TELL = 5.0
+"""Seconds between two updates of why one waits, in which figures may change with every look."""
+
+AGAIN = 30.0
+"""Seconds after which a drain tries again, where an understudy was there and didn't come to drive."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """A switchover that is asked for."""
+
+    kind: Kind
+    reason: str
+    request: str = ""
+    drain: Drain | None = None
+
+    @property
+    def key(self) -> tuple[str, str, str]:
+        """What tells it from another one."""
+        return self.kind, self.request, self.drain.uid if self.drain is not None else ""
+
+    def unfit(self, instance: Instance) -> str | None:
+        """Why an instance isn't one that is wanted; None where it is."""
+        if self.kind == "Failback" and not instance.from_source:
+            return "is not of the workload's own controller"
+        if self.drain is not None and instance.node in self.drain.cordoned:
+            return f"is on {instance.node}, which is cordoned too"
+        return None
+
+
+class Switching:
+    """The planned switchovers of one workload."""
+
+    def __init__(self, view: View, fleet: Fleet, gate: PolicyGate, reporter: Reporter, leftovers: Leftovers) -> None:
+        self._view, self._fleet, self._gate = view, fleet, gate
+        self._reporter, self._leftovers = reporter, leftovers
+        self._task: asyncio.Task[Prepared] | None = None
+        self._wanted: Wanted | None = None
+        self._progress: Progress | None = None
+        self._touched: PodIdentity | None = None
+        """The understudy that something was done to for the sake of a switchover: it is of no other use."""
+        self._next = 0.0
+        self._told_at = 0.0
+        self._waits_since: tuple[tuple[str, str, str], float] = (("", "", ""), 0.0)
+
+    @property
+    def preparing(self) -> str:
+        """UID of the understudy that is being prepared; it is nobody else's meanwhile."""
+        target = self._progress.target if self._progress is not None else None
+        return target.uid if target is not None else ""
+
+    def look(
+        self, lacking: str, choices: Callable[[], Sequence[Choice]], means: Callable[[], Means]
+    ) -> Prepared | None:
+        """The understudy that can drive instead of the instance in control, once there is one that should.
+
+        ``lacking`` is why none can be prepared now, if so. Called with every look while nothing has failed, and returns at once.
+        """
+        wanted = self._asked(time.time())
+        now = time.monotonic()
+        if self._task is not None:
+            if wanted is None or self._wanted is None or wanted.key != self._wanted.key:
+                self._abandon("it isn't asked for any more")
+            elif self._task.done():
+                return self._outcome(self._task) if not lacking else None
+            elif now >= self._next and self._progress is not None:
+                self._say(self._progress, "Preparing", "An understudy is being brought to where it can drive.")
+            return None
+        if wanted is None:
+            self._over_and_done()
+            return None
+        if now < self._next:
+            return None
+        self._next = now + LOOK
+        if lacking:
+            self._wait(wanted, lacking, now)
+        else:
+            self._begin(wanted, choices(), means())
+        return None
+
+    def failed(self, reason: str) -> PodIdentity | None:
+        """Something has failed, which comes first: the understudy that was being prepared by the first strategy, if one was."""
+        wanted = self._wanted if self._task is not None else self._asked(time.time())
+        progress = self._progress if self._task is not None else None
+        self._stop()
+        if wanted is not None and wanted.request:
+            self._end("NotDone", f"Something else came first: {reason}.", wanted)
+        if progress is None or progress.target is None:
+            return None
+        if progress.index == 0 and wanted is not None and wanted.kind != "Failback":
+            return progress.target
+        self._leave(progress, progress.target)
+        return None
+
+    def switching(self, progress: Progress) -> None:
+        """The gate is about to be switched."""
+        self._task = None
+        target = progress.target.name if progress.target is not None else ""
+        self._say(progress, "Switching", f"The gate is being switched to {target}.")
+
+    def given_up(self, progress: Progress, reason: str) -> None:
+        """The gate couldn't be switched. What was prepared isn't needed; should it drive after all, that will be seen."""
+        self._leave(progress, self._touched)
+        self._stop()
+        self._rest(progress.switchover)
+        text = f"The gate wasn't switched: {reason}."
+        self._reporter.event("Warning", "SwitchoverNotDone", text)
+        self._say(progress, "NotDone", text)
+
+    def done(self, progress: Progress, text: str) -> None:
+        """The gate was switched, and it was seen what came of it."""
+        self._stop()
+        if progress.result != "Recovered":
+            self._rest(progress.switchover)
+        self._say(progress, "Done" if progress.result == "Recovered" else "NotDone", text, recovery=progress.id)
+
+    def unsettled(self) -> Progress | None:
+        """A switchover whose commit was carried out after it had been given up, or by a monitor that is gone."""
+        found = self._gate.state.recovery
+        if found is None or found.switchover is None or found.result != "Running":
+            return None
+        if found.id in self._reporter.recorded or found.target is None:
+            return None
+        return found.model_copy(deep=True) if found.target.uid == self._gate.state.active_uid else None
+
+    # -- what is asked for ------------------------------------------------------------------------------------------
+
+    def _asked(self, now: float) -> Wanted | None:
+        text = ((self._view.object or {}).get("metadata", {}).get("annotations") or {}).get(names.SWITCHOVER)
+        if text and not self._was_handled(text) and (wanted := self._requested(text, now)) is not None:
+            return wanted
+        drain = self._view.settings.drain if self._view.settings is not None else None
+        if drain is None or drain.uid != self._gate.state.active_uid:
+            return None
+        return Wanted("Drain", f"node {drain.node} is to be emptied (it is cordoned)", drain=drain)
+
+    def _was_handled(self, text: str) -> bool:
+        said = self._reporter.switchover
+        return said is not None and said.handled == text
+
+    def _requested(self, text: str, now: float) -> Wanted | None:
+        """What a request asks for; None where nothing comes of it, which is said."""
+        try:
+            found = parse(text)
+        except ValueError as error:
+            self._end("NotDone", f"Annotation {names.SWITCHOVER}: {error}.", Wanted("Failover", "", text))
+            return None
+        wanted = Wanted(found.kind, f"{found.kind.lower()} asked for by annotation", text)
+        if self._task is None and (over := self._over(found, now)) is not None:
+            self._end("NotDone", over, wanted)
+            return None
+        active = self._fleet.find(self._gate.state.active_uid)
+        if found.kind == "Failback" and self._task is None and active is not None and active.from_source:
+            self._end("Done", f"{active.name} of the workload's own controller is in control already.", wanted)
+            return None
+        return wanted
+
+    def _over(self, found: Request, now: float) -> str | None:
+        """Why a request comes too late."""
+        if now - found.at > EXPIRES:
+            return f"It was asked for {now - found.at:.0f} s ago, and nobody took it up. Ask again."
+        # Written with the gate, this lasts also where a status that a monitor wrote before its end is carried out after it.
+        last = self._gate.state.recovery
+        if last is not None and last.moments.get("detected", 0.0) > found.at:
+            what = "Control was handed over" if last.planned else "It failed and was recovered"
+            return f"{what} since it was asked for. Ask again, if it is still wanted."
+        return None
+
+    # -- preparing --------------------------------------------------------------------------------------------------
+
+    def _begin(self, wanted: Wanted, choices: Sequence[Choice], means: Means) -> None:
+        begun = time.time()
+        progress = Progress.begin(wanted.reason, last_healthy=begun, detected=begun, planned=True)
+        progress.switchover, progress.request = wanted.kind, wanted.request
+        if wanted.kind == "Failback" and not any(isinstance(choice.strategy, Restart) for choice in choices):
+            choices = [*choices, self._home(choices)]
+        self._wanted, self._progress = wanted, progress
+        if self._is_new(wanted):
+            self._reporter.event("Normal", "SwitchoverBegun", f"A switchover is being prepared: {wanted.reason}")
+            self._say(progress, "Preparing", "An understudy is being brought to where it can drive.")
+        self._task = asyncio.create_task(switchover.prepare(progress, choices, means, wanted.unfit))
+
+    def _home(self, choices: Sequence[Choice]) -> Choice:
+        """Has the workload's own controller run a pod, where the policy has no such strategy."""
+        spec = self._view.spec
+        bring_up = BringUp.of("bringUp", spec.bring_up) if spec is not None else None
+        return Choice(Restart(recovery=bring_up), max([PATIENCE, *(choice.verify_within for choice in choices)]))
+
+    def _outcome(self, task: asyncio.Task[Prepared]) -> Prepared | None:
+        wanted = self._wanted
+        assert wanted is not None, "it was begun"
+        try:
+            prepared = task.result()
+        except Exception as error:  # whatever an API server or an agent answers, the robot is driven
+            _logger.warning("preparing a switchover: %r", error)
+            self._stop()
+            self._wait(
+                wanted, f"the API server or an agent didn't do what it was asked for ({error})", time.monotonic()
+            )
+            return None
+        if prepared.target is not None:
+            self._touched = prepared.progress.target
+            return prepared
+        self._stop()
+        if prepared.passing:
+            self._wait(wanted, prepared.reason, time.monotonic())
+        else:
+            self._rest(wanted.kind)
+            self._end("NotDone", f"No understudy could drive, and nothing was changed: {prepared.reason}.", wanted)
+        return None
+
+    def _wait(self, wanted: Wanted, reason: str, now: float) -> None:
+        reason = reason.rstrip(".")
+        if self._waits_since[0] != wanted.key:
+            self._waits_since = (wanted.key, now)
+        if wanted.request and now - self._waits_since[1] >= PATIENCE:
+            self._end("NotDone", f"It couldn't begin for {PATIENCE:g} s, and nothing was changed: {reason}.", wanted)
+            return
+        new = self._is_new(wanted)
+        if new:
+            kind = "Warning" if wanted.drain is not None else "Normal"
+            self._reporter.event(kind, "SwitchoverWaits", f"{wanted.reason}: {reason}")
+        said = self._reporter.switchover
+        if new or (said is not None and said.phase != "Waiting") or now - self._told_at >= TELL:
+            self._told_at = now
+            self._tell(
+                SwitchoverStatus(
+                    kind=wanted.kind, request=wanted.request, phase="Waiting", message=f"{reason}.", since=moment()
+                )
+            )
+
+    def _abandon(self, reason: str) -> None:
+        wanted, progress = self._wanted, self._progress
+        self._stop()
+        if progress is not None:
+            self._leave(progress, progress.target)
+        if wanted is not None:
+            self._end("NotDone", f"Nothing was changed: {reason}.", wanted)
+
+    def _over_and_done(self) -> None:
+        """Nobody asks for one. What waited, or was being prepared by an earlier monitor, comes to its end with that."""
+        said = self._reporter.switchover
+        if said is not None and said.phase not in ENDED:
+            message = "Nothing was changed: it isn't asked for any more."
+            self._tell(said.model_copy(update={"phase": "NotDone", "message": message, "since": moment()}))
+
+    def _leave(self, progress: Progress, target: PodIdentity | None) -> None:
+        """An understudy that something was done to isn't needed. A pod of the workload's own controller is that one's business."""
+        if target is not None and progress.strategy != Restart.name:
+            self._leftovers.add(target)
+
+    def _rest(self, kind: Kind | None) -> None:
+        """Have what goes on asking ask again after a while only."""
+        self._next = time.monotonic() + (AGAIN if kind == "Drain" else LOOK)
+
+    def _stop(self) -> None:
+        if self._task is not None:
+            self._task.cancel()
+        self._task = self._wanted = self._progress = self._touched = None
+
+    # -- saying -----------------------------------------------------------------------------------------------------
+
+    def _is_new(self, wanted: Wanted) -> bool:
+        """Whether what was said last is of another one."""
+        said = self._reporter.switchover
+        return said is None or said.phase in ENDED or (said.kind, said.request) != (wanted.kind, wanted.request)
+
+    def _say(self, progress: Progress, phase: Phase, message: str, *, recovery: str = "") -> None:
+        target = progress.target.name if progress.target is not None else ""
+        kind = progress.switchover
+        assert kind is not None, "it is a switchover"
+        self._tell(
+            SwitchoverStatus(
+                kind=kind,
+                request=progress.request,
+                phase=phase,
+                message=message,
+                target=target,
+                recovery=recovery,
+                since=moment(),
+            )
+        )
+
+    def _end(self, phase: Phase, message: str, wanted: Wanted) -> None:
+        """It comes to its end without the gate."""
+        _logger.info("switchover (%s): %s", wanted.kind, message)
+        known = self._reporter.switchover
+        self._tell(
+            SwitchoverStatus(kind=wanted.kind, request=wanted.request, phase=phase, message=message, since=moment())
+        )
+        if known is None or known.message != message:
+            kind, reason = ("Normal", "SwitchoverDone") if phase == "Done" else ("Warning", "SwitchoverNotDone")
+            self._reporter.event(kind, reason, message)
+
+    def _tell(self, status: SwitchoverStatus) -> None:
+        before = self._reporter.switchover
+        handled = status.request if status.request and status.phase in ENDED else before.handled if before else ""
+        if before is not None and before.phase == status.phase:
+            status = status.model_copy(update={"since": before.since})
+        self._reporter.say_switchover(status.model_copy(update={"handled": handled}))

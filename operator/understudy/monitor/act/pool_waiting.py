@@ -1,0 +1,91 @@
+"""Who waits for pods of shared pools, by what monitors say beside their gates; and what people are told of this one's wait."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Sequence
+from datetime import UTC, datetime
+
+from understudy.api import names
+from understudy.failover.pool_queue import Waiter
+from understudy.failover.progress import waiter
+from understudy.kube.watched_collection import any_changed
+from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.report import monitor_metrics
+from understudy.monitor.report.reporter import Reporter
+
+_logger = logging.getLogger(__name__)
+
+REASON = "WaitingForPod"
+"""Why a recovery doesn't go on, in the condition Recovering."""
+
+
+class Line:
+    """Implements :class:`understudy.failover.pool_queue.Queue` over the gates of the namespace."""
+
+    def __init__(self, view: View, reporter: Reporter) -> None:
+        self._view, self._reporter = view, reporter
+        self._before = ("", "")
+        """Reason and message of the condition Recovering when the wait began."""
+
+    @property
+    def workload(self) -> str:
+        """This monitor's own workload."""
+        return self._view.workload
+
+    @property
+    def priority(self) -> int:
+        """Its ``spec.poolPriority``."""
+        spec = self._view.spec
+        return spec.pool_priority if spec is not None else 0
+
+    def others(self, pool: str) -> Sequence[Waiter]:
+        """The other workloads that say that they wait for a pod of a pool."""
+        found = []
+        for name, gate in self._view.waiting_gates.items.items():
+            metadata = gate["metadata"]
+            if (metadata.get("labels") or {}).get(names.WAITS_FOR) != pool:
+                continue
+            other = waiter((metadata.get("annotations") or {}).get(names.RECOVERY, ""))
+            # A monitor writes its own gate only, so nobody can speak for another.
+            if other is not None and other.workload != self.workload and names.gate(other.workload) == name:
+                found.append(other)
+        return found
+
+    def waits(self, me: Waiter, ahead: int, of: int) -> None:
+        """Say in the condition Recovering that it waits, and the first time by an Event."""
+        found = self._reporter.find("Recovering")
+        began = found is None or found.reason != REASON
+        if began:
+            self._before = (found.reason, found.message) if found is not None else ("FailureDetected", "")
+        place = f"number {ahead + 1} of {of} that wait (poolPriority {me.priority})"
+        text = f"{self._before[1]}; since {_clock(me.since)} it waits for a pod of FallbackPool {me.pool}"
+        text = f"{text}, {place}, until {_clock(me.until)} at most"
+        self._reporter.condition("Recovering", "True", REASON, text)
+        if began:
+            _logger.warning("%s", text)
+            self._reporter.event("Warning", REASON, text)
+
+    def served(self, me: Waiter, pod: str) -> None:
+        """Say that it goes on, with a pod."""
+        self._end(me, "Served", f"claimed {pod} after %.1f s in the queue of FallbackPool {me.pool}")
+
+    def gave_up(self, me: Waiter) -> None:
+        """Say that it goes on, without one."""
+        self._end(me, "GaveUp", f"got no pod of FallbackPool {me.pool} in %.1f s")
+
+    def _end(self, me: Waiter, result: str, words: str) -> None:
+        waited = time.time() - me.since
+        monitor_metrics.waited(me.pool, result, waited)
+        if self._reporter.reason("Recovering") == REASON:
+            reason, message = self._before
+            self._reporter.condition("Recovering", "True", reason, f"{message}; {words % waited}")
+
+    async def changed(self, pool: str) -> None:
+        """Return when unclaimed pods, or who waits, may be others than before."""
+        await any_changed((self._view.unclaimed(pool), self._view.waiting_gates))
+
+
+def _clock(moment: float) -> str:
+    return datetime.fromtimestamp(moment, UTC).strftime("%H:%M:%S UTC")

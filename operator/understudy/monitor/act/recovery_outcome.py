@@ -1,0 +1,115 @@
+"""What follows from a recovery or a switchover that is over: it is recorded, counted and told, and watching begins anew."""
+
+from __future__ import annotations
+
+import logging
+import time
+
+from understudy.api.base import seconds
+from understudy.api.kinds.failure_policy import FailurePolicySpec
+from understudy.api.kinds.robot_workload import GateStatus, Recovery
+from understudy.failover.interfaces import Superseded
+from understudy.failover.progress import Progress
+from understudy.monitor.act.garbage_collection import Leftovers
+from understudy.monitor.act.gate_control import PolicyGate
+from understudy.monitor.act.planned_switchover import Switching
+from understudy.monitor.act.safe_commands import Unattended
+from understudy.monitor.act.state_keeping import StateKeeping
+from understudy.monitor.decide.deferred_failures import Postponing
+from understudy.monitor.decide.limits import Limits
+from understudy.monitor.decide.retry_backoff import BACKOFF_FIRST
+from understudy.monitor.judge.failure_detection import Detector
+from understudy.monitor.observe.dependencies import Dependencies
+from understudy.monitor.report.reporter import Reporter, describe, in_vain, switched
+
+_logger = logging.getLogger(__name__)
+
+
+class Aftermath:
+    """Of the recoveries of one workload."""
+
+    def __init__(
+        self,
+        gate: PolicyGate,
+        reporter: Reporter,
+        keeping: StateKeeping,
+        detector: Detector,
+        limits: Limits,
+        postponing: Postponing,
+        unattended: Unattended,
+        dependencies: Dependencies,
+        leftovers: Leftovers,
+        switching: Switching,
+    ) -> None:
+        self._gate, self._reporter, self._keeping = gate, reporter, keeping
+        self._detector, self._limits, self._postponing = detector, limits, postponing
+        self._unattended, self._dependencies = unattended, dependencies
+        self._leftovers, self._switching = leftovers, switching
+
+    def superseded(self, progress: Progress, reason: Superseded) -> None:
+        """Somebody else acts at a newer epoch: watch again."""
+        _logger.warning("recovery %s given up: %s", progress.id, reason)
+        self._reporter.condition("Recovering", "False", "Superseded", str(reason))
+        self._reporter.event("Warning", "RecoverySuperseded", f"{progress.reason}: {reason}")
+        self._unattended.driven()
+        self._begin_anew()
+        self._limits.retries.after(0.0)
+
+    def stopped(self, progress: Progress, error: Exception) -> None:
+        """The API server refused something: all is tried again in a moment."""
+        _logger.error("recovery %s stopped", progress.id, exc_info=error)
+        self._reporter.condition("Recovering", "False", "Error", f"{progress.reason}: {error}")
+        self._reporter.event("Warning", "RecoveryError", f"{progress.reason}: {error}")
+        self._begin_anew()
+        self._limits.retries.after(BACKOFF_FIRST)
+
+    def recovered(self, done: Progress, policy: FailurePolicySpec) -> None:
+        """A recovery is over, whether or not a strategy was verified."""
+        self._limits.retries.note(done)
+        recovery = self._reporter.record(done)
+        self._limits.spending.count(done, time.time())
+        self._dependencies.note(done.follows)
+        self._tell(recovery)
+        text = describe(recovery)
+        _logger.warning("recovery %d: %s", recovery.number, text)
+        if done.result == "Recovered":
+            self._leftovers.remember()
+            self._unattended.driven()
+            self._reporter.condition("Recovering", "False", "Recovered", text)
+            self._reporter.event("Normal", "Recovered", text)
+            for words in in_vain(recovery):
+                self._reporter.event("Warning", "StrategyNotVerified", f"{words}. The next strategy took over.")
+            self._reporter.set(health="Healthy")
+            self._begin_anew(done)
+            self._limits.retries.after(0.0 if policy.priority == "Safety" else seconds(policy.limits.cooldown))
+        else:
+            self._unattended.nothing_verified(time.time())
+            self._reporter.set(health="Failed")
+            self._reporter.condition("Recovering", "False", "NothingVerified", text)
+            self._reporter.event("Warning", "RecoveryFailed", text)
+            self._begin_anew()
+            self._limits.retries.after_nothing_verified(policy)
+
+    def switched(self, progress: Progress) -> None:
+        """The gate was switched as planned, and it was seen what came of it. What was put off before stays so."""
+        recovery = self._reporter.record(progress)
+        text, done = switched(recovery), progress.result == "Recovered"
+        _logger.warning("switchover %d: %s", recovery.number, text)
+        self._leftovers.remember()
+        self._unattended.driven()
+        self._tell(recovery)
+        self._reporter.event("Normal" if done else "Warning", "SwitchedOver" if done else "SwitchoverNotDone", text)
+        self._switching.done(progress, f"{text}.")
+        self._begin_anew(progress if done else None)
+
+    def _tell(self, recovery: Recovery) -> None:
+        state = self._gate.state
+        self._reporter.set(active=state.active, gate=GateStatus(epoch=state.epoch, active=state.active))
+        self._keeping.tell(recovery)
+
+    def _begin_anew(self, done: Progress | None = None) -> None:
+        self._detector.restart()
+        self._postponing.begin_anew()
+        if done is not None:
+            # Its samples count from the commit, so that an understudy that fails at once is noticed in the usual time.
+            self._detector.since = done.moments.get("committing", self._detector.since)

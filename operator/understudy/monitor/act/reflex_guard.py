@@ -1,0 +1,262 @@
+"""The reflex as the monitor keeps it: which standby is let through beside the pod in control, and whether it took over.
+
+A standby that is let through drives the robot as soon as the pod in control is silent, with nobody asked. So it is let
+through only while its own outputs are healthy, its writers are weaker than those of the pod in control, and the gate
+was seen to hold it back before.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from collections.abc import Callable, Coroutine, Sequence
+from functools import partial
+from typing import Any, Literal
+
+import aiohttp
+
+from understudy.api.base import seconds
+from understudy.api.kinds.robot_workload import Reflex
+from understudy.failover.interfaces import Instance
+from understudy.failover.progress import PodIdentity
+from understudy.failover.reflex import TakenOver, longest_gap, measured, switched
+from understudy.kube.client import ApiError
+from understudy.kube.gates.probes import ProbeReceiver
+from understudy.monitor.act.gate_control import PolicyGate
+from understudy.monitor.act.pod_control import Fleet
+from understudy.monitor.judge.gate_enforcement import SETTLE, SILENT
+from understudy.monitor.observe.agent_connections import Sidecars
+from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.health_observer import Sight
+from understudy.monitor.report.reporter import Reporter
+
+LOOK = 0.005
+"""Seconds between looks while the pod in control is silent."""
+
+LOOK_FOR = 0.5
+"""Seconds past the deadline for which it is looked at so often; who is silent for longer is maybe only at rest."""
+
+WRITE_AGAIN = 1.0
+"""Seconds before a write that failed is tried again."""
+
+TOO_STRONG_FOR = 5.0
+"""Seconds for which a standby may be as strong as the pod in control before it is replaced by a new one, which is weaker."""
+
+REPLACE_AGAIN = 60.0
+"""Seconds between two such replacements: where clocks of nodes differ it may not help."""
+
+Said = tuple[Literal["True", "False", "Unknown"], str, str]
+
+PAUSED: Said = ("False", "Paused", "Nobody is let through beside the pod in control while spec.pause is in force.")
+
+
+class Reflexes:
+    """The reflex of one workload; harmless where it has none."""
+
+    def __init__(
+        self,
+        view: View,
+        fleet: Fleet,
+        gate: PolicyGate,
+        sidecars: Sidecars,
+        sight: Sight,
+        probes: ProbeReceiver,
+        reporter: Reporter,
+    ) -> None:
+        self._view, self._fleet, self._gate = view, fleet, gate
+        self._sidecars, self._sight, self._probes, self._reporter = sidecars, sight, probes, reporter
+        self._writing: asyncio.Task[None] | None = None
+        self._write_after = 0.0
+        self._admitted: tuple[str, float] = ("", 0.0)
+        self._ready_since: dict[str, float] = {}
+        self._too_strong_since: float | None = None
+        self._replace_after = 0.0
+
+    @property
+    def _reflex(self) -> Reflex | None:
+        spec = self._view.spec
+        return spec.gate.reflex if spec is not None else None
+
+    @property
+    def _topics(self) -> list[str]:
+        spec = self._view.spec
+        return [output.topic for output in spec.outputs if output.topic] if spec is not None else []
+
+    @property
+    def deadline(self) -> float:
+        """Seconds of silence after which the robot's readers take the standby's messages; 0 where there's no reflex."""
+        reflex = self._reflex
+        return seconds(reflex.deadline) if reflex is not None else 0.0
+
+    # -- watching ---------------------------------------------------------------------------------------------------
+
+    def taken_over(self, now: float) -> TakenOver | None:
+        """Whether the standby that is let through drives the robot now."""
+        state = self._gate.state
+        if not state.admitted or state.closed or not (deadline := self.deadline):
+            return None
+        if self._sight.ambiguous(state.active) or self._sight.ambiguous(state.admitted):
+            return None
+        for topic in self._topics:
+            found = switched(
+                self._sight.arrivals(topic, state.active),
+                self._sight.arrivals(topic, state.admitted),
+                deadline=deadline,
+                now=now,
+            )
+            if found is not None:
+                return TakenOver(PodIdentity(name=state.admitted, uid=state.admitted_uid), *found)
+        return None
+
+    def next_look(self, now: float) -> float | None:
+        """When to look again, so that a standby that takes over is noticed at once."""
+        state = self._gate.state
+        if not state.admitted or not (deadline := self.deadline):
+            return None
+        lasts = [found[-1] for topic in self._topics if (found := self._sight.arrivals(topic, state.active))]
+        due = [last + deadline for last in lasts if now < last + deadline + LOOK_FOR]
+        return max(min(due), now + LOOK) if due else None
+
+    def guard(self) -> None:
+        """Let a standby through no longer once it isn't healthy: it could take the robot."""
+        state = self._gate.state
+        if not state.admitted:
+            return
+        standby = self._fleet.find(state.admitted_uid)
+        if standby is None or not standby.usable or not self._sidecars.is_ready(standby)[0]:
+            self._write(None)
+
+    # -- keeping ----------------------------------------------------------------------------------------------------
+
+    def keep(self, now: float, *, enforced: bool, paused: bool = False) -> None:
+        """Have the right standby let through, and say how it stands. ``enforced``: the gate was seen to hold standbys back;
+        ``paused``: nobody is to take the robot, whatever becomes of the pod in control.
+        """
+        state = self._gate.state
+        if state.admitted_uid != self._admitted[0]:
+            self._admitted = (state.admitted_uid, now)
+        if self._reflex is None:
+            if state.admitted:
+                self._write(None)
+            return
+        chosen, said = self._choose(now, enforced) if not paused else (None, PAUSED)
+        if (chosen.uid if chosen else "") != state.admitted_uid:
+            self._write(chosen)
+            if chosen is not None:
+                said = ("Unknown", "Arming", f"{chosen.name} is about to be let through the gate.")
+        if self._reporter.condition("Reflex", *said):
+            kind = "Warning" if said[0] == "False" and said[1] != "NoStandby" else "Normal"
+            if said[1] in ("Armed", "DeadlineTooShort", "StandbyTooStrong", "Blocked", "Ambiguous"):
+                self._reporter.event(kind, f"Reflex{said[1]}", said[2])
+
+    def _choose(self, now: float, enforced: bool) -> tuple[Instance | None, Said]:
+        state = self._gate.state
+        active = self._fleet.find(state.active_uid)
+        if state.closed or active is None:
+            return None, ("False", "NoneInControl", "No pod is in control.")
+        # One that was claimed and isn't in control was left behind by a recovery, or another monitor brings it up: it won't stay.
+        others = [
+            i
+            for i in self._fleet.of_workload()
+            if i.usable and i.has_agent and not i.held and not i.claim and i.uid != active.uid
+        ]
+        current = next((i for i in others if i.uid == state.admitted_uid), None)
+        ready = [i for i in others if self._sidecars.is_ready(i)[0]]
+        # The clock may have been set back.
+        self._ready_since = {i.uid: min(now, self._ready_since.get(i.uid, now)) for i in ready}
+        if not ready:
+            why = "; ".join(f"{i.name}: {self._sidecars.is_ready(i)[1]}" for i in others) or "there is none"
+            return None, ("False", "NoStandby", f"No standby could take over: {why}.")
+        strongest = self._strength(active)
+        if strongest is None:
+            return current, ("Unknown", "StrengthUnknown", f"The agent of {active.name} hasn't said how strong it is.")
+        weaker = [i for i in ready if (found := self._strength(i)) is not None and found[1] < strongest[0]]
+        if not weaker:
+            return None, self._too_strong(active, ready, now)
+        self._too_strong_since = None
+        if slow := self._too_slow(active):
+            return None, ("False", "DeadlineTooShort", slow)
+        if pods := [i.name for i in (active, *weaker) if self._sight.ambiguous(i.name)]:
+            return None, ("False", "Ambiguous", f"{', '.join(pods)} can't be told from other pods, see Monitored.")
+        if current in weaker:
+            return current, self._armed(active, current, now)
+        if not all(measured(self._sight.arrivals(topic, active.name), now) for topic in self._topics):
+            topics = ", ".join(self._topics)
+            return None, ("Unknown", "Measuring", f"Waiting to see how regularly {topics} comes from {active.name}.")
+        best = max(weaker, key=lambda i: self._strength(i) or (0, 0))
+        if not enforced or now - self._ready_since[best.uid] < SETTLE:
+            why = f"Waiting to see from packets that the gate holds {best.name} back."
+            return None, ("Unknown", "GateNotProven", why)
+        return best, self._armed(active, best, now)
+
+    def _strength(self, instance: Instance) -> tuple[int, int] | None:
+        status = self._sidecars.status(instance)
+        return status.strength if status is not None else None
+
+    def _armed(self, active: Instance, standby: Instance, now: float) -> Said:
+        since = self._admitted[1]
+        if now - since > SILENT and now - max(self._probes.last(standby.uid) or 0.0, since) > SILENT:
+            return (
+                "False",
+                "Blocked",
+                f"Packets of {standby.name} don't reach gated ports although the gate lets it through: look for other "
+                "NetworkPolicies that select it.",
+            )
+        status = self._sidecars.status(active)
+        unfenced = f" It won't be held if its node is cut off: {status.unfenced}." if status and status.unfenced else ""
+        return (
+            "True",
+            "Armed",
+            f"The robot's readers take {standby.name} when {active.name} is silent for {self.deadline * 1000:g} ms.{unfenced}",
+        )
+
+    def _too_slow(self, active: Instance) -> str:
+        for topic in self._topics:
+            if gap := longest_gap(self._sight.arrivals(topic, active.name), self.deadline):
+                return (
+                    f"{topic} comes from {active.name} with gaps of up to {gap * 1000:.0f} ms, again and again; "
+                    f"spec.gate.reflex.deadline is {self.deadline * 1000:g} ms, so the robot would fall over to a standby although "
+                    "nothing failed. Give a deadline of at least twice the period."
+                )
+        return ""
+
+    def _too_strong(self, active: Instance, ready: Sequence[Instance], now: float) -> Said:
+        if self._too_strong_since is None or self._too_strong_since > now:
+            self._too_strong_since = now
+        self._replace_after = min(self._replace_after, now + REPLACE_AGAIN)
+        names = ", ".join(i.name for i in ready)
+        known = [i for i in ready if self._strength(i) is not None]
+        if known and now - self._too_strong_since > TOO_STRONG_FOR and now > self._replace_after:
+            self._replace_after = now + REPLACE_AGAIN
+            self._reporter.event(
+                "Normal",
+                "StandbyReplaced",
+                f"{known[0].name} is as strong as {active.name} and couldn't give way to it",
+            )
+            self._start(partial(self._retire, known[0]))
+        return (
+            "False",
+            "StandbyTooStrong",
+            f"{names} would be preferred to {active.name}, which is in control: it started earlier or at the same time, or the "
+            "clocks of their nodes differ. It is replaced by a new one.",
+        )
+
+    # -- writing ----------------------------------------------------------------------------------------------------
+
+    def _write(self, standby: Instance | None) -> None:
+        """In the background: an API server that is slow to answer must not delay a detection."""
+        if time.monotonic() >= self._write_after:
+            self._start(partial(self._admit, standby))
+
+    async def _admit(self, standby: Instance | None) -> None:
+        if not await self._gate.admit(standby):
+            self._write_after = time.monotonic() + WRITE_AGAIN
+
+    async def _retire(self, instance: Instance) -> None:
+        with contextlib.suppress(ApiError, aiohttp.ClientError, TimeoutError, OSError):
+            await self._fleet.retire(instance)
+
+    def _start(self, work: Callable[[], Coroutine[Any, Any, None]]) -> None:
+        if self._writing is None or self._writing.done():
+            self._writing = asyncio.create_task(work())

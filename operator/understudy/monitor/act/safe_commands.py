@@ -1,0 +1,155 @@
+"""Tells the robot the policy's safe commands while no instance is verified to be in control (DESIGN: safety focus).
+
+The monitor isn't an instance, so the gate lets it through; its commands begin after the failed instance was fenced, and end with the first
+output of the next one. An instance for which the gate has just been opened is given as long again before it counts as silent, so that
+the two don't contradict each other.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections.abc import Callable, Sequence
+
+from understudy.api.base import seconds
+from understudy.api.kinds.failure_policy import Safety
+from understudy.api.kinds.robot_workload import RobotWorkloadSpec
+from understudy.failover.progress import Progress
+from understudy.ros.actions.repeated_publisher import Commander
+from understudy.ros.runtime.graph_node import Graph
+from understudy.ros.runtime.interface_types import TypeNotInstalled
+from understudy.ros.runtime.message_values import MessageError
+
+_logger = logging.getLogger(__name__)
+
+CLOSED, OPENED, DRIVEN = "fenced", "committing", ("first_output", "verified")
+"""The moments of a recovery between which nobody drives."""
+
+
+class Unattended:
+    """Since when nobody has been able to drive the robot, by what became of the recoveries; pure."""
+
+    def __init__(self) -> None:
+        self._since: float | None = None
+
+    def recovering(self, progress: Progress) -> float | None:
+        """While a recovery is under way: since when (unix seconds) the robot has waited, None while it may be driven."""
+        moments = progress.moments
+        if any(moment in moments for moment in DRIVEN) or progress.taken_over is not None:
+            self._since = None
+            return None
+        changes = [moments[moment] for moment in (CLOSED, OPENED) if moment in moments]
+        if changes:
+            self._since = max(changes)
+        elif progress.attempts and self._since is None:  # of a monitor that is gone
+            self._since = moments.get("detected")
+        return self._since
+
+    def nothing_verified(self, now: float) -> None:
+        """No strategy brought an instance into control."""
+        self._since = self._since if self._since is not None else now
+
+    def driven(self) -> None:
+        """An instance is in control and healthy."""
+        self._since = None
+
+    @property
+    def since(self) -> float | None:
+        """Between recoveries: since when nobody drives, None where somebody does."""
+        return self._since
+
+
+class SafeCommands:
+    """The publishers of a policy's safe commands."""
+
+    def __init__(self, graph: Graph, waited_since: Callable[[], float | None]) -> None:
+        """``waited_since`` is asked before each message: since when (unix seconds) the robot has waited, or None."""
+        self._graph, self._waited_since = graph, waited_since
+        self._followed: tuple[Safety | None, list[tuple[str, str]], bool] = (None, [], False)
+        self._commanders: list[Commander] = []
+        self._tasks: list[asyncio.Task[None]] = []
+        self._after = 0.0
+        self.problems: list[str] = []
+        """What can't be told and why, with what to do."""
+        self.sent = 0
+        """Messages published."""
+
+    def follow(self, safety: Safety | None, spec: RobotWorkloadSpec) -> None:
+        """Be ready to publish what this policy says; without one, nothing."""
+        outputs = [(output.topic, output.type) for output in spec.outputs if output.topic]
+        wanted = (safety, outputs, spec.gate.reflex is not None)
+        if wanted == self._followed:
+            return
+        self._followed = wanted
+        self.close()
+        self.problems = []
+        if safety is None:
+            return
+        self._after = seconds(safety.after)
+        for index, command in enumerate(safety.commands):
+            try:
+                type_name = _type(command.topic, outputs, reflex=spec.gate.reflex is not None)
+                commander = Commander(self._graph, command.topic, type_name, command.message)
+            # The last of these is rclpy's: one process has a topic as one type, and the tree may watch it as another.
+            except (TypeNotInstalled, MessageError, _Unusable, RuntimeError) as error:
+                _logger.error("the safe command for %s can't be given: %s", command.topic, error)
+                self.problems.append(f"FailurePolicy: spec.safety.commands[{index}]: {error}.")
+                continue
+            self._commanders.append(commander)
+            self._tasks.append(asyncio.create_task(self._repeat(commander, seconds(command.every))))
+
+    async def _repeat(self, commander: Commander, period: float) -> None:
+        """Publish in the policy's period for as long as nobody drives."""
+        loop = asyncio.get_running_loop()
+        known: float | None = None
+        begins, failing = 0.0, False
+        while True:
+            since = self._waited_since()
+            if since is not None and since != known:
+                # From here on by the clock that isn't set. What is of later was told by another node's clock, or before a step back.
+                begins = loop.time() + min(since + self._after - time.time(), self._after)
+            known, wait = since, period
+            if since is not None:
+                begun = loop.time()
+                wait = begins - begun
+                if wait <= 0:
+                    failing = self._publish(commander, failing)
+                    wait = max(0.0, begun + period - loop.time())
+            await asyncio.sleep(min(wait, period) if wait > 0 else 0)
+
+    def _publish(self, commander: Commander, failing: bool) -> bool:
+        """Publish once; whether that failed. The next one may get through: nobody else tells the robot anything."""
+        try:
+            commander.publish()
+        except Exception:  # whatever rclpy raises
+            if not failing:
+                _logger.exception("a safe command wasn't given")
+            return True
+        self.sent += 1
+        return False
+
+    def close(self) -> None:
+        """Leave all topics."""
+        for task in self._tasks:
+            task.cancel()
+        for commander in self._commanders:
+            commander.close()
+        self._tasks, self._commanders = [], []
+
+
+class _Unusable(Exception):
+    """A command that the robot wouldn't hear."""
+
+
+def _type(topic: str, outputs: Sequence[tuple[str, str]], *, reflex: bool) -> str:
+    """The type of the output that a command is for. Raises _Unusable."""
+    known = dict(outputs)
+    if topic not in known:
+        there = ", ".join(known) or "none"
+        raise _Unusable(f"{topic} is no topic among the workload's outputs (there are: {there})")
+    if reflex:
+        raise _Unusable(
+            f"{topic} is read with exclusive ownership because of spec.gate.reflex, so the robot would not hear it; use one of the two"
+        )
+    return known[topic]

@@ -1,0 +1,432 @@
+"""Keeps the state of the instance in control: takes it, persists it, tells of it, and gives it to waiting standbys.
+
+What is the last healthy state is decided in state/state_capture.py; here it meets ROS, the agents, the disk and the
+status. Nothing of it waits in the monitor's loop.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import logging
+import time
+from collections.abc import AsyncIterator, Coroutine, Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Literal
+
+from understudy.api.base import seconds
+from understudy.api.kinds.robot_workload import Recovery
+from understudy.api.kinds.state_spec import KeptStatus, RestoredState, State
+from understudy.api.protocol.kept_state import KeptState
+from understudy.failover.interfaces import Instance
+from understudy.failover.progress import rfc3339
+from understudy.kube.agent_client import AgentGone, AgentRefused
+from understudy.monitor.observe.agent_connections import Sidecars
+from understudy.monitor.report import monitor_metrics
+from understudy.monitor.report.reporter import Reporter
+from understudy.ros.observe.state_samples import Capturing
+from understudy.ros.runtime.graph_node import Graph
+from understudy.state.pose_propagation import Carrier
+from understudy.state.state_capture import Entry, Keeper, Key, Trouble
+from understudy.state.state_store import Shelf
+
+_logger = logging.getLogger(__name__)
+
+LEAST_LOOK = 0.05
+"""Seconds between two looks at the kept topics, where the policy's period is shorter; what comes in between is left to
+the middleware, which keeps the last."""
+
+LOOK_AT_ODOMETRY = 0.1
+"""Seconds between two looks at odometry, of which again only the last message counts: at 0.5 m/s and 1 rad/s the way between
+two of them is told to a millimetre, and a jump is told from how the robot drives.
+"""
+
+UNCARRIED_FOR = 10.0
+"""Seconds for which a pose can't be carried until that is told."""
+
+PERSIST = 1.0
+"""Seconds between two writes to the disk, at least."""
+
+INSPECT = 2.0
+"""Seconds between two questions for parameters and lifecycle states."""
+
+INSPECT_WITHIN = 3.0
+"""Seconds that an answer may take."""
+
+TELL = 30.0
+"""Seconds between two updates of the status, where only ages have changed."""
+
+CLOCK_STEP = 0.05
+"""Seconds by which the clock must have moved against the monotonic one to count as having been set."""
+
+REASONS: tuple[Trouble, ...] = ("NotWatched", "TooBig", "NeverCame", "NotAsked", "TooOld", "NotCarried")
+"""Reasons of the condition StateKept, the gravest first."""
+
+Health = Literal["Starting", "Healthy", "Failed"]
+
+
+class StateKeeping:
+    """The kept state of one workload."""
+
+    def __init__(self, graph: Graph, shelf: Shelf, sidecars: Sidecars, reporter: Reporter) -> None:
+        """Take up what an earlier monitor had kept."""
+        self._capturing = Capturing(graph)
+        self._shelf, self._sidecars, self._reporter = shelf, sidecars, reporter
+        self._keeper = Keeper()
+        self._odometry, self._carrier = Capturing(graph), Carrier()
+        self._next_odometry = 0.0
+        self._uncarried: dict[str, float] = {}
+        self._state: State | None = None
+        self._adopted = shelf.load()
+        self._offset = time.time() - time.monotonic()
+        self._period = self._next_look = 0.0
+        self._active = ""
+        self._persisted = self._keeper.revision
+        self._persisting: asyncio.Task[None] | None = None
+        self._next_persist = 0.0
+        self._inspecting: asyncio.Task[None] | None = None
+        self._next_inspect = 0.0
+        self._unanswered: dict[Key, str] = {}
+        self.taken: dict[str, float] = {}
+        """When the state was taken that would be restored now, in Unix seconds, by what it is of."""
+        self._told: tuple[object, ...] = ()
+        self._next_told = 0.0
+        self._upkeep: dict[str, _Upkeep] = {}
+
+    # -- each look --------------------------------------------------------------------------------------------------
+
+    def take(self, state: State, instances: Mapping[str, str], active: str) -> None:
+        """Take in what has come of what the policy keeps. ``instances`` has their IPs; ``active`` is in control."""
+        if state is not self._state:  # comparing them costs more than all else here
+            self.follow(state)
+        if not self._keeper.keys:
+            return
+        self._follow_clock()
+        if self._capturing.attribute(instances, active) or active != self._active:
+            self._active = active
+            self._keeper.forget_offers()
+        now = time.monotonic()
+        if now >= self._next_look:
+            self._next_look = now + max(LEAST_LOOK, self._period)
+            self._take_messages()
+        if self._carrier.topics:
+            # After the poses: most of them are of a moment from which odometry has come by now.
+            self._odometry.attribute(instances, active)
+            self._take_odometry(now)
+
+    def _take_messages(self) -> None:
+        for message in self._capturing.drain():
+            self._carrier.kept(message.topic, message.data, taken_at=message.taken_at)
+            self._keeper.offer(
+                Key("Topic", message.topic),
+                message.data,
+                taken_at=message.taken_at,
+                received_at=message.received_at,
+                type=message.type,
+                standing=message.standing,
+            )
+
+    def _take_odometry(self, now: float) -> None:
+        if now < self._next_odometry:
+            return
+        self._next_odometry = now + LOOK_AT_ODOMETRY
+        for message in self._odometry.drain():
+            self._carrier.moved(
+                message.topic, message.type, message.data, received_at=message.received_at, writer=message.writer
+            )
+        self._carrier.settle(time.time())
+
+    @contextlib.asynccontextmanager
+    async def recovering(self) -> AsyncIterator[None]:
+        """Go on watching odometry meanwhile, so that it is noticed when it is set anew."""
+
+        async def watch() -> None:
+            while True:
+                self._take_odometry(time.monotonic())
+                await asyncio.sleep(LOOK_AT_ODOMETRY)
+
+        watching = asyncio.create_task(watch()) if self._carrier.topics else None
+        try:
+            yield
+        finally:
+            if watching is not None:
+                watching.cancel()
+
+    def judge(self, health: Health, now: float) -> None:
+        """What was taken counts if the instance was healthy, and is. ``now`` in unix seconds."""
+        self._keeper.judge(health, now)
+
+    def follow(self, state: State) -> None:
+        """Keep what this policy says; what an earlier monitor had kept of it is taken up."""
+        if state == self._state:
+            self._state = state
+            return
+        self._state, self._period = state, seconds(state.period)
+        self._keeper.follow(state)
+        self._capturing.follow({topic.topic: topic.type for topic in state.keep})
+        self._carrier.follow(state)
+        self._odometry.follow(dict(self._carrier.topics))
+        if self._adopted:
+            # Only now it is known what of it is wanted. The policy may be another by then, or back.
+            self._keeper.adopt(self._adopted, time.time())
+            self._carrier.adopt(self._adopted)
+            self._adopted = {}
+
+    def _follow_clock(self) -> None:
+        """Ages stay what they are when the clock is set."""
+        before, now, after = time.monotonic(), time.time(), time.monotonic()
+        if after - before > CLOCK_STEP / 4:
+            return  # this process was stalled just here: the next look tells
+        step, self._offset = now - before - self._offset, now - before
+        if abs(step) > CLOCK_STEP:
+            self._keeper.shift(step)
+            self._capturing.shift(step)
+            self._odometry.shift(step)
+            self._carrier.shift(step)
+
+    # -- giving out -------------------------------------------------------------------------------------------------
+
+    def select(self, onset: float) -> KeptState:
+        """The state for the instance that takes over after a failure that began then (unix seconds)."""
+        if self._carrier.topics:
+            self._take_odometry(time.monotonic())
+        return self._carrier.carry(self._keeper.select(onset), time.time())
+
+    def tell(self, recovery: Recovery) -> None:
+        """Say what became of the state in a recovery."""
+        if not recovery.state:
+            if recovery.result == "Recovered":
+                self._reporter.withdraw("StateRestored")  # what is said of an earlier one isn't so of this one
+            return
+        missing = [entry for entry in recovery.state if not entry.restored]
+        given = ", ".join(f"{e.name} ({_given(e)})" for e in recovery.state if e.restored)
+        notes = "; ".join(f"{e.name}: {e.message}" for e in recovery.state if e.restored and e.message)
+        uncarried = [e for e in recovery.state if e.restored and e.message and e.carried_metres is None]
+        if not missing:
+            text = f"{recovery.to_pod} was given {given}." + (f" {notes}." if notes else "")
+            if not uncarried:
+                self._reporter.condition("StateRestored", "True", "Restored", text)
+                return
+            self._reporter.condition("StateRestored", "False", "NotCarried", text)
+            self._reporter.event("Warning", "StateNotCarried", text)
+            return
+        reasons = "; ".join(f"{entry.name}: {entry.message}{self._place(entry.name)}" for entry in missing)
+        text = f"{recovery.to_pod or 'No pod'} was not given all of the kept state: {reasons}."
+        told = text + (f" It was given {given}." if given else "") + (f" {notes}." if notes else "")
+        way_out = " It took over nevertheless; where it must not, put restore_state into the strategy's recovery."
+        self._reporter.condition("StateRestored", "False", "NotRestored", told + way_out)
+        self._reporter.event("Warning", "StateNotRestored", text + way_out)
+
+    def _place(self, label: str) -> str:
+        """Where in the policy something that is kept is written, for messages; nothing where it isn't there any more."""
+        state = self._state
+        if state is None:
+            return ""
+        keys = [
+            *((Key("Topic", kept.topic), f"keep[{i}]") for i, kept in enumerate(state.keep)),
+            *((Key("Parameters", kept.node), f"parameters[{i}]") for i, kept in enumerate(state.parameters)),
+            *((Key("Lifecycle", node), f"lifecycle[{i}]") for i, node in enumerate(state.lifecycle)),
+        ]
+        return next((f" (state.{place} of the policy)" for key, place in keys if key.label == label), "")
+
+    # -- what has time ----------------------------------------------------------------------------------------------
+
+    def housekeeping(self, active: Instance | None, waiting: Sequence[tuple[Instance, float]]) -> None:
+        """Persist, ask, tell and keep standbys up. ``waiting`` are standbys that are given state, each with its period
+        in seconds. Called about once a second; returns at once.
+        """
+        now = time.monotonic()
+        if self._state is None:
+            return
+        self._persist(now)
+        if self._keeper.keys or self._told:
+            self._inspect(now, active)
+            self._note()
+            self._say(now)
+        self._keep_up(waiting, now)
+
+    def _persist(self, now: float) -> None:
+        busy = self._persisting is not None and not self._persisting.done()
+        revision = self._keeper.revision + self._carrier.revision
+        if busy or now < self._next_persist or revision == self._persisted or self._adopted:
+            return
+        self._next_persist = now + PERSIST
+        kept = self._keeper.versions()
+        self._carrier.prune(self._keeper.held())
+        kept |= self._carrier.packed(time.time())
+
+        async def persist() -> None:
+            try:
+                await asyncio.to_thread(self._shelf.save, kept)
+                self._persisted = revision
+            except OSError as error:
+                _logger.error("what is kept would not outlast a restart: %s", error)
+
+        self._persisting = asyncio.create_task(persist())
+
+    def _inspect(self, now: float, active: Instance | None) -> None:
+        state = self._state
+        assert state is not None, "it is looked at before"
+        if not (state.parameters or state.lifecycle) or now < self._next_inspect:
+            return
+        if self._inspecting is not None and not self._inspecting.done():
+            return
+        self._next_inspect = now + INSPECT
+        keys = [Key("Parameters", p.node) for p in state.parameters] + [Key("Lifecycle", n) for n in state.lifecycle]
+        if active is not None and not active.has_agent:
+            reason = f"pod {active.name} has no agent that could be asked, since a referred controller made it"
+            self._unanswered = dict.fromkeys(keys, reason)
+        elif active is not None and self._keeper.healthy_since is not None:
+            self._inspecting = asyncio.create_task(self._ask(active, state, keys))
+
+    async def _ask(self, active: Instance, state: State, keys: Sequence[Key]) -> None:
+        body = {
+            "parameters": [{"node": p.node, "names": p.names} for p in state.parameters],
+            "lifecycle": list(state.lifecycle),
+        }
+        asked = time.time()
+        try:
+            answer = await self._sidecars.inspect(active, body, INSPECT_WITHIN)
+        except (AgentGone, AgentRefused) as error:
+            self._unanswered = dict.fromkeys(keys, str(error))
+            return
+        since = self._keeper.healthy_since
+        self._unanswered = {
+            Key("Parameters" if p.get("kind") == "parameters" else "Lifecycle", str(p.get("node"))): str(
+                p.get("reason")
+            )
+            for p in answer.get("problems", [])
+        }
+        if state != self._state or active.name != self._active or since is None or asked < since:
+            return
+        for key, data in _answers(answer):
+            self._keeper.offer(key, data, taken_at=asked, received_at=time.time())
+
+    def _troubles(self) -> list[Entry]:
+        """How it stands with all that is kept, and what of it would not be carried to the present."""
+        now, entries = time.time(), self._keeper.entries(time.time())
+        if not self._carrier.topics:
+            return entries
+        self._carrier.note({**self._odometry.waiting, **self._odometry.problems})
+        reasons = self._carrier.reasons(self._keeper.select(now), now)
+        self._uncarried = {name: self._uncarried.get(name, now) for name in reasons}
+        lasting = {name: reasons[name] for name, since in self._uncarried.items() if now - since > UNCARRIED_FOR}
+        return [
+            replace(entry, trouble="NotCarried", message=f"{entry.key.label}: {lasting[entry.key.name]}")
+            if entry.trouble is None and entry.key.kind == "Topic" and entry.key.name in lasting
+            else entry
+            for entry in entries
+        ]
+
+    def _note(self) -> None:
+        notes: dict[Key, tuple[Trouble, str]] = {}
+        for name, reason in self._capturing.waiting.items():
+            notes[Key("Topic", name)] = ("NeverCame", f"{name}: {reason}")
+        for name, problem in self._capturing.problems.items():
+            notes[Key("Topic", name)] = ("NotWatched", f"{name}: {problem}")
+        for key, reason in self._unanswered.items():
+            notes[key] = ("NotAsked", f"{key.label}: {reason}")
+        self._keeper.note(notes)
+
+    def _say(self, now: float) -> None:
+        """Update status, condition and metrics: at once where something is wrong or right again, else seldom."""
+        entries = self._troubles()
+        monitor_metrics.kept({entry.key.label: (entry.taken_at, entry.bytes) for entry in entries})
+        self.taken = {entry.key.label: entry.taken_at for entry in entries if entry.taken_at is not None}
+        shape = tuple((entry.key, entry.trouble, entry.taken_at is None) for entry in entries)
+        if shape == self._told and now < self._next_told:
+            return
+        self._told, self._next_told = shape, now + TELL
+        self._reporter.keep([_status(entry) for entry in entries])
+        if not entries:
+            self._reporter.condition("StateKept", "True", "NothingToKeep", "The policy keeps no state (any more).")
+            return
+        troubled = sorted((e for e in entries if e.trouble), key=lambda e: REASONS.index(e.trouble))
+        if troubled:
+            text = ". ".join(f"{entry.message}{self._place(entry.key.label)}" for entry in troubled) + "."
+            if any(entry.trouble == "NeverCame" for entry in troubled):
+                text += (
+                    " What never came is not given to the one that takes over: correct it there, or have it published."
+                )
+            reason = "TypeNotInstalled" if "not installed" in text else str(troubled[0].trouble)
+            if self._reporter.condition("StateKept", "False", reason, text):
+                self._reporter.event("Warning", f"State{reason}", text)
+        elif missing := [entry.key.label for entry in entries if entry.taken_at is None]:
+            text = f"Waiting for {', '.join(missing)} of a healthy instance."
+            self._reporter.condition("StateKept", "Unknown", "Waiting", text)
+        else:
+            names = ", ".join(entry.key.label for entry in entries)
+            self._reporter.condition("StateKept", "True", "Kept", f"Keeping {names}.")
+
+    def _keep_up(self, waiting: Sequence[tuple[Instance, float]], now: float) -> None:
+        """Give standbys that wait what is newer than what they were given last."""
+        state = self._state
+        assert state is not None, "it is looked at before"
+        known = {instance.uid for instance, _ in waiting}
+        for uid in [uid for uid in self._upkeep if uid not in known]:
+            self._upkeep.pop(uid).cancel()
+        for instance, period in waiting:
+            upkeep = self._upkeep.setdefault(instance.uid, _Upkeep())
+            if now >= upkeep.due and not upkeep.busy and self._keeper.healthy_since is not None:
+                upkeep.due = now + period
+                # Not the lifecycle states: they would make it drive before its time.
+                fresh = replace(self.select(time.time()), lifecycle=(), left_out=()).changed_from(upkeep.given)
+                if fresh:
+                    upkeep.begin(self._hand(instance, fresh, upkeep, seconds(state.within)))
+
+    async def _hand(self, instance: Instance, fresh: KeptState, upkeep: _Upkeep, within: float) -> None:
+        report = await self._sidecars.restore(instance, fresh, within)
+        given = {entry.name for entry in report.restored}
+        upkeep.given |= {name: content for name, content in fresh.contents().items() if name in given}
+        if report.problem != upkeep.problem:
+            upkeep.problem = report.problem
+            if report.problem:
+                self._reporter.event("Warning", "StandbyNotKeptUp", f"{instance.name}: {report.problem}")
+
+
+def _given(entry: RestoredState) -> str:
+    """How old it was, and how far it was carried."""
+    age = f"{entry.age_seconds:.1f} s old"
+    return age if entry.carried_metres is None else f"{age}, carried by {entry.carried_metres:.2f} m"
+
+
+def _answers(answer: Mapping[str, Any]) -> Iterator[tuple[Key, bytes]]:
+    """What nodes said of their parameters and states; only states in which a node rests can be restored."""
+    for node, values in answer.get("parameters", {}).items():
+        yield Key("Parameters", node), json.dumps(values, sort_keys=True).encode()
+    for node, state in answer.get("lifecycle", {}).items():
+        if state in ("unconfigured", "inactive", "active"):
+            yield Key("Lifecycle", node), str(state).encode()
+
+
+def _status(entry: Entry) -> KeptStatus:
+    return KeptStatus(
+        name=entry.key.name,
+        kind=entry.key.kind,
+        taken_at=f"{rfc3339(entry.taken_at)[:19]}Z" if entry.taken_at is not None else None,
+        bytes=entry.bytes,
+        message=entry.message,
+    )
+
+
+class _Upkeep:
+    """What a waiting standby was given."""
+
+    def __init__(self) -> None:
+        self.due = 0.0
+        self.given: dict[str, object] = {}
+        """What it was given last, by name."""
+        self.problem = ""
+        self._task: asyncio.Task[None] | None = None
+
+    @property
+    def busy(self) -> bool:
+        return self._task is not None and not self._task.done()
+
+    def begin(self, work: Coroutine[Any, Any, None]) -> None:
+        self._task = asyncio.create_task(work)
+
+    def cancel(self) -> None:
+        if self._task is not None:
+            self._task.cancel()

@@ -1,0 +1,96 @@
+"""The policy's budget of recoveries (limits.budget): what was spent of it, and what people are told of that.
+
+It is kept in the workload's status, with the record of each recovery: a healthy workload costs no writes, and the next monitor knows.
+"""
+
+from __future__ import annotations
+
+import logging
+
+from understudy.api import names
+from understudy.api.kinds.failure_policy import Budget
+from understudy.api.kinds.pause_spec import in_words, unix
+from understudy.failover.limits import budget as budgets
+from understudy.failover.progress import Progress
+from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.report import monitor_metrics
+from understudy.monitor.report.reporter import Reporter
+
+_logger = logging.getLogger(__name__)
+
+CONDITION = "WithinBudget"
+
+
+class Spending:
+    """What one workload has spent. Times are unix seconds."""
+
+    def __init__(self, view: View, reporter: Reporter) -> None:
+        self._view, self._reporter = view, reporter
+
+    @property
+    def _budget(self) -> Budget | None:
+        policy = self._view.policy
+        return policy.limits.budget if policy is not None else None
+
+    @property
+    def resumed(self) -> float | None:
+        """When somebody last said to go on."""
+        item = self._view.object
+        said = ((item or {}).get("metadata", {}).get("annotations") or {}).get(names.RESUMED, "")
+        return unix(said) if said else None
+
+    def count(self, done: Progress, now: float) -> None:
+        """Count a recovery that is over. What was planned is none, nor what follows from another workload's recovery, nor one in
+        which nothing could be tried.
+        """
+        budget, tried = self._budget, any(attempt.result != "NotAvailable" for attempt in done.attempts)
+        if budget is not None and tried and not done.planned and not done.follows:
+            self._reporter.spend([*self._counted(now), done.began][-budget.recoveries :])
+            self.say(now)
+
+    def spent_until(self, now: float) -> float | None:
+        """Until when no recovery may begin; None where one may."""
+        if (budget := self._budget) is None:
+            return None
+        free = budgets.free_from(self._counted(now), recoveries=budget.recoveries, within=budget.length)
+        return free if now < free else None
+
+    def say(self, now: float) -> None:
+        """Say how it stands; nothing where the policy has no budget."""
+        budget = self._budget
+        if budget is None:
+            monitor_metrics.budget("", None)
+            self._reporter.spend([])
+            self._reporter.withdraw(CONDITION)
+            return
+        left = budgets.left(self._counted(now), now, recoveries=budget.recoveries, within=budget.length)
+        monitor_metrics.budget(budget.within, left)
+        if (until := self.spent_until(now)) is None:
+            before = self._reporter.find(CONDITION)
+            text = f"Of the {budget.words} that limits.budget of its policy has, some are left."
+            if self._reporter.condition(CONDITION, "True", "Left", text) and before is not None:
+                self._reporter.event("Normal", "BudgetLeft", "Failures are recovered by themselves again")
+            return
+        text = self._spent(budget, until)
+        if self._reporter.condition(CONDITION, "False", "Spent", text):
+            _logger.warning("%s", text)
+            self._reporter.event("Warning", "BudgetSpent", text)
+
+    def tell_held(self, progress: Progress) -> None:
+        """Say that a failure isn't recovered, since nothing is left."""
+        found = self._reporter.find(CONDITION)
+        pods = ", ".join(pod.name for pod in progress.failed[:1]) or "no pod"
+        text = f"{progress.reason}; {pods} is fenced, and nothing else is done. {found.message if found is not None else ''}"
+        _logger.warning("%s", text)
+        monitor_metrics.held("BudgetSpent")
+        self._reporter.condition("Recovering", "False", "BudgetSpent", text.strip())
+        self._reporter.event("Warning", "RecoveryHeld", text.strip())
+
+    def _counted(self, now: float) -> list[float]:
+        return budgets.counted(self._reporter.spent, self.resumed, now)
+
+    def _spent(self, budget: Budget, until: float) -> str:
+        return (
+            f"The {budget.words} that limits.budget of its policy has were made: one that fails before {in_words(until)} is fenced, and "
+            f"nothing else is done. Find out why it fails so often, then: understudy resume -n {self._view.namespace} {self._view.workload}"
+        )

@@ -1,0 +1,82 @@
+"""Maintenance (spec.pause): whether the workload is to be left alone now, and what people are told of that."""
+
+from __future__ import annotations
+
+import logging
+
+from understudy.api import names
+from understudy.api.kinds.pause_spec import Pause
+from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.report import monitor_metrics
+from understudy.monitor.report.reporter import Reporter
+
+_logger = logging.getLogger(__name__)
+
+CONDITION = "Paused"
+
+
+class Pauses:
+    """The pause of one workload. Times are unix seconds."""
+
+    def __init__(self, view: View, reporter: Reporter) -> None:
+        self._view, self._reporter = view, reporter
+        self._known: tuple[Pause | None, bool] = (None, False)
+        self._resumed = ""
+        """When somebody had said to go on, while the pause was in force: what they say of it later is of its end."""
+        self._adopted = True
+        """Whether what an earlier monitor has said is still to be looked at."""
+        self.ended = 0.0
+        """When the last pause was over: what went on before is nobody's failure."""
+
+    @property
+    def on(self) -> Pause | None:
+        """The pause that is in force, by the last look."""
+        given, in_force = self._known
+        return given if in_force else None
+
+    def look(self, now: float) -> None:
+        """Look whether one is in force, and tell of it where that is new."""
+        spec = self._view.spec
+        if spec is None:
+            return
+        given = spec.pause
+        in_force = given is not None and given.in_force(now)
+        if in_force:
+            self.ended = now
+            self._resumed = self._annotation(names.RESUMED)
+        before = self._known
+        if (given, in_force) == before and not self._adopted:
+            return
+        self._known, self._adopted = (given, in_force), False
+        monitor_metrics.paused(in_force)
+        if given is None:
+            self._reporter.withdraw(CONDITION)
+        elif in_force:
+            self._begin(given, anew=before != (given, True))
+        else:
+            said = f"It was {given.words}. That is over, and spec.pause may be taken away."
+            self._reporter.condition(CONDITION, "False", "Over", said)
+        if before[1] and not in_force and before[0] is not None:
+            pause, why = before[0], f"it was taken away{self._words()}" if given is None else "its time is over"
+            _logger.warning("no longer %s: %s", pause.words, why)
+            self._reporter.event("Normal", "PauseEnded", f"No longer {pause.words}; {why}")
+
+    def _words(self) -> str:
+        """Who has ended it and why, where they told it."""
+        found = self._annotation(names.RESUMED_FOR) if self._annotation(names.RESUMED) != self._resumed else ""
+        return f" by {found}" if found else ""
+
+    def _annotation(self, name: str) -> str:
+        found: str = ((self._view.object or {}).get("metadata", {}).get("annotations") or {}).get(name, "")
+        return found
+
+    def _begin(self, pause: Pause, *, anew: bool) -> None:
+        way_out = f"understudy resume -n {self._view.namespace} {self._view.workload}"
+        words = f"{pause.words[0].upper()}{pause.words[1:]}"
+        text = f"{words}. It is watched, and nothing is done by itself; {way_out} ends that."
+        known = self._reporter.find(CONDITION)
+        again = known is not None and (known.status, known.message) == ("True", text)
+        self._reporter.condition(CONDITION, "True", "Maintenance", text)
+        if anew and not again:
+            _logger.warning("%s", pause.words)
+            self._reporter.event("Normal", "Paused", text)

@@ -1,0 +1,69 @@
+"""Which of the policy's strategies could be carried out now."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable, Sequence
+
+from understudy.failover.protocol import Choice
+from understudy.failover.strategies import Means, Strategy
+from understudy.kube.client import ApiError
+from understudy.monitor.decide.strategy_list import choices
+from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.storm_condition import Storms
+
+LOOK_WITHIN = 0.5
+"""Seconds that looking for what a planned hand-over needs may take."""
+
+
+class Repertoire:
+    """The strategies of one workload's policy, and what is there for them."""
+
+    def __init__(self, view: View, storms: Storms, means: Callable[[], Means]) -> None:
+        """``means`` are asked for once the workload's settings are known."""
+        self._view, self._storms, self.means = view, storms, means
+
+    def choices(self) -> Sequence[Choice]:
+        """In order, each with the time it has; none where it isn't known yet which there are."""
+        policy, settings = self._view.policy, self._view.settings
+        if policy is None or settings is None:
+            return ()
+        return choices(policy, settings, self._view.spec)
+
+    def usable(self) -> str:
+        """The name of the one that would be carried out now."""
+        means = self.means()
+        reasons = [(choice.strategy, choice.strategy.outlook(means)) for choice in self.choices()]
+        return next((strategy.name.split("/")[-1] for strategy, reason in reasons if reason is None), "None")
+
+    def stands_by(self) -> bool:
+        """Whether an instance that is well is there to take over, which takes nothing from others."""
+        found = self.choices()
+        if not found:
+            return False
+        means = self.means()
+        return any(choice.strategy.standing and choice.strategy.available(means) is None for choice in found)
+
+    def holds(self, strategy: Strategy) -> str | None:
+        """Why a strategy isn't tried now, although it could be."""
+        if strategy.standing or (storm := self._storms.on(time.time())) is None:
+            return None
+        return f"held, since others fail too: {storm}"
+
+    def first_lacks(self) -> str | None:
+        """Why the first one can't be carried out, by what was said; None where it can."""
+        first = self.choices()[0].strategy
+        return first.outlook(self.means()) or self.holds(first)
+
+    async def look_for_first(self) -> str | None:
+        """Why the first one can't be carried out, by what is so and not only by what was said. Meanwhile nobody watches the
+        instance in control, so an answer that is slow is none.
+        """
+        first, means = self.choices()[0].strategy, self.means()
+        try:
+            async with asyncio.timeout(LOOK_WITHIN):
+                await first.look(means)
+            return first.available(means)
+        except (ApiError, TimeoutError) as error:
+            return str(error) or "the API server doesn't answer"

@@ -1,0 +1,196 @@
+"""Says whether the workload is Degraded: its health tree holds, and the tree of ``spec.degraded`` doesn't.
+
+It is judged with the same looks as health, and never in the way of it: a failure is acted on in the same time, whatever the
+level. Without ``spec.degraded`` nothing is looked at.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from datetime import datetime
+
+from understudy.api.base import seconds
+from understudy.api.kinds.degraded_spec import Degraded, Reschedule
+from understudy.api.kinds.failure_policy import FailurePolicySpec
+from understudy.failover.degradation import Level
+from understudy.failover.interfaces import Instance
+from understudy.monitor.judge.degraded_tree import Busy
+from understudy.monitor.observe.health_observer import Sight
+from understudy.monitor.report import monitor_metrics
+from understudy.monitor.report.reporter import Reporter
+from understudy.trees.core.health_tree import Verdict
+
+_logger = logging.getLogger(__name__)
+
+LOOK = 0.2
+"""Seconds between two looks: whether it is well matters within seconds, not within milliseconds."""
+
+AGAIN = 30.0
+"""Seconds between two updates of the message, whose figures change with every look."""
+
+CONDITION, TASKS = "Degraded", "TasksProxied"
+
+_WAITS = " It isn't handed over yet: "
+
+
+class Levels:
+    """The level of the instance in control, and when one that is degraded is due to be handed over."""
+
+    def __init__(self, sight: Sight, reporter: Reporter) -> None:
+        self._sight, self._reporter = sight, reporter
+        self._level = Level()
+        self._uid = ""
+        self._next = 0.0
+        self._told = 0.0
+        self._said = ("", "")
+        self._words = ""
+        self._idle_since: float | None = None
+        self._waits: Busy | None = None
+        self._lacking: Busy | None = None
+        self._handed_over: float | None = None
+        self._due = False
+        self._in_force = True  # so that what an earlier monitor said is taken back where the policy says nothing of it
+
+    @property
+    def degraded(self) -> bool:
+        """Whether it is degraded, as far as the last look knows."""
+        return self._level.since is not None
+
+    @property
+    def due(self) -> str | None:
+        """Why the instance is to be handed over now; None where it isn't."""
+        return f"degraded: {self._words}; rescheduled while idle" if self._due and self.degraded else None
+
+    def handed_over(self) -> None:
+        """Note that a planned hand-over was begun."""
+        self._handed_over, self._due, self._lacking = time.monotonic(), False, None
+
+    def wait(self, kind: str, words: str) -> None:
+        """Note why a hand-over that is due can't be begun; it is due again with the next look."""
+        self._due, self._lacking = False, Busy(kind, words)
+
+    def look(self, policy: FailurePolicySpec, verdict: Verdict, active: Instance, *, now: float, since: float) -> bool:
+        """Whether the instance is degraded, given what its health tree says. Times are unix seconds."""
+        if policy.degraded is None:
+            if self._in_force:
+                self._end()
+            return False
+        self._in_force = True
+        clock = time.monotonic()
+        if active.uid != self._uid:
+            self._begin(active, clock)
+        if clock >= self._next:
+            self._next = clock + LOOK
+            self._judge(policy.degraded, verdict, clock, now=now, since=since)
+        return self.degraded
+
+    def _end(self) -> None:
+        self._in_force, self._uid, self._level = False, "", Level()
+        self._reporter.withdraw(CONDITION)
+
+    def _begin(self, active: Instance, clock: float) -> None:
+        """Another instance is judged: what was said of the last one isn't so of this one, unless a new monitor just looks on."""
+        said = self._reporter.find(CONDITION)
+        self._level, self._idle_since, self._due, self._lacking = Level(), None, False, None
+        if said is not None and said.status == "True":
+            if not self._uid and self._reporter.adopted == active.name:
+                length = time.time() - datetime.fromisoformat(said.last_transition_time).timestamp()
+                self._level, self._told = Level(clock - max(0.0, length)), clock
+                self._words = said.message.partition(_WAITS)[0].removesuffix(".")
+            else:
+                self._reporter.condition(CONDITION, "Unknown", "Starting", f"{active.name} has just taken control.")
+        self._uid, self._next = active.uid, clock
+
+    def _judge(self, degraded: Degraded, verdict: Verdict, clock: float, *, now: float, since: float) -> None:
+        # Of an instance whose health tree doesn't hold, or not yet, it isn't asked whether it is well.
+        healthy = verdict.state == "Healthy"
+        found = self._sight.wellness(now=now, since=since) if healthy else Verdict("Starting", "", "", None)
+        before = self._level.since
+        debounce, clear_after = seconds(degraded.monitoring.debounce), seconds(degraded.clear_after)
+        if self._level.note(found.state, clock, debounce=debounce, clear_after=clear_after):
+            if found.state == "Failed":
+                self._words = f"{found.reason}, by the leaf {found.leaf} of spec.degraded"
+            self._wait_for_idle(degraded.reschedule, found, clock, now=now, since=since)
+            self._say_degraded(found.leaf, clock, entered=before is None)
+            return
+        self._idle_since, self._due = None, False
+        if before is not None:
+            self._say_well(clock - before)
+        elif found.state == "Healthy" and self._reporter.reason(CONDITION) != "Well":
+            self._reporter.condition(CONDITION, "False", "Well", "The tree of spec.degraded holds.")
+        elif found.state == "Starting" and healthy and self._reporter.find(CONDITION) is None:
+            self._reporter.condition(CONDITION, "Unknown", "Starting", f"It isn't known yet: {found.reason}.")
+
+    # -- handing over -----------------------------------------------------------------------------------------------
+
+    def _wait_for_idle(
+        self, reschedule: Reschedule | None, found: Verdict, clock: float, *, now: float, since: float
+    ) -> None:
+        """Note whether a hand-over is due, and else what it waits for.
+
+        It may be due while the tree holds again: what isn't well may show at work only.
+        """
+        self._due, self._waits = False, None
+        if reschedule is None or found.state == "Starting":
+            self._idle_since = None
+            return
+        busy = self._busy(now=now, since=since)
+        if busy is not None:
+            self._idle_since = None
+        elif self._idle_since is None:
+            self._idle_since = clock
+        self._waits = busy or self._too_early(reschedule, clock)
+        if self._waits is None:
+            self._due, self._waits = True, self._lacking
+
+    def _too_early(self, reschedule: Reschedule, clock: float) -> Busy | None:
+        if self._paused(seconds(reschedule.pause), clock) > 0:
+            return Busy("pause", f"the last planned hand-over was less than {reschedule.pause} ago")
+        since, idle = self._level.since, self._idle_since
+        assert since is not None, "it is asked of a degraded one only"
+        assert idle is not None, "it is asked of an idle one only"
+        if clock < since + seconds(reschedule.after):
+            return Busy("after", f"it must have been degraded for {reschedule.after}")
+        if clock < idle + seconds(reschedule.idle_for):
+            return Busy("idleFor", f"it must have been idle for {reschedule.idle_for}")
+        return None
+
+    def _busy(self, *, now: float, since: float) -> Busy | None:
+        """Why the robot doesn't count as idle. What the task proxy has of goals counts too, and so does not hearing of it."""
+        proxied = self._reporter.find(TASKS)
+        if proxied is not None and proxied.status != "True":
+            return Busy("tasks", f"how its tasks are can't be told ({TASKS} is {proxied.status}, {proxied.reason})")
+        if goals := self._reporter.goals:
+            return Busy("task", f"a goal of {goals[0]} is active")
+        return self._sight.busy(now=now, since=since)
+
+    def _paused(self, pause: float, clock: float) -> float:
+        """Seconds until the next planned hand-over may begin; an earlier monitor's counts by the status."""
+        waits = [0.0]
+        if self._handed_over is not None:
+            waits.append(self._handed_over + pause - clock)
+        if (recorded := self._reporter.planned) is not None:
+            waits.append(recorded + pause - time.time())
+        return max(waits)
+
+    # -- saying -----------------------------------------------------------------------------------------------------
+
+    def _say_degraded(self, leaf: str, clock: float, *, entered: bool) -> None:
+        if entered:
+            monitor_metrics.degraded()
+            _logger.warning("degraded: %s", self._words)
+            self._reporter.event("Warning", "Degraded", self._words)
+        before = self._said[0]
+        said = (leaf or before, self._waits.kind if self._waits is not None else "")
+        if not self._words or (not entered and said == self._said and clock - self._told < AGAIN):
+            return
+        self._told, self._said = clock, said
+        waits = f"{_WAITS}{self._waits.words}." if self._waits is not None else ""
+        self._reporter.condition(CONDITION, "True", "NotWell", f"{self._words}.{waits}")
+
+    def _say_well(self, length: float) -> None:
+        text = f"The tree of spec.degraded holds again, {length:.0f} s after it began to fail"
+        _logger.info("%s", text)
+        self._reporter.condition(CONDITION, "False", "Well", f"{text}.")
+        self._reporter.event("Normal", "WellAgain", text)

@@ -1,0 +1,110 @@
+"""The trees of ``spec.degraded``, judged by what the health tree's subscriptions receive: a topic of both is received once."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Collection
+from dataclasses import replace
+from typing import NamedTuple
+
+from understudy.api.base import seconds
+from understudy.api.kinds.degraded_spec import Degraded, InlineTree
+from understudy.api.kinds.failure_policy import FailurePolicySpec
+from understudy.api.kinds.robot_workload import RobotWorkloadSpec
+from understudy.ros.runtime.interface_types import message_fields
+from understudy.trees.core.health_tree import HealthTree, Verdict, WatchedTopic
+from understudy.trees.core.observations import Observations
+from understudy.trees.core.task_activity import STATUS_TYPE, TaskActive
+from understudy.trees.languages.notations import load_inline
+from understudy.trees.source.problems import TreeError
+
+_logger = logging.getLogger(__name__)
+
+
+class Busy(NamedTuple):
+    """Why the robot doesn't count as idle."""
+
+    kind: str
+    """One word, which stays while the words with their figures change."""
+    words: str
+
+
+class Wellness:
+    """What well and idle mean to the policy in force. Where it doesn't say, nothing is loaded, watched or judged."""
+
+    def __init__(self) -> None:
+        self._given: tuple[Degraded | None, str, tuple[str, ...]] = (None, "", ())
+        self._well: HealthTree | None = None
+        self._idle: HealthTree | None = None
+        self._tasks: tuple[TaskActive, ...] = ()
+        self._blind: Collection[str] = ()
+        self.problems: list[str] = []
+        """What doesn't load and why."""
+
+    def follow(self, policy: FailurePolicySpec, spec: RobotWorkloadSpec | None) -> bool:
+        """Judge by this policy; whether that changed anything. A tree that doesn't load leaves the last one in force."""
+        degraded = policy.degraded
+        reschedule = degraded.reschedule if degraded is not None else None
+        actions = tuple(task.action for task in spec.tasks) if reschedule is not None and spec is not None else ()
+        given = (degraded, policy.monitoring.startup_grace, actions)
+        if self._given == given:
+            return False
+        self._given, self.problems = given, []
+        self._tasks = tuple(TaskActive(action) for action in actions)
+        grace = seconds(policy.monitoring.startup_grace)
+        well = degraded.monitoring if degraded is not None else None
+        self._well = self._loaded(well, self._well, "spec.degraded.monitoring", grace)
+        index = next((i for i, one in enumerate(degraded.actions) if one.reschedule is not None), 0) if degraded else 0
+        idle = reschedule.idle if reschedule is not None else None
+        self._idle = self._loaded(idle, self._idle, f"spec.degraded.actions[{index}].reschedule.idle", grace)
+        return True
+
+    def _loaded(self, tree: InlineTree | None, last: HealthTree | None, path: str, grace: float) -> HealthTree | None:
+        if tree is None:
+            return None
+        try:
+            found = load_inline(tree, path=path, grace=grace, fields=message_fields)
+        except TreeError as error:
+            _logger.error("a tree of spec.degraded doesn't load, the last one stays: %s", error)
+            self.problems.append(
+                f"A tree of spec.degraded doesn't load, the last good one stays in force: {error.in_short()}."
+            )
+            return last
+        found.begin(time.time())
+        return found
+
+    @property
+    def topics(self) -> list[WatchedTopic]:
+        """What must be watched for it; some perhaps more than once."""
+        trees = [tree for tree in (self._well, self._idle) if tree is not None]
+        statuses = [WatchedTopic(task.topic, STATUS_TYPE, 0.0, None, task=True) for task in self._tasks]
+        # That it isn't well may wait for the next look, whatever a message says.
+        return [*(replace(topic, prompt=False) for tree in trees for topic in tree.topics), *statuses]
+
+    def leave_out(self, topics: Collection[str]) -> None:
+        """Judge without the leaves of topics that can't be watched: being blind is no reason to act."""
+        self._blind = topics
+        if self._well is not None:
+            self._well.leave_out(topics)
+
+    def verdict(self, observations: Observations, *, now: float, since: float) -> Verdict:
+        """Whether the instance in control since then is well; Starting where that can't be told. Times are unix seconds."""
+        if self._well is None:
+            return Verdict("Starting", "no tree says what well means", "", None)
+        return self._well.evaluate(observations, now=now, since=since)
+
+    def busy(self, observations: Observations, *, now: float, since: float) -> Busy | None:
+        """Why the robot doesn't count as idle; None while it does. What can't be seen isn't idle."""
+        for task in self._tasks:
+            if observations.task(task.topic) is not None:
+                return Busy("task", f"a goal of {task.action} is active")
+        if self._idle is None:
+            nothing = Busy(
+                "never", "the workload has no tasks, and the policy's reschedule no idle that says when it is idle"
+            )
+            return None if self._tasks else nothing
+        if blind := [topic.name for topic in self._idle.topics if topic.name in self._blind]:
+            return Busy("blind", f"{', '.join(blind)} can't be watched")
+        verdict = self._idle.evaluate(observations, now=now, since=since)
+        return None if verdict.state == "Healthy" else Busy("idle", verdict.reason)

@@ -1,0 +1,107 @@
+"""Whether the instance in control has failed: its pod is lost, or its health tree doesn't hold."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from understudy.api.base import seconds
+from understudy.api.kinds.failure_policy import Monitoring
+from understudy.api.kinds.robot_workload import DependencyRecovery
+from understudy.failover.interfaces import Instance
+from understudy.failover.reflex import TakenOver
+from understudy.failover.switchover import Prepared
+from understudy.monitor.act.gate_control import PolicyGate
+from understudy.monitor.act.pod_control import Fleet
+from understudy.monitor.observe.agent_connections import Sidecars
+from understudy.monitor.observe.health_observer import Sight
+from understudy.trees.core.debounce import Debounce
+from understudy.trees.core.health_tree import Verdict
+
+KNOWN_GRACE = 3.0
+"""Seconds that a new monitor waits for the first samples of an instance that its agent knows was healthy before."""
+
+DEAD_AFTER = 0.1
+"""Seconds without an output after which a pod whose object is gone counts as dead."""
+
+
+@dataclass(frozen=True)
+class Failure:
+    """What failed and since when; times are unix seconds."""
+
+    reason: str
+    onset: float
+    detected: float
+    taken: TakenOver | None = None
+    """The standby that the robot follows already, if one does."""
+    planned: bool = False
+    """Whether nothing failed, and an instance that is degraded is handed over."""
+    switch: Prepared | None = None
+    """Where nothing failed either: the understudy that can drive instead, as is planned; or what was begun and isn't settled yet."""
+    follows: Sequence[DependencyRecovery] = ()
+    """The recoveries of others after which the instance in control is dealt with, where that is all."""
+
+
+class Detector:
+    """Judges the instance in control. Times are unix seconds."""
+
+    def __init__(self, fleet: Fleet, gate: PolicyGate, sidecars: Sidecars, sight: Sight) -> None:
+        self._fleet, self._gate = fleet, gate
+        self._sidecars, self._sight = sidecars, sight
+        self._debounce = Debounce()
+        self.since = time.time()
+        """From when on it is watched: what was received before isn't its own."""
+
+    def restart(self) -> None:
+        """Watch whatever is in control from now on."""
+        self.since = time.time()
+        self._debounce.clear()
+
+    def lost(self, active: Instance | None, now: float) -> tuple[Failure | None, float | None] | None:
+        """Whether the pod in control is lost, which needs no health tree: a failure, or when to look again.
+
+        One on a node that Kubernetes has lost goes on, whatever becomes of its object: its outputs say whether it lives.
+        A pod that is being deleted still has its labels, so the gate can fence it at once. One whose object is gone
+        (deleted by force) has none, and its process may run on for a moment: fencing it isn't possible, so the switch
+        waits until it is silent.
+        """
+        name = self._gate.state.active
+        if active is not None and not active.leaving and active.running:
+            return None
+        onset = self.onset(name, now)
+        if (
+            active is None
+            and (silent := self._sight.last_from(name)) is not None
+            and now - silent < DEAD_AFTER
+            # Once a successor of the same name has an address, as in a StatefulSet, it's that one which is heard.
+            and not any(i.name == name and i.ip for i in self._fleet.of_workload())
+        ):
+            return None, silent + DEAD_AFTER
+        gone = "is gone" if active is None else "is being deleted" if active.leaving else "has stopped running"
+        return Failure(f"pod {name} {gone}", onset, time.time()), None
+
+    def verdict(self, active: Instance, now: float) -> Verdict:
+        """What the health tree says of it."""
+        # From later on where the clock was set back, or by the clock of another node: until then nothing would count.
+        self.since = min(self.since, now)
+        verdict = self._sight.verdict(now=now, since=self.since)
+        if verdict.state == "Starting" and now - self.since > KNOWN_GRACE:
+            # This monitor is new, its instance isn't: what its own agent says counts, not the grace for a start.
+            status = self._sidecars.status(active)
+            if status is not None and status.ready_at is not None and not status.ready:
+                return Verdict("Failed", status.reason, verdict.leaf, status.ready_at)
+        return verdict
+
+    def onset(self, pod: str, now: float) -> float:
+        """When a pod was seen to be well for the last time; now where it never was."""
+        last = self._sight.last_well(pod)
+        return last if last is not None and last <= now else now
+
+    def well(self) -> None:
+        """The health tree holds, or may yet."""
+        self._debounce.clear()
+
+    def counts_from(self, detected: float, monitoring: Monitoring) -> float:
+        """From when on a failure of the tree, which was detected at this time too, counts as one."""
+        return self._debounce.failed(detected, seconds(monitoring.debounce))

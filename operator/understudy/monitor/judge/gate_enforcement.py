@@ -1,0 +1,125 @@
+"""Whether the gate is enforced: by the cluster's network, judged from the probes that get through (api.names.PROBE_PORT), and at the
+robot's readers (robot_readers.py).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Literal
+
+from understudy.failover.interfaces import Instance
+from understudy.kube.gates.probes import ProbeReceiver
+from understudy.monitor.act.gate_control import PolicyGate
+from understudy.monitor.report.reporter import Reporter
+
+SETTLE = 3.0
+"""Seconds after a commit (or the start of an instance) before probes are judged; agents probe once a second."""
+
+SILENT = 5.0
+"""Seconds without a probe of the instance in control before its way to the robot counts as blocked."""
+
+CONDITION = "GateEnforced"
+
+UNGATED = "ReaderWithoutProfile"
+"""Reason where a reader of the robot listens at a port that no gate closes."""
+
+Judgement = tuple[Literal["True", "False", "Unknown"], str, str]
+
+
+def judge(
+    instances: Sequence[Instance],
+    active_uid: str,
+    last: dict[str, float],
+    *,
+    now: float,
+    since: float,
+    admitted_uid: str = "",
+) -> Judgement:
+    """Status, reason and message of the condition GateEnforced.
+
+    ``last`` has the time of the last probe of each pod, by UID; ``since`` is when the gate last changed, in Unix seconds;
+    ``admitted_uid`` is that of a standby that it lets through too. Reason Admitted: there's nobody left to be seen held
+    back, so what was seen before that one was let through still stands.
+    """
+    probing = [i for i in instances if i.has_agent and i.running and not i.terminating and not i.held]
+    if now - since < SETTLE:
+        return "Unknown", "Settling", "The gate has just changed."
+    leaking = [
+        i.name
+        for i in probing
+        # One of later is of before the clock was set back.
+        if i.uid not in (active_uid, admitted_uid) and since + SETTLE < last.get(i.uid, 0.0) <= now
+    ]
+    if leaking:
+        return (
+            "False",
+            "NotEnforced",
+            f"Packets of {', '.join(leaking)} reach gated ports although the gate doesn't name it: the cluster's "
+            "network doesn't enforce NetworkPolicies for UDP with endPort. Two instances could drive the robot. "
+            "Use a network plugin that does.",
+        )
+    active = next((i for i in probing if i.uid == active_uid), None)
+    if active is None:
+        return "Unknown", "NoProbe", "The pod in control has no agent, so nothing was tried."
+    if now - max(last.get(active.uid, 0.0), since) > SILENT:
+        return (
+            "False",
+            "Blocked",
+            f"Packets of {active.name} don't reach gated ports although the gate names it: look for other "
+            "NetworkPolicies that select it, or for a network that doesn't carry its traffic.",
+        )
+    if admitted_uid and all(i.uid in (active_uid, admitted_uid) for i in probing):
+        return "Unknown", "Admitted", "The only standby is let through too, for the reflex."
+    if len(probing) == 1:
+        return "Unknown", "NoStandby", "Packets of the pod in control get through; there's no standby to see held back."
+    return (
+        "True",
+        "SeenFromPackets",
+        "Packets of the pod in control get through the gate, those of every standby don't.",
+    )
+
+
+class Enforcement:
+    """Whether the gate of one workload is enforced. Times are unix seconds."""
+
+    def __init__(
+        self, gate: PolicyGate, probes: ProbeReceiver, reporter: Reporter, ungated: Callable[[], str] = str
+    ) -> None:
+        """``ungated`` tells of readers of the robot that the gate doesn't reach; empty for none."""
+        self._gate, self._probes, self._reporter, self._ungated = gate, probes, reporter, ungated
+        self._changed = time.time()
+        self._let_through = ("", "")
+
+    def look(self, now: float) -> None:
+        """Note when the gate lets another pod through than before."""
+        state = self._gate.state
+        if (state.active_uid, state.admitted_uid) != self._let_through:
+            self._let_through = (state.active_uid, state.admitted_uid)
+            self._changed = now
+        self._changed = min(self._changed, now)  # the clock may have been set back
+
+    def judge(self, instances: Sequence[Instance]) -> Judgement:
+        """How it stands, by what came of these instances."""
+        state = self._gate.state
+        last = {i.uid: found for i in instances if (found := self._probes.last(i.uid)) is not None}
+        judged = judge(
+            instances,
+            state.active_uid,
+            last,
+            now=time.time(),
+            since=self._changed,
+            admitted_uid=state.admitted_uid,
+        )
+        if judged[0] != "False" and judged[1] != "Settling" and (ungated := self._ungated()):
+            return "False", UNGATED, ungated
+        return judged
+
+    def say(self, judged: Judgement) -> None:
+        """Say how it stands, unless that can't be told for the moment."""
+        if (
+            judged[1] not in ("Settling", "Admitted")
+            and self._reporter.condition(CONDITION, *judged)
+            and judged[0] == "False"
+        ):
+            self._reporter.event("Warning", f"Gate{judged[1]}", judged[2])

@@ -1,0 +1,386 @@
+"""The agents of the workload's instances: a connection to each, kept up, with the present policy's health tree."""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import logging
+import time
+from collections.abc import Callable, Coroutine, Mapping, Sequence
+from typing import Any
+
+import aiohttp
+
+from understudy.api import names
+from understudy.api.base import seconds
+from understudy.api.protocol.agent_messages import AgentStatus, ProtocolError
+from understudy.api.protocol.kept_state import LARGEST, KeptState, RestoreReport
+from understudy.failover.bring_up import BringUp
+from understudy.failover.interfaces import Instance, NotVerified
+from understudy.kube.agent_client import AgentGone, AgentLink, AgentRefused
+from understudy.kube.client import SECRETS, ApiError, Client
+from understudy.monitor.crash_points import CrashPoints
+from understudy.monitor.observe.cluster_view import View
+
+_logger = logging.getLogger(__name__)
+
+PROBE_INTERVAL = 0.001
+"""Seconds between probes around a commit."""
+
+RETRY = 0.05
+"""Seconds before an unanswered request is sent again; requests can be repeated."""
+
+ANSWER_LATE = 1.0
+"""Seconds after an operation's own end at which its answer is given up: it has a way to go."""
+
+READ_AGAIN = 10.0
+"""Seconds between two looks at a Secret whose token an agent refuses: it may be another one since."""
+
+SLOWEST = 2 * 1024 * 1024
+"""Bytes of kept messages that an agent takes in in a second, at least: it counts its time from when it has them."""
+
+
+class Sidecars:
+    """Implements :class:`understudy.failover.interfaces.Agents` over :class:`AgentLink`."""
+
+    def __init__(self, client: Client, view: View, address: str, crash_points: CrashPoints) -> None:
+        """``address`` is where the agents' probes go: this pod's IP."""
+        self._client, self._view, self._address = client, view, address
+        self._crash_points = crash_points
+        self._links: dict[str, AgentLink] = {}
+        self._connecting: dict[str, asyncio.Task[AgentLink | None]] = {}
+        self._tokens: dict[str, bytes] = {}
+        self._read_at: dict[str, float] = {}
+        self._configured: dict[str, object] = {}
+        self._instances: dict[str, Instance] = {}
+        self._driving: dict[str, str] = {}
+        self._tasks: set[asyncio.Task[Any]] = set()
+        self.on_status: Callable[[], None] = lambda: None
+        self.role: Callable[[Instance, str], tuple[Mapping[str, Any] | None, bool]] = lambda instance, brought: (
+            None,
+            False,
+        )
+        """What an instance that was brought so far must be to be ready (agent/readiness.py; None where its health tree alone
+        counts), and whether procedures bring its nodes up.
+        """
+
+    def follow(self, instances: Sequence[Instance]) -> None:
+        """Have a connection to each instance that has an agent, and to no other."""
+        wanted = {i.uid: i for i in instances if i.has_agent and i.ip and not i.held and not i.leaving}
+        self._instances = wanted
+        self._driving = {uid: to for uid, to in self._driving.items() if uid in wanted}
+        for uid in [uid for uid in self._links if uid not in wanted]:
+            self._configured.pop(uid, None)
+            self._spawn(self._links.pop(uid).close())
+        for uid, instance in wanted.items():
+            if uid not in self._links:
+                self._connect(instance)
+            else:
+                self._configure(uid)
+
+    async def settle(self, instances: Sequence[Instance], within: float) -> None:
+        """Follow the instances and wait until each agent has said how it is, or so many seconds have passed."""
+        self.follow(instances)
+        wanted = [i for i in instances if i.has_agent and i.running and not i.held and not i.terminating]
+        end = asyncio.get_running_loop().time() + within
+        while asyncio.get_running_loop().time() < end:
+            statuses = [self.status(instance) for instance in wanted]
+            if all(status is not None and status.configured for status in statuses):
+                return
+            await asyncio.sleep(RETRY)
+
+    def _spawn(self, work: Coroutine[Any, Any, Any]) -> asyncio.Task[Any]:
+        task = asyncio.create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+        return task
+
+    def _connect(self, instance: Instance) -> asyncio.Task[AgentLink | None]:
+        if instance.uid not in self._connecting:
+            task = self._spawn(self._link(instance))
+            self._connecting[instance.uid] = task
+            task.add_done_callback(lambda _: self._connecting.pop(instance.uid, None))
+        return self._connecting[instance.uid]
+
+    async def _link(self, instance: Instance) -> AgentLink | None:
+        token = await self.token(instance)
+        if token is None:
+            return None
+        self._instances.setdefault(instance.uid, instance)
+        if instance.uid not in self._links:
+            self._links[instance.uid] = AgentLink(
+                instance.ip,
+                names.AGENT_PORT,
+                token,
+                self._view.workload,
+                instance.claim,
+                on_change=lambda link: self._changed(instance.uid, link),
+            )
+        return self._links[instance.uid]
+
+    async def token(self, instance: Instance) -> bytes | None:
+        """The secret shared with an instance's agent; None while it can't be read."""
+        return await self._token(self._secret(instance))
+
+    def _secret(self, instance: Instance) -> str:
+        return names.pool_secret(instance.pool) if instance.claim else names.agent_secret(self._view.workload)
+
+    async def _token(self, secret: str, *, again: bool = False) -> bytes | None:
+        if again or secret not in self._tokens:
+            self._read_at[secret] = time.monotonic()
+            try:
+                item = await self._client.get(SECRETS, self._view.namespace, secret)
+                self._tokens[secret] = base64.b64decode(item["data"]["token"])
+            except (ApiError, aiohttp.ClientError, TimeoutError, OSError, KeyError, ValueError) as error:
+                _logger.warning("Secret %s can't be read: %r", secret, error)
+                return None
+        return self._tokens[secret]
+
+    def _changed(self, uid: str, link: AgentLink) -> None:
+        if link.connected:
+            self._configure(uid)
+        else:
+            self._configured.pop(uid, None)
+            if link.refused and (instance := self._instances.get(uid)) is not None:
+                self._spawn(self._renew(instance, link))
+        self.on_status()
+
+    async def _renew(self, instance: Instance, link: AgentLink) -> None:
+        """The agent refuses the token, or another claim. The Secret may have been made anew: its agents have that one's token."""
+        secret = self._secret(instance)
+        again = time.monotonic() - self._read_at.get(secret, -READ_AGAIN) >= READ_AGAIN
+        link.token = await self._token(secret, again=again) or link.token
+
+    def _configure(self, uid: str) -> None:
+        """Give an agent the present policy's tree, once for each connection and each policy."""
+        link = self._links[uid]
+        if not link.connected or (wanted := self._configuration(uid)) is None or self._configured.get(uid) == wanted:
+            return
+        self._configured[uid] = wanted
+
+        async def configure() -> None:
+            try:
+                await self._tell(link, wanted)
+            except (AgentGone, AgentRefused) as error:
+                _logger.warning("agent of %s not configured: %s", link.pod, error)
+                self._configured.pop(uid, None)
+
+        self._spawn(configure())
+
+    def _configuration(self, uid: str) -> tuple[Any, ...] | None:
+        """What an agent is told to judge its instance by; None while that isn't known."""
+        policy, spec, instance = self._view.policy, self._view.spec, self._instances.get(uid)
+        if policy is None or spec is None:
+            return None
+        standby, managed = None, False
+        if instance is not None:
+            link = self._links.get(uid)
+            status = link.status if link else None
+            standby, managed = self.role(instance, status.initialized if status else "")
+        if uid in self._driving:
+            standby = None
+        return policy.monitoring, spec.outputs, standby, managed
+
+    async def _tell(self, link: AgentLink, wanted: tuple[Any, ...]) -> None:
+        monitoring, outputs, standby, managed = wanted
+        await link.configure(
+            monitoring.tree,
+            [output.to_wire() for output in outputs],
+            seconds(monitoring.startup_grace),
+            form=monitoring.form,
+            probe=(self._address, names.PROBE_PORT),
+            standby=standby,
+            managed=managed,
+        )
+
+    async def _drives(self, instance: Instance, link: AgentLink) -> None:
+        """Have an instance judged by its health tree alone: it is about to drive. Raises AgentGone, AgentRefused."""
+        self._instances.setdefault(instance.uid, instance)
+        self._driving[instance.uid] = instance.name
+        wanted = self._configuration(instance.uid)
+        if wanted is not None and self._configured.get(instance.uid) != wanted:
+            self._configured[instance.uid] = wanted
+            try:
+                await self._tell(link, wanted)
+            except (AgentGone, AgentRefused):
+                self._configured.pop(instance.uid, None)
+                raise
+
+    async def _connected(self, instance: Instance) -> AgentLink:
+        while True:
+            link = self._links.get(instance.uid) or await self._connect(instance)
+            if link is not None:
+                await link.wait_connected()
+                return link
+            await asyncio.sleep(RETRY)
+
+    def status(self, instance: Instance) -> AgentStatus | None:
+        """What its agent last said; None while there's no connection."""
+        link = self._links.get(instance.uid)
+        return link.status if link else None
+
+    async def probe(self, instance: Instance, duration: float) -> None:
+        """Have it send gate probes, a millisecond apart at first, for so many seconds; returns at once, and never fails."""
+        link = self._links.get(instance.uid)
+        if link is None or not link.connected:
+            return
+
+        async def probe() -> None:
+            try:
+                await link.probe(self._address, names.PROBE_PORT, PROBE_INTERVAL, duration)
+            except (AgentGone, AgentRefused) as error:
+                _logger.info("no probes from %s: %s", instance.name, error)
+
+        self._spawn(probe())
+        await asyncio.sleep(0)  # lets the request leave before the commit does
+
+    async def give_way(self, instance: Instance) -> None:
+        """Have a restarted container of it not be heard by the robot; returns at once, and never fails."""
+        link = self._links.get(instance.uid)
+        if link is None or not link.connected:
+            return
+
+        async def give_way() -> None:
+            try:
+                await link.request("give_way", {})
+            except (AgentGone, AgentRefused) as error:
+                _logger.info("%s doesn't give way: %s", instance.name, error)
+
+        self._spawn(give_way())
+        await asyncio.sleep(0)  # lets the request leave before the commit does
+
+    def session(self, instance: Instance) -> tuple[int, int]:
+        """Another one for every connection that there is to its agent."""
+        link = self._links.get(instance.uid)
+        return (id(link), link.sessions) if link else (0, 0)
+
+    async def lease(self, instance: Instance, body: Mapping[str, Any]) -> None:
+        """Tell an agent what it may hold its application by. Raises AgentGone, AgentRefused."""
+        link = self._links.get(instance.uid)
+        if link is None:
+            raise AgentGone(f"{instance.name}: its agent isn't connected")
+        await link.request("lease", body, within=ANSWER_LATE)
+
+    async def start(self, instance: Instance) -> None:
+        """Start the held processes of a claimed instance with this robot's settings. Harmless when repeated."""
+        settings = self._view.settings
+        assert settings is not None, "the view waits for the settings"
+        self._crash_points.step("before start")
+        while True:
+            link = await self._connected(instance)
+            try:
+                await link.start(
+                    settings.container_environment, settings.ros_environment, profiles=settings.instance_profiles
+                )
+                break
+            except AgentGone as error:
+                _logger.warning("start of %s: %s", instance.name, error)
+                await asyncio.sleep(RETRY)
+        self._crash_points.step("after start")
+
+    async def up(self, instance: Instance) -> float:
+        """Wait until its processes are up; when they were, in unix seconds."""
+        link = await self._connected(instance)
+        status = await link.wait_for(lambda status: status.process_up_at is not None)
+        assert status.process_up_at is not None
+        return status.process_up_at
+
+    async def ready(self, instance: Instance) -> float:
+        """Wait until the health tree holds on its own outputs; when it first did, in unix seconds."""
+        while True:
+            link = await self._connected(instance)
+            try:
+                await self._drives(instance, link)
+                break
+            except (AgentGone, AgentRefused) as error:
+                _logger.warning("agent of %s not configured: %s", instance.name, error)
+                await asyncio.sleep(RETRY)
+        status = await link.wait_for(lambda status: status.configured and status.ready and status.ready_at is not None)
+        assert status.ready_at is not None
+        return status.ready_at
+
+    async def bring_up(
+        self, instance: Instance, procedure: BringUp, *, within: float, state: KeptState
+    ) -> RestoreReport:
+        """Run a procedure on an instance that is about to drive, in so many seconds. Raises NotVerified."""
+        self._crash_points.step("before bring up")
+        self._driving[instance.uid] = instance.name
+        brought = f"up:{procedure.digest}:{instance.restarts}"
+        report = await self.run(instance, procedure, within=within, state=state, brought=brought)
+        self._crash_points.step("after bring up")
+        return report
+
+    async def run(
+        self, instance: Instance, procedure: BringUp, *, within: float, state: KeptState, brought: str
+    ) -> RestoreReport:
+        """Run a procedure on an instance, in so many seconds; its success is remembered by ``brought``.
+
+        Raises NotVerified, which says why not.
+        """
+        if procedure.problem:
+            raise NotVerified(procedure.problem)
+        loop = asyncio.get_running_loop()
+        end, problem = loop.time() + within, "its agent isn't connected"
+        wire = await asyncio.to_thread(state.to_wire) if state or state.left_out else None
+        while (rest := end - loop.time()) > 0:
+            try:
+                async with asyncio.timeout(rest):
+                    link = await self._connected(instance)
+                rest = max(0.1, end - loop.time())
+                answer = await link.procedure(
+                    procedure.tree, rest, name=procedure.name, state=wire, brought=brought, places=procedure.places
+                )
+                return RestoreReport.from_wire(answer)
+            except (AgentRefused, ProtocolError) as error:
+                raise NotVerified(str(error)) from error
+            except (AgentGone, TimeoutError) as error:
+                problem = str(error) or problem
+                await asyncio.sleep(RETRY)
+        raise NotVerified(f"{procedure.name} of {instance.name}: not done within {within:.3g} s: {problem}")
+
+    async def restore(self, instance: Instance, state: KeptState, within: float) -> RestoreReport:
+        """Give it the state of the last healthy instance, in so many seconds. What can't be given is in the report."""
+        end = asyncio.get_running_loop().time() + within
+        report = RestoreReport()
+        for part in await asyncio.gather(*(self._give(instance, part, end) for part in state.batches(LARGEST))):
+            report = report.merged(part)
+        return report
+
+    async def _give(self, instance: Instance, state: KeptState, end: float) -> RestoreReport:
+        """Give it what fits into one request, until then by the loop's clock."""
+        loop = asyncio.get_running_loop()
+        begun, problem = loop.time(), "its agent isn't connected"
+        wire = await asyncio.to_thread(state.to_wire)
+        while (rest := end - loop.time()) > 0:
+            try:
+                async with asyncio.timeout(rest):
+                    link = await self._connected(instance)
+                rest = max(0.1, end - loop.time())
+                late = ANSWER_LATE + state.size / SLOWEST
+                answer = await link.request("restore", {"state": wire, "within": rest}, within=rest + late)
+                return RestoreReport.from_wire(answer.get("report", {}))
+            except (AgentRefused, ProtocolError) as error:
+                return state.not_given(str(error))
+            except (AgentGone, TimeoutError) as error:
+                problem = str(error) or problem
+                await asyncio.sleep(RETRY)
+        return state.not_given(f"{problem} within {end - begun:.3g} s")
+
+    async def inspect(self, instance: Instance, body: Mapping[str, Any], within: float) -> dict[str, Any]:
+        """What an instance's nodes answer about their parameters and states. Raises AgentGone, AgentRefused."""
+        link = self._links.get(instance.uid)
+        if link is None:
+            raise AgentGone("its agent isn't connected")
+        return await link.request("inspect", {**body, "within": within}, within=within + ANSWER_LATE)
+
+    def is_ready(self, instance: Instance) -> tuple[bool, str]:
+        """Whether the health tree holds on its own outputs now, and else why not."""
+        link = self._links.get(instance.uid)
+        if link is None:
+            return False, "its agent isn't connected yet"
+        status = link.status
+        if status is None:
+            return False, f"its agent isn't connected: {link.problem}"
+        if not status.configured or status.phase == "Held":
+            return False, f"its agent is {status.phase.lower()}"
+        return status.ready, "" if status.ready else status.reason or "its outputs are not healthy"

@@ -1,0 +1,105 @@
+"""Sees in which of the policy's situations the robot is, by what the health tree's subscriptions receive."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+from understudy.api.kinds.failure_policy import FailurePolicySpec, Situation
+from understudy.ros.runtime.interface_types import message_fields
+from understudy.trees.core.health_tree import HealthTree, WatchedTopic
+from understudy.trees.core.observations import Observations
+from understudy.trees.core.task_activity import STATUS_TYPE, TaskActive
+from understudy.trees.languages.notations import load_inline
+from understudy.trees.source.problems import TreeError
+
+_logger = logging.getLogger(__name__)
+
+
+class Seen(NamedTuple):
+    """Whether the robot is seen in a situation."""
+
+    so: bool | None
+    """None where that can't be told."""
+    reason: str
+    """By what it is known, without figures: they would be another with every look."""
+
+
+@dataclass
+class _Sign:
+    """By what one situation is known."""
+
+    task: TaskActive | None = None
+    tree: HealthTree | None = None
+
+
+class Situating:
+    """The situations of the policy in force. Where it has none, nothing is loaded, watched or judged."""
+
+    def __init__(self) -> None:
+        self._given: list[Situation] = []
+        self._signs: dict[str, _Sign] = {}
+        self._blind: Collection[str] = ()
+        self.problems: list[str] = []
+        """What doesn't load and why."""
+
+    def follow(self, policy: FailurePolicySpec) -> bool:
+        """Judge by this policy; whether that changed anything. A tree that doesn't load leaves the last one in force."""
+        if self._given == policy.situations:
+            return False
+        self._given, self.problems = policy.situations, []
+        self._signs = {one.name: self._sign(one, index) for index, one in enumerate(policy.situations)}
+        return True
+
+    def _sign(self, situation: Situation, index: int) -> _Sign:
+        when = situation.when
+        if when.task is not None:
+            return _Sign(task=TaskActive(when.task.action))
+        try:
+            # Without a grace: what isn't seen to hold doesn't, also of an instance that has just taken control.
+            tree = load_inline(when, path=f"spec.situations[{index}].when", grace=0.0, fields=message_fields)
+        except TreeError as error:
+            _logger.error("a tree of spec.situations doesn't load, the last one stays: %s", error)
+            self.problems.append(
+                f"The tree of the situation {situation.name} doesn't load, the last good one stays in force: {error.in_short()}."
+            )
+            return self._signs.get(situation.name, _Sign())
+        tree.begin(time.time())
+        return _Sign(tree=tree)
+
+    @property
+    def topics(self) -> list[WatchedTopic]:
+        """What must be watched for it; some perhaps more than once."""
+        found: list[WatchedTopic] = []
+        for sign in self._signs.values():
+            if sign.task is not None:
+                found.append(WatchedTopic(sign.task.topic, STATUS_TYPE, 0.0, None, task=True))
+            elif sign.tree is not None:
+                # In which situation it is may wait for the next look, whatever a message says.
+                found += [replace(topic, prompt=False) for topic in sign.tree.topics]
+        return found
+
+    def leave_out(self, topics: Collection[str]) -> None:
+        """Note which topics can't be watched: of a tree with one of them it can't be told whether it holds."""
+        self._blind = topics
+
+    def seen(self, observations: Observations, goals: Collection[str], *, now: float, since: float) -> dict[str, Seen]:
+        """What is seen of each situation, by name. ``goals`` are the actions that have goals, by what the task proxy says."""
+        return {name: self._seen(sign, observations, goals, now=now, since=since) for name, sign in self._signs.items()}
+
+    def _seen(
+        self, sign: _Sign, observations: Observations, goals: Collection[str], *, now: float, since: float
+    ) -> Seen:
+        if sign.task is not None:
+            # A goal that waits for the next instance is one still, though nobody works on it for the moment.
+            active = sign.task.action in goals or observations.task(sign.task.topic) is not None
+            return Seen(active, f"a goal of {sign.task.action} is active" if active else "")
+        if sign.tree is None or any(topic.name in self._blind for topic in sign.tree.topics):
+            return Seen(None, "")
+        verdict = sign.tree.evaluate(observations, now=now, since=since)
+        if verdict.state == "Starting":
+            return Seen(None, "")
+        return Seen(verdict.state == "Healthy", "its tree holds" if verdict.state == "Healthy" else "")

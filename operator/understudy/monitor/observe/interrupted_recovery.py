@@ -1,0 +1,49 @@
+"""What an earlier monitor has left of recoveries: one to be gone on with, or one that came to its end.
+
+It is in three places, which were written one after the other: the journal, the gate and the workload's status.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from datetime import datetime
+
+from understudy.failover.journal import Journal
+from understudy.failover.progress import Progress
+from understudy.monitor.act.gate_control import PolicyGate
+from understudy.monitor.report.reporter import Reporter
+
+
+def interrupted(
+    journal: Journal, gate: PolicyGate, reporter: Reporter, given_up: Collection[str] = ()
+) -> Progress | None:
+    """The recovery that an earlier monitor had begun and not recorded, if there is one.
+
+    ``given_up`` are the ids of those that it had given up: whoever failed may be well again since, or somebody else drive.
+    """
+    committed = gate.state.recovery
+    kept = [p for p in (journal.load(), committed) if p is not None]
+    over = {*reporter.recorded, *given_up}
+    open_ones = [p for p in kept if p.id not in over and p.result != "Failed"]
+    if committed is not None and committed not in open_ones:
+        # What came to its end by the gate had begun before what is still to be done: else another monitor has done it since.
+        open_ones = [p for p in open_ones if p.id != committed.id and p.began > committed.began]
+    if not open_ones:
+        return None
+    progress = open_ones[0]
+    if committed is not None and committed.id != progress.id and committed in open_ones:
+        progress = committed  # the journal is of an older one: the gate knows better
+    return progress.model_copy(update={"resumed": True}, deep=True)
+
+
+def concluded(gate: PolicyGate, reporter: Reporter) -> Progress | None:
+    """The last recovery, of which the gate still tells and the status that it recovered: an earlier monitor's."""
+    left, last = gate.state.recovery, reporter.last
+    if left is None or last is None or (last.id, last.result) != (left.id, "Recovered"):
+        return None
+    if left.switchover is not None:
+        return None  # nothing had failed
+    done = left.model_copy(update={"result": "Recovered"}, deep=True)
+    if last.moments.verified is not None:
+        done.moments["verified"] = datetime.fromisoformat(last.moments.verified).timestamp()
+    return done

@@ -1,0 +1,113 @@
+"""Whether the robot reads the outputs where the gate can close, judged from who reads them and at which ports."""
+
+from __future__ import annotations
+
+import ipaddress
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+from understudy.api import names
+from understudy.monitor.judge.gate_enforcement import UNGATED, Judgement
+from understudy.ros.dds.rtps import Locator
+
+TOOLS = ("_", "rosbag2_recorder", "understudy_watch_")
+"""How the names of nodes begin that only look: hidden ones, as those of ROS's command line, rosbag2's, and those of understudy watch."""
+
+
+@dataclass(frozen=True)
+class Reading:
+    """A subscription of an output, besides those of the monitor and of instances."""
+
+    topic: str
+    node: str
+    """Fully qualified; empty where it isn't known."""
+    places: tuple[Locator, ...]
+    """Where it listens."""
+
+    @property
+    def gated(self) -> bool:
+        """Whether it listens at no port that the gate doesn't close."""
+        first, last = names.GATE_RANGE
+        return all(first <= place.port <= last for place in self.places)
+
+    @property
+    def is_tool(self) -> bool:
+        """Whether it only looks, by its node's name."""
+        return self.node.rpartition("/")[2].startswith(TOOLS)
+
+    def __str__(self) -> str:
+        places = ", ".join(f"{place.address}:{place.port}" for place in self.places)
+        return f"{self.topic} by {self.node or 'an unnamed node'} at {places}"
+
+
+def judge(
+    workload: str,
+    topics: Sequence[str],
+    readings: Sequence[Reading],
+    untold: Collection[str],
+    robots: Sequence[str],
+) -> Judgement:
+    """Status, reason and message of the condition OutputsRead.
+
+    ``untold`` are the topics with readers of which DDS hasn't told where they listen; ``robots`` the addresses of robots outside the
+    cluster, as CIDRs.
+
+    Who reads past the gate counts as the robot, unless it is a tool, or the robot is seen to read that output at a gated port as well:
+    then it may be a recorder or a display, and is told of without alarm.
+    """
+    ungated: list[Reading] = []
+    harmless: list[Reading] = []
+    unread: list[str] = []
+    for topic in topics:
+        here = [one for one in readings if one.topic == topic]
+        gated = [one for one in here if one.gated]
+        harmful = [one for one in here if not (one.gated or one.is_tool or _is_read(gated, one, robots))]
+        ungated += harmful
+        harmless += [one for one in here if not one.gated and one not in harmful]
+        if not gated and not harmful and topic not in untold:
+            unread.append(topic)
+    past = [_past(harmless)] if harmless else []
+    if ungated:
+        return "False", UNGATED, " ".join([_without_profile(workload, ungated), *past])
+    if unread:
+        return "Unknown", "NobodyReads", " ".join([_unread(unread), *past])
+    if untold:
+        listed = ", ".join(topic for topic in topics if topic in untold)
+        return "Unknown", "NotTold", " ".join([f"DDS didn't tell where all those listen who read {listed}.", *past])
+    if past:
+        return "True", "ReadPastTheGate", past[0]
+    return "True", "AtGatedPorts", f"Read at gated ports: {'; '.join(map(str, readings))}."
+
+
+def _is_read(gated: Sequence[Reading], besides: Reading, robots: Sequence[str]) -> bool:
+    """Whether the robot reads the output at a gated port too: a robot outside the cluster on the same host."""
+    hosts = {place.address for place in besides.places}
+    if any(_within(host, robots) for host in hosts):
+        return any(place.address in hosts for one in gated for place in one.places)
+    return bool(gated)
+
+
+def _within(address: str, ranges: Sequence[str]) -> bool:
+    return any(ipaddress.ip_address(address) in ipaddress.ip_network(one, strict=False) for one in ranges)
+
+
+def _without_profile(workload: str, readings: Sequence[Reading]) -> str:
+    return (
+        f"The gate doesn't reach who reads {'; '.join(map(str, readings))}: every instance that executes is heard there, and not only "
+        f"the pod in control. Start that process with the robot's DDS profile: understudy robot-profile {workload}, and for a pod "
+        "docs/how-to/own-application.md."
+    )
+
+
+def _unread(topics: Sequence[str]) -> str:
+    return (
+        f"Nobody on the robot's side reads {', '.join(topics)}. Does its driver run, in this robot's ROS graph, and is the topic called "
+        "so there?"
+    )
+
+
+def _past(readings: Sequence[Reading]) -> str:
+    return (
+        f"Read past the gate: {'; '.join(map(str, readings))}. Standbys are heard there too: what records or shows may do so, what "
+        "moves a robot must not."
+    )

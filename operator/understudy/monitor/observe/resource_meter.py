@@ -1,0 +1,105 @@
+"""What the pod in control takes of its node, by the cluster's metrics API (metrics.k8s.io, as metrics-server serves it).
+
+Its figures are the kubelets' own. A kubelet itself isn't asked: that takes a right to nodes, by which a monitor could run
+anything in any pod there (``nodes/proxy``) or read figures of everybody's (``nodes/metrics``). This one only lets it read those
+of pods of its own namespace.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+
+import aiohttp
+
+from understudy.api import names
+from understudy.api.quantities import amount
+from understudy.kube.client import POD_METRICS, ApiError, Client, Object
+from understudy.trees.core.observations import PodUsage
+
+_logger = logging.getLogger(__name__)
+
+PERIOD = 5.0
+"""Seconds between questions; figures are usually made anew every 15 s."""
+
+STALE = 90.0
+"""Seconds without new figures after which the old ones say nothing any more."""
+
+_ABSENT = (
+    "CPU and memory of pods can't be told: the cluster has no metrics API (metrics.k8s.io); install metrics-server, or leave "
+    "cpu and memory out of the health tree."
+)
+
+
+class Meter:
+    """Asks for the figures of one pod, while somebody wants them."""
+
+    def __init__(self, client: Client, namespace: str, workload: str) -> None:
+        self._client, self._namespace, self._workload = client, namespace, workload
+        self._pod = ""
+        self._asked = asyncio.Event()
+        self._usage: PodUsage | None = None
+        self._stamp = ""
+        self._since = 0.0
+        self._problem = ""
+
+    def want(self, pod: str) -> None:
+        """Ask for this pod's from now on; for none's where it is empty."""
+        if pod == self._pod:
+            return
+        self._pod, self._usage, self._stamp, self._problem = pod, None, "", ""
+        self._since = time.monotonic()
+        if pod:
+            self._asked.set()
+        else:
+            self._asked.clear()
+
+    @property
+    def usage(self) -> PodUsage | None:
+        """The last figures of the pod; None where there are none, or none of late."""
+        return self._usage if time.monotonic() - self._since < STALE else None
+
+    @property
+    def problems(self) -> list[str]:
+        """Why they can't be told, with what to do."""
+        if not self._pod or self.usage is not None:
+            return []
+        if self._problem:
+            return [self._problem]
+        late = time.monotonic() - self._since >= STALE
+        lacking = (
+            f"CPU and memory of {self._pod} can't be told: the metrics API has had no figures of it for {STALE:g} s."
+        )
+        return [f"{lacking} Look at metrics-server."] if late else []
+
+    async def run(self) -> None:
+        """Ask until cancelled."""
+        while True:
+            await self._asked.wait()
+            await self._ask()
+            await asyncio.sleep(PERIOD)
+
+    async def _ask(self) -> None:
+        problem = ""
+        try:
+            found = await self._client.list(POD_METRICS, self._namespace, labels=f"{names.WORKLOAD}={self._workload}")
+            self._take(found)
+        except ApiError as error:
+            problem = _ABSENT if error.not_found else f"CPU and memory of pods can't be told: {error.message:.300}."
+        except (aiohttp.ClientError, TimeoutError, OSError) as error:
+            problem = f"CPU and memory of pods can't be told: {error!r:.300}."
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            problem = f"CPU and memory of pods can't be told: the metrics API answers otherwise than expected: {error!r:.300}."
+        if problem != self._problem:
+            if problem:
+                _logger.warning("%s", problem)
+            self._problem = problem
+
+    def _take(self, found: Object) -> None:
+        for item in found["items"]:
+            if item["metadata"]["name"] != self._pod or item["timestamp"] == self._stamp:
+                continue
+            used = [c["usage"] for c in item["containers"] if c["name"] != names.AGENT_CONTAINER]
+            self._usage = PodUsage(*(float(sum(amount(u[key]) for u in used)) for key in ("cpu", "memory")))
+            self._stamp, self._since = item["timestamp"], time.monotonic()

@@ -1,0 +1,114 @@
+"""Who reads the outputs besides the monitor and the instances, and whether the gate can keep standbys from them.
+
+The gate closes ports. A process of the robot that was started without its profile listens at others, where every instance that
+executes is heard: nothing else would tell of that. ROS's graph says who reads, DDS's announcements say where (ros/dds/reader_locators.py).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+import time
+
+from understudy.monitor.judge.gate_enforcement import UNGATED, Judgement
+from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.health_observer import Sight
+from understudy.monitor.observe.reader_ports import Reading, judge
+from understudy.monitor.report.reporter import Reporter
+from understudy.ros.dds import reader_locators
+from understudy.ros.dds.rtps import Locator
+
+_logger = logging.getLogger(__name__)
+
+PERIOD = 2.0
+"""Seconds between looks at who reads. DDS is asked for those only that weren't there at the last one."""
+
+WITHIN = 5.0
+"""Most seconds that an answer is waited for."""
+
+AGAIN = 30.0
+"""Seconds before it is asked again for those of which it has told nothing."""
+
+SETTLE = 10.0
+"""Seconds for which it must stand before it is said: an instance's address comes a moment after its readers, and a process that
+reads may be started anew.
+"""
+
+CONDITION = "OutputsRead"
+
+
+class Readership:
+    """Looks who reads the outputs of one workload."""
+
+    def __init__(self, view: View, sight: Sight, reporter: Reporter, address: str) -> None:
+        """``address`` is that of this pod."""
+        self._view, self._sight, self._reporter, self._address = view, sight, reporter, address
+        self._places: dict[bytes, tuple[Locator, ...]] = {}
+        self._asked: set[bytes] = set()
+        self._again = 0.0
+        self._judged: tuple[Judgement | None, float] = (None, 0.0)
+        said = reporter.find(CONDITION)
+        self.ungated = said.message if said is not None and said.reason == UNGATED else ""
+        """What is wrong with the readers that the gate doesn't reach; empty for nothing."""
+
+    async def run(self) -> None:
+        """Look until cancelled. What goes wrong here must not end the monitor."""
+        while True:
+            try:
+                await self.look()
+            except Exception:
+                _logger.exception("looking who reads the outputs")
+                self._reporter.condition(CONDITION, "Unknown", "NotTold", "It failed to look: see the monitor's log.")
+                await asyncio.sleep(AGAIN)
+            await asyncio.sleep(PERIOD)
+
+    async def look(self) -> None:
+        """Look once, and say what has stood for long enough."""
+        spec = self._view.spec
+        if spec is None or self._view.retired:
+            return
+        topics = list(dict.fromkeys(output.topic for output in spec.outputs if output.topic))
+        if not topics:
+            self.ungated = ""
+            self._reporter.withdraw(CONDITION)
+            return
+        readers = {topic: self._sight.graph.subscribers(topic) for topic in topics}
+        await self._ask({end.gid for ends in readers.values() for end in ends})
+        readings: list[Reading] = []
+        untold: set[str] = set()
+        ours = {self._address, *self._sight.addresses.values()}
+        for topic, ends in readers.items():
+            for end in ends:
+                places = self._places.get(end.gid)
+                if places is None:
+                    untold.add(topic)
+                elif places and not any(place.address in ours for place in places):
+                    readings.append(Reading(topic, end.node, places))
+        judged = judge(self._view.workload, topics, sorted(readings, key=str), untold, spec.gate.robots)
+        self._settle(judged, time.monotonic())
+
+    async def _ask(self, there: set[bytes]) -> None:
+        """Ask DDS for the readers that are new, and now and then for those of which it hasn't told."""
+        self._places = {gid: places for gid, places in self._places.items() if gid in there}
+        self._asked &= there
+        unknown, now = there - self._places.keys(), time.monotonic()
+        if not unknown or (unknown <= self._asked and now < self._again):
+            return
+        self._asked |= unknown
+        try:
+            discovery = reader_locators.Discovery.of(os.environ)
+            found = await reader_locators.locators(unknown, self._address, discovery, within=WITHIN)
+        except (OSError, ValueError) as error:
+            _logger.warning("discovery can't be asked where the outputs are read: %s", error)
+            found = {}
+        self._places |= found
+        self._again = time.monotonic() + AGAIN
+
+    def _settle(self, judged: Judgement, now: float) -> None:
+        before, since = self._judged
+        if judged != before:
+            self._judged = (judged, now)
+        elif now - since >= SETTLE:
+            self.ungated = judged[2] if judged[1] == UNGATED else ""
+            self._reporter.condition(CONDITION, *judged)

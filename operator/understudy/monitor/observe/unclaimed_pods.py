@@ -1,0 +1,67 @@
+"""The unclaimed pods of a shared pool, as far as this monitor has asked for them.
+
+Nobody watches them all the time: each claim, and each step of the pod that takes its place, would be sent to every monitor of a
+fleet, though hardly any of them ever needs one. Who does asks then, and watches only while it waits.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Awaitable, Mapping
+
+from understudy.api import names
+from understudy.kube import claims, pod_tables
+from understudy.kube.client import PODS, Client, Object
+from understudy.kube.watched_collection import Reflector
+
+RUNNING = "status.phase=Running"
+"""Those that are merely coming up can't be claimed, and needn't be told of."""
+
+
+class Unclaimed:
+    """Pods by name."""
+
+    def __init__(self, client: Client, namespace: str, pool: str) -> None:
+        self._client, self._namespace = client, namespace
+        self._labels = {names.HELD: "true", names.POOL: pool}
+        labels = _selector(self._labels)
+        self._watched = Reflector(client, PODS, namespace, labels=labels, fields=RUNNING, cached=True)
+        self._found: dict[str, Object] = {}
+
+    @property
+    def items(self) -> Mapping[str, Object]:
+        """As they were when it was asked last, or as the watch tells while there is one."""
+        return self._watched.items if self._watched.synced.is_set() else self._found
+
+    async def look(self, part: str = "", template_hash: str = "") -> None:
+        """Ask which there are, of all or of one part of them (claims.part), of any template or one. Waits while the API server is
+        away. Raises ApiError.
+        """
+        labels = self._labels | ({names.PART: part} if part else {})
+        labels |= {names.TEMPLATE_HASH: template_hash} if template_hash else {}
+        answer = await claims.answered(
+            lambda: self._client.table(PODS, self._namespace, labels=_selector(labels), fields=RUNNING)
+        )
+        pods = pod_tables.pods(answer, namespace=self._namespace, labels=labels)
+        self._found = {pod["metadata"]["name"]: pod for pod in pods}
+
+    @contextlib.asynccontextmanager
+    async def followed(self) -> AsyncIterator[None]:
+        """Watch all of them meanwhile."""
+        watching = asyncio.create_task(self._watched.run())
+        try:
+            yield
+        finally:
+            self._found = dict(self.items)
+            self._watched.synced.clear()
+            watching.cancel()
+            await asyncio.gather(watching, return_exceptions=True)
+
+    def changed(self) -> Awaitable[object]:
+        """What ends when the watch tells of a change."""
+        return self._watched.changed()
+
+
+def _selector(labels: Mapping[str, str]) -> str:
+    return ",".join(f"{key}={value}" for key, value in labels.items())

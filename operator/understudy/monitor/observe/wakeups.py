@@ -1,0 +1,86 @@
+"""When the monitor looks: at deadlines, when a message comes that may be a failure by itself, and else at ticks.
+
+It is woken at deadlines, not at the next tick: a 500 ms gap is noticed 500 ms after the last sample was received.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+
+from understudy.monitor.report import monitor_metrics
+from understudy.ros.runtime.arrival_wakeups import Arrivals
+
+TICK = 0.1
+"""Longest time between two looks, in seconds; what arrives in between waits in the middleware's queue."""
+
+APART = 0.01
+"""Least seconds between two looks for the sake of messages that come: a fast topic must not take the processor."""
+
+WAKE_LATE = 0.0005
+"""Seconds after a deadline at which it is looked at, so that the clock has surely passed it."""
+
+STALLED = 0.03
+"""Seconds late at which this process counts as having been stalled. Then what the middleware received meanwhile may not
+be in its queues yet either, and silence is judged only after as long again."""
+
+STALL_MOST = 0.25
+"""Most seconds that a verdict is put off for a stall: a node that is starved for longer can't be waited for."""
+
+
+class Looks:
+    """One look after the other. Times are Unix seconds."""
+
+    def __init__(self, arrivals: Arrivals | None) -> None:
+        """``arrivals`` tell of messages that are to be looked at as they come."""
+        self.wake = asyncio.Event()
+        """Set to have it look at once, such as when a pod of the workload changed."""
+        self.late = 0.0
+        """By how many seconds the present look is late."""
+        self.trusted_from = 0.0
+        """From when on silence tells something."""
+        self._arrivals = arrivals
+        self._begun = 0.0
+        self._next: float | None = None
+
+    def restart(self) -> None:
+        """Something else was done since the last look: the next one isn't late."""
+        self._next = None
+
+    def begin(self) -> float:
+        """Begin a look; the time by which it judges. What has arrived until now is seen by it."""
+        self.wake.clear()
+        if self._arrivals is not None and self._arrivals.asked:
+            self._arrivals.clear()
+        now = self._begun = time.time()
+        self.late = max(0.0, now - self._next) if self._next is not None else 0.0
+        monitor_metrics.looked(overrun=self.late > STALLED)
+        if self.late > STALLED:
+            self.trusted_from = now + min(self.late, STALL_MOST)
+        self.trusted_from = min(self.trusted_from, now + STALL_MOST)  # later where the clock was set back since
+        return now
+
+    async def until(self, moment: float) -> None:
+        """Wait for the next look: at this moment, or sooner where something has come or is to be looked at."""
+        self._next = moment
+        with contextlib.ExitStack() as stack:
+            if self._arrivals is not None and self._arrivals.asked:
+                self._listen(self._arrivals.descriptor, stack)
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(max(0.0, moment - time.time())):
+                    await self.wake.wait()
+
+    def _listen(self, descriptor: int, stack: contextlib.ExitStack) -> None:
+        loop = asyncio.get_running_loop()
+
+        def arrived() -> None:
+            loop.remove_reader(descriptor)  # until the next look, which clears it
+            rest = self._begun + APART - time.time()
+            if rest <= 0:
+                self.wake.set()
+            else:
+                stack.callback(loop.call_later(rest, self.wake.set).cancel)
+
+        loop.add_reader(descriptor, arrived)
+        stack.callback(loop.remove_reader, descriptor)

@@ -1,0 +1,155 @@
+"""The monitor's process: puts its parts together and ends them on SIGTERM."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import gc
+import logging
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+
+from prometheus_client import REGISTRY, generate_latest
+
+from understudy import __version__
+from understudy.api import names
+from understudy.api.kinds.robot_workload import MonitorStatus
+from understudy.failover.journal import Journal
+from understudy.kube.client import Access, Client
+from understudy.kube.events import Recorder
+from understudy.kube.gates.probes import ProbeReceiver
+from understudy.kube.warm_connections import keep_warm
+from understudy.monitor.act.action_proxy_link import TaskLink
+from understudy.monitor.act.gate_control import PolicyGate
+from understudy.monitor.act.permits import Leases
+from understudy.monitor.act.pod_control import Fleet
+from understudy.monitor.act.state_keeping import StateKeeping
+from understudy.monitor.crash_points import CrashPoints
+from understudy.monitor.loop import Parts, Supervisor
+from understudy.monitor.observe.agent_connections import Sidecars
+from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.health_observer import Sight
+from understudy.monitor.observe.resource_meter import Meter
+from understudy.monitor.observe.robot_readers import Readership
+from understudy.monitor.report import monitor_metrics
+from understudy.monitor.report.black_box import BlackBox
+from understudy.monitor.report.diagnostics_publisher import Telling
+from understudy.monitor.report.live_tree_pages import Showing
+from understudy.monitor.report.recording_archive import Archive
+from understudy.monitor.report.reporter import Reporter
+from understudy.monitor.report.topic_metrics import TopicMetrics
+from understudy.process import cpu_scheduling, json_logs
+from understudy.process.http_pages import Page, serve
+from understudy.state.state_store import Shelf
+
+_logger = logging.getLogger(__name__)
+
+STATE = Path("/var/lib/understudy")
+
+
+def main(argv: list[str]) -> int:
+    """Run until SIGTERM or SIGINT. The workload is named by UNDERSTUDY_WORKLOAD and UNDERSTUDY_NAMESPACE."""
+    json_logs.configure(os.environ.get("UNDERSTUDY_LOG_LEVEL", "INFO"))
+    workload, namespace = os.environ.get("UNDERSTUDY_WORKLOAD"), os.environ.get("UNDERSTUDY_NAMESPACE")
+    if not workload or not namespace:
+        print("understudy monitor: set UNDERSTUDY_WORKLOAD and UNDERSTUDY_NAMESPACE", file=sys.stderr)
+        return 2
+    state = Path(os.environ.get("UNDERSTUDY_STATE", STATE))
+    state.mkdir(parents=True, exist_ok=True)
+    cpu_scheduling.ask_for_short_slices()
+    asyncio.run(_run(workload, namespace, state))
+    return 0
+
+
+async def _run(workload: str, namespace: str, state: Path) -> None:
+    loop = asyncio.get_running_loop()
+    running = asyncio.ensure_future(_protect(workload, namespace, state))
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, running.cancel)
+    with contextlib.suppress(asyncio.CancelledError):
+        await running
+    _logger.info("ended")
+
+
+async def _protect(workload: str, namespace: str, state: Path) -> None:
+    alive = {"ready": 0.0}
+    async with Client(Access.default()) as client, asyncio.TaskGroup() as group:
+        client.listener = monitor_metrics.TRAFFIC
+        watchers: list[Supervisor] = []
+
+        def on_pod() -> None:
+            for watcher in watchers:
+                watcher.wake.set()
+
+        view = View(client, namespace, workload, on_pod=on_pod)
+        pages: dict[str, Page] = {
+            "/healthz": lambda: (200, "ok\n"),
+            "/ready": lambda: (200, "ok\n") if alive["ready"] else (503, "starting\n"),
+            "/metrics": lambda: (200, generate_latest(REGISTRY).decode()),
+        }
+        await serve(pages, names.METRICS_PORT)
+        probes = ProbeReceiver()
+        await probes.listen(port=names.PROBE_PORT)
+        await view.run(group)
+        crash_points = CrashPoints(state)
+        fleet = Fleet(client, view, crash_points)
+        gate = PolicyGate(client, view, fleet, probes, crash_points)
+        recorder = Recorder(client, "understudy-monitor", os.environ.get("HOSTNAME", "monitor"))
+        reporter = Reporter(client, namespace, workload, recorder)
+        item = view.object
+        if item is not None:
+            reporter.adopt(item)
+        reporter.sign(MonitorStatus(version=__version__, image=os.environ.get(names.MONITOR_IMAGE_VARIABLE, "")))
+        address = os.environ.get("UNDERSTUDY_POD_IP", "127.0.0.1")
+        sidecars = Sidecars(client, view, address, crash_points)
+        sight = Sight()
+        sight.meter = Meter(client, namespace, workload)
+        REGISTRY.register(TopicMetrics(lambda: sight.heard))
+        black_box = BlackBox(view, sight, reporter, Archive(state / "kept" / "recordings"))
+        await serve(black_box.pages, names.RECORDINGS_PORT, host="127.0.0.1")
+        readership = Readership(view, sight, reporter, address)
+        parts = Parts(
+            view=view,
+            fleet=fleet,
+            gate=gate,
+            sidecars=sidecars,
+            sight=sight,
+            probes=probes,
+            reporter=reporter,
+            journal=Journal(state / "recovery.json"),
+            crash_points=crash_points,
+            keeping=StateKeeping(sight.graph, Shelf(state / "kept"), sidecars, reporter),
+            black_box=black_box,
+            ungated=lambda: readership.ungated,
+        )
+        telling = Telling(view, sight, reporter, lambda: parts.keeping.taken)
+        showing = Showing(view, sight, reporter, lambda: telling.problems)
+        pages |= {"/": showing.page, "/tree": showing.tree}
+        supervisor = Supervisor(parts)
+        watchers.append(supervisor)
+        leases = Leases(client, view, fleet, gate, sidecars, sight, reporter)
+        leases.recovering = lambda: supervisor.recovering
+
+        def on_status() -> None:
+            supervisor.wake.set()
+            leases.wake.set()
+
+        sidecars.on_status = on_status
+        group.create_task(keep_warm(client))
+        group.create_task(leases.run())
+        group.create_task(reporter.run())
+        group.create_task(sight.meter.run())
+        group.create_task(telling.run())
+        group.create_task(black_box.run())
+        group.create_task(readership.run())
+        socket = Path(os.environ.get("UNDERSTUDY_TASKS_SOCKET", f"{names.TASKS_DIR}/{names.TASKS_SOCKET}"))
+        group.create_task(TaskLink(socket, view, fleet, gate, sidecars, reporter).run())
+        alive["ready"] = time.time()
+        # What is there now stays: looking through all of it for garbage took up to 10 ms, in the midst of a recovery too.
+        gc.collect()
+        gc.freeze()
+        _logger.info("watching %s in %s", workload, namespace)
+        await supervisor.run()

@@ -1,0 +1,248 @@
+"""The black box: what the monitor received around a failure is kept as a file, for those who want to know why it failed.
+
+Before a failure it is bytes in a ring. While one is dealt with, the ring only forgets nothing more. Once that is over and the next
+instance has driven for a moment, a thread writes what was kept. None of it waits in the monitor's loop, and nothing depends on it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import time
+from collections import deque
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import aiohttp
+
+from understudy.api.base import seconds
+from understudy.api.kinds.recording_spec import BlackBox as Settings
+from understudy.api.kinds.recording_spec import Recording, Recordings
+from understudy.failover.progress import Progress, rfc3339
+from understudy.kube.client import EVENTS, ApiError, Object
+from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.health_observer import Sight
+from understudy.monitor.report import mcap_writer
+from understudy.monitor.report.mcap_writer import Content
+from understudy.monitor.report.recording_archive import Archive, TooBig
+from understudy.monitor.report.reporter import Reporter
+from understudy.process.http_pages import JSON, Answer, Page
+from understudy.ros.observe.sample_rings import Ring
+from understudy.trees.core.snapshots import Shown
+
+_logger = logging.getLogger(__name__)
+
+LOOK = 0.1
+"""Seconds between two looks whether a node of the tree is another."""
+
+AGAIN = 1.0
+"""Seconds after which the tree is noted though all its nodes are as they were."""
+
+AFTER = 2.0
+"""Seconds after the end of a recovery that are kept too: the next instance's first commands, and Events, which are written late."""
+
+NAMED = 8
+"""Pods of which the Events are asked for."""
+
+MCAP = "application/octet-stream"
+
+
+class _Due(NamedTuple):
+    """A recovery that is over."""
+
+    at: float
+    """When it is written, Unix seconds."""
+    progress: Progress
+
+
+class BlackBox:
+    """Of one workload; by the policy's ``blackBox``, and without that it does nothing."""
+
+    def __init__(self, view: View, sight: Sight, reporter: Reporter, archive: Archive) -> None:
+        self._view, self._sight, self._reporter, self._archive = view, sight, reporter, archive
+        self._settings: Settings | None = None
+        self._ring: Ring | None = None
+        self._present = ""
+        """Id of the recovery that is under way."""
+        self._due: deque[_Due] = deque()
+        self._states: Sequence[Shown] = ()
+        self._next_trace = 0.0
+        self._last = 0
+        """Number of the recovery that was recorded last."""
+        self._told = ""
+        self.pages: dict[str, Page] = {}
+        """The recordings, and what there is of them, by path."""
+        self._offer()
+
+    # -- in the midst of a failover ---------------------------------------------------------------------------------
+
+    def begin(self, progress: Progress) -> None:
+        """A failure is being dealt with: forget nothing more of what led to it."""
+        if progress.planned or progress.follows or progress.switchover is not None or progress.id == self._present:
+            return
+        self._follow()
+        if (ring := self._ring) is None:
+            return
+        if self._present and not self._due:  # nothing came of that one
+            ring.let_go()
+        self._present = progress.id
+        ring.hold(progress.moments.get("detected", time.time()))
+        # The loop comes to it when the failover waits for the API server.
+        asyncio.get_running_loop().call_soon(self._trace)
+
+    def end(self, progress: Progress) -> None:
+        """It is dealt with, or given up."""
+        if progress.id != self._present:
+            return
+        self._present = ""
+        if progress.result != "Running":
+            self._due.append(_Due(time.time() + AFTER, progress))
+        elif not self._due and self._ring is not None:
+            self._ring.let_go()
+
+    # -- when there is time -----------------------------------------------------------------------------------------
+
+    async def run(self) -> None:
+        """Note how the tree is, and write what is over, until cancelled. What goes wrong here must not end the monitor."""
+        while True:
+            try:
+                self._follow()
+                self._look()
+                if self._due and time.time() >= self._due[0].at:
+                    await self._write(self._due.popleft().progress)
+            except Exception:
+                _logger.exception("the black box")
+                await asyncio.sleep(AGAIN)
+            await asyncio.sleep(LOOK)
+
+    def _follow(self) -> None:
+        """Keep what the policy says."""
+        policy = self._view.policy
+        settings = policy.black_box if policy is not None else self._settings
+        if settings is self._settings:
+            return
+        same = settings == self._settings
+        self._settings = settings
+        if not same:
+            self._ring = Ring(seconds(settings.window), settings.memory_bytes) if settings is not None else None
+            self._present, self._states = "", ()
+            self._due.clear()
+            self._sight.record(self._ring)
+
+    def _look(self) -> None:
+        if self._ring is not None:
+            now, states = time.monotonic(), self._sight.states
+            if states != self._states or now >= self._next_trace:
+                self._states, self._next_trace = states, now + AGAIN
+                self._trace()
+
+    def _trace(self) -> None:
+        """Note how the tree is."""
+        if (ring := self._ring) is None:
+            return
+        track, now, said = ring.track(mcap_writer.TREE, mcap_writer.TREE_TYPE), time.time(), self._reporter
+        if track.wanted:
+            tree = self._sight.snapshot()
+            told = {"health": said.health, "active": said.active, "epoch": said.gate.epoch, "tree": tree}
+            track.add(now, now, 0, mcap_writer.text(json.dumps({"time": round(now, 6), **told})))
+
+    async def _write(self, progress: Progress) -> None:
+        ring, settings = self._ring, self._settings
+        if ring is None or settings is None:
+            return
+        recovery = self._reporter.recovery(progress.id) or progress.to_recovery(self._reporter.count)
+        failed = progress.moments.get("detected", progress.cursor)
+        since = failed - ring.seconds
+        tracks = list(ring.taken(since))
+        notes = {"leftOut": json.dumps(ring.left_out)} if ring.left_out else {}
+        if ring.full is not None:
+            notes["missedFrom"] = rfc3339(ring.full)
+        left_out = dict(ring.left_out)
+        if not self._present and not self._due:
+            ring.let_go()
+        if recovery.number == self._last:
+            return  # it failed again like before: how it began is kept
+        events, problem = await self._events(progress)
+        if problem:
+            notes["events"] = problem
+        view = self._view
+        offers = {track.topic: self._sight.offered(track.topic) for track in tracks}
+        content = Content(view.namespace, view.workload, recovery, tracks, events, offers, since, notes)
+        recording = Recording(
+            id=progress.id,
+            number=recovery.number,
+            failed=rfc3339(failed),
+            reason=recovery.reason,
+            result=recovery.result,
+            strategy=recovery.strategy,
+            messages=0,
+            left_out=left_out,
+            size=0,
+            sha256="",
+        )
+        try:
+            kept = await asyncio.to_thread(
+                self._archive.keep,
+                recording,
+                lambda file: mcap_writer.write(file, content),
+                most=settings.max_recordings,
+                most_bytes=settings.most_bytes,
+            )
+        except (OSError, TooBig) as error:
+            self._tell(f"recovery {recovery.number} is not recorded: {error}")
+            return
+        finally:
+            self._offer()
+        self._told, self._last = "", kept.number
+        _logger.info("recovery %d is recorded: %d messages, %d bytes", kept.number, kept.messages, kept.size)
+
+    async def _events(self, progress: Progress) -> tuple[list[Object], str]:
+        """What Kubernetes tells of the workload and of the pods concerned; and why not all of it is there, if so."""
+        view = self._view
+        pods = [pod["metadata"]["name"] for pod in view.pods.items.values()]
+        pods = [*(pod.name for pod in progress.replaced), *(a.pod for a in progress.attempts), *pods]
+        about = [
+            ("RobotWorkload", view.workload),
+            *(("Pod", pod) for pod in list(dict.fromkeys(filter(None, pods)))[:NAMED]),
+        ]
+        found: list[Object] = []
+        try:
+            for kind, name in about:
+                fields = f"involvedObject.kind={kind},involvedObject.name={name}"
+                found += (await view.client.list(EVENTS, view.namespace, fields=fields))["items"]
+        except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
+            return found, f"not all could be read: {error}"
+        return found, ""
+
+    def _tell(self, text: str) -> None:
+        """Say what is wrong once, until it is well again."""
+        _logger.error("%s", text)
+        if not self._told:
+            self._told = text
+            self._reporter.event("Warning", "NotRecorded", text)
+
+    # -- for those who ask ------------------------------------------------------------------------------------------
+
+    def _offer(self) -> None:
+        self.pages.clear()
+        self.pages["/"] = self._listed
+        for recording in self._archive.recordings:
+            path = self._archive.path(recording)
+            self.pages[f"/{path.name}"] = partial(_file, path)
+
+    def _listed(self) -> Answer:
+        left_out = self._ring.left_out if self._ring is not None else {}
+        told = Recordings(
+            workload=self._view.workload,
+            on=self._settings is not None,
+            left_out=dict(left_out),
+            recordings=list(self._archive.recordings),
+        )
+        return 200, json.dumps(told.to_wire()) + "\n", JSON
+
+
+def _file(path: Path) -> Answer:
+    return 200, path, MCAP

@@ -1,0 +1,157 @@
+"""Tells ROS tools how the workload is: on ``/diagnostics``, and as snapshots of its health tree (docs/ros-tools.md).
+
+Only where the workload asks for it, and beside the supervisor's loop: a change is noted when it happens and told a moment
+later, so that nothing is published in the midst of a switch. What nobody reads is not made.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import re
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+
+from understudy.api.kinds.robot_workload import MonitorSettings
+from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.health_observer import Sight
+from understudy.monitor.report.diagnostics_status import More, Said, said, status
+from understudy.monitor.report.reporter import Reporter
+from understudy.ros.actions.diagnostics_topic import Diagnostics
+from understudy.ros.actions.snapshot_streams import LEAST, Streams
+from understudy.ros.runtime.interface_types import TypeNotInstalled
+from understudy.trees.core.snapshot_behaviours import behaviours
+
+_logger = logging.getLogger(__name__)
+
+PERIOD = 1.0
+"""Seconds between two statuses: what diagnostic_updater takes, and well within the aggregator's 5 s."""
+
+QUIET = 0.02
+"""Seconds after a change before it is told: a switch to an executing standby is over by then, with all that is said of it."""
+
+LATEST = 16
+"""Changes that are told one by one where there are more; the oldest are left out."""
+
+
+def namespace_of(workload: str) -> str:
+    """Where the topics of a workload are: names of ROS have letters, digits and underscores only."""
+    name = re.sub(r"[^A-Za-z0-9]", "_", workload)
+    return f"/understudy/{name if name[0].isalpha() else f'_{name}'}"
+
+
+class Telling:
+    """Tells of one workload."""
+
+    def __init__(
+        self, view: View, sight: Sight, reporter: Reporter, kept: Callable[[], Mapping[str, float]] = dict
+    ) -> None:
+        """``kept`` says when the state was taken that would be restored now, in Unix seconds, by what it is of."""
+        self._view, self._sight, self._reporter, self._kept = view, sight, reporter, kept
+        self._settings = MonitorSettings()
+        self._diagnostics: Diagnostics | None = None
+        self._streams: Streams | None = None
+        self._pending: deque[Said] = deque(maxlen=LATEST)
+        self._level: int | None = None
+        self._changed = asyncio.Event()
+        self._next = 0.0
+        self.problems: list[str] = []
+        """What isn't told and why, with what to do."""
+        reporter.on_change = self.note
+
+    def note(self) -> None:
+        """Something that the reporter says is another now. Called in the midst of failovers: it does no more than remember."""
+        if self._diagnostics is None:
+            return
+        now = said(self._reporter, time.time())
+        if now.level != self._level:
+            self._level = now.level
+            self._pending.append(now)
+            self._changed.set()
+        elif self._pending and (now.active, now.epoch) == (self._pending[-1].active, self._pending[-1].epoch):
+            # Why it is so is said a moment after that it is so; what is said after the switch belongs to what comes next.
+            self._pending[-1] = now._replace(at=self._pending[-1].at)
+
+    async def run(self) -> None:
+        """Tell until cancelled. What goes wrong here must not end the monitor."""
+        try:
+            while True:
+                try:
+                    await self._tell()
+                except Exception:
+                    _logger.exception("telling ROS tools")
+                    await asyncio.sleep(PERIOD)
+        finally:
+            self._follow(MonitorSettings())
+
+    async def _tell(self) -> None:
+        spec = self._view.spec
+        if spec is not None and spec.monitor != self._settings:
+            self._follow(spec.monitor)
+        self._diagnose()
+        if self._streams is not None:
+            await self._streams.serve()
+            if self._streams.read():
+                self._streams.show(behaviours(self._sight.snapshot(), self._view.workload))
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(PERIOD if self._streams is None else LEAST):
+                await self._changed.wait()
+                await asyncio.sleep(QUIET)
+
+    def _follow(self, settings: MonitorSettings) -> None:
+        """Open what is asked for and wasn't, and close what no longer is."""
+        self._settings, self.problems = settings, []
+        try:
+            if settings.diagnostics and self._diagnostics is None:
+                self._diagnostics = Diagnostics(self._sight.graph)
+                self._level, self._next = None, 0.0
+                self.note()
+            elif not settings.diagnostics and self._diagnostics is not None:
+                self._diagnostics.close()
+                self._diagnostics = None
+                self._pending.clear()
+        except TypeNotInstalled as error:
+            self._problem("spec.monitor.diagnostics", error)
+        try:
+            if settings.snapshots and self._streams is None:
+                self._streams = Streams(self._sight.graph, namespace_of(self._view.workload))
+            elif not settings.snapshots and self._streams is not None:
+                self._streams.close()
+                self._streams = None
+        except TypeNotInstalled as error:
+            self._problem("spec.monitor.snapshots", error)
+
+    def _problem(self, field: str, error: TypeNotInstalled) -> None:
+        text = f"{field}: {error}"
+        _logger.error("%s", text)
+        self.problems.append(f"{text}.")
+        self._reporter.event("Warning", "TypeNotInstalled", text)
+
+    def _diagnose(self) -> None:
+        """Tell what has changed since, in order; else how it is, in its period."""
+        self._changed.clear()
+        if self._diagnostics is None:
+            return
+        now = time.monotonic()
+        if not self._pending and now < self._next:
+            return
+        self._next = now + PERIOD
+        told = list(self._pending) or [said(self._reporter, time.time())]
+        self._pending.clear()
+        if not self._diagnostics.readers:
+            return
+        more = self._more()
+        for each in told:
+            found = status(self._view.namespace, self._view.workload, each, self._reporter, more)
+            self._diagnostics.publish(found, each.at)
+
+    def _more(self) -> More:
+        spec, item = self._view.spec, self._view.object
+        return More(
+            policy=spec.failure_policy_ref.name if spec is not None else "",
+            standby=str(((item or {}).get("status") or {}).get("standby") or ""),
+            kept=self._kept(),
+            tree=self._sight.snapshot(),
+        )

@@ -1,0 +1,114 @@
+"""How the workload is, as a status of ``/diagnostics`` (REP 107); pure.
+
+One status a workload, with the leaves of its health tree as values: an alarm that counts statuses counts a failure once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
+
+from understudy.api.health_reasons import why
+from understudy.monitor.report.reporter import Reporter
+from understudy.ros.actions.diagnostics_topic import Status
+from understudy.trees.core.snapshots import Snapshot
+from understudy.trees.leaves.diagnostics import OWN
+
+OK, WARN, ERROR, STALE = range(4)
+
+LEVELS: Mapping[str, int] = {
+    "Healthy": OK,
+    "Starting": WARN,
+    "Degraded": WARN,
+    "Failed": ERROR,
+    "Recovering": ERROR,
+    "Unknown": STALE,
+}
+
+LONGEST = 400
+"""Characters of a message, or of a value; a recovery that failed may have more to say than a line of a table holds."""
+
+
+class Said(NamedTuple):
+    """What is so at a moment. Cheap to take, for it's taken in the midst of a failover."""
+
+    at: float
+    """Unix seconds."""
+    health: str
+    message: str
+    active: str
+    epoch: int
+    planned: bool
+    """Whether it is handed over without having failed."""
+
+    @property
+    def level(self) -> int:
+        """The health as a level of diagnostic_msgs/msg/DiagnosticStatus."""
+        return WARN if self.planned else LEVELS.get(self.health, STALE)
+
+
+class More(NamedTuple):
+    """What is told besides."""
+
+    policy: str
+    standby: str
+    """As the operator puts it, such as ``Executing (1/1)``."""
+    kept: Mapping[str, float]
+    """When the state was taken that would be restored now, in Unix seconds, by what it is of."""
+    tree: Snapshot | None
+
+
+def said(reporter: Reporter, at: float) -> Said:
+    """What the reporter says now."""
+    planned = reporter.health == "Recovering" and reporter.reason("Recovering") == "Rescheduling"
+    message = why(reporter.health, reporter.active, reporter.conditions)
+    return Said(at, reporter.health, message, reporter.active, reporter.gate.epoch, planned)
+
+
+def status(namespace: str, workload: str, now: Said, reporter: Reporter, more: More) -> Status:
+    """What is so at a moment, with all that belongs to it."""
+    values = _values(now, reporter, more)
+    return Status(
+        now.level,
+        f"{OWN}{workload}",
+        _short(now.message),
+        f"{namespace}/{workload}",
+        [(key, _short(value)) for key, value in values],
+    )
+
+
+def _values(now: Said, reporter: Reporter, more: More) -> Iterator[tuple[str, str]]:
+    yield "health", now.health
+    yield "in control", now.active
+    yield "gate epoch", str(now.epoch)
+    yield "policy", more.policy
+    yield "if it failed now", reporter.strategy
+    yield "standby", more.standby
+    yield "recoveries", str(reporter.count)
+    last = reporter.last
+    if last is not None:
+        yield "last recovery", f"{last.result}{f' by {last.strategy}' if last.strategy else ''}"
+        yield "last recovery: reason", last.reason
+        yield "last recovery: detected", last.moments.detected or ""
+        if last.recovery_seconds is not None:
+            yield "last recovery: took (s)", f"{last.recovery_seconds:.3f}"
+        if last.parts is not None:
+            for part, seconds in last.parts.model_dump().items():
+                yield f"last recovery: {part} (s)", f"{seconds:.3f}"
+    for name, taken in more.kept.items():
+        yield f"kept {name}: age (s)", f"{max(0.0, now.at - taken):.1f}"
+    if more.tree is not None:
+        yield from _leaves(more.tree)
+
+
+def _leaves(node: Snapshot) -> Iterator[tuple[str, str]]:
+    if "children" not in node:
+        yield f"leaf {node['name']}", f"{node['state']}{': ' if node['reason'] else ''}{node['reason']}"
+    for child in node.get("children", ()):
+        yield from _leaves(child)
+
+
+def _short(text: str) -> str:
+    """In one line."""
+    text = " ".join(text.split())
+    return text if len(text) <= LONGEST else f"{text[: LONGEST - 3]}..."

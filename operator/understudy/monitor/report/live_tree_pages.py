@@ -1,0 +1,58 @@
+"""The monitor's own pages: the live tree as JSON for tools, and as a page for people."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Sequence
+from functools import cache
+from importlib import resources
+from typing import Any
+
+from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.health_observer import Sight
+from understudy.monitor.report.reporter import Reporter
+from understudy.process.http_pages import HTML, JSON, Answer
+
+
+class Showing:
+    """What the monitor knows and thinks at this moment. Costs nothing while nobody asks."""
+
+    def __init__(
+        self, view: View, sight: Sight, reporter: Reporter, notes: Callable[[], Sequence[str]] = tuple
+    ) -> None:
+        """``notes`` says what else a person should know, in plain words."""
+        self._view, self._sight, self._reporter, self._notes = view, sight, reporter, notes
+
+    def state(self) -> dict[str, Any]:
+        """All of it as plain values. Times are Unix seconds."""
+        said, spec = self._reporter, self._view.spec
+        return {
+            "workload": self._view.workload,
+            "namespace": self._view.namespace,
+            "policy": spec.failure_policy_ref.name if spec is not None else "",
+            "time": round(time.time(), 3),
+            "health": said.health,
+            "active": said.active,
+            "epoch": said.gate.epoch,
+            "strategy": said.strategy,
+            "conditions": [
+                {"type": c.type, "status": c.status, "reason": c.reason, "message": c.message} for c in said.conditions
+            ],
+            "recoveries": said.count,
+            "tree": self._sight.snapshot(),
+            "notes": [*self._sight.problems, *self._sight.waiting, *self._notes()],
+        }
+
+    def tree(self) -> Answer:
+        """``/tree``: the state as JSON."""
+        return 200, json.dumps(self.state()) + "\n", JSON
+
+    def page(self) -> Answer:
+        """``/``: a page that draws ``tree`` again and again; its addresses are relative, so that it works through proxies."""
+        return 200, _page(), HTML
+
+
+@cache
+def _page() -> str:
+    return resources.files("understudy.monitor").joinpath("tree.html").read_text()

@@ -1,0 +1,199 @@
+"""What is written of a failure: an MCAP file as rosbag2 writes it, which every ROS tool opens.
+
+All its messages are CDR: rosbag2 plays no file in which some are written otherwise. So what Understudy itself has to tell is in ROS
+messages too: the health tree as text (JSON) in a std_msgs/msg/String, what happened as rcl_interfaces/msg/Log.
+"""
+
+from __future__ import annotations
+
+import heapq
+import json
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
+from typing import IO, Any
+
+from pydantic import TypeAdapter
+
+from understudy import __version__
+from understudy.api.base import Model
+from understudy.api.kinds.robot_workload import Recovery
+from understudy.kube.client import Object
+from understudy.ros.observe.offered_qos import offers
+from understudy.ros.observe.sample_rings import Message, Taken
+from understudy.ros.runtime.interface_types import TypeNotInstalled, message_class
+from understudy.ros.runtime.type_definitions import definition
+from understudy.trees.core.snapshots import Shown
+
+TREE, TREE_TYPE = "/understudy/tree", "std_msgs/msg/String"
+"""The health tree whenever a node of it was another, and once a second."""
+
+EVENTS, EVENTS_TYPE = "/understudy/events", "rcl_interfaces/msg/Log"
+"""The moments of the recovery, and the Events of the objects that it was about."""
+
+_INFO, _WARN = 20, 30  # rcl_interfaces/msg/Log
+
+BATCH, REST = 20, 0.0005
+"""Messages that are written at a time, and seconds in between: the monitor's loop must not wait for this thread."""
+
+
+class Node(Model):
+    """A node of the health tree at a moment."""
+
+    name: str
+    kind: str
+    state: Shown
+    reason: str
+    topic: str | None = None
+    received: int | None = None
+    """Of a leaf: how many messages of its topic have counted so far."""
+    age: float | None = None
+    """Of a leaf: seconds since the last one."""
+    task: str | None = None
+    children: list[Node] = field(default_factory=list)
+
+
+class Trace(Model):
+    """A message of TREE."""
+
+    time: float
+    """Unix seconds."""
+    health: str
+    active: str
+    """The pod in control."""
+    epoch: int
+    """Of the gate."""
+    tree: Node | None
+
+
+@dataclass(frozen=True)
+class Content:
+    """What is written."""
+
+    namespace: str
+    workload: str
+    recovery: Recovery
+    tracks: Sequence[Taken]
+    events: Sequence[Object]
+    """Of Kubernetes, of the objects concerned."""
+    offers: Mapping[str, str]
+    """What the publishers of the topics offer, by topic, as understudy.ros.observe.offered_qos has it."""
+    since: float
+    """Unix seconds."""
+    notes: Mapping[str, str]
+    """What else should be known, such as what is missing."""
+
+
+def write(file: IO[bytes], content: Content) -> int:
+    """Write it; how many messages that were. Takes its time. Raises OSError."""
+    from mcap.writer import Writer  # a monitor in whose time nothing fails has no need of it
+
+    writer = Writer(file)
+    writer.start(profile="ros2", library=f"understudy {__version__}")
+    schemas: dict[str, int] = {}
+    channels: dict[str, int] = {}
+    tracks = [*content.tracks, Taken(EVENTS, EVENTS_TYPE, list(_told(content)))]
+    for track in tracks:
+        if track.type not in schemas:
+            try:
+                text = definition(track.type)
+            except TypeNotInstalled:  # it was, when it was received
+                text = ""
+            schemas[track.type] = writer.register_schema(track.type, "ros2msg", text.encode())
+        # The profile requires it of every channel; of a topic of which it isn't known, players offer what is usual.
+        offered = {"offered_qos_profiles": content.offers.get(track.topic) or offers([])}
+        channels[track.topic] = writer.register_channel(track.topic, "cdr", schemas[track.type], offered)
+    count = 0
+    for count, (channel, (received, sent, sequence, data)) in enumerate(_in_order(tracks, channels), 1):
+        at = _nanoseconds(received)
+        writer.add_message(channel, at, data, _nanoseconds(sent) if sent > 0 else at, sequence & 0xFFFFFFFF)
+        if not count % BATCH:
+            time.sleep(REST)
+    moment = _nanoseconds(_unix(content.recovery.moments.detected) or content.since)
+    for name, told in _attachments(content).items():
+        writer.add_attachment(moment, moment, name, "application/json", json.dumps(told, indent=2).encode())
+    writer.add_metadata("understudy", _metadata(content))
+    writer.finish()  # type: ignore[no-untyped-call]
+    return count
+
+
+def _in_order(tracks: Sequence[Taken], channels: Mapping[str, int]) -> Iterator[tuple[int, Message]]:
+    """All messages, the oldest first, each with its channel."""
+    streams = ([(channels[track.topic], message) for message in track.messages] for track in tracks)
+    return heapq.merge(*streams, key=lambda found: found[1][0])
+
+
+def _attachments(content: Content) -> dict[str, Any]:
+    return {
+        "recovery.json": content.recovery.to_wire(),
+        "events.json": list(content.events),
+        "tree.schema.json": TypeAdapter(Trace).json_schema(),
+    }
+
+
+def _metadata(content: Content) -> dict[str, str]:
+    recovery = content.recovery
+    return {
+        "version": __version__,
+        "namespace": content.namespace,
+        "workload": content.workload,
+        "recovery": recovery.id,
+        "number": str(recovery.number),
+        "reason": recovery.reason,
+        "result": recovery.result,
+        "strategy": recovery.strategy,
+        "failed": recovery.moments.detected or "",
+        **content.notes,
+    }
+
+
+def _told(content: Content) -> Iterator[Message]:
+    """What happened, as messages of EVENTS, the oldest first."""
+    found = [*_moments(content.recovery), *_events(content)]
+    for number, (at, level, name, text) in enumerate(sorted(found, key=lambda one: one[0]), 1):
+        yield at, at, number, _log(at, level, name, text)
+
+
+def _moments(recovery: Recovery) -> Iterator[tuple[float, int, str, str]]:
+    for name, moment in recovery.moments.to_wire().items():
+        if (at := _unix(moment)) is not None:
+            text = f"{name}: {recovery.reason}" if name == "detected" else name
+            yield at, _WARN if name == "detected" else _INFO, "recovery", text
+
+
+def _events(content: Content) -> Iterator[tuple[float, int, str, str]]:
+    for event in content.events:
+        at = _unix(event.get("lastTimestamp") or event.get("eventTime") or event["metadata"].get("creationTimestamp"))
+        if at is not None and at >= content.since - 1:  # to whole seconds
+            about = event["involvedObject"]
+            level = _WARN if event.get("type") == "Warning" else _INFO
+            name = f"{about.get('kind', '')}/{about.get('name', '')}"
+            yield at, level, name, f"{event.get('reason', '')}: {event.get('message', '')}"
+
+
+def _log(at: float, level: int, name: str, text: str) -> bytes:
+    message = message_class(EVENTS_TYPE)()
+    message.stamp.sec, message.stamp.nanosec = divmod(_nanoseconds(at), 1_000_000_000)
+    message.level, message.name, message.msg = level, name, text
+    return serialized(message)
+
+
+def text(said: str) -> bytes:
+    """A text as a message of TREE_TYPE, serialized."""
+    return serialized(message_class(TREE_TYPE)(data=said))
+
+
+def serialized(message: Any) -> bytes:
+    """A message as CDR with its header."""
+    from rclpy.serialization import serialize_message
+
+    return bytes(serialize_message(message))
+
+
+def _unix(moment: str | None) -> float | None:
+    return datetime.fromisoformat(moment).timestamp() if moment else None
+
+
+def _nanoseconds(seconds: float) -> int:
+    return round(seconds * 1e9)

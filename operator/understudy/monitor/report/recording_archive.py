@@ -1,0 +1,128 @@
+"""Recordings of failures on the disk: a few of them, of a bounded size, each whole or not there at all.
+
+A recording is a file named by its recovery, and beside it what is told of it. The second is written first, and both by a rename, so
+that a monitor that is killed leaves no half of one. Files aren't synced: what a lost node tore is noticed by the checksum.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import logging
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import IO
+
+from pydantic import ValidationError
+
+from understudy.api.kinds.recording_spec import Recording
+
+_logger = logging.getLogger(__name__)
+
+_NEW = ".new"
+
+
+class TooBig(Exception):
+    """A recording that is larger than all of them may be together."""
+
+
+class Archive:
+    """A folder of recordings. Nothing of it is made before the first one is kept."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._kept: list[Recording] | None = None
+
+    @property
+    def recordings(self) -> Sequence[Recording]:
+        """What is kept, newest first."""
+        if self._kept is None:
+            self._kept = self._found()
+        return self._kept
+
+    def path(self, recording: Recording) -> Path:
+        """The file of a recording."""
+        return self._folder / f"{Path(recording.id).name}.mcap"
+
+    def keep(self, recording: Recording, write: Callable[[IO[bytes]], int], *, most: int, most_bytes: int) -> Recording:
+        """Write a recording, whose messages ``write`` counts, and remove the oldest beyond so many and so much. Takes its time.
+
+        Raises OSError, and TooBig where it is more than all may be; what was there before stays then.
+        """
+        self._folder.mkdir(parents=True, exist_ok=True)
+        path = self.path(recording)
+        fresh = path.with_suffix(f".mcap{_NEW}")
+        try:
+            with open(fresh, "wb") as file:
+                hashing = _Hashing(file)
+                messages = write(hashing)  # type: ignore[arg-type]  # it is written to, and asked where that is
+            size = fresh.stat().st_size
+            if size > most_bytes:
+                raise TooBig(f"it has {size} bytes, and blackBox.maxSize is {most_bytes}")
+            said = {"messages": messages, "size": size, "sha256": hashing.digest}
+            told = recording.model_copy(update=said)
+            self._replace(path.with_suffix(".json"), told.model_dump_json().encode())
+            os.replace(fresh, path)
+        except BaseException:
+            with contextlib.suppress(OSError):
+                fresh.unlink(missing_ok=True)
+            raise
+        self._kept = kept = [told, *(one for one in self.recordings if one.id != told.id)]
+        while len(kept) > most or sum(one.size for one in kept) > most_bytes:
+            self._remove(self.path(kept[-1]))
+            self._kept = kept = kept[:-1]
+        return told
+
+    def _replace(self, path: Path, data: bytes) -> None:
+        fresh = path.with_suffix(f"{path.suffix}{_NEW}")
+        fresh.write_bytes(data)
+        os.replace(fresh, path)
+
+    def _remove(self, path: Path) -> None:
+        for each in (path, path.with_suffix(".json")):
+            each.unlink(missing_ok=True)
+
+    def _found(self) -> list[Recording]:
+        """What an earlier monitor has kept. What it had only begun is removed."""
+        kept: list[Recording] = []
+        try:
+            for path in self._folder.glob(f"*{_NEW}"):
+                path.unlink(missing_ok=True)
+            for path in self._folder.glob("*.json"):
+                if (found := self._read(path)) is not None:
+                    kept.append(found)
+                else:
+                    self._remove(path.with_suffix(".mcap"))
+        except OSError as error:
+            _logger.warning("recordings in %s: %s", self._folder, error)
+        return sorted(kept, key=lambda one: one.failed, reverse=True)
+
+    def _read(self, path: Path) -> Recording | None:
+        try:
+            told = Recording.model_validate_json(path.read_text())
+        except (ValidationError, UnicodeDecodeError):
+            return None
+        return told if path.with_suffix(".mcap").exists() else None
+
+
+class _Hashing:
+    """A file that is only appended to, with a checksum of all that was."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file, self._hash, self._place = file, hashlib.sha256(), 0
+
+    def write(self, data: bytes) -> int:
+        self._hash.update(data)
+        self._place += len(data)
+        return self._file.write(data)
+
+    def tell(self) -> int:
+        return self._place
+
+    def flush(self) -> None:
+        self._file.flush()
+
+    @property
+    def digest(self) -> str:
+        return self._hash.hexdigest()

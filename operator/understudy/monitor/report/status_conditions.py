@@ -1,0 +1,58 @@
+"""What the status says of a workload that is watched: how it is, whether all of it is seen, and what would be done if it failed."""
+
+from __future__ import annotations
+
+from understudy.api.kinds.robot_workload import GateStatus
+from understudy.monitor.act.gate_control import PolicyGate
+from understudy.monitor.act.safe_commands import SafeCommands
+from understudy.monitor.decide.strategy_options import Repertoire
+from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.health_observer import Sight
+from understudy.monitor.report.reporter import Reporter
+from understudy.trees.core.health_tree import Verdict
+
+
+class Saying:
+    """Says it of one workload."""
+
+    def __init__(
+        self,
+        view: View,
+        gate: PolicyGate,
+        sight: Sight,
+        safety: SafeCommands,
+        repertoire: Repertoire,
+        reporter: Reporter,
+    ) -> None:
+        self._view, self._gate, self._sight = view, gate, sight
+        self._safety, self._repertoire, self._reporter = safety, repertoire, reporter
+
+    def health(self, verdict: Verdict, *, degraded: bool) -> None:
+        """How the instance in control is."""
+        state = self._gate.state
+        self._reporter.set(
+            active=state.active,
+            health="Degraded" if degraded and verdict.state == "Healthy" else verdict.state,
+            gate=GateStatus(epoch=state.epoch, active=state.active),
+        )
+        status = {"Healthy": "True", "Failed": "False", "Starting": "Unknown"}[verdict.state]
+        self._reporter.condition("Healthy", status, verdict.state, verdict.reason)
+
+    def housekeeping(self) -> None:
+        """What changes seldom, once the policy and the settings are known."""
+        usable = self._repertoire.usable()
+        item = self._view.object
+        self._reporter.generation = item["metadata"].get("generation") if item else None
+        self._reporter.look(item)
+        self._reporter.set(strategy=usable)
+        self._say_watched()
+
+    def _say_watched(self) -> None:
+        if problems := [*self._sight.problems, *self._safety.problems]:
+            reason = "TypeNotInstalled" if any("not installed" in problem for problem in problems) else "NotWatched"
+            if self._reporter.condition("Monitored", "False", reason, " ".join(problems)):
+                self._reporter.event("Warning", reason, " ".join(problems))
+        elif waiting := self._sight.waiting:
+            self._reporter.condition("Monitored", "Unknown", "WaitingForTopics", " ".join(waiting))
+        else:
+            self._reporter.condition("Monitored", "True", "Watching", self._sight.summary)

@@ -1,0 +1,419 @@
+"""Clients and servers of actions of any installed type, with goals, feedback and results as serialized bytes.
+
+An action is three services and two topics under ``NAME/_action`` (REP-2011's successor in design.ros2.org, "Actions").
+They are used directly: rclpy's own client and server make a new goal id for what is passed on, and answer a goal or a
+request for its result within the process that took it. A task proxy needs neither: it keeps the client's goal id, and
+may answer after its own restart.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+from understudy.ros.runtime.interface_types import interface_class
+
+# isort: split
+from action_msgs.msg import GoalInfo, GoalStatus, GoalStatusArray
+from action_msgs.srv import CancelGoal
+from builtin_interfaces.msg import Time
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_profile_services_default
+from rclpy.serialization import deserialize_message, serialize_message
+from unique_identifier_msgs.msg import UUID
+
+from understudy.ros.runtime.served_node import Spinning
+from understudy.ros.runtime.service_exchange import ExchangeError, RequestId, request_writer
+
+_logger = logging.getLogger(__name__)
+
+UNKNOWN, ACCEPTED, EXECUTING, CANCELING, SUCCEEDED, CANCELED, ABORTED = range(7)
+"""action_msgs/msg/GoalStatus."""
+
+ENDED = frozenset({SUCCEEDED, CANCELED, ABORTED})
+
+CANCEL_OK, CANCEL_REJECTED, CANCEL_UNKNOWN, CANCEL_ENDED = range(4)
+"""action_msgs/srv/CancelGoal: ERROR_NONE, ERROR_REJECTED, ERROR_UNKNOWN_GOAL_ID, ERROR_GOAL_TERMINATED."""
+
+UNANSWERED = 0.2
+"""Seconds until an answer is sent again whose client wasn't matched, as after a restart of this process."""
+
+MATCHED = 0.5
+"""Seconds after the discovery of a client at which it can be answered that asked an earlier process."""
+
+PATIENCE = 60.0
+"""Seconds for which that is tried."""
+
+_RELIABLE = {"history": HistoryPolicy.KEEP_LAST, "reliability": ReliabilityPolicy.RELIABLE}
+_FEEDBACK = QoSProfile(depth=10, durability=DurabilityPolicy.VOLATILE, **_RELIABLE)
+_STATUS = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL, **_RELIABLE)
+_DRAINED = QoSProfile(depth=200, durability=DurabilityPolicy.VOLATILE, **_RELIABLE)
+
+_ID = slice(4, 20)
+"""Where the goal's id stands in a serialized feedback message: after the header of 4 bytes."""
+
+
+@dataclass(frozen=True)
+class ActionType:
+    """The types of an action."""
+
+    name: str
+    goal: Any
+    result: Any
+    feedback: Any
+    send_goal: Any
+    get_result: Any
+
+    @classmethod
+    def of(cls, name: str) -> ActionType:
+        """By name, such as nav2_msgs/action/NavigateToPose. Raises ValueError and TypeNotInstalled."""
+        if "/action/" not in name:
+            raise ValueError(
+                f"{name!r} is not an action type: write package/action/Name, such as nav2_msgs/action/NavigateToPose"
+            )
+        found = interface_class(name)
+        return cls(
+            name=name,
+            goal=found.Goal,
+            result=found.Result,
+            feedback=found.Impl.FeedbackMessage,
+            send_goal=found.Impl.SendGoalService,
+            get_result=found.Impl.GetResultService,
+        )
+
+    def empty_result(self) -> bytes:
+        """A result whose fields all have their defaults."""
+        data: bytes = serialize_message(self.result())
+        return data
+
+
+class Cancelling(NamedTuple):
+    """What a client asks to cancel: a goal, those up to a time, or both; neither means all (see CancelGoal)."""
+
+    goal: str
+    """Its id in hex; empty where none is named."""
+    until: int
+    """Unix nanoseconds; 0 where no time is given."""
+
+
+class Known(NamedTuple):
+    """A goal in a server's status."""
+
+    goal: str
+    accepted: int
+    """When it was, in Unix nanoseconds."""
+    status: int
+
+
+def renamed(feedback: bytes, goal: str) -> bytes:
+    """A feedback message as one of another goal."""
+    return feedback[: _ID.start] + bytes.fromhex(goal) + feedback[_ID.stop :]
+
+
+def _uuid(goal: str) -> UUID:
+    return UUID(uuid=list(bytes.fromhex(goal)))
+
+
+def _hex(uuid: UUID) -> str:
+    return bytes(uuid.uuid).hex()
+
+
+def _time(nanoseconds: int) -> Time:
+    return Time(sec=nanoseconds // 1_000_000_000, nanosec=nanoseconds % 1_000_000_000)
+
+
+def _nanoseconds(moment: Time) -> int:
+    return int(moment.sec) * 1_000_000_000 + int(moment.nanosec)
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What a server tells of its clients' requests; called in the loop."""
+
+    goal: Callable[[RequestId, str, bytes], None]
+    """Accept this goal (its id, and it serialized)?"""
+    cancel: Callable[[RequestId, Cancelling], None]
+    result: Callable[[RequestId, str], None]
+
+
+class ActionServer:
+    """Serves an action; whoever is asked answers when it knows."""
+
+    def __init__(self, spinning: Spinning, action: str, type_: ActionType, asked: Asked) -> None:
+        self.action, self.type = action, type_
+        self._spinning, self._asked = spinning, asked
+        self._services: dict[str, Any] = {}
+        self._clients: set[str] = set()
+        self._publishers: dict[str, Any] = {}
+
+    async def open(self) -> None:
+        """Be there for clients."""
+        await self._spinning.get(self._open)
+
+    async def close(self) -> None:
+        """Be gone."""
+        await self._spinning.get(self._close)
+
+    def answer_goal(self, request: RequestId, accepted: bool, stamp: int) -> None:
+        """Accept or reject a goal; ``stamp`` is when, in Unix nanoseconds."""
+        self._answer("send_goal", self.type.send_goal.Response(accepted=accepted, stamp=_time(stamp)), request)
+
+    def answer_cancel(self, request: RequestId, code: int, goals: Sequence[tuple[str, int]]) -> None:
+        """Say which goals, with the time of their acceptance, are being cancelled."""
+        infos = [GoalInfo(goal_id=_uuid(goal), stamp=_time(stamp)) for goal, stamp in goals]
+        self._answer("cancel_goal", CancelGoal.Response(return_code=code, goals_canceling=infos), request)
+
+    def answer_result(self, request: RequestId, status: int, result: bytes) -> None:
+        """Give a goal's result, serialized; empty for one that is unknown."""
+        message = deserialize_message(result, self.type.result) if result else self.type.result()
+        self._answer("get_result", self.type.get_result.Response(status=status, result=message), request)
+
+    def publish_feedback(self, feedback: bytes) -> None:
+        """Pass on a serialized feedback message."""
+        self._spinning.do(lambda: self._publishers["feedback"].publish(feedback))
+
+    def publish_status(self, goals: Sequence[Known]) -> None:
+        """Say how all goals are."""
+        statuses = [
+            GoalStatus(goal_info=GoalInfo(goal_id=_uuid(g.goal), stamp=_time(g.accepted)), status=g.status)
+            for g in goals
+        ]
+        message = GoalStatusArray(status_list=statuses)
+        self._spinning.do(lambda: self._publishers["status"].publish(message))
+
+    def _open(self) -> None:
+        node, hidden = self._spinning.node, f"{self.action}/_action"
+        # The topics first: a client takes the server for there as soon as it sees all five.
+        for name, type_, qos in (("feedback", self.type.feedback, _FEEDBACK), ("status", GoalStatusArray, _STATUS)):
+            self._publishers[name] = node.create_publisher(type_, f"{hidden}/{name}", qos)
+        for name, type_, taken in (
+            ("send_goal", self.type.send_goal, self._goal_asked),
+            ("cancel_goal", CancelGoal, self._cancel_asked),
+            ("get_result", self.type.get_result, self._result_asked),
+        ):
+            service = node.create_service(
+                type_, f"{hidden}/{name}", _never_called, qos_profile=qos_profile_services_default
+            )
+            self._services[name] = service
+            self._spinning.add("service", service, self._taking(service, type_.Request, taken))
+
+    def _close(self) -> None:
+        for service in self._services.values():
+            self._spinning.remove("service", service)
+        for publisher in self._publishers.values():
+            self._spinning.node.destroy_publisher(publisher)
+
+    def _goal_asked(self, request: Any, identity: RequestId) -> None:
+        data = serialize_message(request.goal)
+        self._spinning.tell(self._asked.goal, identity, _hex(request.goal_id), data)
+
+    def _cancel_asked(self, request: Any, identity: RequestId) -> None:
+        goal, until = _hex(request.goal_info.goal_id), _nanoseconds(request.goal_info.stamp)
+        self._spinning.tell(self._asked.cancel, identity, Cancelling("" if goal == _NONE else goal, until))
+
+    def _result_asked(self, request: Any, identity: RequestId) -> None:
+        self._spinning.tell(self._asked.result, identity, _hex(request.goal_id))
+
+    def _taking(self, service: Any, request: Any, taken: Callable[[Any, RequestId], None]) -> Callable[[], None]:
+        def take() -> None:
+            while (found := self._spinning.exchange.take(service, request)) is not None:
+                self._clients.add(found[1].client)
+                taken(*found)
+
+        return take
+
+    def _answer(self, name: str, response: Any, request: RequestId) -> None:
+        end = time.monotonic() + PATIENCE
+        found: float | None = None
+
+        def send() -> None:
+            nonlocal found
+            known = request.client in self._clients
+            identity = request if known else self._written_by(name, request)
+            now = time.monotonic()
+            if identity is not None and found is None:
+                found = now
+            if known or (found is not None and now - found >= MATCHED and identity is not None):
+                try:
+                    if self._spinning.exchange.answer(self._services[name], response, identity or request):
+                        return
+                except ExchangeError as error:
+                    _logger.error("%s: %s", self.action, error)
+                    return
+            if now < end:
+                self._spinning.after(UNANSWERED, send)
+
+        self._spinning.do(send)
+
+    def _written_by(self, name: str, request: RequestId) -> RequestId | None:
+        """A request of an earlier process's client, as one that can be answered; None while the client isn't seen."""
+        topic = f"{self.action}/_action/{name}"
+        node = self._spinning.node
+        readers = node.get_subscriptions_info_by_topic(f"rr{topic}Reply", no_mangle=True)
+        if not any(bytes(info.endpoint_gid)[:16].hex() == request.client for info in readers):
+            return None
+        infos = node.get_publishers_info_by_topic(f"rq{topic}Request", no_mangle=True)
+        writer = request_writer(request, [bytes(info.endpoint_gid)[:16] for info in infos])
+        return RequestId(writer.hex(), request.sequence) if writer else None
+
+
+_NONE = bytes(16).hex()
+
+
+def _never_called(request: object, response: Any) -> Any:
+    """Stands where rclpy wants a callback."""
+    return response
+
+
+@dataclass
+class _Calls:
+    """A service's client and the calls that wait for an answer."""
+
+    client: Any
+    response: Any
+    waiting: dict[int, asyncio.Future[Any]] = field(default_factory=dict)
+
+
+class ActionClient:
+    """Uses an action. Its methods wait for as long as the server takes: callers give them a bound."""
+
+    def __init__(
+        self,
+        spinning: Spinning,
+        action: str,
+        type_: ActionType,
+        *,
+        on_feedback: Callable[[str, bytes], None],
+        on_status: Callable[[Sequence[Known]], None] | None = None,
+    ) -> None:
+        """``on_feedback`` is given a goal's id and the whole serialized message, both are called in the loop."""
+        self.action, self.type = action, type_
+        self._spinning, self._on_feedback, self._on_status = spinning, on_feedback, on_status
+        self._calls: dict[str, _Calls] = {}
+        self._subscriptions: list[Any] = []
+
+    async def open(self) -> None:
+        """Look for the server."""
+        await self._spinning.get(self._open)
+
+    async def close(self) -> None:
+        """Let go of the server. Calls under way are cancelled."""
+        await self._spinning.get(self._close)
+        for calls in self._calls.values():
+            for future in calls.waiting.values():
+                future.cancel()
+
+    async def ready(self) -> bool:
+        """Whether a server is there with all that makes an action."""
+        return await self._spinning.get(self._ready)
+
+    async def send_goal(self, goal: str, data: bytes) -> tuple[bool, int]:
+        """Send a goal, serialized, under an id; whether it was accepted, and when (Unix nanoseconds)."""
+        message = deserialize_message(data, self.type.goal)
+        request = self.type.send_goal.Request(goal_id=_uuid(goal), goal=message)
+        response = await self._call("send_goal", request)
+        return bool(response.accepted), _nanoseconds(response.stamp)
+
+    async def cancel(self, goal: str) -> int:
+        """Ask to cancel a goal; the server's return code."""
+        request = CancelGoal.Request(goal_info=GoalInfo(goal_id=_uuid(goal)))
+        return int((await self._call("cancel_goal", request)).return_code)
+
+    async def result(self, goal: str) -> tuple[int, bytes]:
+        """The status and the serialized result of a goal, when it has ended; UNKNOWN at once where it isn't known."""
+        response = await self._call("get_result", self.type.get_result.Request(goal_id=_uuid(goal)))
+        return int(response.status), serialize_message(response.result)
+
+    def _open(self) -> None:
+        node, hidden = self._spinning.node, f"{self.action}/_action"
+        for name, type_ in (
+            ("send_goal", self.type.send_goal),
+            ("cancel_goal", CancelGoal),
+            ("get_result", self.type.get_result),
+        ):
+            client = node.create_client(type_, f"{hidden}/{name}", qos_profile=qos_profile_services_default)
+            calls = self._calls[name] = _Calls(client, type_.Response)
+            self._spinning.add("client", client, self._answered(calls))
+        for name, type_, qos, taken in (
+            ("feedback", self.type.feedback, _DRAINED, self._feedback_came),
+            ("status", GoalStatusArray, _STATUS, self._status_came),
+        ):
+            if name == "status" and self._on_status is None:
+                continue
+            subscription = node.create_subscription(type_, f"{hidden}/{name}", _never_told, qos, raw=True)
+            self._subscriptions.append(subscription)
+            self._spinning.add("subscription", subscription, self._received(subscription, taken))
+
+    def _close(self) -> None:
+        for calls in self._calls.values():
+            self._spinning.remove("client", calls.client)
+        for subscription in self._subscriptions:
+            self._spinning.remove("subscription", subscription)
+
+    def _ready(self) -> bool:
+        if not all(calls.client.service_is_ready() for calls in self._calls.values()):
+            return False
+        return all(
+            self._spinning.node.count_publishers(f"{self.action}/_action/{name}") for name in ("feedback", "status")
+        )
+
+    async def _call(self, name: str, request: Any) -> Any:
+        calls = self._calls[name]
+        future: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
+
+        def send() -> int:
+            # rclpy's own call_async would want its executor.
+            with calls.client.handle:
+                number: int = calls.client.handle.send_request(request)
+            calls.waiting[number] = future
+            return number
+
+        number = await self._spinning.get(send)
+        try:
+            return await future
+        finally:
+            calls.waiting.pop(number, None)
+
+    def _answered(self, calls: _Calls) -> Callable[[], None]:
+        def take() -> None:
+            while True:
+                with calls.client.handle:
+                    info, response = calls.client.handle.take_response(calls.response)
+                if info is None:
+                    return
+                future = calls.waiting.get(info.request_id.sequence_number)
+                if future is not None:
+                    self._spinning.tell(_settle, future, response)
+
+        return take
+
+    def _received(self, subscription: Any, taken: Callable[[bytes], None]) -> Callable[[], None]:
+        def take() -> None:
+            with subscription.handle:
+                while (sample := self._spinning.taker.take(subscription.handle.pointer)) is not None:
+                    taken(sample.data)
+
+        return take
+
+    def _feedback_came(self, data: bytes) -> None:
+        self._spinning.tell(self._on_feedback, data[_ID].hex(), data)
+
+    def _status_came(self, data: bytes) -> None:
+        found = deserialize_message(data, GoalStatusArray)
+        goals = [
+            Known(_hex(s.goal_info.goal_id), _nanoseconds(s.goal_info.stamp), int(s.status)) for s in found.status_list
+        ]
+        if self._on_status is not None:
+            self._spinning.tell(self._on_status, goals)
+
+
+def _never_told(message: object) -> None:
+    """Stands where rclpy wants a callback."""
+
+
+def _settle(future: asyncio.Future[Any], response: Any) -> None:
+    if not future.done():
+        future.set_result(response)

@@ -1,0 +1,672 @@
+"""Calls of services, lifecycle transitions, parameters and publications, for one instance and from inside its pod.
+
+A service call needs an executor, which a drained graph (graph_node.py) has none of: here is a second node in the same
+participant, spun by a thread of its own, that exists only while it is used. Every call has a bound in seconds and
+fails in plain words that name the node, service or topic.
+
+Where the host is known, only what runs on this host counts as there: behind a discovery server an agent learns of the
+other instances' servers too, which policies keep it from reaching.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import threading
+import time
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from understudy.ros.dds.sample_sources import HOST
+from understudy.ros.runtime.interface_types import TypeNotInstalled, interface_class, message_class
+from understudy.ros.runtime.lean_imports import rclpy_imported
+from understudy.ros.runtime.message_values import MessageError, to_mapping, to_message
+
+if TYPE_CHECKING:
+    from understudy.ros.runtime.sample_taking import Sample
+
+_logger = logging.getLogger(__name__)
+
+IDLE = 60.0
+"""Seconds without a call after which the node is closed."""
+
+LINGER = 5.0
+"""Seconds for which a message is still sent again to subscribers that may have lost it, after the call has returned."""
+
+LOOK = 0.02
+"""Seconds between two looks at the graph or a queue while something is waited for."""
+
+ASK_AGAIN = 0.5
+"""Seconds between two questions for a lifecycle state while a transition is under way, since its answer may get lost."""
+
+REPEAT = 1.0
+"""Seconds without an answer after which what can be asked twice is asked again: a server that hasn't found a new client yet
+drops its answer (rmw_fastrtps waits 100 ms for it).
+"""
+
+MOST_REPEATS = 20
+"""Questions of one kind that may wait for their answers."""
+
+ANSWER_LOST = 3.0
+"""Seconds at rest in the old state after which a transition without an answer counts as refused."""
+
+MOST_CLIENTS = 64
+"""Service clients kept for further calls; a new one costs a round of discovery."""
+
+QUEUE = 100
+"""Samples that may wait between two looks at a queue."""
+
+TRANSITIONS: Mapping[tuple[str, str], tuple[str, int, str]] = {
+    ("unconfigured", "inactive"): ("configure", 1, "inactive"),
+    ("unconfigured", "active"): ("configure", 1, "inactive"),
+    ("unconfigured", "finalized"): ("shutdown", 5, "finalized"),
+    ("inactive", "active"): ("activate", 3, "active"),
+    ("inactive", "unconfigured"): ("cleanup", 2, "unconfigured"),
+    ("inactive", "finalized"): ("shutdown", 6, "finalized"),
+    ("active", "inactive"): ("deactivate", 4, "inactive"),
+    ("active", "unconfigured"): ("deactivate", 4, "inactive"),
+    ("active", "finalized"): ("shutdown", 7, "finalized"),
+}
+"""The next transition on the way from a state to another: its name, its id (lifecycle_msgs) and where it leads."""
+
+STATES = ("unconfigured", "inactive", "active", "finalized")
+"""The states in which a managed node rests."""
+
+
+class CallFailed(Exception):
+    """A call that didn't succeed, in plain words."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where in ROS this process already is."""
+
+    context: Any
+    """The rclpy context of its graph; another would be another participant, that has to be discovered anew."""
+    host: bytes | None = None
+    """The HOST part of the GIDs of this host's endpoints (sample_sources.py); None where anyone's count."""
+
+
+class _Bound:
+    """One call under way."""
+
+    def __init__(self, missing: str) -> None:
+        self.missing = missing
+        """What is waited for, said when its time is over."""
+        self.sent = False
+        """Whether a request is on its way."""
+
+
+class Listener:
+    """The messages of a topic from now on."""
+
+    def __init__(self, subscription: Any) -> None:
+        from understudy.ros.runtime.sample_taking import Taker
+
+        self._subscription, self._taker = subscription, Taker()
+        self._last: Sample | None = None
+
+    @property
+    def last(self) -> Sample | None:
+        """The latest; None before the first."""
+        with self._subscription.handle:
+            while (sample := self._taker.take(self._subscription.handle.pointer)) is not None:
+                self._last = sample
+        return self._last
+
+    async def first(self, within: float) -> Sample | None:
+        """Wait for the first, for at most so many seconds."""
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(within):
+                await _until(lambda: self.last is not None)
+        return self._last
+
+
+class Caller:
+    """One instance's services, parameters, lifecycle and topics. For one event loop."""
+
+    def __init__(self, name: str, *, place: Callable[[], Place | None] | None = None) -> None:
+        """``name`` of the node that is made at the first call. ``place`` says where, and None while that isn't known yet;
+        without it the node joins the graph that the process's environment names.
+        """
+        self._name, self._place = name, place
+        self._opened: _Opened | None = None
+        self._users = 0
+        self._idle: asyncio.TimerHandle | None = None
+        self._pinned = False
+
+    # -- services ---------------------------------------------------------------------------------------------------
+
+    async def call(
+        self, service: str, type_name: str, request: Mapping[str, Any], within: float, *, repeat: float | None = None
+    ) -> dict[str, Any]:
+        """The answer of a service (``package/srv/Name``), waiting for the service too. Raises CallFailed.
+
+        With ``repeat`` it is asked again after so many seconds without an answer, as often as it takes.
+        """
+        async with self._bound(f"service {service}", within) as (opened, bound):
+            return to_mapping(await _asked(opened, bound, service, type_name, request, repeat=repeat))
+
+    async def service_present(self, service: str) -> bool:
+        """Whether somebody serves it here now. Raises CallFailed."""
+        async with self._bound(f"service {service}", 10.0) as (opened, _):
+            return opened.serves(service)
+
+    async def node_present(self, node: str) -> bool:
+        """Whether a node of that full name is here now. Raises CallFailed."""
+        async with self._bound(f"node {node}", 10.0) as (opened, _):
+            return opened.has_node(node)
+
+    # -- lifecycle --------------------------------------------------------------------------------------------------
+
+    async def lifecycle_state(self, node: str, within: float) -> str:
+        """The state of a managed node: unconfigured, inactive, active or finalized, or one of those between them.
+
+        Raises CallFailed.
+        """
+        async with self._bound(f"node {node}", within) as (opened, bound):
+            return await _state(opened, bound, node)
+
+    async def bring_to(self, node: str, state: str, within: float) -> None:
+        """Bring a managed node to a state in which it can rest, by the shortest transitions. Nothing is done where it is
+        there already. Raises CallFailed.
+        """
+        if state not in STATES:
+            raise CallFailed(f"node {node}: {state!r} is not a state to bring it to: take one of {', '.join(STATES)}")
+        async with self._bound(f"node {node}", within) as (opened, bound):
+            while (present := await _state(opened, bound, node)) != state:
+                step = TRANSITIONS.get((present, state))
+                if step is not None:
+                    await _transition(opened, bound, node, present, *step)
+                elif present in STATES:
+                    raise CallFailed(f"node {node} is {present}, from where it can't become {state}")
+                else:
+                    bound.missing = f"node {node} is still {present}, not yet {state}"
+                    await asyncio.sleep(LOOK)
+
+    # -- parameters -------------------------------------------------------------------------------------------------
+
+    async def get_parameters(self, node: str, names: Sequence[str], within: float) -> dict[str, Any]:
+        """Values of parameters of a node. Raises CallFailed, also where it doesn't have one of them."""
+        async with self._bound(f"node {node}", within) as (opened, bound):
+            return await _parameters(opened, bound, node, names)
+
+    async def set_parameters(self, node: str, values: Mapping[str, Any], within: float) -> None:
+        """Set parameters of a node; an integer is given as a double where the parameter is one.
+
+        Raises CallFailed with the node's reason where it refuses one.
+        """
+        async with self._bound(f"node {node}", within) as (opened, bound):
+            from rclpy.parameter import Parameter
+
+            whole = [name for name, value in values.items() if _is_whole(value)]
+            present = await _parameters(opened, bound, node, whole) if whole else {}
+            wanted = {name: _as_real(value) if _is_real(present.get(name)) else value for name, value in values.items()}
+            try:
+                parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in wanted.items()]
+            except (AssertionError, TypeError) as error:
+                raise CallFailed(f"node {node}: {dict(values)!r:.200} can't be parameters: {error}") from error
+            answer = await _asked(
+                opened,
+                bound,
+                f"{node}/set_parameters",
+                "rcl_interfaces/srv/SetParameters",
+                {"parameters": parameters},
+                repeat=REPEAT,
+            )
+            refused = [
+                f"{name} = {value!r}: {result.reason or 'no reason given'}"
+                for (name, value), result in zip(wanted.items(), answer.results, strict=True)
+                if not result.successful
+            ]
+            if refused:
+                raise CallFailed(f"node {node} refused parameters: {'; '.join(refused)}")
+
+    # -- topics -----------------------------------------------------------------------------------------------------
+
+    async def publish(
+        self,
+        topic: str,
+        type_name: str,
+        message: Mapping[str, Any] | bytes | Callable[[], bytes],
+        within: float,
+        count: int = 1,
+    ) -> None:
+        """Publish a message (bytes are CDR with its header; a function is asked for them at the last moment) so often, once
+        somebody here subscribes to the topic, and wait until the subscribers have it. Raises CallFailed.
+
+        Instances of one workload match each other's subscribers and can't reach them, and the middleware doesn't tell whose
+        acknowledgement is missing: with subscribers elsewhere the message is sent on for a while instead, and not waited for.
+        """
+        async with self._bound(f"topic {topic}", within) as (opened, bound):
+            cls = message_class(type_name)
+            wire = to_message(cls, message) if isinstance(message, Mapping) else message
+            publisher = opened.publisher(cls, topic, count)
+            lingers = 0.0
+            try:
+                bound.missing = f"nobody subscribes to {topic} as {type_name}"
+                await _until(lambda: opened.is_read(publisher, topic, type_name))
+                for _ in range(count):
+                    publisher.publish(wire() if callable(wire) else wire)
+                bound.missing = f"the subscribers of {topic} have not taken the message"
+                while not await asyncio.to_thread(_acknowledged, publisher):
+                    if opened.is_read_elsewhere(topic, type_name):
+                        lingers = LINGER
+                        break
+            finally:
+                asyncio.get_running_loop().call_later(lingers, opened.node.destroy_publisher, publisher)
+
+    async def topic_type(self, topic: str, within: float) -> str:
+        """The type that the publishers of a topic announce, waiting for one that is here. Raises CallFailed."""
+        async with self._bound(f"topic {topic}", within) as (opened, bound):
+            bound.missing = f"nobody publishes {topic}"
+            found: set[str] = set()
+
+            def known() -> bool:
+                found.update(opened.published_types(topic))
+                return bool(found)
+
+            await _until(known)
+            if len(found) > 1:
+                raise CallFailed(f"the publishers of {topic} disagree about its type: {', '.join(sorted(found))}")
+            return found.pop()
+
+    async def wait_sample(
+        self, topic: str, type_name: str, within: float, since: float | None = None, *, own: bool = False
+    ) -> Sample:
+        """The next message of a topic, or a latched one that is there; with ``since`` none that was written before (Unix
+        seconds, by the writer's clock), with ``own`` only of a writer on this host. Raises CallFailed.
+        """
+        async with self._bound(f"topic {topic}", within) as (opened, bound):
+            from understudy.ros.runtime.sample_taking import Taker
+
+            cls, taker, host = message_class(type_name), Taker(), opened.host if own else None
+            bound.missing = f"nothing {'of this instance ' if host else ''}came on {topic} ({type_name})"
+            # A reader of latched messages doesn't match a writer that keeps none, and the other doesn't get them.
+            subscriptions = [opened.subscription(cls, topic, latched=latched) for latched in (False, True)]
+            try:
+                while True:
+                    for subscription in subscriptions:
+                        with subscription.handle:
+                            while (sample := taker.take(subscription.handle.pointer)) is not None:
+                                known = host is None or sample.gid[HOST] == host
+                                if known and (since is None or sample.sent >= since):
+                                    return sample
+                    await asyncio.sleep(LOOK)
+            finally:
+                for subscription in subscriptions:
+                    opened.node.destroy_subscription(subscription)
+
+    @contextlib.asynccontextmanager
+    async def listening(self, topic: str, type_name: str, within: float) -> AsyncIterator[Listener]:
+        """A topic's messages as they come, for as long as the context lasts; it begins in so many seconds.
+
+        Raises CallFailed.
+        """
+        self._users += 1
+        try:
+            async with self._bound(f"topic {topic}", within) as (opened, _):
+                subscription = opened.subscription(message_class(type_name), topic, latched=False)
+            try:
+                yield Listener(subscription)
+            finally:
+                opened.node.destroy_subscription(subscription)
+        finally:
+            self._left()
+
+    # -- the node ---------------------------------------------------------------------------------------------------
+
+    @property
+    def node(self) -> Any:
+        """The rclpy node, made where there is none; it then stays until :meth:`close`. Raises CallFailed."""
+        self._pinned = True
+        self._stay()
+        found = self._open()
+        if found is None:
+            raise CallFailed("this process hasn't joined the ROS graph yet")
+        return found.node
+
+    def close(self) -> None:
+        """End the node, if there is one. The next call makes another."""
+        self._stay()
+        self._pinned = False
+        if self._opened is not None:
+            self._opened.close()
+            self._opened = None
+
+    def _stay(self) -> None:
+        """Don't close for being idle."""
+        if self._idle is not None:
+            self._idle.cancel()
+            self._idle = None
+
+    def _open(self) -> _Opened | None:
+        """The node in the present place; None where that isn't known yet."""
+        place = self._place() if self._place is not None else None
+        if self._place is not None and place is None:
+            return None
+        if self._opened is not None and not self._opened.is_at(place):
+            self._opened.close()
+            self._opened = None
+        if self._opened is None:
+            self._opened = _Opened(self._name, place)
+        return self._opened
+
+    @contextlib.asynccontextmanager
+    async def _bound(self, what: str, within: float) -> AsyncIterator[tuple[_Opened, _Bound]]:
+        """The node, for at most so many seconds. ``what`` names the other side in messages."""
+        bound = _Bound("this process hasn't joined the ROS graph")
+        self._users += 1
+        self._stay()
+        try:
+            async with asyncio.timeout(within):
+                await rclpy_imported()
+                await _until(lambda: self._open() is not None)
+                assert self._opened is not None, "it was waited for"
+                yield self._opened, bound
+        except TimeoutError:
+            raise CallFailed(f"{bound.missing} within {within:.3g} s") from None
+        except (TypeNotInstalled, MessageError, ValueError) as error:
+            raise CallFailed(f"{what}: {error}") from error
+        finally:
+            self._left()
+
+    def _left(self) -> None:
+        """One user less; after the last one it closes in a while."""
+        self._users -= 1
+        if not self._users and not self._pinned and self._opened is not None:
+            self._idle = asyncio.get_running_loop().call_later(IDLE, self.close)
+
+
+class _Opened:
+    """A node and the thread that spins it."""
+
+    def __init__(self, name: str, place: Place | None) -> None:
+        from rclpy.callback_groups import CallbackGroup
+        from rclpy.executors import SingleThreadedExecutor
+
+        from understudy.ros.runtime.node_options import own_context, plain_node
+
+        class Drained(CallbackGroup):  # type: ignore[misc]
+            """Keeps what is in it out of the executor's hands."""
+
+            def can_execute(self, entity: object) -> bool:
+                return False
+
+        self.host = place.host if place is not None else None
+        self._own_context = place is None
+        self._context = place.context if place is not None else own_context()
+        self.node = plain_node(name, self._context)
+        self._drained = Drained()
+        self._clients: dict[tuple[str, str], Any] = {}
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        self._closing = False
+        self._thread = threading.Thread(target=self._spin, name=name, daemon=True)
+        self._thread.start()
+
+    def is_at(self, place: Place | None) -> bool:
+        """Whether it was made there, and still stands."""
+        if not self._context.ok():
+            return False
+        return self._own_context if place is None else place.context is self._context and place.host == self.host
+
+    def _spin(self) -> None:
+        while not self._closing and self._context.ok():
+            try:
+                self._executor.spin_once(timeout_sec=1.0)
+            except Exception:
+                if not self._closing and self._context.ok():
+                    _logger.exception("calling")
+                    time.sleep(0.1)  # not as fast as it can where it can't at all
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._closing = True
+        self._executor.shutdown(timeout_sec=5.0)
+        self._thread.join(5.0)
+        if self._context.ok() or self._own_context:
+            self.node.destroy_node()
+        if self._own_context:
+            self._context.try_shutdown()
+
+    # -- what is there ----------------------------------------------------------------------------------------------
+
+    def serves(self, service: str) -> bool:
+        """Whether a service has a server here: what takes its requests, and what answers them."""
+        readers = self.node.get_subscriptions_info_by_topic(f"rq{service}Request", no_mangle=True)
+        if not any(self._here(reader) for reader in readers):
+            return False
+        return any(map(self._here, self.node.get_publishers_info_by_topic(f"rr{service}Reply", no_mangle=True)))
+
+    def has_node(self, name: str) -> bool:
+        """Whether a node is here; on one known host it is told by its parameter events, which nearly every node has."""
+        if self.host is None:
+            known = self.node.get_node_names_and_namespaces()
+            return any(f"{namespace.rstrip('/')}/{node}" == name for node, namespace in known)
+        writers = self.node.get_publishers_info_by_topic("/parameter_events")
+        return any(self._here(w) and f"{w.node_namespace.rstrip('/')}/{w.node_name}" == name for w in writers)
+
+    def is_read(self, publisher: Any, topic: str, type_name: str) -> bool:
+        """Whether all readers of a topic of that type are matched, one of them here."""
+        readers = [
+            reader for reader in self.node.get_subscriptions_info_by_topic(topic) if reader.topic_type == type_name
+        ]
+        return any(map(self._here, readers)) and bool(publisher.get_subscription_count() >= len(readers))
+
+    def is_read_elsewhere(self, topic: str, type_name: str) -> bool:
+        """Whether somebody on another host subscribes to a topic."""
+        readers = self.node.get_subscriptions_info_by_topic(topic)
+        return any(e.topic_type == type_name and not self._here(e) for e in readers)
+
+    def published_types(self, topic: str) -> set[str]:
+        """The types of a topic's publishers that are here."""
+        return {e.topic_type for e in self.node.get_publishers_info_by_topic(topic) if self._here(e)}
+
+    def _here(self, endpoint: Any) -> bool:
+        return self.host is None or bytes(endpoint.endpoint_gid)[HOST] == self.host
+
+    # -- entities ---------------------------------------------------------------------------------------------------
+
+    def client(self, service: str, type_name: str) -> Any:
+        """A client of a service. Raises TypeNotInstalled, ValueError."""
+        if "/srv/" not in type_name:
+            raise ValueError(
+                f"{type_name!r} is not a service type: write package/srv/Name, such as std_srvs/srv/Trigger"
+            )
+        found = self._clients.pop((service, type_name), None)
+        if found is None:
+            found = self.node.create_client(interface_class(type_name), service)
+        self._clients[service, type_name] = found
+        while len(self._clients) > MOST_CLIENTS:
+            self.node.destroy_client(self._clients.pop(next(iter(self._clients))))
+        return found
+
+    def publisher(self, cls: Any, topic: str, count: int) -> Any:
+        """A publisher that every subscriber matches, whatever it asks for."""
+        from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+        qos = QoSProfile(
+            depth=max(1, count),
+            reliability=ReliabilityPolicy.RELIABLE,
+            durability=DurabilityPolicy.TRANSIENT_LOCAL,
+        )
+        return self.node.create_publisher(cls, topic, qos)
+
+    def subscription(self, cls: Any, topic: str, *, latched: bool) -> Any:
+        """A subscription that is drained: of every writer, or of those that keep messages for late readers."""
+        from rclpy.event_handler import SubscriptionEventCallbacks
+        from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+        qos = QoSProfile(
+            depth=QUEUE,
+            reliability=ReliabilityPolicy.RELIABLE if latched else ReliabilityPolicy.BEST_EFFORT,
+            durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+        )
+        return self.node.create_subscription(
+            cls,
+            topic,
+            _never_called,
+            qos,
+            raw=True,
+            callback_group=self._drained,
+            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
+        )
+
+
+def _never_called(message: object) -> None:
+    """Stands where rclpy wants a callback; the queue is drained instead."""
+
+
+def _acknowledged(publisher: Any) -> bool:
+    """Whether every reliable subscriber has all messages; waits a moment for it."""
+    from rclpy.duration import Duration
+
+    return bool(publisher.wait_for_all_acked(Duration(seconds=0.2)))
+
+
+async def _until(holds: Callable[[], bool]) -> None:
+    while not holds():  # noqa: ASYNC110 - the graph has no event for it
+        await asyncio.sleep(LOOK)
+
+
+async def _asked(
+    opened: _Opened,
+    bound: _Bound,
+    service: str,
+    type_name: str,
+    request: Mapping[str, Any],
+    *,
+    repeat: float | None = None,
+) -> Any:
+    """The answer of a service, as a message; a request that may be carried out twice is repeated so often (seconds).
+
+    That both sides of the service match its client is waited for; that the server has matched the client can't be seen from
+    here, and a server that hasn't drops its answer.
+    """
+    client = opened.client(service, type_name)
+    message = to_message(client.srv_type.Request, request)
+    bound.missing = f"service {service} ({type_name}) is not there"
+    await _until(lambda: opened.serves(service) and client.service_is_ready())
+    bound.missing, bound.sent = f"service {service} has not answered", True
+    if repeat is None:
+        return await _answer(client, message)
+    asked: set[asyncio.Task[Any]] = set()
+    try:
+        while True:
+            if len(asked) < MOST_REPEATS:
+                asked.add(asyncio.create_task(_answer(client, message)))
+            done, _ = await asyncio.wait(asked, timeout=repeat, return_when=asyncio.FIRST_COMPLETED)
+            if done:
+                return done.pop().result()
+    finally:
+        for task in asked:
+            task.cancel()
+        await asyncio.gather(*asked, return_exceptions=True)
+
+
+async def _answer(client: Any, request: Any) -> Any:
+    """The answer to one request. The executor's thread has it first."""
+    loop = asyncio.get_running_loop()
+    answered = loop.create_future()
+
+    def settle(future: Any) -> None:
+        if answered.done():
+            return
+        if (error := future.exception()) is not None:
+            answered.set_exception(CallFailed(f"service {client.srv_name}: {error}"))
+        else:
+            answered.set_result(future.result())
+
+    def tell(future: Any) -> None:
+        with contextlib.suppress(RuntimeError):  # the loop may have ended before the answer
+            loop.call_soon_threadsafe(settle, future)
+
+    future = client.call_async(request)
+    future.add_done_callback(tell)
+    try:
+        return await answered
+    finally:
+        if not future.done():
+            client.remove_pending_request(future)
+
+
+# -- lifecycle ------------------------------------------------------------------------------------------------------
+
+
+async def _state(opened: _Opened, bound: _Bound, node: str) -> str:
+    answer = await _asked(opened, bound, f"{node}/get_state", "lifecycle_msgs/srv/GetState", {}, repeat=REPEAT)
+    return str(answer.current_state.label)
+
+
+async def _transition(
+    opened: _Opened, bound: _Bound, node: str, present: str, transition: str, number: int, goal: str
+) -> None:
+    """One transition. Its answer may come late or get lost, so the state itself is asked for meanwhile.
+
+    Raises CallFailed where the node didn't go there.
+    """
+    request = {"transition": {"id": number, "label": transition}}
+    asking = _Bound("")
+    ask = _asked(opened, asking, f"{node}/change_state", "lifecycle_msgs/srv/ChangeState", request)
+    asked = asyncio.create_task(ask)
+    rested: float | None = None
+    try:
+        while True:
+            await asyncio.wait([asked], timeout=ASK_AGAIN)
+            answered = asked.done()
+            found = await _state(opened, bound, node)
+            if found == goal:
+                return
+            bound.missing = f"node {node} was asked to {transition} and is still {found}"
+            if answered and found in STATES:
+                break
+            if found != present or not asking.sent:
+                rested = None
+            elif rested is None:
+                rested = time.monotonic()
+            elif time.monotonic() - rested > ANSWER_LOST:
+                break
+    finally:
+        asked.cancel()
+        await asyncio.gather(asked, return_exceptions=True)
+    raise CallFailed(f"node {node} did not {transition}: it is {found} (see its log)")
+
+
+# -- parameters -----------------------------------------------------------------------------------------------------
+
+
+async def _parameters(opened: _Opened, bound: _Bound, node: str, names: Sequence[str]) -> dict[str, Any]:
+    from rclpy.parameter import parameter_value_to_python
+
+    service, type_name = f"{node}/get_parameters", "rcl_interfaces/srv/GetParameters"
+    answer = await _asked(opened, bound, service, type_name, {"names": list(names)}, repeat=REPEAT)
+    values = [parameter_value_to_python(value) for value in answer.values]
+    if len(values) == len(names) and None not in values:
+        return {name: _plain(value) for name, value in zip(names, values, strict=True)}
+    if len(names) > 1:  # a node answers nothing at all where it lacks one
+        found: dict[str, Any] = {}
+        for name in names:
+            found |= await _parameters(opened, bound, node, [name])
+        return found
+    raise CallFailed(f"node {node} has no parameter {names[0]}")
+
+
+def _plain(value: Any) -> Any:
+    return value.tolist() if hasattr(value, "tolist") else value
+
+
+def _is_whole(value: object) -> bool:
+    if isinstance(value, list):
+        return bool(value) and all(map(_is_whole, value))
+    return isinstance(value, int) and not isinstance(value, bool)
+
+
+def _is_real(value: object) -> bool:
+    return isinstance(value[0], float) if isinstance(value, list) and value else isinstance(value, float)
+
+
+def _as_real(value: Any) -> Any:
+    return [float(item) for item in value] if isinstance(value, list) else float(value)

@@ -1,0 +1,259 @@
+"""Streams of snapshots of a tree, as py_trees_ros offers them (its SnapshotStream), for its watcher and its viewers.
+
+``NAMESPACE/snapshots`` is always there. A tool that isn't told of a topic looks for ``NAMESPACE/snapshot_streams/open`` by
+its type instead, and is given a stream of its own with a period of its own, until it closes that.
+
+Nothing here waits but the answers, which a thread gives: the middleware may take a tenth of a second for a client that
+has only just come.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import math
+import re
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_profile_services_default
+
+from understudy.ros.runtime.graph_node import Graph
+from understudy.ros.runtime.interface_types import interface_class
+from understudy.ros.runtime.service_exchange import Exchange, ExchangeError, RequestId
+from understudy.trees.core.snapshot_behaviours import Behaviour, statuses
+
+_logger = logging.getLogger(__name__)
+
+PACKAGE = "py_trees_ros_interfaces"
+
+LATCHED = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+"""As its readers ask for: who joins late is given the last snapshot."""
+
+LEAST = 0.2
+"""Seconds between two snapshots of a stream, at least."""
+
+WORDS = 1.0
+"""Seconds between two snapshots where only messages have changed, such as the figure of a rate that fails."""
+
+MOST = 16
+"""Streams at a time. What opens more without closing any is given the one that is always there."""
+
+ABANDONED = 60.0
+"""Seconds without a reader after which a stream that was opened is closed: its tool has died."""
+
+PATIENCE = 5.0
+"""Seconds in which an answer is tried again."""
+
+_NOT_A_BLACKBOX = 4  # py_trees_ros_interfaces/msg/Behaviour: no level is hidden
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}")
+
+
+@dataclass
+class _Stream:
+    """One topic, and what was said on it last."""
+
+    publisher: Any
+    period: float
+    """Seconds between snapshots though nothing has changed; infinite for none."""
+    read: float
+    """When it was seen to have a reader last, by the monotonic clock; or was opened."""
+    readers: int = 0
+    fresh: bool = True
+    """Whether a reader has come since the last snapshot."""
+    shown: float = -math.inf
+    statuses: tuple[object, ...] = ()
+    listed: Sequence[Behaviour] = ()
+    count: int = 0
+
+
+@dataclass
+class _Unanswered:
+    """An answer that is on its way."""
+
+    service: Any
+    response: Any
+    request: RequestId
+    until: float
+
+
+class Streams:
+    """The streams of one tree. For one loop."""
+
+    def __init__(self, graph: Graph, namespace: str) -> None:
+        """Offer them below a namespace such as ``/understudy/robot_1``. Raises TypeNotInstalled."""
+        self._graph, self._namespace = graph, namespace
+        self._types = {name: interface_class(f"{PACKAGE}/msg/{name}") for name in ("BehaviourTree", "Behaviour")}
+        self._types["UUID"] = interface_class("unique_identifier_msgs/msg/UUID")
+        services = {name: interface_class(f"{PACKAGE}/srv/{name.title()}SnapshotStream") for name in _SERVICES}
+        self._exchange = Exchange()
+        self._streams: dict[str, _Stream] = {}
+        self._opened = 0
+        self._unanswered: list[_Unanswered] = []
+        self.default = f"{namespace}/snapshots"
+        """The topic of the stream that is always there."""
+        self._add(self.default, math.inf)
+        self._services = [
+            (
+                graph.node.create_service(
+                    type_,
+                    f"{namespace}/snapshot_streams/{name}",
+                    _never_called,
+                    qos_profile=qos_profile_services_default,
+                ),
+                type_,
+                getattr(self, f"_{name}"),
+            )
+            for name, type_ in services.items()
+        ]
+
+    # -- snapshots --------------------------------------------------------------------------------------------------
+
+    def read(self) -> bool:
+        """Whether anybody reads any of them now; to be asked now and then, before a snapshot is made."""
+        now = time.monotonic()
+        for name, stream in list(self._streams.items()):
+            readers = int(stream.publisher.get_subscription_count())
+            stream.fresh = stream.fresh or readers > stream.readers
+            stream.readers = readers
+            if readers:
+                stream.read = now
+            elif name != self.default and now > stream.read + ABANDONED:
+                self._remove(name)
+        return any(stream.readers for stream in self._streams.values())
+
+    def show(self, listed: Sequence[Behaviour]) -> int:
+        """Publish how the tree is where that is due, and read; on how many streams."""
+        now, found = time.monotonic(), statuses(listed)
+        message = None
+        published = 0
+        for stream in self._streams.values():
+            changed = found != stream.statuses
+            if not stream.readers or not self._due(stream, listed, now, changed=changed):
+                continue
+            if message is None:
+                message = self._message(listed)
+            stream.count += 1
+            message.changed = changed
+            message.statistics.count = stream.count
+            message.statistics.tick_interval = now - stream.shown if stream.count > 1 else 0.0
+            stream.publisher.publish(message)
+            stream.fresh, stream.shown, stream.statuses, stream.listed = False, now, found, listed
+            published += 1
+        return published
+
+    @staticmethod
+    def _due(stream: _Stream, listed: Sequence[Behaviour], now: float, *, changed: bool) -> bool:
+        since = now - stream.shown
+        if since < LEAST:
+            return False
+        return stream.fresh or changed or since >= stream.period or (since >= WORDS and listed != stream.listed)
+
+    def _message(self, listed: Sequence[Behaviour]) -> Any:
+        uuid = self._types["UUID"]
+        message = self._types["BehaviourTree"]()
+        now = time.time_ns()
+        message.statistics.stamp.sec, message.statistics.stamp.nanosec = divmod(now, 1_000_000_000)
+        message.behaviours = [
+            self._types["Behaviour"](
+                name=node.name,
+                class_name=f"understudy.{node.kind}",
+                own_id=uuid(uuid=list(node.id)),
+                parent_id=uuid(uuid=list(node.parent)),
+                tip_id=uuid(uuid=list(node.tip)),
+                child_ids=[uuid(uuid=list(child)) for child in node.children],
+                current_child_id=uuid(uuid=list(node.current)),
+                type=node.type,
+                additional_detail=node.detail,
+                blackbox_level=_NOT_A_BLACKBOX,
+                status=node.status,
+                message=node.message,
+                is_active=node.active,
+            )
+            for node in listed
+        ]
+        return message
+
+    # -- services ---------------------------------------------------------------------------------------------------
+
+    async def serve(self) -> None:
+        """Take the requests that have come, and answer them."""
+        for service, type_, handle in self._services:
+            while (found := self._exchange.take(service, type_.Request)) is not None:
+                request, identity = found
+                response = type_.Response()
+                handle(request, response)
+                self._unanswered.append(_Unanswered(service, response, identity, time.monotonic() + PATIENCE))
+        waiting, self._unanswered = self._unanswered, []
+        for answer in waiting:
+            try:
+                done = await asyncio.to_thread(self._exchange.answer, answer.service, answer.response, answer.request)
+            except ExchangeError as error:
+                _logger.error("%s: %s", self._namespace, error)
+                continue
+            if not done and time.monotonic() < answer.until:
+                self._unanswered.append(answer)
+
+    def _open(self, request: Any, response: Any) -> None:
+        period = _period(request.parameters.snapshot_period)
+        name = f"{self._namespace}/snapshot_streams/{self._hint(request.topic_name)}"
+        if name in self._streams:
+            self._streams[name].period = period
+        elif len(self._streams) < MOST:
+            self._add(name, period)
+        else:
+            name = self.default
+        response.topic_name = name
+
+    def _close(self, request: Any, response: Any) -> None:
+        response.result = request.topic_name in self._streams and request.topic_name != self.default
+        if response.result:
+            self._remove(request.topic_name)
+
+    def _reconfigure(self, request: Any, response: Any) -> None:
+        stream = self._streams.get(request.topic_name)
+        response.result = stream is not None and request.topic_name != self.default
+        if stream is not None and response.result:
+            stream.period = _period(request.parameters.snapshot_period)
+
+    def _hint(self, wanted: str) -> str:
+        """The last part of a topic's name. Nobody decides where in the graph this process publishes: a full name is no hint."""
+        if _NAME.fullmatch(wanted):
+            return wanted
+        self._opened += 1
+        return f"_snapshots_{self._opened - 1}"
+
+    def _add(self, name: str, period: float) -> None:
+        publisher = self._graph.node.create_publisher(self._types["BehaviourTree"], name, LATCHED)
+        self._streams[name] = _Stream(publisher, period, time.monotonic())
+
+    def _remove(self, name: str) -> None:
+        self._graph.node.destroy_publisher(self._streams.pop(name).publisher)
+
+    def close(self) -> None:
+        """Leave all topics and services."""
+        for name in list(self._streams):
+            self._remove(name)
+        for service, _, _ in self._services:
+            self._graph.node.destroy_service(service)
+        self._services = []
+
+
+_SERVICES = ("open", "close", "reconfigure")
+
+
+def _period(wanted: float) -> float:
+    """The period that a tool asked for, in seconds. Infinite means on changes only, as does what is no number."""
+    return math.inf if math.isnan(wanted) else max(LEAST, wanted)
+
+
+def _never_called(request: object, response: object) -> object:
+    """Stands where rclpy wants a callback; the queue is drained instead."""
+    return response

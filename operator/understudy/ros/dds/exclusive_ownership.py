@@ -1,0 +1,40 @@
+"""DDS exclusive ownership in XML profiles: what makes a robot's reader fall over from one writer to another by itself.
+
+A reader with exclusive ownership delivers only the strongest writer that it hears, and takes the next when that one was
+silent for the reader's deadline (DDS 1.4, 2.2.3.9 and 2.2.3.7). rmw_fastrtps leaves ownership, strength and deadline
+as a profile has them where the node itself says nothing about deadlines. Reader and writer match only where both are
+exclusive and the writer offers a deadline that is not longer than the reader's.
+"""
+
+from __future__ import annotations
+
+from understudy.api import names
+from understudy.api.base import seconds
+from understudy.api.kinds.robot_workload import Reflex
+
+OFFERED = 0.9
+"""Part of the reader's deadline that writers offer, so that rounding can't make the two incompatible."""
+
+_EXCLUSIVE = "<ownership><kind>EXCLUSIVE</kind></ownership>"
+
+
+def robot_reader(reflex: Reflex) -> str:
+    """QoS of an output's reader on the robot's side, and of the monitor, which must see what the robot sees."""
+    return f"<qos>{_EXCLUSIVE}{_deadline(seconds(reflex.deadline))}</qos>"
+
+
+def instance_reader() -> str:
+    """QoS of an output's readers in an instance's pod: they match its writers, and wait for them without end."""
+    return f"<qos>{_EXCLUSIVE}</qos>"
+
+
+def instance_writer(reflex: Reflex) -> str:
+    """QoS of an output's writers in an instance; their strength is put in when the pod starts (api/protocol/ownership_strength.py)."""
+    value = f"${{{names.STRENGTH_VARIABLE}}}"
+    strength = f"<ownershipStrength><value>{value}</value></ownershipStrength>"
+    return f"<qos>{_EXCLUSIVE}{strength}{_deadline(OFFERED * seconds(reflex.deadline))}</qos>"
+
+
+def _deadline(length: float) -> str:
+    whole, nanoseconds = divmod(round(length * 1e9), 10**9)
+    return f"<deadline><period><sec>{whole}</sec><nanosec>{nanoseconds}</nanosec></period></deadline>"

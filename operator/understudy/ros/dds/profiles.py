@@ -1,0 +1,154 @@
+"""The XML profiles of the robot's side and of the instances.
+
+On the robot's side each gated reader has a UDP port of its own.
+
+A reader's port is what a NetworkPolicy can tell apart: with a fixed port per reader, all on the robot's side, a
+policy closes exactly the outputs of a standby and leaves discovery, acknowledgements and everything it receives open.
+
+In an instance the endpoints of its tasks are in a DDS partition of its pod's own: its clients see the task proxy's server
+only, and its own agent alone reaches what it serves.
+
+With the reflex, the readers of outputs on the robot's side choose among the instances' writers (see exclusive_ownership.py).
+
+Fast DDS picks an endpoint's profile by the name of its DDS topic, so no source is changed.
+
+Imports no ROS: the operator writes these profiles too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from xml.sax.saxutils import quoteattr
+
+from understudy.api import names
+from understudy.api.kinds.robot_workload import Output, Reflex
+from understudy.api.kinds.task_spec import Task
+from understudy.ros.dds import exclusive_ownership
+
+_ACTION_SERVICES = ("send_goal", "get_result", "cancel_goal")
+_ACTION_TOPICS = ("feedback", "status")
+
+PARTITION = f"understudy-${{{names.POD_VARIABLE}}}"
+"""The partition of a pod's tasks. Fast DDS puts in the variable of the process that reads the file."""
+
+
+def reader_profiles(output: Output) -> list[str]:
+    """The profile names of all readers that an output can have on the robot's side.
+
+    A service or an action may be served by the robot or called by it, so both directions are named: a request reader
+    (``rq/``) exists in a server, a reply reader (``rr/``) in a client. The names are the DDS topic names of
+    rmw_fastrtps without the ``rt`` prefix of topics; services have no leading slash.
+    """
+    if output.topic:
+        return [output.topic]
+    if output.service:
+        return _service_readers(output.service)
+    if output.action:
+        hidden = f"{output.action}/_action"
+        services = [reader for name in _ACTION_SERVICES for reader in _service_readers(f"{hidden}/{name}")]
+        return services + [f"{hidden}/{name}" for name in _ACTION_TOPICS]
+    raise ValueError("an output names neither a topic, nor a service, nor an action")
+
+
+def _service_readers(service: str) -> list[str]:
+    return [f"rq{service}Request", f"rr{service}Reply"]
+
+
+def gate_ports(outputs: Iterable[Output]) -> dict[str, int]:
+    """The UDP port of each gated reader by profile name, in the order of the outputs.
+
+    One port for each, never a shared one: of two readers in one network namespace with the same port, the second
+    receives nothing. The operator, the robot and the monitor must come to the same ports, so they follow from the
+    outputs alone.
+
+    Raises ValueError, naming the output, where the gated range (:data:`names.GATE_PORTS`) is used up.
+    """
+    ports: dict[str, int] = {}
+    free = iter(names.GATE_PORTS)
+    for output in outputs:
+        for profile in reader_profiles(output):
+            if profile in ports:
+                continue
+            port = next(free, None)
+            if port is None:
+                raise ValueError(
+                    f"spec.outputs: no gate port is left for {output.name}: the gated range has "
+                    f"{len(names.GATE_PORTS)} ports; a topic takes 1, a service 2, an action 8"
+                )
+            ports[profile] = port
+    return ports
+
+
+def profiles_xml(outputs: Iterable[Output], reflex: Reflex | None = None) -> str:
+    """The profile file for FASTRTPS_DEFAULT_PROFILES_FILE, for the robot's nodes and the monitor.
+
+    The locators name a port and no address, so that Fast DDS announces it for every interface. Of the QoS, only ownership
+    and deadline are set, for topics with the reflex: rmw_fastrtps overwrites the rest with what the node asked for.
+
+    Raises ValueError as :func:`gate_ports` does.
+    """
+    outputs = list(outputs)
+    exclusive = {output.topic for output in outputs if output.topic} if reflex else set()
+    readers = "".join(
+        _READER.format(
+            name=quoteattr(name),
+            qos=exclusive_ownership.robot_reader(reflex) if reflex and name in exclusive else "",
+            port=port,
+        )
+        for name, port in gate_ports(outputs).items()
+    )
+    return _FILE.format(profiles=readers)
+
+
+def instance_profiles_xml(tasks: Iterable[Task], outputs: Iterable[Output] = (), reflex: Reflex | None = None) -> str:
+    """The profile file for the processes of an instance and its agent; empty where nothing needs one.
+
+    rmw_fastrtps keeps the partition that a profile sets, for readers and writers both, and ownership too. What differs
+    from pod to pod is left as variables (see api/protocol/profile_placeholders.py).
+    """
+    profiles = "".join(
+        _PARTITIONED.format(kind=kind, name=quoteattr(name), partition=PARTITION)
+        for task in tasks
+        for name in _action_endpoints(task.action)
+        for kind in ("data_reader", "data_writer")
+    )
+    if reflex is not None:
+        for topic in dict.fromkeys(output.topic for output in outputs if output.topic):
+            for kind, qos in (
+                ("data_reader", exclusive_ownership.instance_reader()),
+                ("data_writer", exclusive_ownership.instance_writer(reflex)),
+            ):
+                profiles += _OWNED.format(kind=kind, name=quoteattr(topic), qos=qos)
+    return _FILE.format(profiles=profiles) if profiles else ""
+
+
+def _action_endpoints(action: str) -> list[str]:
+    """The profile names of all readers and writers of an action's server and clients."""
+    return reader_profiles(Output(action=action, type="action_msgs/action/Any"))
+
+
+_FILE = """\
+<?xml version="1.0" encoding="UTF-8"?>
+<dds xmlns="http://www.eprosima.com">
+  <profiles>
+{profiles}  </profiles>
+</dds>
+"""
+
+_READER = """\
+    <data_reader profile_name={name}>
+      {qos}<unicastLocatorList><locator><udpv4><port>{port}</port></udpv4></locator></unicastLocatorList>
+    </data_reader>
+"""
+
+_PARTITIONED = """\
+    <{kind} profile_name={name}>
+      <qos><partition><names><name>{partition}</name></names></partition></qos>
+    </{kind}>
+"""
+
+_OWNED = """\
+    <{kind} profile_name={name}>
+      {qos}
+    </{kind}>
+"""

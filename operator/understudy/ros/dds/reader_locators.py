@@ -1,0 +1,192 @@
+"""Asks DDS discovery where readers listen: joins the robot's graph for a moment as a bare participant, and leaves it again.
+
+It has no endpoints besides discovery's own, so nobody sends data to it and no node appears. A discovery server tells it of all
+readers, as it does a super client; without one, every participant tells it of its own.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import itertools
+import logging
+import secrets
+import socket
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass
+
+from understudy.ros.dds import rtps
+from understudy.ros.dds.rtps import Gap, Heartbeat, Locator, Participant, Reader, Sample
+from understudy.ros.dds.sample_sources import VENDOR
+
+_logger = logging.getLogger(__name__)
+
+AGAIN = 0.5
+"""Seconds between two announcements of its own while it stays: one may be lost."""
+
+LEASE = 10.0
+"""Seconds after which others forget it where its farewell is lost."""
+
+RESPONSE = 0.005
+"""Seconds from a heartbeat to the answer: what it tells of is mostly on its way already."""
+
+_PORTS, _OURS = 250, 50
+"""Ports of DDS that a ROS domain has, and how many of them, the last ones, are tried: those that participants take last. Firewalls
+that let a domain's ports through let these through.
+"""
+
+_SERVER = bytes.fromhex("4453005f4550524f53494d41")
+"""The prefix of the first discovery server of a list, which is the only one that a robot has."""
+
+
+@dataclass(frozen=True)
+class Discovery:
+    """Whom to ask."""
+
+    host: str
+    port: int
+    prefix: bytes = b""
+    """Of a discovery server; empty for all that hear it."""
+    domain: int = 0
+
+    @classmethod
+    def of(cls, environment: Mapping[str, str]) -> Discovery:
+        """By the variables that ROS goes by. Raises ValueError where they can't be read."""
+        server, domain = environment.get("ROS_DISCOVERY_SERVER", ""), int(environment.get("ROS_DOMAIN_ID") or 0)
+        if server:
+            host, _, port = server.rpartition(":")
+            return cls(host, int(port), _SERVER, domain)
+        return cls("239.255.0.1", _first_port(domain), domain=domain)
+
+
+async def locators(
+    wanted: Collection[bytes], address: str, discovery: Discovery, *, within: float
+) -> dict[bytes, tuple[Locator, ...]]:
+    """Where the readers with these GUIDs listen; without those of which nothing was heard within so many seconds.
+
+    It leaves as soon as it knows: the discovery server of a small graph has told everything after half a second. ``address`` is this
+    host's own, at which it can be answered. Raises OSError.
+    """
+    loop = asyncio.get_running_loop()
+    found = await loop.getaddrinfo(discovery.host, discovery.port, family=socket.AF_INET, type=socket.SOCK_DGRAM)
+    with contextlib.ExitStack() as stack:
+        listener = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+        listener.setblocking(False)
+        listener.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton(address))
+        _bind(listener, discovery.domain)
+        to = (str(found[0][4][0]), discovery.port)
+        visit = _Visit(wanted, Locator(address, listener.getsockname()[1]), to, discovery.prefix)
+        visit.transport, _ = await loop.create_datagram_endpoint(lambda: visit, sock=listener)
+        stack.callback(visit.leave)
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(within):
+                while not visit.over.is_set():
+                    visit.announce()
+                    with contextlib.suppress(TimeoutError):
+                        async with asyncio.timeout(AGAIN):
+                            await visit.over.wait()
+        return visit.found
+
+
+def _first_port(domain: int) -> int:
+    return 7400 + _PORTS * domain
+
+
+def _bind(listener: socket.socket, domain: int) -> None:
+    """Take a free port of the domain. Raises OSError where there is none."""
+    end = _first_port(domain) + _PORTS
+    for port in range(end - 1, end - _OURS, -1):
+        with contextlib.suppress(OSError):
+            return listener.bind(("", port))
+    raise OSError(f"no UDP port of {end - _OURS} to {end - 1} is free")
+
+
+class _Visit(asyncio.DatagramProtocol):
+    """One visit to a graph."""
+
+    def __init__(self, wanted: Collection[bytes], at: Locator, to: tuple[str, int], server: bytes) -> None:
+        self.over = asyncio.Event()
+        """Set once all that was wanted is known."""
+        self._wanted, self._at, self._to, self._server = wanted, at, to, server
+        self._prefix = VENDOR + secrets.token_bytes(10)
+        self.transport: asyncio.DatagramTransport | None = None
+        """How it speaks, while it is there."""
+        self._participants: dict[bytes, Participant] = {}
+        self._readers: dict[bytes, tuple[Locator, ...]] = {}
+        self._had: dict[bytes, set[int]] = {}
+        self._heard: dict[bytes, Heartbeat] = {}
+        self._answers = itertools.count(1)
+
+    @property
+    def found(self) -> dict[bytes, tuple[Locator, ...]]:
+        """Where those listen that are wanted, and known."""
+        places: dict[bytes, tuple[Locator, ...]] = {}
+        for guid in self._wanted:
+            if (own := self._readers.get(guid)) is None:
+                continue
+            if own:
+                places[guid] = own
+            elif (participant := self._participants.get(guid[: rtps.PREFIX])) is not None:
+                places[guid] = participant.default
+        return places
+
+    def announce(self) -> None:
+        """Say that it is there."""
+        kind = "SUPER_CLIENT" if self._server else "SIMPLE"
+        self._send(rtps.announcement(self._prefix, self._at, lease=LEASE, kind=kind, to=self._server))
+
+    def leave(self) -> None:
+        """Say that it is gone."""
+        self._send(rtps.farewell(self._prefix, to=self._server))
+        if self.transport is not None:
+            self.transport.close()
+            self.transport = None
+
+    def _send(self, datagram: bytes, to: Iterable[Locator] = ()) -> None:
+        if self.transport is not None:
+            for place in [(one.address, one.port) for one in to] or [self._to]:
+                self.transport.sendto(datagram, place)
+
+    # -- asyncio.DatagramProtocol -------------------------------------------------------------------------------------
+
+    def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
+        try:
+            for told in rtps.parse(data):
+                self._take(told)
+        except ValueError as error:
+            _logger.debug("from %s: %s", addr[0], error)
+
+    def error_received(self, exc: Exception) -> None:
+        _logger.debug("asking discovery: %s", exc)
+
+    # -- what is told ---------------------------------------------------------------------------------------------------
+
+    def _take(self, told: Sample | Heartbeat | Gap) -> None:
+        if isinstance(told, Gap):
+            self._had.setdefault(told.writer, set()).update(told.numbers)
+        elif isinstance(told, Heartbeat):
+            if told.writer[rtps.PREFIX :] in rtps.ANSWERED and told.writer not in self._heard:
+                asyncio.get_running_loop().call_later(RESPONSE, self._answer, told.writer)
+            self._heard[told.writer] = told
+        else:
+            self._had.setdefault(told.writer, set()).add(told.number)
+            if isinstance(told.tells, Reader):
+                self._readers[told.tells.guid] = told.tells.locators
+            elif isinstance(told.tells, Participant):
+                self._participants[told.tells.prefix] = told.tells
+            if len(self.found) == len(self._wanted):
+                self.over.set()
+
+    def _answer(self, writer: bytes) -> None:
+        """Ask a writer for what it has and wasn't had from it yet."""
+        heartbeat, had = self._heard.pop(writer), self._had.get(writer, set())
+        numbers = range(max(heartbeat.first, 1), heartbeat.last + 1)
+        missing = list(itertools.islice((n for n in numbers if n not in had), rtps.MOST_MISSING))
+        if self._server:
+            places: tuple[Locator, ...] = ()
+        elif (participant := self._participants.get(writer[: rtps.PREFIX])) is not None:
+            places = participant.discovery
+        else:
+            return  # it will say so again, once it has said who it is
+        answer = rtps.acknowledgement(self._prefix, writer, missing, then=heartbeat.last + 1, count=next(self._answers))
+        self._send(answer, places)

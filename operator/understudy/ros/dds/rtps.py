@@ -1,0 +1,288 @@
+"""As much of DDS's wire protocol (RTPS 2.x, section 9) as it takes to be told by discovery where readers listen.
+
+ROS's graph knows who reads a topic, and not at which addresses and ports: DDS keeps those to itself. Pure functions of bytes; the
+conversation is in reader_locators.py. IPv4 only on our side, as the transport that all of a robot's graph is given.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import struct
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from understudy.ros.dds.sample_sources import VENDOR
+
+PARTICIPANT = bytes([0x00, 0x00, 0x01, 0xC1])
+"""The entity that is the participant itself. Those that follow are writer and reader of what each tells the others."""
+
+PARTICIPANTS = (bytes([0x00, 0x01, 0x00, 0xC2]), bytes([0x00, 0x01, 0x00, 0xC7]))
+SUBSCRIPTIONS = (bytes([0x00, 0x00, 0x04, 0xC2]), bytes([0x00, 0x00, 0x04, 0xC7]))
+
+ANSWERED = dict([PARTICIPANTS, SUBSCRIPTIONS])
+"""The writers whose heartbeats are answered, with the readers that do."""
+
+PREFIX = 12
+"""Bytes of a GUID that are the participant's; its entity follows."""
+
+MOST_MISSING = 256
+"""Samples that one answer can ask for."""
+
+ANNOUNCER, DETECTOR, SUBSCRIPTIONS_DETECTOR = 1 << 0, 1 << 1, 1 << 5
+"""Which of these a participant has, as it says in its announcement: of participants both, and the reader of subscriptions."""
+
+_HEADER = b"RTPS" + bytes([2, 2]) + VENDOR
+_LITTLE = 1  # the flag of every submessage that numbers begin with their least byte
+_ACKNACK, _HEARTBEAT, _GAP, _INFO_DST, _DATA = 0x06, 0x07, 0x08, 0x0E, 0x15
+_INLINE_QOS, _HAS_DATA, _HAS_KEY = 2, 4, 8
+_PL_CDR_LE = bytes([0x00, 0x03, 0x00, 0x00])
+
+_PAD, _SENTINEL, _LEASE, _TOPIC, _VERSION, _VENDOR, _UNICAST = 0x00, 0x01, 0x02, 0x05, 0x15, 0x16, 0x2F
+_MULTICAST, _DEFAULT, _METATRAFFIC, _PARTICIPANT_GUID, _BUILTIN = 0x30, 0x31, 0x32, 0x50, 0x58
+_PROPERTIES, _ENDPOINT_GUID, _KEY_HASH, _STATUS, _RELATED = 0x59, 0x5A, 0x70, 0x71, 0x83
+_RELATED_OF_EPROSIMA = 0x800F
+
+_GONE = 3  # of a status: disposed, unregistered
+_UDPV4, _UDPV6 = 1, 2
+
+
+@dataclass(frozen=True)
+class Locator:
+    """Where something listens for UDP."""
+
+    address: str
+    port: int
+
+
+@dataclass(frozen=True)
+class Participant:
+    """What a participant announced of itself."""
+
+    prefix: bytes
+    """How the GUIDs of all that it has begin."""
+    discovery: tuple[Locator, ...]
+    """Where it listens for discovery's own traffic."""
+    default: tuple[Locator, ...]
+    """Where its readers listen that have no place of their own."""
+
+
+@dataclass(frozen=True)
+class Reader:
+    """What a participant announced of one of its readers."""
+
+    guid: bytes
+    topic: str
+    """As DDS names it, such as ``rt/cmd_vel``."""
+    locators: tuple[Locator, ...]
+    """Where it listens by itself, multicast included; empty for the participant's default."""
+
+
+@dataclass(frozen=True)
+class Sample:
+    """What a writer of discovery has sent."""
+
+    writer: bytes
+    number: int
+    tells: Participant | Reader | None
+    """None where it tells that something is gone, or of what isn't looked for."""
+
+
+@dataclass(frozen=True)
+class Heartbeat:
+    """Which samples a writer has."""
+
+    writer: bytes
+    first: int
+    last: int
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Samples that a writer has nothing to say of."""
+
+    writer: bytes
+    numbers: frozenset[int]
+
+
+Submessage = Sample | Heartbeat | Gap
+
+_Parameters = Sequence[tuple[int, bytes]]
+
+
+# -- reading ------------------------------------------------------------------------------------------------------------
+
+
+def parse(datagram: bytes) -> Iterator[Submessage]:
+    """What a datagram says; nothing where it is none of RTPS. Raises ValueError where it is broken."""
+    if len(datagram) < 20 or datagram[:4] != b"RTPS":
+        return
+    prefix, at = datagram[8:20], 20
+    while at + 4 <= len(datagram):
+        kind, flags = datagram[at], datagram[at + 1]
+        order = "<" if flags & _LITTLE else ">"
+        (length,) = struct.unpack_from(f"{order}H", datagram, at + 2)
+        end = at + 4 + length if length else len(datagram)  # none is given where it is the last
+        found = _submessage(kind, flags, order, datagram[at + 4 : end], prefix)
+        if found is not None:
+            yield found
+        at = end
+
+
+def _submessage(kind: int, flags: int, order: str, body: bytes, prefix: bytes) -> Submessage | None:
+    try:
+        if kind == _HEARTBEAT:
+            return Heartbeat(prefix + body[4:8], _number(order, body, 8), _number(order, body, 16))
+        if kind == _GAP:
+            return Gap(prefix + body[4:8], frozenset(_gone(order, body)))
+        if kind == _DATA:
+            return _sample(flags, order, body, prefix)
+    except (struct.error, IndexError) as error:
+        raise ValueError(f"an RTPS submessage of kind {kind} is broken: {error}") from error
+    return None
+
+
+def _number(order: str, body: bytes, at: int) -> int:
+    high, low = struct.unpack_from(f"{order}iI", body, at)
+    return int((high << 32) + low)
+
+
+def _gone(order: str, body: bytes) -> Iterator[int]:
+    """A range of numbers, and then some that bits name."""
+    start, base = _number(order, body, 8), _number(order, body, 16)
+    yield from range(start, min(base, start + 65536))
+    (count,) = struct.unpack_from(f"{order}I", body, 24)
+    for bit in range(min(count, MOST_MISSING)):
+        (word,) = struct.unpack_from(f"{order}I", body, 28 + bit // 32 * 4)
+        if word & 1 << (31 - bit % 32):
+            yield base + bit
+
+
+def _sample(flags: int, order: str, body: bytes, prefix: bytes) -> Sample:
+    (to_inline,) = struct.unpack_from(f"{order}H", body, 2)
+    writer, number = prefix + body[8:12], _number(order, body, 12)
+    rest = body[4 + to_inline :]
+    gone = bool(flags & _HAS_KEY)
+    if flags & _INLINE_QOS:
+        inline, size = _parameters(rest, order)
+        gone |= any(pid == _STATUS and value[3] & _GONE for pid, value in inline)
+        rest = rest[size:]
+    if gone or not flags & _HAS_DATA or len(rest) < 4:
+        return Sample(writer, number, None)
+    order = "<" if rest[1] & _LITTLE else ">"
+    parameters, _ = _parameters(rest[4:], order)
+    return Sample(writer, number, _told(parameters, order))
+
+
+def _parameters(data: bytes, order: str) -> tuple[list[tuple[int, bytes]], int]:
+    """The parameters of a list, and how long it was."""
+    found: list[tuple[int, bytes]] = []
+    at = 0
+    while at + 4 <= len(data):
+        pid, length = struct.unpack_from(f"{order}HH", data, at)
+        at += 4
+        if pid == _SENTINEL:
+            break
+        found.append((pid, data[at : at + length]))
+        at += length
+    return found, at
+
+
+def _told(parameters: _Parameters, order: str) -> Participant | Reader | None:
+    values = dict(parameters)
+
+    def locators(*pids: int) -> tuple[Locator, ...]:
+        found = (_locator(value, order) for pid, value in parameters if pid in pids)
+        return tuple(dict.fromkeys(one for one in found if one is not None))
+
+    if _ENDPOINT_GUID in values and _TOPIC in values:
+        (size,) = struct.unpack_from(f"{order}I", values[_TOPIC], 0)
+        topic = values[_TOPIC][4 : 4 + size].rstrip(b"\0").decode(errors="replace")
+        return Reader(values[_ENDPOINT_GUID], topic, locators(_UNICAST, _MULTICAST))
+    if _PARTICIPANT_GUID in values:
+        return Participant(values[_PARTICIPANT_GUID][:PREFIX], locators(_METATRAFFIC), locators(_DEFAULT))
+    return None
+
+
+def _locator(value: bytes, order: str) -> Locator | None:
+    kind, port = struct.unpack_from(f"{order}iI", value, 0)
+    if kind == _UDPV4:
+        return Locator(str(ipaddress.IPv4Address(value[20:24])), port)
+    if kind == _UDPV6:
+        return Locator(str(ipaddress.IPv6Address(value[8:24])), port)
+    return None
+
+
+# -- writing ------------------------------------------------------------------------------------------------------------
+
+
+def announcement(prefix: bytes, at: Locator, *, lease: float, kind: str, to: bytes = b"") -> bytes:
+    """A participant's own announcement: that it listens here and asks for participants and subscriptions.
+
+    ``kind`` is what a discovery server takes it for; ``to`` the prefix of that server, empty for all that hear it.
+    """
+    where = struct.pack("<iI12x", _UDPV4, at.port) + ipaddress.IPv4Address(at.address).packed
+    told = [
+        (_VERSION, bytes([2, 2, 0, 0])),
+        (_VENDOR, VENDOR + bytes(2)),
+        (_PARTICIPANT_GUID, prefix + PARTICIPANT),
+        (_METATRAFFIC, where),
+        (_DEFAULT, where),
+        (_LEASE, struct.pack("<iI", int(lease), 0)),
+        (_BUILTIN, struct.pack("<I", ANNOUNCER | DETECTOR | SUBSCRIPTIONS_DETECTOR)),
+        (_PROPERTIES, _properties({"PARTICIPANT_TYPE": kind, "DS_VERSION": "2.0"})),
+    ]
+    return _message(prefix, to, _data(prefix, 1, told))
+
+
+def farewell(prefix: bytes, *, to: bytes = b"") -> bytes:
+    """That a participant is gone, with all that it had."""
+    gone = [(_KEY_HASH, prefix + PARTICIPANT), (_STATUS, bytes([0, 0, 0, _GONE]))]
+    return _message(prefix, to, _data(prefix, 2, inline=gone))
+
+
+def acknowledgement(prefix: bytes, writer: bytes, missing: Sequence[int], *, then: int, count: int) -> bytes:
+    """What a reader of ours still lacks of what a writer has, oldest first; ``then`` is the next that it will have."""
+    base = missing[0] if missing else then
+    wanted = [number - base for number in missing if number - base < MOST_MISSING]
+    bits = wanted[-1] + 1 if wanted else 0
+    words = [0] * ((bits + 31) // 32)
+    for bit in wanted:
+        words[bit // 32] |= 1 << (31 - bit % 32)
+    entity = writer[PREFIX:]
+    body = ANSWERED[entity] + entity + struct.pack("<iI", base >> 32, base & 0xFFFFFFFF)
+    body += struct.pack(f"<I{len(words)}II", bits, *words, count)
+    final = 0 if missing else 2
+    return _message(prefix, writer[:PREFIX], _framed(_ACKNACK, final, body))
+
+
+def _message(prefix: bytes, to: bytes, *submessages: bytes) -> bytes:
+    return b"".join([_HEADER, prefix, *([_framed(_INFO_DST, 0, to)] if to else []), *submessages])
+
+
+def _framed(kind: int, flags: int, body: bytes) -> bytes:
+    return struct.pack("<BBH", kind, flags | _LITTLE, len(body)) + body
+
+
+def _data(prefix: bytes, number: int, told: _Parameters = (), *, inline: _Parameters = ()) -> bytes:
+    writer, reader = PARTICIPANTS
+    # A discovery server passes it on as its own, and knows by this whose it was.
+    identity = prefix + writer + struct.pack("<iI", 0, number)
+    body = struct.pack("<HH", 0, 16) + reader + writer + struct.pack("<iI", 0, number)
+    body += _listed([(_RELATED, identity), (_RELATED_OF_EPROSIMA, identity), *inline])
+    if told:
+        body += _PL_CDR_LE + _listed(told)
+    return _framed(_DATA, _INLINE_QOS | (_HAS_DATA if told else 0), body)
+
+
+def _listed(parameters: _Parameters) -> bytes:
+    told = (struct.pack("<HH", pid, len(value)) + value for pid, value in parameters)
+    return b"".join(told) + struct.pack("<HH", _SENTINEL, 0)
+
+
+def _properties(values: dict[str, str]) -> bytes:
+    return struct.pack("<I", len(values)) + b"".join(_text(text) for pair in values.items() for text in pair)
+
+
+def _text(text: str) -> bytes:
+    data = text.encode() + b"\0"
+    return struct.pack("<I", len(data)) + data + bytes(-len(data) % 4)

@@ -1,0 +1,89 @@
+"""Parameters of nodes of the instance in control: by the changes that they tell of, and by what they answer."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from understudy.ros.observe.node_inquiries import Inquiries
+from understudy.trees.core.observations import Content, ParameterState, ParameterValue
+from understudy.trees.leaves.parameter import EVENTS
+
+GET_PARAMETERS = "rcl_interfaces/srv/GetParameters"
+
+
+class Setting(NamedTuple):
+    """What a parameter is."""
+
+    value: ParameterValue | None
+    lacks: str = ""
+    """Why it has no value, in words."""
+
+
+class Parameters(Inquiries[tuple[str, str], Setting, ParameterState]):
+    """Some parameters, each by its node's name, fully qualified, and its own."""
+
+    absent = Setting(None, "there is no such node that would say it")
+
+    def topic(self, subject: tuple[str, str]) -> str:
+        """Where all nodes tell of their parameters."""
+        return EVENTS
+
+    def told(self, subject: tuple[str, str], content: Content) -> Setting | None:
+        """What a node says of the parameter. A message that lacks its name, or that of the node, isn't read."""
+        node, name = subject
+        if not (content.mentions(name) and content.mentions(node)):
+            return None
+        message: Any = content.message()
+        if message.node != node:
+            return None
+        for parameter in (*message.changed_parameters, *message.new_parameters):
+            if parameter.name == name:
+                return setting(parameter.value)
+        gone = any(parameter.name == name for parameter in message.deleted_parameters)
+        return Setting(None, "it is not set") if gone else None
+
+    def service(self, subject: tuple[str, str]) -> tuple[str, str]:
+        """The service that says its value."""
+        return f"{subject[0]}/get_parameters", GET_PARAMETERS
+
+    def request(self, subject: tuple[str, str], type_: Any) -> Any:
+        """A node that lacks one of several parameters says nothing of the others either: each is asked for by itself."""
+        return type_.Request(names=[subject[1]])
+
+    def answered(self, answer: Any) -> Setting:
+        """What a node says that it is."""
+        return setting(answer.values[0]) if answer.values else Setting(None, "it is not set")
+
+    def words(self, fact: Setting) -> str:
+        """A parameter in words, others for each value."""
+        return repr(fact.value) if fact.value is not None else fact.lacks.removeprefix("it is ")
+
+    def blind(self, subject: tuple[str, str], nodes: int, found: str) -> str:
+        """Why it can't be told."""
+        node, name = subject
+        return (
+            f"parameter {name} of {node} can't be told: of {nodes} nodes of that name, in different pods, {found}, "
+            "and that of the instance in control has told of no change since it is watched"
+        )
+
+    def evidence(self, received: float, fact: Setting | None) -> ParameterState:
+        """What is known of it."""
+        if fact is None:
+            return ParameterState(received, None, "", told=False)
+        return ParameterState(received, fact.value, fact.lacks)
+
+
+def setting(value: Any) -> Setting:
+    """What a rcl_interfaces/msg/ParameterValue says."""
+    match value.type:  # rcl_interfaces/msg/ParameterType
+        case 0:
+            return Setting(None, "it is not set")
+        case 1:
+            return Setting(bool(value.bool_value))
+        case 2:
+            return Setting(int(value.integer_value))
+        case 3:
+            return Setting(float(value.double_value))
+        case 4:
+            return Setting(str(value.string_value))
+    return Setting(None, "it is an array")

@@ -1,0 +1,53 @@
+"""Looks now and then at who publishes topics, by the ROS graph."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+
+from understudy.ros.runtime.graph_node import Graph
+from understudy.trees.core.observations import Publishers
+
+PERIOD = 0.1
+"""Seconds between looks."""
+
+
+class Presence:
+    """Who publishes some topics. Times are Unix seconds."""
+
+    def __init__(self, graph: Graph, counts: Callable[[bytes], bool]) -> None:
+        """``counts`` says of a GID whether its publisher does."""
+        self._graph, self._counts = graph, counts
+        self._seen: dict[str, Publishers | None] = {}
+        self._next = 0.0
+
+    def follow(self, topics: Iterable[str]) -> None:
+        """Look at these topics and no others."""
+        self._seen = {name: self._seen.get(name) for name in topics}
+        self._next = 0.0
+
+    def forget(self) -> None:
+        """Forget what was seen: other publishers count now."""
+        self._seen = dict.fromkeys(self._seen)
+        self._next = 0.0
+
+    def look(self) -> None:
+        """Look, where it is time to."""
+        now = time.monotonic()
+        if not self._seen or now < self._next:
+            return
+        self._next = now + PERIOD
+        for name in self._seen:
+            looked = time.time()
+            nodes = tuple(end.node for end in self._graph.publishers(name) if self._counts(end.gid))
+            self._seen[name] = Publishers(looked, nodes)
+
+    def shift(self, seconds: float) -> None:
+        """Move all times, after the clock was set."""
+        for seen in self._seen.values():
+            if seen is not None:
+                seen.received += seconds
+
+    def of(self, name: str) -> Publishers | None:
+        """The publishers of a topic at the last look; None before the first."""
+        return self._seen.get(name)

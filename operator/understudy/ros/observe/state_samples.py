@@ -1,0 +1,225 @@
+"""The last messages of topics whose state is kept, as serialized bytes, of the instance in control or the robot.
+
+Drained like what is watched (topic_watch.py), and never deserialized. A publisher that gives its last message to late
+joiners is asked for that too, so that a pose said once before the monitor started is known; such a message is told
+from a fresh one by its time, and stands until the next one comes.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, NamedTuple
+
+from understudy.ros.dds.sample_sources import HOST, Sources
+from understudy.ros.runtime.graph_node import Graph, NotReceivable
+from understudy.ros.runtime.interface_types import TypeNotInstalled
+from understudy.ros.runtime.sample_taking import Taker
+
+_logger = logging.getLogger(__name__)
+
+DEPTH = 4
+"""Messages that a topic's queue holds between two drains. Only the last is of interest, but another instance may say the
+same topic; what is more is left to the middleware to drop, since taking it costs."""
+
+LOOK_UP = 1.0
+"""Seconds between looks at the graph for a topic that nobody publishes yet, and at the number of its publishers."""
+
+LOOK_AGAIN = 10.0
+"""Seconds between looks at whether publishers are still what they were, where their number hasn't changed."""
+
+LARGEST_WAITING = 1024 * 1024
+"""Bytes of a standby's message that is remembered for when it takes over; what is larger is a map, and the same."""
+
+
+class Captured(NamedTuple):
+    """A message of a kept topic. Times are Unix seconds by this machine's clock."""
+
+    topic: str
+    type: str
+    data: bytes
+    """CDR with its 4-byte header."""
+    taken_at: float
+    """When it was received, or written where that was before it was asked for."""
+    received_at: float
+    standing: Literal["", "instance", "robot"]
+    """By whom it is held for late joiners, if it is: it holds until the next one."""
+    writer: bytes = b""
+    """GID of its publisher."""
+
+
+@dataclass
+class _Topic:
+    """A topic and its subscription."""
+
+    name: str
+    type: str | None
+    subscription: Any = None
+    subscribed_type: str = ""
+    subscribed_at: float = 0.0
+    latched: bool = False
+    matched: int = 0
+    next_count: float = 0.0
+    next_look: float = 0.0
+    problem: str = ""
+    waiting: str = ""
+    standing: dict[bytes, Captured] = field(default_factory=dict)
+    """The last message of each instance, by the HOST part of its GIDs, where that is given to late joiners."""
+
+
+class Capturing:
+    """The topics of a policy's ``state``. For the thread that drains."""
+
+    def __init__(self, graph: Graph) -> None:
+        self._graph = graph
+        self._taker = Taker()
+        self._topics: dict[str, _Topic] = {}
+        self._sources = Sources({})
+        self._active = ""
+        self._again: list[Captured] = []
+
+    def follow(self, topics: Mapping[str, str | None]) -> None:
+        """Take these topics, each with its type where that is known, and no others. Cheap where nothing changed."""
+        for name in [name for name, topic in self._topics.items() if topics.get(name, "") != topic.type]:
+            self._end(self._topics.pop(name))
+        for name, type_name in topics.items():
+            if name not in self._topics:
+                self._topics[name] = topic = _Topic(name, type_name)
+                self._look(topic)
+
+    def attribute(self, instances: Mapping[str, str], active: str) -> bool:
+        """Say which instances there are (IP by pod name) and which of them is in control (empty for none).
+
+        Returns whether another is in control than before. Cheap where nothing changed.
+        """
+        if active == self._active and instances == self._sources.instances:
+            return False
+        changed, self._active = active != self._active, active
+        self._sources = Sources(instances)
+        for topic in self._topics.values():
+            topic.standing = {host: last for host, last in topic.standing.items() if self._sources.candidates(host)}
+            if changed:
+                # What it had said as a standby stands still, and is not said again.
+                self._again += [last for host, last in topic.standing.items() if self._counts(host)]
+        return changed
+
+    @property
+    def problems(self) -> dict[str, str]:
+        """Why a topic can't be kept, in plain words that say what to do, by topic."""
+        return {name: topic.problem for name, topic in self._topics.items() if topic.problem}
+
+    @property
+    def waiting(self) -> dict[str, str]:
+        """Why a topic can't be kept yet, by topic."""
+        return {name: topic.waiting for name, topic in self._topics.items() if topic.waiting}
+
+    def _counts(self, host: bytes) -> bool:
+        """Whether a host's messages are state: it is no instance at all, or surely the one in control."""
+        candidates = self._sources.candidates(host)
+        return not candidates or candidates == (self._active,)
+
+    # -- subscriptions ----------------------------------------------------------------------------------------------
+
+    def _look(self, topic: _Topic) -> None:
+        """Subscribe as the publishers that there are need it."""
+        publishers = self._graph.publishers(topic.name)
+        topic.next_look = time.monotonic() + (LOOK_AGAIN if publishers else LOOK_UP)
+        topic.problem = topic.waiting = ""
+        types = {publisher.type for publisher in publishers}
+        type_name = topic.type or (types.pop() if len(types) == 1 else None)
+        if type_name is None:
+            if types:
+                names = ", ".join(sorted(types))
+                topic.problem = f"its publishers disagree about its type ({names}): give the type in state.keep"
+            else:
+                topic.waiting = "nobody publishes it, so that its type isn't known"
+            return
+        if topic.type is not None and types and topic.type not in types:
+            topic.problem = f"it is published as {', '.join(sorted(types))}, not as {topic.type}: correct state.keep"
+        elif not types:
+            topic.waiting = "nobody publishes it"
+        latched = all(publisher.latched for publisher in publishers) if publishers else topic.latched
+        if topic.subscription is not None and (topic.latched, topic.subscribed_type) == (latched, type_name):
+            return
+        self._end(topic)
+        try:
+            topic.subscription = self._graph.subscribe(topic.name, type_name, depth=DEPTH, latched=latched)
+        except (TypeNotInstalled, NotReceivable) as error:
+            topic.problem = str(error)
+            return
+        topic.latched, topic.subscribed_type, topic.subscribed_at = latched, type_name, time.time()
+
+    def _end(self, topic: _Topic) -> None:
+        if topic.subscription is not None:
+            self._graph.unsubscribe(topic.subscription)
+            topic.subscription = None
+
+    def close(self) -> None:
+        """End all subscriptions. The graph is left to its owner."""
+        for topic in self._topics.values():
+            self._end(topic)
+        self._topics.clear()
+
+    # -- receiving --------------------------------------------------------------------------------------------------
+
+    def drain(self) -> list[Captured]:
+        """The last message of each topic that has come since, if one has."""
+        found, self._again = self._again, []
+        now = time.monotonic()
+        for topic in self._topics.values():
+            if topic.subscription is not None:
+                found += self._drain(topic)
+            if now >= topic.next_count:
+                topic.next_count = now + LOOK_UP
+                matched = topic.subscription.get_publisher_count() if topic.subscription is not None else 0
+                if matched != topic.matched or now >= topic.next_look:
+                    topic.matched = matched
+                    self._look(topic)
+        return found
+
+    def _drain(self, topic: _Topic) -> list[Captured]:
+        last: Captured | None = None
+        with topic.subscription.handle:
+            pointer = topic.subscription.handle.pointer
+            # A writer that is faster than we are must not keep us here.
+            for _ in range(2 * DEPTH):
+                sample = self._taker.take(pointer, with_data=False)
+                if sample is None:
+                    break
+                received, sent, gid, _, _ = sample
+                host = gid[HOST]
+                counts = self._counts(host)
+                if not counts and not topic.latched:
+                    continue
+                late = topic.latched and sent < topic.subscribed_at
+                message = Captured(
+                    topic.name,
+                    topic.subscribed_type,
+                    self._taker.data(),
+                    min(received, sent) if late else received,
+                    received,
+                    "" if not topic.latched else "instance" if self._sources.candidates(host) else "robot",
+                    gid,
+                )
+                if topic.latched and self._sources.candidates(host) and len(message.data) <= LARGEST_WAITING:
+                    topic.standing[host] = message
+                if counts and (last is None or _order(message) >= _order(last)):
+                    last = message
+        return [last] if last is not None else []
+
+    def shift(self, step: float) -> None:
+        """The clock was set by so many seconds: what is remembered is moved with it."""
+        for topic in self._topics.values():
+            topic.subscribed_at += step
+            topic.standing = {
+                host: last._replace(taken_at=last.taken_at + step, received_at=last.received_at + step)
+                for host, last in topic.standing.items()
+            }
+
+
+def _order(message: Captured) -> float:
+    """By which the last of several messages is told: of two writers' held messages, the one written later."""
+    return message.taken_at if message.standing else math.inf

@@ -1,0 +1,540 @@
+"""Watches topics by draining their queues instead of being called for each message.
+
+Fast DDS keeps what arrives in a subscription's history and stamps it with the time of receipt, so nothing is lost in
+exactness by looking only now and then, and a look costs a few microseconds a message instead of an executor's round.
+:meth:`Watching.drain` is called by the process's own loop; no rclpy executor runs.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from bisect import bisect_left
+from collections import deque
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from understudy.ros.dds.sample_sources import HOST, Sources
+from understudy.ros.observe.lifecycle_states import Lifecycles
+from understudy.ros.observe.message_contents import HEAD, OURS, Received, begins_with_header, ours
+from understudy.ros.observe.node_presence import Inhabitants
+from understudy.ros.observe.parameter_values import Parameters
+from understudy.ros.observe.publisher_presence import Presence
+from understudy.ros.observe.sample_rings import Ring, Track
+from understudy.ros.runtime.arrival_wakeups import Arrivals
+from understudy.ros.runtime.graph_node import Graph, NotReceivable
+from understudy.ros.runtime.interface_types import TypeNotInstalled, message_class
+from understudy.ros.runtime.sample_taking import Taker
+from understudy.trees.core import task_activity
+from understudy.trees.core.health_tree import WatchedTopic
+from understudy.trees.core.observations import NodeState, ParameterState, PodState, Present, Publishers, TopicRecord
+from understudy.trees.leaves import diagnostics
+from understudy.trees.leaves.lifecycle import EVENTS
+
+_logger = logging.getLogger(__name__)
+
+STALL = 0.25
+"""Seconds between two drains that a queue must be able to bridge: several ticks, since a busy node stalls us."""
+
+USUAL_RATE = 50.0
+"""Messages per second that a queue is made for where the tree doesn't say."""
+
+LEAST_DEPTH, MOST_DEPTH = 10, 1000
+
+HISTORY = 10.0
+"""Seconds of arrivals kept per source, for questions about the time since a switch."""
+
+FORGET = 600.0
+"""Seconds of silence after which a host may be forgotten; addresses of pods come and go for months."""
+
+LOOK_UP = 1.0
+"""Seconds between attempts to learn the type of a topic from the graph."""
+
+MOST_WRITERS = 64
+"""Writers of one host that are told apart; a host that restarts its nodes for months has had many."""
+
+CLOCK_STEP = 0.005
+"""Seconds by which the clock must have moved against the monotonic one to count as having been set."""
+
+
+def depth(topic: WatchedTopic) -> int:
+    """How many samples a topic's queue must hold."""
+    rate = topic.rate if topic.rate is not None else USUAL_RATE
+    return min(MOST_DEPTH, max(LEAST_DEPTH, math.ceil(rate * STALL)))
+
+
+class SourceRecord(TopicRecord):
+    """What was received on one topic from one host."""
+
+    __slots__ = ("accepted", "lost", "sequences")
+
+    def __init__(self, window: float, contents: int = 0) -> None:
+        super().__init__(window, contents)
+        self.accepted = True
+        """Whether it counts for the instance in control."""
+        self.lost = 0
+        """Messages that were sent after the first one received and never came, by their sequence numbers."""
+        self.sequences: dict[bytes, int] = {}
+        """The last sequence number of each of the host's writers, by GID."""
+
+    def number(self, gid: bytes, sequence: int) -> None:
+        """Note a sample's number, and the ones missing before it."""
+        before = self.sequences.get(gid)
+        if before is None:
+            if len(self.sequences) >= MOST_WRITERS:
+                self.sequences.clear()
+        elif sequence > before + 1:
+            self.lost += sequence - before - 1
+        self.sequences[gid] = sequence
+
+
+@dataclass
+class _Topic:
+    """A watched topic and what came of it."""
+
+    want: WatchedTopic
+    subscription: Any = None
+    message: Any = None
+    """The class of what the subscription receives."""
+    type: str = ""
+    """Its type."""
+    track: Track | None = None
+    """Where its messages are kept as they came."""
+    stamped: bool = False
+    """Whether its messages begin with a header."""
+    mixed: bool = False
+    """Whether what Understudy says itself may be among them, which is no evidence."""
+    problem: str = ""
+    waiting: str = ""
+    sources: dict[bytes, SourceRecord] = field(default_factory=dict)
+    counted: TopicRecord = field(default_factory=TopicRecord)
+    """Samples that count for the instance in control."""
+    active: dict[bytes, float] = field(default_factory=dict)
+    """Of an action's status: when each server with an active goal got it, by the GID of its writer."""
+
+
+class Watching:
+    """The topics of a health tree, as received here, and from which pod.
+
+    An Observations of the samples that are not from another instance of the workload than the one in control: the
+    robot's own topics, and the instance's. All times are Unix seconds by this machine's clock; when that is set, they
+    are moved with it, so that a step of the clock doesn't look like a gap.
+    """
+
+    def __init__(self, graph: Graph, own: bytes | None = None, arrivals: Arrivals | None = None) -> None:
+        """``own`` is the HOST part of GIDs of the instance that is judged, where that is the one this process is in;
+        ``arrivals`` is to tell of messages that should be looked at as they come.
+        """
+        self._graph = graph
+        self._own = own
+        self._presence = Presence(graph, self._in_control)
+        self._inhabitants = Inhabitants(graph, self._in_control)
+        self._lifecycles = Lifecycles(graph, self._in_control, self.own, alone=own is not None)
+        self._parameters = Parameters(graph, self._in_control, self.own, alone=own is not None)
+        self.pod_state: PodState | None = None
+        """What the cluster says of the pod of the instance in control, where somebody says it here."""
+        self._taker = Taker()
+        self._arrivals = arrivals
+        self._ring: Ring | None = None
+        self._topics: dict[str, _Topic] = {}
+        self._sources = Sources({})
+        self._active = ""
+        self._next_look_up = 0.0
+        self._clock = _offset()
+        self._drained = time.time()
+
+    # -- what is watched --------------------------------------------------------------------------------------------
+
+    def follow(self, topics: Iterable[WatchedTopic]) -> None:
+        """Watch these topics and no others. Cheap where nothing changed; then what was received is kept."""
+        topics = list(topics)
+        self._presence.follow([topic.name for topic in topics if topic.publishers])
+        self._inhabitants.follow([topic.name for topic in topics if topic.node])
+        self._lifecycles.follow([topic.name.removesuffix(EVENTS) for topic in topics if topic.managed])
+        self._parameters.follow(parameter for topic in topics for parameter in topic.parameters)
+        wanted = {topic.name: topic for topic in topics if topic.heard}
+        for name in [name for name in self._topics if name not in wanted]:
+            self._end(self._topics.pop(name))
+        for name, want in wanted.items():
+            known = self._topics.get(name)
+            if known is None:
+                self._topics[name] = known = _Topic(want, counted=TopicRecord(want.window, want.contents))
+                self._subscribe(known)
+            elif known.want != want:
+                self._change(known, want)
+
+    def record(self, ring: Ring | None) -> None:
+        """Keep the messages themselves in a ring from now on, or no longer."""
+        self._ring = ring
+        for topic in self._topics.values():
+            self._record(topic)
+
+    def _record(self, topic: _Topic) -> None:
+        ring = self._ring if topic.subscription is not None else None
+        topic.track = ring.track(topic.want.name, topic.type) if ring is not None else None
+
+    @property
+    def problems(self) -> list[str]:
+        """Why a topic is not watched, in plain words that say what to do."""
+        unwatched = [topic.problem for topic in self._topics.values() if topic.problem]
+        return [*unwatched, *self._lifecycles.problems, *self._parameters.problems]
+
+    @property
+    def unwatchable(self) -> frozenset[str]:
+        """The topics that those problems are of."""
+        return frozenset(name for name, topic in self._topics.items() if topic.problem)
+
+    @property
+    def waiting(self) -> list[str]:
+        """Topics that can't be watched before somebody publishes them, in plain words."""
+        return [topic.waiting for topic in self._topics.values() if topic.waiting]
+
+    def _change(self, topic: _Topic, want: WatchedTopic) -> None:
+        looks_into = (want.contents, want.whole) != (topic.want.contents, topic.want.whole)
+        again = topic.subscription is None or want.type != topic.want.type or depth(want) > depth(topic.want)
+        told = want.prompt != topic.want.prompt
+        again = again or want.reliable != topic.want.reliable
+        topic.want = want
+        for source in topic.sources.values():
+            source.window = max(want.window, HISTORY)
+            if looks_into:  # What was kept may lack what is needed now.
+                source.contents = deque(maxlen=want.contents)
+        self._count_again(topic)
+        if again:
+            self._end(topic)
+            self._subscribe(topic)
+        elif told:
+            self._be_told(topic)
+
+    def _subscribe(self, topic: _Topic) -> None:
+        want = topic.want
+        topic.problem = topic.waiting = ""
+        type_name = want.type or self._graph.type_of(want.name)
+        if type_name is None:
+            if found := {endpoint.type for endpoint in self._graph.publishers(want.name)}:
+                types = ", ".join(sorted(found))
+                topic.problem = (
+                    f"the publishers of {want.name} disagree about its type ({types}): give the type in the tree"
+                )
+            else:
+                topic.waiting = (
+                    f"the type of {want.name} is not known, since nobody publishes it yet: "
+                    f"correct its name, or give the type in the tree"
+                )
+            return
+        try:
+            subscription = self._graph.subscribe(
+                want.name, type_name, depth=depth(want), latched=want.task, reliable=want.reliable
+            )
+        except TypeNotInstalled as error:
+            topic.problem = f"{want.name}: {error}"
+            return
+        except NotReceivable as error:
+            topic.problem = str(error)
+            return
+        topic.message, topic.type, topic.subscription = message_class(type_name), type_name, subscription
+        topic.stamped = begins_with_header(topic.message)
+        topic.mixed = type_name == diagnostics.TYPE
+        self._record(topic)
+        if want.prompt:
+            self._be_told(topic)
+
+    def _be_told(self, topic: _Topic) -> None:
+        """Be told of messages as they come, or no longer."""
+        if self._arrivals is None or topic.subscription is None:
+            return
+        tell = self._arrivals.tell_of if topic.want.prompt else self._arrivals.forget
+        tell(topic.subscription.handle)
+
+    def _end(self, topic: _Topic) -> None:
+        if topic.subscription is not None:
+            if self._arrivals is not None:
+                self._arrivals.forget(topic.subscription.handle)
+            self._graph.unsubscribe(topic.subscription)
+            topic.subscription = None
+        topic.active.clear()
+
+    def _look_up_types(self) -> None:
+        """Try again to subscribe to topics whose type only the graph can tell."""
+        for topic in self._topics.values():
+            if topic.subscription is None and topic.want.type is None:
+                self._subscribe(topic)
+
+    def _forget_servers(self) -> None:
+        """A server that is gone has no goal any more; it couldn't say so."""
+        for topic in self._topics.values():
+            if topic.active:
+                there = {endpoint.gid for endpoint in self._graph.publishers(topic.want.name)}
+                for gid in [gid for gid in topic.active if gid not in there]:
+                    del topic.active[gid]
+
+    # -- whose samples count ----------------------------------------------------------------------------------------
+
+    @property
+    def in_control(self) -> bool:
+        """It is the one in control that is judged by all that is received."""
+        return True
+
+    def attribute(self, instances: Mapping[str, str], active: str) -> None:
+        """Say which instances there are (IP by pod name) and which of them is in control (empty for none).
+
+        What was received so far is judged anew. Cheap where nothing changed.
+        """
+        if active == self._active and instances == self._sources.instances:
+            return
+        other = active != self._active or instances.get(active) != self._sources.instances.get(active)
+        self._sources, self._active = Sources(instances), active
+        if other:
+            self._lifecycles.forget()
+            self._parameters.forget()
+        self._presence.forget()
+        self._inhabitants.forget()
+        for topic in self._topics.values():
+            for host, source in topic.sources.items():
+                source.accepted = self._accepted(host)
+            self._count_again(topic)
+
+    @property
+    def sources(self) -> Sources:
+        """The instances that samples are attributed to, and which of them can't be told apart."""
+        return self._sources
+
+    def _accepted(self, host: bytes) -> bool:
+        """Whether a host's samples count: it's no instance at all, or it is (or may be) the one in control.
+
+        Where two instances can't be told apart, what comes through the gate is taken to be from the one that may.
+        """
+        candidates = self._sources.candidates(host)
+        return not candidates or self._active in candidates
+
+    def _in_control(self, gid: bytes) -> bool:
+        """Whether an endpoint is (or may be) of the instance in control; where no address tells that one, whether it is of no other."""
+        if self._own is not None:
+            return gid[HOST] == self._own
+        candidates = self._sources.candidates(gid)
+        told = self._active in self._sources.instances and self._active not in self._sources.unknown
+        return self._active in candidates if told else not candidates
+
+    def _count_again(self, topic: _Topic) -> None:
+        """Put together what counts: the record of the only source that does, where there is just one, as it is."""
+        accepted = [source for source in topic.sources.values() if source.accepted]
+        if len(accepted) == 1:
+            topic.counted = accepted[0]
+            return
+        counted = topic.counted = TopicRecord(topic.want.window, topic.want.contents)
+        for arrival in sorted(arrival for source in accepted for arrival in source.arrivals):
+            counted.add(arrival)
+        counted.count = sum(source.count for source in accepted)
+        kept = (content for source in accepted for content in source.contents)
+        counted.contents.extend(sorted(kept, key=lambda content: content.received))
+
+    # -- receiving --------------------------------------------------------------------------------------------------
+
+    def drain(self) -> int:
+        """Take everything that has arrived; how many samples that was."""
+        low, high = self._set_clock()
+        now = time.monotonic()
+        if now >= self._next_look_up:
+            self._next_look_up = now + LOOK_UP
+            self._look_up_types()
+            self._forget_servers()
+        self._presence.look()
+        self._inhabitants.look()
+        taken = 0
+        for topic in self._topics.values():
+            if topic.subscription is not None:
+                taken += self._drain(topic, low, high)
+        self._lifecycles.look()
+        self._parameters.look()
+        self._drained = time.time()
+        return taken
+
+    def _drain(self, topic: _Topic, low: float, high: float) -> int:
+        take, sources, handle = self._taker.take, topic.sources, topic.subscription.handle
+        bounded = low > -math.inf
+        taken = 0
+        # A writer that is faster than we are must not keep us here.
+        most = 4 * depth(topic.want)
+        task, wanted = topic.want.task, topic.want.contents
+        mixed, track = topic.mixed, topic.track
+        needed = None if topic.want.whole else HEAD
+        with handle:
+            pointer = handle.pointer
+            while taken < most and (sample := take(pointer, with_data=task)) is not None:
+                taken += 1
+                if mixed and ours(self._taker.data(OURS)):
+                    continue
+                stamped, sent, gid, sequence, data = sample
+                received = min(max(stamped, low), high) if bounded else stamped
+                if track is not None and track.wanted:
+                    track.add(received, sent, sequence, data or self._taker.data())
+                source = sources.get(gid[HOST]) or self._new_source(topic, gid[HOST])
+                source.add(received)
+                source.number(gid, sequence)
+                if source.accepted and topic.counted is not source:
+                    topic.counted.add(received)
+                if wanted:
+                    kept = self._taker.data(needed)
+                    content = Received(received, stamped, kept, topic.message, topic.stamped, sent)
+                    source.contents.append(content)
+                    if source.accepted and topic.counted is not source:
+                        topic.counted.contents.append(content)
+                if task:
+                    _note_goals(topic.active, gid, received, data)
+        return taken
+
+    def _new_source(self, topic: _Topic, host: bytes) -> SourceRecord:
+        for old in [host for host, record in topic.sources.items() if (record.last or 0.0) < time.time() - FORGET]:
+            del topic.sources[old]
+        source = topic.sources[host] = SourceRecord(max(topic.want.window, HISTORY), topic.want.contents)
+        source.accepted = self._accepted(host)
+        self._count_again(topic)
+        return source
+
+    def _set_clock(self) -> tuple[float, float]:
+        """Follow a step of the clock; the bounds between which the times of samples in the queues can lie.
+
+        Samples received before the step are stamped by the old clock. They arrived after the last drain.
+        """
+        offset = _offset()
+        step, self._clock = offset - self._clock, offset
+        if abs(step) < CLOCK_STEP:
+            return -math.inf, math.inf
+        _logger.warning("the clock was set by %+.3f s; the times of what was received are moved with it", step)
+        self._drained += step
+        self._presence.shift(step)
+        self._inhabitants.shift(step)
+        self._lifecycles.shift(step)
+        self._parameters.shift(step)
+        if self.pod_state is not None:
+            self.pod_state.received += step
+        for topic in self._topics.values():
+            for source in topic.sources.values():
+                source.shift(step)
+            topic.active = {gid: since + step for gid, since in topic.active.items()}
+            self._count_again(topic)
+        if self._ring is not None:
+            self._ring.shift(step)
+        return self._drained, time.time()
+
+    # -- what was received ------------------------------------------------------------------------------------------
+
+    def topic(self, name: str) -> TopicRecord | None:
+        """What counts for the instance in control; None where the topic isn't watched."""
+        topic = self._topics.get(name)
+        return topic.counted if topic is not None else None
+
+    def own(self, name: str) -> TopicRecord | None:
+        """What the instance in control itself sent on a topic; None where that is nothing (yet)."""
+        found = [source for host, source in self.records(name).items() if self._in_control(host)]
+        if len(found) < 2:
+            return found[0] if found else None
+        joined = TopicRecord(contents=sum(len(source.contents) for source in found))
+        for arrival in sorted(arrival for source in found for arrival in source.arrivals):
+            joined.add(arrival)
+        joined.contents.extend(sorted((c for source in found for c in source.contents), key=lambda c: c.received))
+        return joined
+
+    def active(self, name: str) -> dict[bytes, float]:
+        """When each server of an action got its active goal, by the GID of the writer of its status."""
+        topic = self._topics.get(name)
+        return topic.active if topic is not None else {}
+
+    def task(self, name: str) -> float | None:
+        """Since when the instance in control (or what is no instance, such as a proxy) has had an active goal."""
+        topic = self._topics.get(name)
+        if topic is None:
+            return None
+        times = [since for gid, since in topic.active.items() if self._accepted(gid[HOST])]
+        return min(times, default=None)
+
+    def publishers(self, name: str) -> Publishers | None:
+        """Who publishes a topic, of the instance in control; None where nobody has looked (yet)."""
+        return self._presence.of(name)
+
+    def node(self, name: str) -> Present | None:
+        """Whether the instance in control has a node; None where nobody has looked (yet)."""
+        return self._inhabitants.of(name)
+
+    def lifecycle(self, name: str) -> NodeState | None:
+        """The state of a managed node of the instance in control; None where nothing is known (yet)."""
+        return self._lifecycles.of(name)
+
+    def parameter(self, node: str, name: str) -> ParameterState | None:
+        """The value of a parameter of a node of the instance in control; None where nothing is known (yet)."""
+        return self._parameters.of((node, name))
+
+    def pod(self) -> PodState | None:
+        """The pod of the instance in control; None where nobody says anything of it (yet)."""
+        return self.pod_state
+
+    def records(self, name: str) -> dict[bytes, SourceRecord]:
+        """What was received on a topic, by the HOST part of the senders' GIDs."""
+        topic = self._topics.get(name)
+        return topic.sources if topic is not None else {}
+
+    def last_from(self, name: str, pod: str) -> float | None:
+        """When a topic was last received from a pod; None for never, or where the pod can't be told from another."""
+        record = self._record_of(name, pod)
+        return record.last if record is not None else None
+
+    def arrivals(self, name: str, pod: str) -> Sequence[float]:
+        """When a topic was received from a pod, of late (HISTORY); empty where the pod can't be told from another."""
+        record = self._record_of(name, pod)
+        return record.arrivals if record is not None else ()
+
+    def first_from(self, name: str, pod: str, *, since: float) -> float | None:
+        """When a topic was first received from a pod at or after a time, which must not be long ago (HISTORY)."""
+        record = self._record_of(name, pod)
+        if record is None:
+            return None
+        place = bisect_left(record.arrivals, since)
+        return record.arrivals[place] if place < len(record.arrivals) else None
+
+    def last_from_others(self, name: str, pod: str) -> tuple[float, str] | None:
+        """When a topic was last received from an instance that is surely another than this pod, and from which."""
+        found = [
+            (record.last, ", ".join(pods))
+            for host, record in self.records(name).items()
+            if (pods := self._sources.candidates(host)) and pod not in pods and record.last is not None
+        ]
+        return max(found) if found else None
+
+    def _record_of(self, name: str, pod: str) -> SourceRecord | None:
+        for host, record in self.records(name).items():
+            if self._sources.candidates(host) == (pod,):
+                return record
+        return None
+
+    def close(self) -> None:
+        """End all subscriptions. The graph is left to its owner."""
+        for topic in self._topics.values():
+            self._end(topic)
+        self._topics.clear()
+        self._lifecycles.close()
+        self._parameters.close()
+
+
+def _note_goals(active: dict[bytes, float], gid: bytes, received: float, data: bytes) -> None:
+    """Note from an action's status (action_msgs/msg/GoalStatusArray) whether one of its goals is active."""
+    from rclpy.serialization import deserialize_message
+
+    status = deserialize_message(data, message_class("action_msgs/msg/GoalStatusArray"))
+    if any(goal.status in task_activity.WORKED_ON for goal in status.status_list):
+        active.setdefault(gid, received)
+    else:
+        active.pop(gid, None)
+
+
+def _offset() -> float:
+    """The clock minus the monotonic one; changes when the clock is set. Between two looks a busy node may stall us."""
+    best, offset = math.inf, 0.0
+    for _ in range(5):
+        before, now, after = time.monotonic(), time.time(), time.monotonic()
+        if after - before < best:
+            best, offset = after - before, now - (before + after) / 2
+        if best < CLOCK_STEP / 10:
+            break
+    return offset

@@ -1,0 +1,58 @@
+"""Being woken when something arrives on some of the subscriptions that are drained.
+
+The middleware calls a C function for each message, in a thread of its own. Here that function is the C library's
+``eventfd_write``, whose two arguments are just what is handed over: a word of ours, and how many messages came. So no
+Python runs in that thread, and an event loop waits for the descriptor as for any other (eventfd(2)).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import logging
+import os
+from typing import Any
+
+from understudy.ros.runtime.sample_taking import loaded
+
+_logger = logging.getLogger(__name__)
+
+
+class Arrivals:
+    """A file descriptor that is readable once something has arrived since it was cleared last."""
+
+    def __init__(self) -> None:
+        self.descriptor = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+        self.asked = False
+        """Whether it has been asked to tell of any subscription."""
+        self._write = ctypes.cast(ctypes.CDLL(None).eventfd_write, ctypes.c_void_p)
+        self._set = loaded("librcl").rcl_subscription_set_on_new_message_callback
+        self._set.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p]
+        self._reset_error = loaded("librcutils").rcutils_reset_error
+
+    def tell_of(self, handle: Any) -> None:
+        """Tell of what arrives on a subscription, of which this is rclpy's handle; also of what waits there already."""
+        with handle:
+            result = self._set(handle.pointer, self._write, self.descriptor)
+        if result != 0:
+            self._reset_error()
+            _logger.warning(
+                "the middleware doesn't say when messages come (rcl's code %d): they are seen later", result
+            )
+            return
+        self.asked = True
+
+    def forget(self, handle: Any) -> None:
+        """Tell no more of a subscription, such as one that is about to end."""
+        with handle:
+            if self._set(handle.pointer, None, None) != 0:
+                self._reset_error()
+
+    def clear(self) -> None:
+        """Take note of all that has arrived."""
+        with contextlib.suppress(BlockingIOError):
+            os.eventfd_read(self.descriptor)
+
+    def close(self) -> None:
+        """Close the descriptor, when no subscription is told of any more."""
+        os.close(self.descriptor)

@@ -1,0 +1,93 @@
+"""Message, service and action types by name.
+
+The monitor can only watch what its image has the types of. Where one is missing, the error says what to do; it is what
+the workload's condition shows.
+"""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+from collections.abc import Mapping
+from typing import Any
+
+from understudy.ros.runtime.lean_imports import leave_out_generator
+
+leave_out_generator()
+
+
+class TypeNotInstalled(LookupError):
+    """A ROS type that this image doesn't have."""
+
+    def __init__(self, type_name: str, found: str) -> None:
+        self.type_name = type_name
+        super().__init__(
+            f"{type_name} is not installed in the monitor's image ({found}): build a monitor image with it, and set "
+            "spec.monitor.image to that"
+        )
+
+
+def interface_class(type_name: str) -> Any:
+    """The Python class of ``package/msg/Name``, ``package/srv/Name`` or ``package/action/Name``, ready for use.
+
+    Raises ValueError when the name isn't one, TypeNotInstalled when the image doesn't have it.
+    """
+    parts = type_name.split("/")
+    if len(parts) != 3 or parts[1] not in ("msg", "srv", "action") or not all(part.isidentifier() for part in parts):
+        raise ValueError(f"{type_name!r} is not a ROS type: write package/msg/Name, such as geometry_msgs/msg/Twist")
+    package, kind, name = parts
+    try:
+        importlib.import_module(package)
+    except ImportError:
+        raise TypeNotInstalled(type_name, f"there is no package {package}") from None
+    try:
+        module = importlib.import_module(f"{package}.{kind}")
+    except ImportError as error:
+        raise TypeNotInstalled(type_name, f"{package} has no {kind} types: {error}") from None
+    found = getattr(module, name, None)
+    if found is None:
+        known = difflib.get_close_matches(name, [entry for entry in dir(module) if entry[:1].isupper()], n=1)
+        raise TypeNotInstalled(
+            type_name, f"{package} has {package}/{kind}/{known[0]}" if known else f"{package} lacks it"
+        )
+    meta = found.__class__
+    if not hasattr(meta, "__import_type_support__"):
+        raise TypeNotInstalled(type_name, f"{package}.{kind}.{name} is not a ROS type")
+    try:
+        meta.__import_type_support__()
+    except Exception as error:  # whatever a broken package's libraries raise, the type can't be used
+        raise TypeNotInstalled(type_name, f"its libraries don't load: {error}") from error
+    if meta._TYPE_SUPPORT is None:  # rosidl notes a failed import in its debug log only
+        raise TypeNotInstalled(type_name, "its libraries don't load")
+    return found
+
+
+def message_class(type_name: str) -> Any:
+    """The Python class of ``package/msg/Name``; errors as of :func:`interface_class`.
+
+    Also of ``package/action/Name_FeedbackMessage``, as the graph calls what is sent on an action's feedback topic, and of
+    ``package/action/Name_Feedback``, which is in it beside the goal's id.
+    """
+    if "/action/" in type_name:
+        action, _, part = type_name.rpartition("_")
+        if part == "FeedbackMessage":
+            return interface_class(action).Impl.FeedbackMessage
+        if part == "Feedback":
+            return interface_class(action).Feedback
+    if "/msg/" not in type_name:
+        raise ValueError(
+            f"{type_name!r} is not a message type: write package/msg/Name, such as geometry_msgs/msg/Twist"
+        )
+    return interface_class(type_name)
+
+
+def message_fields(type_name: str) -> Mapping[str, str] | None:
+    """The fields of ``package/msg/Name``, or of an action's feedback, with their types, as rosidl names them.
+
+    None where the image doesn't have it.
+    """
+    try:
+        found: Mapping[str, str] = message_class(type_name).get_fields_and_field_types()
+    except TypeNotInstalled:
+        return None
+    return found

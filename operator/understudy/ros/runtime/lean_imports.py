@@ -1,0 +1,61 @@
+"""Keeps the ROS code generator out of memory.
+
+The first message that is used imports its type support through ``rosidl_generator_py``, a package whose one small
+function for that comes with a template engine and an IDL parser: 20 MB resident, in every monitor and every agent.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import importlib
+import importlib.util
+import sys
+import threading
+from types import ModuleType
+
+_IMPORTING = threading.Lock()
+_imported = threading.Event()
+
+_GENERATOR = "rosidl_generator_py"
+_NEEDED = f"{_GENERATOR}.import_type_support_impl"
+
+
+def leave_out_generator() -> bool:
+    """Import of ``rosidl_generator_py`` only what types need at run time; whether that was possible.
+
+    Call it before any type is used. Where the package is loaded already, or is made otherwise, nothing is changed.
+    """
+    if _GENERATOR in sys.modules:
+        return _NEEDED in sys.modules and not hasattr(sys.modules[_GENERATOR], "generate_py")
+    spec = importlib.util.find_spec(_GENERATOR)
+    if spec is None or spec.submodule_search_locations is None:
+        return False
+    package = ModuleType(_GENERATOR, "Only what types need at run time; see understudy.ros.runtime.lean_imports.")
+    package.__path__ = spec.submodule_search_locations
+    package.__spec__ = spec
+    sys.modules[_GENERATOR] = package
+    try:
+        package.import_type_support = importlib.import_module(_NEEDED).import_type_support  # type: ignore[attr-defined]
+    except (ImportError, AttributeError):
+        del sys.modules[_GENERATOR]
+        return False
+    return True
+
+
+def import_rclpy() -> None:
+    """Import rclpy, from whichever thread comes first.
+
+    Its modules import each other in a circle, which two threads can't walk at the same time: one finds half of a module.
+    So whatever may run before this process has joined the ROS graph calls this, or in an event loop awaits
+    :func:`rclpy_imported`, before it imports anything of rclpy.
+    """
+    with _IMPORTING:
+        importlib.import_module("rclpy")
+        importlib.import_module("rclpy.node")
+    _imported.set()
+
+
+async def rclpy_imported() -> None:
+    """Have rclpy imported: by a thread, since it takes a second, or as long as another thread needs that is at it."""
+    if not _imported.is_set():
+        await asyncio.to_thread(import_rclpy)

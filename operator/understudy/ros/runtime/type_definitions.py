@@ -1,0 +1,81 @@
+"""Definitions of message types as they stand in recordings: the text of the type, and of all that it is made of.
+
+It is what the package's own message file says, with its comments and constants; where that isn't installed, and for what is sent
+on an action's topics, the fields are written out.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from understudy.ros.runtime.interface_types import message_class
+
+_BREAK = "=" * 80
+"""Stands between the definitions of a type and of those that it is made of."""
+
+_NAMES = {"double": "float64", "float": "float32", "boolean": "bool", "octet": "byte"}
+"""Basic types that rosidl's Python classes name otherwise than message files do."""
+
+_SEQUENCE = re.compile(r"sequence<(.+?)(?:, (\d+))?>")
+_ARRAY = re.compile(r"(.+)\[(\d+)\]")
+_STRING = re.compile(r"(w?string)<(\d+)>")
+
+
+def definition(type_name: str) -> str:
+    """The definition of ``package/msg/Name``, or of what an action sends. Raises TypeNotInstalled."""
+    parts = [_text(type_name)]
+    done, left = {type_name}, list(_made_of(type_name))
+    while left:
+        name = left.pop(0)
+        if name not in done:
+            done.add(name)
+            parts.append(f"{_BREAK}\nMSG: {_short(name)}\n{_text(name)}")
+            left += _made_of(name)
+    return "".join(parts)
+
+
+def _text(type_name: str) -> str:
+    return _installed(type_name) or "".join(
+        f"{_written(kind)} {field}\n" for field, kind in message_class(type_name).get_fields_and_field_types().items()
+    )
+
+
+def _installed(type_name: str) -> str:
+    package, kind, name = type_name.split("/")
+    for prefix in [*filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)), sys.prefix]:
+        try:
+            text = (Path(prefix) / "share" / package / kind / f"{name}.msg").read_text()
+        except (OSError, UnicodeDecodeError):
+            continue
+        return text if text.endswith("\n") else f"{text}\n"
+    return ""
+
+
+def _made_of(type_name: str) -> Iterator[str]:
+    """The types of its fields that aren't basic ones."""
+    slots: Sequence[Any] = message_class(type_name).SLOT_TYPES
+    for slot in slots:
+        item = getattr(slot, "value_type", slot)
+        if hasattr(item, "namespaces"):
+            yield "/".join((*item.namespaces, item.name))
+
+
+def _short(type_name: str) -> str:
+    package, _, name = type_name.split("/")
+    return f"{package}/{name}"
+
+
+def _written(kind: str) -> str:
+    """A field's type as message files have it."""
+    if found := _SEQUENCE.fullmatch(kind):
+        return f"{_written(found[1])}[{f'<={found[2]}' if found[2] else ''}]"
+    if found := _ARRAY.fullmatch(kind):
+        return f"{_written(found[1])}[{found[2]}]"
+    if found := _STRING.fullmatch(kind):
+        return f"{found[1]}<={found[2]}"
+    return _NAMES.get(kind, kind)

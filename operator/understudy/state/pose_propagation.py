@@ -1,0 +1,254 @@
+"""Where odometry had the robot when a kept pose was so, for as long as that can be joined with where it has it now.
+
+A pose that is restored was so before the failure, and the robot may have driven since: what odometry says of that
+motion brings it to the present. That takes one moment of odometry for each version of a pose that is kept, found when
+the pose comes, so that only seconds of odometry have to be remembered. When odometry begins anew, all that is lost, and
+it is said why.
+"""
+
+from __future__ import annotations
+
+import logging
+import struct
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+
+from understudy.api.kinds.state_spec import CarriedBy, State
+from understudy.api.protocol.kept_state import KeptSample, KeptState, Motion, NotRestored
+from understudy.kinematics.odometry_track import BLIND, Moment, Point, Track
+from understudy.kinematics.pose_decoding import read, stamp_of
+from understudy.kinematics.poses import Pose
+from understudy.state.state_capture import Key, Version
+
+_logger = logging.getLogger(__name__)
+
+PATIENCE = 1.0
+"""Seconds for which odometry of the time of a pose may be late."""
+
+_SECOND = 1e-9
+_MOMENT = struct.Struct("<q10d")
+_NOTHING = "nothing has come on it"
+
+
+@dataclass
+class _Odometry:
+    """One odometry topic."""
+
+    track: Track = field(default_factory=Track)
+    problem: str = _NOTHING
+    """Why nothing is known of it; empty where something is."""
+    begun: str = ""
+    """Why it counts from its last beginning only."""
+
+
+@dataclass
+class _Pose:
+    """One kept topic."""
+
+    by: CarriedBy
+    moments: dict[int, Moment] = field(default_factory=dict)
+    """Where odometry had the robot, by the time that messages are of."""
+    waiting: dict[int, tuple[int, int]] = field(default_factory=dict)
+    """Messages whose odometry may still come: the stamp, and when they came."""
+
+
+class Carrier:
+    """What carries the poses that a policy keeps. Times are in ns, or in Unix seconds where they are floats."""
+
+    def __init__(self) -> None:
+        self._poses: dict[str, _Pose] = {}
+        self._odometry: dict[str, _Odometry] = {}
+        self.revision = 0
+        """Grows whenever what must outlast a restart has changed."""
+
+    def follow(self, state: State) -> None:
+        """Carry what this policy says. What both the old and the new one carry by the same odometry stays."""
+        wanted = {topic.topic: topic.carried_by for topic in state.keep if topic.carried_by is not None}
+        before, self._poses = self._poses, {}
+        for name, by in wanted.items():
+            known = before.get(name)
+            same = known is not None and (known.by.topic, known.by.type) == (by.topic, by.type)
+            self._poses[name] = replace(known, by=by) if known is not None and same else _Pose(by)
+        self._odometry = {topic: self._odometry.get(topic, _Odometry()) for topic in self.topics}
+
+    @property
+    def topics(self) -> Mapping[str, str]:
+        """The odometry that is needed, with its types."""
+        return {pose.by.topic: pose.by.type for pose in self._poses.values()}
+
+    # -- taking in --------------------------------------------------------------------------------------------------
+
+    def kept(self, topic: str, data: bytes, *, taken_at: float) -> None:
+        """A message has come that may be kept."""
+        pose = self._poses.get(topic)
+        if pose is None:
+            return
+        try:
+            stamp = stamp_of(data)
+        except ValueError:
+            return  # it can't be restored either
+        time_ = _time(stamp, taken_at)
+        if time_ not in pose.moments:
+            pose.waiting[time_] = (stamp, round(taken_at / _SECOND))
+
+    def moved(self, topic: str, type_name: str, data: bytes, *, received_at: float, writer: bytes) -> None:
+        """Odometry has come."""
+        odometry = self._odometry.get(topic)
+        if odometry is None:
+            return
+        try:
+            said = read(type_name, data)
+        except ValueError as error:
+            odometry.problem = f"it can't be read: {error}"
+            return
+        odometry.problem = ""
+        point = Point(said.pose, said.stamp, round(received_at / _SECOND), said.frame, said.child, writer)
+        if reason := odometry.track.add(point):
+            if reason != odometry.begun:
+                _logger.warning("odometry on %s begins anew: %s", topic, reason)
+            odometry.begun = reason
+            for pose in self._poses.values():
+                if pose.by.topic == topic:
+                    pose.moments.clear()
+            self.revision += 1
+
+    def note(self, problems: Mapping[str, str]) -> None:
+        """Say why odometry can't come, by topic."""
+        for topic, odometry in self._odometry.items():
+            if topic in problems:
+                odometry.problem = problems[topic]
+            elif odometry.track.last is not None and not odometry.problem.startswith("it can't be read"):
+                odometry.problem = ""
+
+    def settle(self, now: float) -> None:
+        """Find where odometry had the robot at the times of the messages that have come, as far as it is known by now."""
+        for pose in self._poses.values():
+            for time_, (stamp, taken_at) in list(pose.waiting.items()):
+                late = now - taken_at * _SECOND > PATIENCE
+                moment = self._odometry[pose.by.topic].track.at(stamp, taken_at, last=late)
+                if moment is not None:
+                    pose.moments[time_] = moment
+                    self.revision += 1
+                if moment is not None or late:
+                    del pose.waiting[time_]
+
+    def prune(self, versions: Mapping[Key, Iterable[Version]]) -> None:
+        """Forget what belongs to no version that is kept (any more)."""
+        for topic, pose in self._poses.items():
+            kept = {_time_of(v.data, v.taken_at) for v in versions.get(Key("Topic", topic), ())} | pose.waiting.keys()
+            pose.moments = {time_: moment for time_, moment in pose.moments.items() if time_ in kept}
+
+    # -- giving out -------------------------------------------------------------------------------------------------
+
+    def carry(self, state: KeptState, now: float) -> KeptState:
+        """The state with what brings its poses to the present; without those that must not be given otherwise."""
+        if not self._poses:
+            return state
+        samples: list[KeptSample] = []
+        left_out = list(state.left_out)
+        self.settle(now)
+        for sample in state.samples:
+            motion = self._motion(sample, now)
+            if motion is not None and motion.missing and motion.required:
+                left_out.append(NotRestored(sample.name, motion.missing))
+            else:
+                samples.append(replace(sample, motion=motion))
+        return replace(state, samples=tuple(samples), left_out=tuple(left_out))
+
+    def reasons(self, state: KeptState, now: float) -> dict[str, str]:
+        """Why a pose of this state could not be carried now, by topic."""
+        found = ((sample.topic, self._motion(sample, now)) for sample in state.samples)
+        return {topic: motion.missing for topic, motion in found if motion is not None and motion.missing}
+
+    def _motion(self, sample: KeptSample, now: float) -> Motion | None:
+        pose = self._poses.get(sample.topic)
+        if pose is None:
+            return None
+        by = pose.by
+        odometry = self._odometry[by.topic]
+        last, present = odometry.track.last, odometry.track.present
+        moment = pose.moments.get(_time_of(sample.data, sample.taken_at))
+        missing = ""
+        if last is None or present is None:
+            missing = odometry.problem or _NOTHING
+        elif moment is None:
+            missing = (
+                f"it began anew since: {odometry.begun}" if odometry.begun else "it isn't known of the time of the pose"
+            )
+        if missing or last is None or present is None or moment is None:
+            return Motion(by.topic, by.type, by.required, f"it can't be carried by {by.topic}: {missing}")
+        unseen = now - last.received * _SECOND
+        return Motion(
+            topic=by.topic,
+            type=by.type,
+            required=by.required,
+            writer=last.writer,
+            frame=last.frame,
+            child=last.child,
+            then=moment.pose,
+            last=last.pose,
+            stamp=last.stamp,
+            received=last.received * _SECOND,
+            driven=max(present.driven - moment.driven, moment.pose.distance(last.pose)),
+            turned=max(present.turned - moment.turned, moment.pose.to(last.pose).angle),
+            blind=present.blind - moment.blind + (unseen if unseen > BLIND * _SECOND else 0.0),
+        )
+
+    # -- over time --------------------------------------------------------------------------------------------------
+
+    def shift(self, step: float) -> None:
+        """The clock was set by so many seconds."""
+        by = round(step / _SECOND)
+        for odometry in self._odometry.values():
+            odometry.track.shift(step)
+        for pose in self._poses.values():
+            # Messages that don't say of when they are go by this clock.
+            own = {time_ for time_, (stamp, _) in pose.waiting.items() if not stamp}
+            pose.waiting = {t + by * (t in own): (s, at + by) for t, (s, at) in pose.waiting.items()}
+
+    def packed(self, now: float) -> dict[Key, list[Version]]:
+        """What outlasts a restart, as what is kept is."""
+        found: dict[Key, list[Version]] = {}
+        for topic, odometry in self._odometry.items():
+            if data := odometry.track.pack():
+                found[_track_key(topic)] = [Version(now, now, data)]
+        for topic, pose in self._poses.items():
+            data = b"".join(_MOMENT.pack(time_, *m.pose, *m[1:]) for time_, m in pose.moments.items())
+            found[_moments_key(topic, pose.by)] = [Version(now, now, data)]
+        return found
+
+    def adopt(self, versions: Mapping[Key, Collection[Version]]) -> None:
+        """Take up what an earlier carrier knew. What is damaged is left out."""
+        for topic, odometry in self._odometry.items():
+            for version in versions.get(_track_key(topic), ()):
+                try:
+                    if odometry.track.last is None:
+                        odometry.track = Track.unpack(version.data)
+                        odometry.problem = ""
+                except ValueError as error:
+                    _logger.error("what is kept of %s is left out: %s", topic, error)
+        for topic, pose in self._poses.items():
+            for version in versions.get(_moments_key(topic, pose.by), ()):
+                whole = len(version.data) % _MOMENT.size == 0
+                if whole and self._odometry[pose.by.topic].track.last is not None:
+                    for time_, *values in _MOMENT.iter_unpack(version.data):
+                        pose.moments.setdefault(time_, Moment(Pose(*values[:7]), *values[7:]))
+
+
+def _track_key(topic: str) -> Key:
+    return Key("Topic", f"{topic} (odometry)")  # the names of topics have no spaces
+
+
+def _moments_key(topic: str, by: CarriedBy) -> Key:
+    return Key("Topic", f"{topic} (carried by {by.topic})")
+
+
+def _time(stamp: int, taken_at: float) -> int:
+    return stamp or round(taken_at / _SECOND)
+
+
+def _time_of(data: bytes, taken_at: float) -> int:
+    try:
+        return _time(stamp_of(data), taken_at)
+    except ValueError:
+        return 0

@@ -1,0 +1,169 @@
+"""Kept state in files that outlast the monitor's container.
+
+One file has everything small, with a checksum over all of it; what is large has a file of its own, named by its
+checksum and written once. Each file is replaced atomically and the first is written last, so that whatever moment a
+process is killed at, what is found is a state that was once kept. Files aren't synced: this guards against a killed
+process; what a lost node tore is noticed by the checksums and left out.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import os
+import struct
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from understudy.state.state_capture import Key, Version
+
+_logger = logging.getLogger(__name__)
+
+LARGE = 64 * 1024
+"""Bytes from which on a message has a file of its own."""
+
+_MAGIC = b"USK1"
+_HEADER = struct.Struct(">4s32sI")
+"""Magic, SHA-256 of all that follows it, length of the JSON part; the messages follow."""
+
+_BOOT = Path("/proc/sys/kernel/random/boot_id")
+
+
+class Shelf:
+    """A directory of kept state."""
+
+    def __init__(self, directory: Path) -> None:
+        self._directory = directory
+        self._blobs: set[str] = set()
+        self._boot = _boot()
+        self._made = False
+
+    @property
+    def _index(self) -> Path:
+        return self._directory / "kept"
+
+    def save(self, kept: Mapping[Key, Sequence[Version]]) -> None:
+        """Replace what is on the shelf. Raises OSError."""
+        if not self._made:
+            self._directory.mkdir(parents=True, exist_ok=True)
+        self._made = False  # until all went well
+        parts: list[bytes] = []
+        entries: list[list[object]] = []
+        needed: set[str] = set()
+        for key, versions in kept.items():
+            listed: list[tuple[float, float, int, int | str]] = []
+            types = [version.type for version in versions]
+            before: bytes | None = None
+            where: int | str = 0
+            for version in versions:
+                if version.data is not before:
+                    before, where = version.data, self._place(version.data, parts, needed)
+                listed.append((version.taken_at, version.good_from, len(version.data), where))
+            same = types[0] if len(set(types)) == 1 else types
+            entries.append([key.kind, key.name, same, listed])
+        clock = {"boot": self._boot, "offset": time.time() - time.clock_gettime(time.CLOCK_BOOTTIME)}
+        text = json.dumps({"clock": clock, "entries": entries}, separators=(",", ":")).encode()
+        body = struct.pack(">I", len(text)) + text + b"".join(parts)
+        _replace(self._index, _MAGIC + hashlib.sha256(body).digest() + body)
+        for name in self._blobs - needed:
+            (self._directory / name).unlink(missing_ok=True)
+        self._blobs, self._made = needed, True
+
+    def _place(self, data: bytes, parts: list[bytes], needed: set[str]) -> int | str:
+        """Where a message lies: its number among the small ones, or the name of its file."""
+        if len(data) < LARGE:
+            parts.append(data)
+            return len(parts) - 1
+        name = f"{hashlib.sha256(data).hexdigest()}.message"
+        if name not in self._blobs | needed:
+            _replace(self._directory / name, data)
+        needed.add(name)
+        return name
+
+    def load(self) -> dict[Key, list[Version]]:
+        """What is on the shelf, with its times moved where the clock was set since. What is damaged is left out."""
+        self._tidy()
+        try:
+            raw = self._index.read_bytes()
+        except FileNotFoundError:
+            return {}
+        except OSError as error:
+            _logger.error("kept state can't be read: %s", error)
+            return {}
+        try:
+            return self._read(raw)
+        except (ValueError, KeyError, TypeError, IndexError, struct.error) as error:
+            _logger.error("kept state in %s is damaged and left out: %s", self._index, error)
+            return {}
+
+    def _read(self, raw: bytes) -> dict[Key, list[Version]]:
+        magic, digest, length = _HEADER.unpack_from(raw)
+        if magic != _MAGIC:
+            raise ValueError("it isn't of this version")
+        if hashlib.sha256(memoryview(raw)[_HEADER.size - 4 :]).digest() != digest:
+            raise ValueError("the checksum is wrong")
+        document = json.loads(raw[_HEADER.size : _HEADER.size + length])
+        step = _clock_step(document["clock"])
+        place, parts = _HEADER.size + length, dict[object, bytes | None]()
+        found: dict[Key, list[Version]] = {}
+        for kind, name, types, versions in document["entries"]:
+            for index, (taken_at, good_from, size, where) in enumerate(versions):
+                if where not in parts:
+                    if isinstance(where, str):
+                        parts[where] = self._blob(where)
+                    else:
+                        parts[where] = raw[place : place + size]
+                        place += size
+                data, type_ = parts[where], types if isinstance(types, str) else types[index]
+                if data is not None:
+                    version = Version(taken_at + step, good_from + step, data, type_)
+                    found.setdefault(Key(kind, name), []).append(version)
+        return found
+
+    def _blob(self, name: str) -> bytes | None:
+        try:
+            data = (self._directory / Path(name).name).read_bytes()
+        except OSError as error:
+            _logger.error("a kept message can't be read and is left out: %s", error)
+            return None
+        if f"{hashlib.sha256(data).hexdigest()}.message" != name:
+            _logger.error("a kept message in %s is damaged and left out", name)
+            return None
+        self._blobs.add(name)
+        return data
+
+    def _tidy(self) -> None:
+        """Remove what a killed process had begun to write. Messages that nothing refers to go with the next save."""
+        try:
+            for path in self._directory.glob("*.new"):
+                path.unlink(missing_ok=True)
+            self._blobs = {path.name for path in self._directory.glob("*.message")}
+        except OSError as error:
+            _logger.warning("%s: %s", self._directory, error)
+
+
+def _replace(path: Path, data: bytes) -> None:
+    target = str(path)
+    temporary = f"{target}.new"
+    with open(temporary, "wb", buffering=0) as file:
+        view = memoryview(data)
+        while view:
+            view = view[file.write(view) :]
+    os.replace(temporary, target)
+
+
+def _boot() -> str:
+    try:
+        return _BOOT.read_text().strip()
+    except OSError:
+        return ""
+
+
+def _clock_step(clock: Mapping[str, object]) -> float:
+    """Seconds by which this node's clock was set since; 0 where it is another node, or was started anew."""
+    if not clock["boot"] or clock["boot"] != _boot():
+        return 0.0
+    step = time.time() - time.clock_gettime(time.CLOCK_BOOTTIME) - float(str(clock["offset"]))
+    return step if abs(step) > 0.05 else 0.0

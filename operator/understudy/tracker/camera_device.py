@@ -1,0 +1,176 @@
+"""A camera of this machine, read by OpenCV (V4L). No ROS is needed.
+
+A thread waits for images and keeps the newest; whoever looks for markers takes that one, and doesn't fall behind. A
+camera's own queue is emptied all the time, since what waits in it is old.
+"""
+
+from __future__ import annotations
+
+import errno
+import math
+import os
+import stat
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from understudy.tracker.configuration import Device
+from understudy.tracker.image_messages import Gray, Unusable
+
+AGAIN = 1.0
+"""Seconds after which a camera that has gone, or isn't there yet, is looked for again."""
+
+EARLY = 0.1
+"""The part of the period between images by which one may come early."""
+
+FASTEST = 240.0
+"""Hz that a video is played at, at most; a file that says more doesn't know its rate."""
+
+PATTERN = "%"
+"""What is in the path of a numbered sequence of pictures, such as image%04d.png."""
+
+
+class Frame(NamedTuple):
+    """An image and when it was taken."""
+
+    stamp: int
+    """Nanoseconds of Unix time at which it came out of the camera."""
+    image: Gray
+
+
+class Footage:
+    """Gives the newest image of a camera, and looks for it again where it has gone."""
+
+    def __init__(self, device: Device, size: tuple[int, int]) -> None:
+        """``size`` is the width and the height of the images that it is asked for, in pixels."""
+        self._device, self._size = device, size
+        self._newest: Frame | Unusable | None = None
+        self._came = threading.Condition()
+        self._ended = threading.Event()
+        # A camera that hangs keeps its reader waiting for up to ten seconds; the process need not.
+        self._thread = threading.Thread(target=self._run, name="camera", daemon=True)
+        self._thread.start()
+
+    def take(self, timeout: float) -> Frame | None:
+        """The newest image that wasn't taken yet, or the next one; None where none comes in so many seconds.
+
+        Raises Unusable, with what is wrong, each time that the camera can't be used.
+        """
+        with self._came:
+            self._came.wait_for(lambda: self._newest is not None, timeout)
+            newest, self._newest = self._newest, None
+        if isinstance(newest, Unusable):
+            raise newest
+        return newest
+
+    def close(self) -> None:
+        """Let go of it."""
+        self._ended.set()
+        self._thread.join(AGAIN)
+
+    def _run(self) -> None:
+        while not self._ended.is_set():
+            try:
+                self._film()
+            except Unusable as error:
+                self._say(error)
+            except cv2.error as error:
+                self._say(Unusable(f"{self._device.path}: OpenCV can't read it: {error}"))
+            self._ended.wait(AGAIN)
+
+    def _say(self, newest: Frame | Unusable) -> None:
+        with self._came:
+            self._newest = newest
+            self._came.notify()
+
+    def _film(self) -> None:
+        """Keep the newest image for as long as there are more. Raises Unusable."""
+        period = (1 - EARLY) / self._device.rate
+        with _opened(self._device, self._size) as (capture, pause):
+            last = -math.inf
+            while not self._ended.wait(pause):
+                if not capture.grab():
+                    raise Unusable(
+                        f"{self._device.path} has ended, and is played again"
+                        if pause
+                        else f"{self._device.path} gives no more images: is it still connected?"
+                    )
+                stamp, now = time.time_ns(), time.monotonic()
+                if now - last < period:
+                    continue
+                got, image = capture.retrieve()
+                if not got:
+                    raise Unusable(f"{self._device.path} gave an image that OpenCV can't decode: try another format")
+                last = now
+                self._say(Frame(stamp, _gray(np.asarray(image, np.uint8))))
+
+
+@contextmanager
+def _opened(device: Device, size: tuple[int, int]) -> Iterator[tuple[cv2.VideoCapture, float]]:
+    """What is read, and for how many seconds to wait before each image: a camera has a pace of its own. Raises Unusable."""
+    camera = _is_camera(device.path)
+    capture = cv2.VideoCapture(device.path, cv2.CAP_V4L2 if camera else cv2.CAP_ANY)
+    try:
+        if not capture.isOpened():
+            raise Unusable(
+                f"camera.device.path: {device.path} gives no images: another program has it, or it is no camera (V4L2 video "
+                f"capture), as all but one of the devices that a camera may have{_cameras()}"
+                if camera
+                else f"camera.device.path: {device.path} is neither a camera nor a video that OpenCV can read"
+            )
+        if not camera:
+            rate = capture.get(cv2.CAP_PROP_FPS)
+            yield capture, 1 / rate if 1 <= rate <= FASTEST else 1 / device.rate
+            return
+        # What a camera codes images as decides which sizes it has, and these which rates.
+        if device.format is not None:
+            capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*device.format))
+        capture.set(cv2.CAP_PROP_FRAME_WIDTH, size[0])
+        capture.set(cv2.CAP_PROP_FRAME_HEIGHT, size[1])
+        capture.set(cv2.CAP_PROP_FPS, device.rate)
+        yield capture, 0.0
+    finally:
+        capture.release()
+
+
+def _is_camera(path: str) -> bool:
+    """Whether it is a device, and can be opened. Raises Unusable, with why not."""
+    if PATTERN in path:
+        return False
+    try:
+        camera = stat.S_ISCHR(os.stat(path).st_mode)
+        # OpenCV says no more than that it could not.
+        os.close(os.open(path, (os.O_RDWR if camera else os.O_RDONLY) | os.O_NONBLOCK))
+    except OSError as error:
+        raise Unusable(refused(path, error)) from error
+    return camera
+
+
+def refused(path: str, error: OSError) -> str:
+    """Why a camera can't be opened, and the way out."""
+    said = f"camera.device.path: {path} can't be opened: {error.strerror}"
+    match error.errno:
+        case errno.ENOENT | errno.ENXIO | errno.ENODEV:
+            return f"{said}: is the camera connected, and in a container, its device there?{_cameras()}"
+        case errno.EACCES:
+            return f"{said}: user {os.getuid()} may not; add the group that the device belongs to (in a pod, supplementalGroups)"
+        case errno.EPERM:
+            return f"{said}: this container may not use devices; have a device plugin give it to the pod, or make it privileged"
+        case errno.EBUSY:
+            return f"{said}: another program has it"
+    return said
+
+
+def _cameras() -> str:
+    found = sorted(str(path) for path in Path("/dev").glob("video*"))
+    return f"; there are {', '.join(found)}" if found else "; there is no /dev/video* here"
+
+
+def _gray(image: Gray) -> Gray:
+    return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY).astype(np.uint8, copy=False)

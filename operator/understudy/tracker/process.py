@@ -1,0 +1,81 @@
+"""``understudy tracker FILE``: the tracker's process; with ``--check`` it only says whether the file can be used."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import os
+import signal
+import sys
+import threading
+from pathlib import Path
+
+from understudy.process import json_logs
+from understudy.tracker.configuration import ConfigurationError, read
+
+_logger = logging.getLogger(__name__)
+
+TURN = 0.5
+"""Seconds after which it is looked whether the process is to end."""
+
+NEEDS = {"cv2": "opencv-python-headless", "rclpy": "ros-jazzy-rclpy"}
+
+
+def main(argv: list[str]) -> int:
+    """Run until SIGTERM or SIGINT. Exit status 2 where it is not told what to do, or can't be used as it is installed."""
+    parser = argparse.ArgumentParser(
+        prog="understudy tracker",
+        description="Publishes where robots with ArUco markers are and how fast they move, as a camera sees them.",
+        epilog="Exit status: 0 where it was told to end, or where --check finds nothing wrong, 2 where it isn't told what to do, or "
+        "can't do it as it is installed.",
+    )
+    parser.add_argument(
+        "file", nargs="?", type=Path, default=os.environ.get("UNDERSTUDY_TRACKER"), metavar="FILE",
+        help="what says which camera and which markers; without it, what UNDERSTUDY_TRACKER names",
+    )  # fmt: skip
+    parser.add_argument("--check", action="store_true", help="only say whether the file can be used")
+    arguments = parser.parse_args(argv)
+    if arguments.file is None:
+        parser.error("give the configuration's FILE, or set UNDERSTUDY_TRACKER to it")
+    try:
+        configuration = read(Path(arguments.file))
+        if (device := configuration.camera.device) is not None:
+            from understudy.tracker import camera_calibration
+
+            camera_calibration.read(Path(device.calibration))
+    except ConfigurationError as error:
+        print(error, file=sys.stderr)
+        return 2
+    except ModuleNotFoundError as error:
+        return _missing(error)
+    if arguments.check:
+        print(f"{arguments.file} can be used")
+        return 0
+    json_logs.configure(os.environ.get("UNDERSTUDY_LOG_LEVEL", "INFO"))
+    try:
+        from understudy.tracker.tracker_node import Tracker
+    except ModuleNotFoundError as error:
+        return _missing(error)
+    told = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: told.set())
+    import cv2
+
+    cv2.setNumThreads(1)  # an image is small; threads would cost more than they save
+    tracker = Tracker(configuration)
+    names = ", ".join(f"{marker.name} on {marker.base}" for marker in configuration.markers)
+    _logger.info("tracking %s by %s", names, configuration.camera.source)
+    try:
+        while not told.is_set():
+            tracker.turn(TURN)
+    finally:
+        tracker.close()
+    _logger.info("ended")
+    return 0
+
+
+def _missing(error: ModuleNotFoundError) -> int:
+    package = NEEDS.get(error.name or "", error.name)
+    message = f"{package} is not installed: pip install '.[ros,tracker]' in understudy's repository"
+    print(f"understudy tracker: {message}", file=sys.stderr)
+    return 2

@@ -1,0 +1,97 @@
+"""Images in, poses and velocities of robots out; all of the tracker but its place in the ROS graph."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from understudy.kinematics.velocities import Seen, Velocities, Velocity
+from understudy.tracker.aruco_markers import Corners, Detector
+from understudy.tracker.configuration import Configuration, Marker
+from understudy.tracker.floor_projection import Misfit, Placed, View, place, view_by, view_of
+from understudy.tracker.image_messages import Calibration, Gray, Unusable
+
+REFERENCE_IMAGES = 20
+"""Images with all reference markers in them over which these are averaged, once: neither they nor the camera move."""
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """A robot that was seen."""
+
+    marker: Marker
+    corners: Corners
+    placed: Placed
+    velocity: Velocity | None
+    """None until it has been seen for long enough."""
+
+
+class Locator:
+    """Finds the robots of a configuration."""
+
+    def __init__(self, configuration: Configuration) -> None:
+        self._configuration = configuration
+        self._markers = {marker.id: marker for marker in configuration.markers}
+        self._velocities = {number: Velocities(configuration.window) for number in self._markers}
+        self._detector = Detector(configuration.dictionary)
+        self._calibration: Calibration | None = None
+        self._references: list[list[Corners]] = []
+        pose = configuration.camera.pose
+        self.view: View | None = view_of(pose) if pose is not None else None
+        """Where the camera is; None until its reference markers have told."""
+        self.problems: list[str] = []
+        """What was wrong with the last image."""
+
+    def calibrate(self, calibration: Calibration) -> None:
+        """How the camera's pixels look into space."""
+        self._calibration = calibration
+
+    def see(self, image: Gray, stamp: float) -> list[Sighting]:
+        """The robots in an image, which was taken at a time in seconds. Raises Unusable."""
+        calibration = self._calibration
+        if calibration is None:
+            raise Unusable(f"nothing was received on {self._configuration.camera.calibration} yet")
+        height, width = image.shape
+        if calibration.width and (calibration.width, calibration.height) != (width, height):
+            raise Unusable(
+                f"it has {width} x {height} pixels, but {self._configuration.camera.calibration} is for "
+                f"{calibration.width} x {calibration.height}"
+            )
+        self.problems = []
+        try:
+            found = self._detector.find(image)
+        except cv2.error as error:
+            raise Unusable(f"OpenCV can't look for markers in it: {error}") from error
+        if self.view is None:
+            self._look_for_references(found, calibration)
+        if self.view is None:
+            return []
+        sightings = []
+        for number in sorted(found.keys() & self._markers.keys()):
+            marker = self._markers[number]
+            try:
+                placed = place(found[number], marker, calibration, self.view, self._configuration.noise)
+            except Misfit as error:
+                self.problems.append(str(error))
+                continue
+            variances = tuple(float(placed.covariance[index, index]) for index in range(3))
+            seen = Seen(stamp, placed.x, placed.y, placed.heading, (variances[0], variances[1], variances[2]))
+            sightings.append(Sighting(marker, found[number], placed, self._velocities[number].add(seen)))
+        return sightings
+
+    def _look_for_references(self, found: dict[int, Corners], calibration: Calibration) -> None:
+        references = self._configuration.camera.references
+        if missing := [str(reference.id) for reference in references if reference.id not in found]:
+            self.problems.append(f"the markers {', '.join(missing)} of camera.references aren't seen yet")
+            return
+        self._references.append([found[reference.id] for reference in references])
+        if len(self._references) < REFERENCE_IMAGES:
+            return
+        means = [np.asarray(np.mean(corners, axis=0), np.float64) for corners in zip(*self._references, strict=True)]
+        self._references = []
+        try:
+            self.view = view_by(list(zip(references, means, strict=True)), calibration)
+        except Misfit as error:
+            self.problems.append(str(error))

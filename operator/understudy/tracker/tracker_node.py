@@ -1,0 +1,220 @@
+"""The tracker's node: images and their calibration in, poses and odometry out."""
+
+from __future__ import annotations
+
+import logging
+import math
+import re
+import time
+from pathlib import Path
+from typing import Any
+
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from nav_msgs.msg import Odometry
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import CameraInfo, Image
+
+from understudy.kinematics.velocities import Velocity
+from understudy.ros.runtime.node_options import own_context, plain_node
+from understudy.tracker import camera_calibration
+from understudy.tracker.camera_device import Footage
+from understudy.tracker.configuration import Configuration
+from understudy.tracker.floor_projection import Placed
+from understudy.tracker.image_messages import Gray, Unusable, calibration, gray
+from understudy.tracker.robot_location import Locator, Sighting
+
+_logger = logging.getLogger(__name__)
+
+SAY_AGAIN = 30.0
+"""Seconds after which a problem that is still there is logged again."""
+
+WITHOUT_IMAGE = 20
+"""Calibrations, of which one comes with each image, after the last image."""
+
+_FIGURE = re.compile(r"[0-9.]+")
+"""What differs from one image to the next while a problem stays."""
+
+FIXED = 1e-6
+"""m2, rad2 and their like for speeds: the variance of what a robot on the floor can't do, such as flying."""
+
+
+class Tracker:
+    """Joins the ROS graph, and serves it while it is turned."""
+
+    def __init__(self, configuration: Configuration, *, context: Context | None = None) -> None:
+        """In a context that is there already, or in one of its own.
+
+        Raises ConfigurationError where a device's calibration can't be used.
+        """
+        self._locator = Locator(configuration)
+        self._camera = configuration.camera
+        device = configuration.camera.device
+        known = camera_calibration.read(Path(device.calibration)) if device is not None else None
+        self._context = context or own_context()
+        self.node = plain_node("understudy_tracker", self._context)
+        self._publishers: dict[int, tuple[Any, Any]] = {
+            marker.id: (
+                self.node.create_publisher(PoseWithCovarianceStamped, f"{marker.base}/pose", 10),
+                self.node.create_publisher(Odometry, f"{marker.base}/odometry", 10),
+            )
+            for marker in configuration.markers
+        }
+        self._device: Footage | None = None
+        if device is not None and known is not None:
+            self._locator.calibrate(known)
+            self._device = Footage(device, (known.width, known.height))
+        else:
+            self._subscribe()
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        self._said: dict[str, float] = {}
+        self._placed = self._locator.view is not None
+        self._info: tuple[Any, ...] | None = None
+        self._without_image = 0
+
+    def _subscribe(self) -> None:
+        # A reader that asks for no more than best effort matches every camera. Only the newest image is of use.
+        reliability = ReliabilityPolicy.RELIABLE if self._camera.reliable else ReliabilityPolicy.BEST_EFFORT
+        newest = QoSProfile(depth=1, reliability=reliability)
+        self.node.create_subscription(Image, self._camera.source, self._on_image, newest)
+        self.node.create_subscription(CameraInfo, self._camera.calibration, self._on_calibration, newest)
+
+    def turn(self, timeout: float) -> None:
+        """Serve what has come, or wait so many seconds for something."""
+        if self._device is None:
+            self._executor.spin_once(timeout_sec=timeout)
+            return
+        try:
+            frame = self._device.take(timeout)
+        except Unusable as error:
+            self._problem(str(error))
+            return
+        if frame is not None:
+            seconds, rest = divmod(frame.stamp, 1_000_000_000)
+            self._see(frame.image, Time(sec=seconds, nanosec=rest))
+
+    def close(self) -> None:
+        """Leave the graph, and let go of the camera."""
+        if self._device is not None:
+            self._device.close()
+        self._executor.shutdown()
+        self.node.destroy_node()
+        self._context.try_shutdown()
+
+    def _on_calibration(self, message: Any) -> None:
+        self._without_image += 1
+        if self._without_image >= WITHOUT_IMAGE:
+            self._problem(self._no_images())
+        # It comes with each image, and is nearly always the same.
+        info = (message.width, message.height, message.distortion_model, tuple(message.k), tuple(message.d))
+        if info == self._info:
+            return
+        try:
+            self._locator.calibrate(calibration(message))
+        except Unusable as error:
+            self._problem(f"the calibration on {self._camera.calibration} can't be used: {error}")
+            return
+        self._info = info
+        _logger.info("calibration of %d x %d pixels from %s", message.width, message.height, self._camera.calibration)
+
+    def _no_images(self) -> str:
+        text = f"calibrations come on {self._camera.calibration}, and no image on {self._camera.source}: "
+        if self._camera.reliable:
+            return (
+                f"{text}nobody publishes there, or what is published can't be asked for: set camera.reliable to false"
+            )
+        return f"{text}nobody publishes there, or images are lost on the way, as large ones may be: set camera.reliable to true"
+
+    def _on_image(self, message: Any) -> None:
+        self._without_image = 0
+        stamp = message.header.stamp
+        if not stamp.sec and not stamp.nanosec:
+            self._problem(f"the images on {self._camera.source} have no stamp: the time of their receipt is taken")
+            stamp = self.node.get_clock().now().to_msg()
+        try:
+            image = gray(message)
+        except Unusable as error:
+            self._problem(self._unusable(error))
+            return
+        self._see(image, stamp)
+
+    def _unusable(self, error: Unusable) -> str:
+        return f"an image {'of' if self._device is not None else 'on'} {self._camera.source} can't be used: {error}"
+
+    def _see(self, image: Gray, stamp: Any) -> None:
+        try:
+            sightings = self._locator.see(image, stamp.sec + stamp.nanosec * 1e-9)
+        except Unusable as error:
+            self._problem(self._unusable(error))
+            return
+        for problem in self._locator.problems:
+            self._problem(problem)
+        if self._locator.view is not None and not self._placed:
+            self._placed = True
+            x, y, z = self._locator.view.place
+            _logger.info("the camera is at %.3f %.3f %.3f m by its references", x, y, z)
+        for sighting in sightings:
+            self._publish(sighting, stamp)
+
+    def _publish(self, sighting: Sighting, stamp: Any) -> None:
+        on_pose, on_odometry = self._publishers[sighting.marker.id]
+        on_pose.publish(pose_of(sighting, self._camera.frame, stamp))
+        if (said := odometry_of(sighting, self._camera.frame, stamp)) is not None:
+            on_odometry.publish(said)
+
+    def _problem(self, text: str) -> None:
+        """Log a problem, but not with every image."""
+        now, kind = time.monotonic(), _FIGURE.sub("", text)
+        if now - self._said.get(kind, float("-inf")) >= SAY_AGAIN:
+            self._said = {said: when for said, when in self._said.items() if now - when < SAY_AGAIN}
+            self._said[kind] = now
+            _logger.warning("%s", text)
+
+
+def pose_of(sighting: Sighting, frame: str, stamp: Any) -> Any:
+    """Where a robot was seen, as geometry_msgs/PoseWithCovarianceStamped; ``stamp`` as in a header."""
+    message = PoseWithCovarianceStamped()
+    message.header.stamp, message.header.frame_id = stamp, frame
+    _fill_pose(message.pose, sighting.placed)
+    return message
+
+
+def odometry_of(sighting: Sighting, frame: str, stamp: Any) -> Any | None:
+    """The same with its velocity, as nav_msgs/Odometry; None while that isn't known yet."""
+    if sighting.velocity is None:
+        return None
+    message = Odometry()
+    message.header.stamp, message.header.frame_id = stamp, frame
+    message.child_frame_id = sighting.marker.frame or sighting.marker.name
+    _fill_pose(message.pose, sighting.placed)
+    _fill_twist(message.twist, sighting.velocity)
+    return message
+
+
+def _fill_pose(message: Any, placed: Placed) -> None:
+    message.pose.position.x, message.pose.position.y = placed.x, placed.y
+    message.pose.orientation.z = math.sin(placed.heading / 2)
+    message.pose.orientation.w = math.cos(placed.heading / 2)
+    covariance = _diagonal()
+    for row, place in enumerate((0, 1, 5)):
+        for column, other in enumerate((0, 1, 5)):
+            covariance[6 * place + other] = float(placed.covariance[row, column])
+    message.covariance = covariance
+
+
+def _fill_twist(message: Any, velocity: Velocity) -> None:
+    message.twist.linear.x, message.twist.linear.y = velocity.forward, velocity.left
+    message.twist.angular.z = velocity.turn
+    covariance = _diagonal()
+    for row in range(2):
+        for column in range(2):
+            covariance[6 * row + column] = velocity.covariance[row][column]
+    covariance[35] = velocity.turn_variance
+    message.covariance = covariance
+
+
+def _diagonal() -> list[float]:
+    return [FIXED if index % 7 == 0 else 0.0 for index in range(36)]

@@ -1,0 +1,179 @@
+"""Leaves that are told again and again whether a condition holds, and remember since when it does or doesn't."""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Generic, NamedTuple, TypeVar
+
+from understudy.trees.core.leaf import Leaf, State, duration
+from understudy.trees.core.observations import Evidence, Glance
+from understudy.trees.core.task_activity import TaskActive, situation
+
+Seen = TypeVar("Seen", bound=Evidence)
+
+
+class Said(NamedTuple):
+    """What a message, or other evidence, says of a condition."""
+
+    holds: bool
+    """False too where it can't be told: what must hold has to be seen to."""
+    why: str
+    """Why it doesn't hold, in plain words with figures; empty where it does."""
+    starting: bool = False
+    """Whether it doesn't because of something that is still starting, in which it has never held."""
+
+
+@dataclass
+class Track(Generic[Seen]):
+    """What the messages (or other evidence) of one instance have said. Times are Unix seconds."""
+
+    since: float = math.nan
+    """Which instance: when it took control."""
+    seen: Seen | None = None
+    """The newest message that was looked into."""
+    received: float = 0.0
+    """When that was received, by the clock at that time."""
+    held: bool = False
+    """Whether the condition has held once."""
+    heard: float | None = None
+    """When the last message that says anything of it was received."""
+    good: float | None = None
+    """When the last message with which it held was received."""
+    bad: float | None = None
+    """When the first of the messages was received since which it doesn't hold; None while it holds."""
+    why: str = ""
+    """Why it doesn't, by that message: a text that stays while the failure does."""
+
+    def note(self, said: Said, content: Seen) -> None:
+        """Note what a message says."""
+        self.heard = content.received
+        if said.holds:
+            self.held, self.good, self.bad, self.why = True, content.received, None, ""
+            return
+        if said.starting:
+            self.held = False
+        if self.bad is None:
+            self.bad, self.why = content.received, said.why
+
+    def shift(self) -> None:
+        """Follow a step of the clock, with which the time of the newest message was moved."""
+        if self.seen is None or self.seen.received == self.received:
+            return
+        step = self.seen.received - self.received
+        self.received = self.seen.received
+        self.heard = self.heard + step if self.heard is not None else None
+        self.good = self.good + step if self.good is not None else None
+        self.bad = self.bad + step if self.bad is not None else None
+
+
+class EvidenceLeaf(Leaf, Generic[Seen]):
+    """Holds while what is received says so: failed once they have said otherwise for ``hold_off`` seconds.
+
+    That moment is exact, whether more comes until then or not. Before the first evidence, and until the condition
+    has held for the first time, it is starting for as long as the grace lasts.
+    """
+
+    def __init__(self, path: str, topic: str, glance: Glance, *, hold_off: float, tasks: Sequence[TaskActive]) -> None:
+        super().__init__(path, topic, glance, tasks)
+        self.hold_off = hold_off
+        self._track: Track[Seen] = Track()
+
+    @abstractmethod
+    def fresh(self, track: Track[Seen]) -> list[Seen]:
+        """What the instance has given that hasn't been looked into, oldest first."""
+
+    @abstractmethod
+    def said(self, content: Seen, failed: bool) -> Said | None:
+        """What it says of the condition, which has ``failed`` before or not; None where it says nothing of it."""
+
+    @abstractmethod
+    def condition(self) -> str:
+        """The condition in words, such as ``percentage > 0.15 of /battery_state``."""
+
+    def awaited(self) -> str:
+        """What must come first, in words."""
+        return self.topic
+
+    def forget(self) -> None:
+        """Forget what messages of another instance have said."""
+
+    # -- what has been said -----------------------------------------------------------------------------------------
+
+    def followed(self) -> Track[Seen]:
+        """What has been said until the glance's moment; looks into everything once."""
+        glance, track = self._glance, self._track
+        if track.since != glance.since:
+            track = self._track = Track(glance.since)
+            self.forget()
+        track.shift()
+        for content in self.fresh(track):
+            failed = track.held and track.bad is not None and content.received >= track.bad + self.hold_off
+            if (said := self.said(content, failed)) is not None:
+                track.note(said, content)
+            track.seen, track.received = content, content.received
+        return track
+
+    # -- the state --------------------------------------------------------------------------------------------------
+
+    def lost(self, track: Track[Seen]) -> float:
+        """When the condition has failed if nothing more arrives, in Unix seconds."""
+        return max(track.bad, self.begun()) + self.hold_off if track.bad is not None else math.inf
+
+    def begun(self) -> float:
+        """When its clocks begin at the earliest: with the task that it is for, if the instance was in control by then."""
+        found = situation(self.tasks, self._glance) if self.tasks else None
+        return found.active if found is not None and found.active >= self._glance.since else -math.inf
+
+    def _limits(self, track: Track[Seen]) -> tuple[float, float]:
+        """Until when it is healthy, and when it fails, if nothing more arrives; between them it is starting."""
+        glance = self._glance
+        if not self.tasks:
+            if not track.held:
+                return -math.inf, glance.in_time
+            healthy = self.lost(track)
+            return healthy, healthy
+        found = situation(self.tasks, glance)
+        if found is None:
+            return math.inf, math.inf
+        lost = self.lost(track)
+        healthy = max(found.settled, lost) if track.held or lost < math.inf else found.settled
+        # Grace is for an instance with which it hasn't held yet.
+        return healthy, healthy if track.held else max(healthy, glance.in_time)
+
+    def state(self) -> State:
+        """The state at the glance's moment."""
+        healthy, fails = self._limits(self.followed())
+        if self._glance.now < healthy:
+            return "Healthy"
+        return "Starting" if self._glance.now < fails else "Failed"
+
+    def healthy_until(self) -> float | None:
+        """When it is no longer healthy; None where it isn't healthy."""
+        healthy, _ = self._limits(self.followed())
+        return healthy if self._glance.now < healthy else None
+
+    def changes(self) -> list[float]:
+        """The moments after the glance's at which the state may be another with no further message."""
+        return [m for m in self._limits(self.followed()) if self._glance.now < m < math.inf]
+
+    def last(self) -> float | None:
+        """When all was last well: when a message with which it held was received, or its task became active."""
+        return self._last_with_task(self.followed().good)
+
+    def _plain_reason(self, state: State) -> str:
+        track, condition = self.followed(), self.condition()
+        if track.good is None and track.bad is None:
+            return self._unheard(state, self.awaited())
+        if state == "Healthy":
+            return f"{condition} holds" if track.held else f"{condition} isn't asked for yet"
+        why = f" ({track.why})" if track.why else ""
+        if state == "Starting":
+            return f"{condition} has not held yet{why}"
+        if not track.held and not self.tasks:
+            return f"{condition} has not held within {duration(self._glance.grace)} of the start{why}"
+        if self.hold_off:
+            return f"{condition} has not held for {duration(self.hold_off)}{why}"
+        return f"{condition} does not hold{why}"

@@ -1,0 +1,80 @@
+"""How a health tree is at this moment, as plain values: for a terminal, for a page and for tools."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from py_trees.behaviour import Behaviour
+from py_trees.composites import Parallel, Sequence
+from py_trees.decorators import Inverter
+
+from understudy.trees.core.composites import AnyOf
+from understudy.trees.core.health_tree import HealthTree
+from understudy.trees.core.leaf import STATE, Leaf, State
+from understudy.trees.core.observations import Observations
+from understudy.trees.core.task_activity import While
+
+Shown = State | Literal["Idle", "Unasked"]
+"""How a node is. Idle: the task that it is for isn't active. Unasked: what comes before it in a sequence doesn't hold."""
+
+Snapshot = dict[str, Any]
+"""A node: ``name``, ``kind``, ``state`` and ``reason``; of a leaf also ``topic``, where its messages are received the number
+``received`` so far and the ``age`` of the last one in seconds; of a composite ``children``."""
+
+_KINDS: tuple[tuple[type[Behaviour], str], ...] = (
+    (While, "while"),
+    (Parallel, "parallel"),
+    (Sequence, "sequence"),
+    (AnyOf, "selector"),
+    (Inverter, "inverter"),
+)
+
+
+def snapshot(tree: HealthTree, observations: Observations, now: float) -> Snapshot | None:
+    """The tree as it was at its last evaluation; None where nothing of it can be judged. ``now`` in Unix seconds."""
+    return _node(tree.root, observations, now) if tree.root is not None else None
+
+
+def states(tree: HealthTree) -> tuple[Shown, ...]:
+    """How each of its nodes was at the last evaluation: a tenth of the work of a snapshot."""
+    return tuple(shown(node) for node in tree.root.iterate()) if tree.root is not None else ()
+
+
+def shown(node: Behaviour) -> Shown:
+    """How a node was at the last evaluation."""
+    if node.status not in STATE:
+        return "Unasked"
+    if isinstance(node, Leaf | While) and not node.counts():
+        return "Idle"
+    return STATE[node.status]
+
+
+def _node(node: Behaviour, observations: Observations, now: float) -> Snapshot:
+    state = shown(node)
+    if isinstance(node, Leaf):
+        return _leaf(node, state, observations, now)
+    found: Snapshot = {"name": node.name, "kind": _kind(node), "state": state, "reason": ""}
+    if isinstance(node, While):
+        found["task"] = node.task.action
+    found["children"] = [_node(child, observations, now) for child in node.children]
+    return found
+
+
+def _leaf(leaf: Leaf, state: Shown, observations: Observations, now: float) -> Snapshot:
+    reason = leaf.feedback_message if state in ("Failed", "Starting") else ""
+    found: Snapshot = {"name": leaf.name, "kind": _kind(leaf), "state": state, "reason": reason, "topic": leaf.topic}
+    record = observations.topic(leaf.topic) if leaf.hears else None
+    if record is not None:
+        found["received"] = record.count
+        found["age"] = round(max(0.0, now - record.last), 3) if record.last is not None else None
+    return found
+
+
+def _kind(node: Behaviour) -> str:
+    """What it is called in the short form."""
+    for kind, name in _KINDS:
+        if isinstance(node, kind):
+            return name
+    if isinstance(node, Leaf) and node.kind:
+        return node.kind
+    return type(node).__name__.removesuffix("Leaf").lower()

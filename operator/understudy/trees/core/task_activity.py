@@ -1,0 +1,77 @@
+"""What makes a part of a health tree count: a task that is being worked on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from py_trees.behaviour import Behaviour
+from py_trees.common import Status
+from py_trees.decorators import Decorator
+
+from understudy.trees.core.observations import Glance
+
+STATUS_TYPE = "action_msgs/msg/GoalStatusArray"
+
+WORKED_ON = (2, 3)
+"""Statuses of a goal that make a task active (action_msgs/msg/GoalStatus): executing and canceling. One that is only accepted
+isn't: nobody works on it (yet), as on a goal of the task proxy between two instances."""
+
+SETTLE = 2.0
+"""Seconds after a task has become active in which what it needs may start, where the tree doesn't say."""
+
+
+@dataclass(frozen=True)
+class TaskActive:
+    """Holds while an action has a goal that is being executed or cancelled."""
+
+    action: str
+    settle: float = SETTLE
+    """Seconds."""
+
+    @property
+    def topic(self) -> str:
+        """Where the action's server says how its goals are (ROS 2 design: actions)."""
+        return f"{self.action}/_action/status"
+
+    def since(self, glance: Glance) -> float | None:
+        """When it became active, in Unix seconds; None while it isn't."""
+        return glance.observations.task(self.topic)
+
+
+@dataclass(frozen=True)
+class Situation:
+    """Times that a leaf is judged by, in Unix seconds."""
+
+    active: float
+    """When the last of the tasks that it is for became active: its clock begins there at the earliest."""
+    settled: float
+    """Until when what it looks at may take to start."""
+
+
+def situation(tasks: Sequence[TaskActive], glance: Glance) -> Situation | None:
+    """The situation of a leaf that is for some tasks; None while one of them isn't active, so that it isn't judged."""
+    active = settled = float("-inf")
+    for task in tasks:
+        since = task.since(glance)
+        if since is None:
+            return None
+        active, settled = max(active, since), max(settled, since + task.settle)
+    return Situation(active, settled)
+
+
+class While(Decorator):
+    """Its node's verdict while a task is active, else success."""
+
+    def __init__(self, name: str, child: Behaviour, task: TaskActive, glance: Glance) -> None:
+        super().__init__(name, child)
+        self.task = task
+        self._glance = glance
+
+    def counts(self) -> bool:
+        """Whether its node is judged at the glance's moment."""
+        return self.task.since(self._glance) is not None
+
+    def update(self) -> Status:
+        """The node's own, where it counts."""
+        return self.decorated.status if self.counts() else Status.SUCCESS

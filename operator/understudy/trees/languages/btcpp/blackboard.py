@@ -1,0 +1,89 @@
+"""Blackboard entries: constants that a <SubTree> is given. Nothing in a health tree writes, so they are known beforehand."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from understudy.trees.languages.btcpp.xml_elements import Element
+from understudy.trees.source.problems import did_you_mean
+from understudy.trees.source.value_reader import found_text
+
+Board = Mapping[str, str | None]
+"""Values by entry; None where one couldn't be read, which was said already."""
+
+JSON = "json:"
+"""What stands before a value that is JSON (basic_types.h of BehaviorTree.CPP 4.6), which may have braces then."""
+
+SAME = "="
+"""``{=}`` is the entry that is called like the port."""
+
+
+def entry(value: str, port: str) -> str | None:
+    """The entry that a port's value names, None where it is a plain value. Raises ValueError for a part of a value."""
+    text = value.strip()
+    if text.startswith(JSON):
+        return None
+    inner = text[1:-1].strip() if text.startswith("{") and text.endswith("}") else None
+    if inner is not None and "{" not in inner and "}" not in inner:
+        return port if inner == SAME else inner
+    if ("{" in value or "}" in value) and ":" in value:
+        raise ValueError(_mapping(value))
+    if "{" in value or "}" in value:
+        raise ValueError(f"found {found_text(value)}; a blackboard entry is a whole value, such as {{scan}}")
+    return None
+
+
+def _mapping(value: str) -> str:
+    right = 'json:{"data": "hello"}'
+    return f"found {found_text(value)}; braces alone are a blackboard entry, and a mapping has json: in front, such as {right}"
+
+
+def resolve(value: str, port: str, board: Board) -> str | None:
+    """A port's value; None where the entry it names couldn't be read. Raises ValueError where there is no such entry."""
+    name = entry(value, port)
+    if name is None:
+        return value
+    if name in board:
+        return board[name]
+    if ":" in name:
+        raise ValueError(_mapping(value))
+    if not board:
+        raise ValueError(
+            f"there is no blackboard entry {name!r}: only attributes of a <SubTree> make some, in its tree"
+        )
+    raise ValueError(f"there is no blackboard entry {name!r}{did_you_mean(name, board)}")
+
+
+def autoremap(element: Element) -> bool:
+    """Whether a <SubTree> sees the entries of the tree that it is in. Raises ValueError."""
+    value = element.attributes.get("_autoremap", "false")
+    if value.lower() not in ("true", "false", "1", "0"):
+        raise ValueError(f"found {found_text(value)}; give true or false")
+    return value.lower() in ("true", "1")
+
+
+def used(tree: Element) -> set[str] | None:
+    """The entries that a <BehaviorTree> reads; None where it can't be told, since a tree in it sees all of them."""
+    found = set()
+    for element in _descendants(tree):
+        try:
+            if autoremap(element):
+                return None
+        except ValueError:  # said where the <SubTree> is read
+            return None
+        for port, value in element.attributes.items():
+            try:
+                name = entry(value, port)
+            except ValueError:  # said where the value is read
+                continue
+            if name is not None:
+                found.add(name)
+    return found
+
+
+def _descendants(element: Element) -> Iterator[Element]:
+    waiting = [*element.children]
+    while waiting:
+        found = waiting.pop()
+        yield found
+        waiting += found.children

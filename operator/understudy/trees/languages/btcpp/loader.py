@@ -1,0 +1,47 @@
+"""Loads a health tree from BehaviorTree.CPP 4 XML (docs/trees.md) and says everything that is wrong with it at once."""
+
+from __future__ import annotations
+
+from understudy.trees.core.health_tree import HealthTree
+from understudy.trees.languages.btcpp.document import Document
+from understudy.trees.languages.btcpp.library import HEALTH, Library
+from understudy.trees.languages.btcpp.nodes import Nodes
+from understudy.trees.languages.btcpp.xml_elements import parse
+from understudy.trees.languages.short_form import Found, Written
+from understudy.trees.languages.text_loader import Read, load_language
+from understudy.trees.source.expressions import Fields
+from understudy.trees.source.positions import ALONE, Beginning
+
+CALLED = "a BehaviorTree.CPP 4 file"
+"""What such a text is."""
+
+
+def load_xml(
+    text: object,
+    *,
+    path: str = "spec.monitoring.xml",
+    grace: float = 30.0,
+    fields: Fields | None = None,
+    begins: Beginning = ALONE,
+) -> HealthTree:
+    """The health tree that a text stands for: that of the short form which says the same.
+
+    ``path`` is what problems are named by, ``grace`` the seconds that an instance has to become healthy for the first
+    time. Conditions over messages are checked by their types' ``fields``, where these are known. Lines and
+    columns are those of the file in which the text ``begins``. Raises TreeError with all problems.
+    """
+    return load_language(text, reader(HEALTH), called=CALLED, path=path, grace=grace, fields=fields, begins=begins)
+
+
+def reader(library: Library) -> Read:
+    """Reads trees that can have what is in a library."""
+
+    def read(text: str, path: str, begins: Beginning) -> tuple[Written | None, list[Found]]:
+        document = Document(parse(text, begins), path, library)
+        if document.main is None:
+            return None, document.problems
+        nodes = Nodes(document, path)
+        written = nodes.tree(document.main)
+        return written, [*document.problems, *nodes.problems]
+
+    return read

@@ -1,0 +1,12 @@
+"""Where a node comes from that is an element."""
+
+from __future__ import annotations
+
+from understudy.trees.languages.btcpp.xml_elements import Element
+from understudy.trees.languages.short_form import Origin
+
+
+def origin(element: Element, uses: tuple[int, ...] = ()) -> Origin:
+    """That of an element; ``uses`` are the lines of the <SubTree> nodes that it is used by."""
+    identity = f' ID="{repr(element.attributes["ID"])[1:-1]:.60}"' if "ID" in element.attributes else ""
+    return Origin(f"<{element.tag:.60}{identity}>", element.line, element.column, uses)

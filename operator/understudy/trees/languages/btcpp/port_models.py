@@ -1,0 +1,69 @@
+"""<TreeNodesModel>: what the one who wrote a text, most often Groot 2, took the nodes and subtrees to be."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+from understudy.trees.languages.btcpp.blackboard import entry
+from understudy.trees.languages.btcpp.library import Node
+from understudy.trees.languages.btcpp.xml_elements import Element
+from understudy.trees.source.problems import did_you_mean
+
+PORTS = ("input_port", "output_port", "inout_port")
+
+Note = Callable[[Element, str], None]
+"""Takes the note of a mistake in an element."""
+
+
+@dataclass
+class SubTreeModel:
+    """The ports of a subtree, which then has no others."""
+
+    ports: dict[str, str | None] = field(default_factory=dict)
+    """What each is where it isn't given; None where it must be."""
+
+    def entries(self) -> set[str]:
+        """The entries of the tree above that it reads by itself."""
+        found = set()
+        for port, default in self.ports.items():
+            with contextlib.suppress(ValueError):  # said where it is used
+                found.add(entry(default or "", port) or "")
+        return found
+
+
+def read(element: Element, nodes: Mapping[str, Node], note: Note) -> Mapping[str, SubTreeModel]:
+    """The subtrees with a model. Models of known ``nodes`` are compared with what these are; all others
+    don't matter.
+    """
+    subtrees: dict[str, SubTreeModel] = {}
+    for model in element.children:
+        name = model.attributes.get("ID", "")
+        if model.tag == "SubTree":
+            subtrees[name] = SubTreeModel({_name(port): port.attributes.get("default") for port in _ports(model)})
+        elif name in nodes:
+            _compare(model, name, nodes[name], note)
+    return subtrees
+
+
+def _compare(model: Element, name: str, node: Node, note: Note) -> None:
+    if model.tag != node.category:
+        note(model, f'{name} is {node.a}; write <{node.category} ID="{name}">')
+    for port in _ports(model):
+        if _name(port) not in node.ports:
+            note(port, f"{name} has no port {_name(port)!r}{_known(_name(port), node.ports)}")
+        elif port.tag != "input_port":
+            note(port, f"{_name(port)!r} of {name} is only read; write <input_port>")
+
+
+def _known(name: str, ports: Mapping[str, str]) -> str:
+    return did_you_mean(name, ports) if ports else "; it has none"
+
+
+def _ports(model: Element) -> list[Element]:
+    return [port for port in model.children if port.tag in PORTS]
+
+
+def _name(port: Element) -> str:
+    return port.attributes.get("name", "")

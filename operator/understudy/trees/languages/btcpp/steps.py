@@ -1,0 +1,109 @@
+"""The nodes that a procedure or a check in XML can have, and why it can't have the others of BehaviorTree.CPP 4."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from understudy.trees.languages import step_spelling
+from understudy.trees.languages.btcpp import thresholds
+from understudy.trees.languages.btcpp.library import NODES, OF_OTHERS, REFUSED, Category, Library, Node, tag_of
+from understudy.trees.languages.short.procedure_loader import HEALTH
+from understudy.trees.leaves import procedure_vocabulary
+from understudy.trees.source import tree_kinds
+from understudy.trees.source.tree_kinds import Subject
+from understudy.trees.source.value_reader import found_text
+
+
+def _milliseconds(text: str) -> str:
+    """A length of time as the short form writes it."""
+    if not (text.isascii() and text.isdigit()):
+        raise ValueError(f"found {found_text(text)}; give a whole number of milliseconds, such as 5000")
+    return f"{text}ms"
+
+
+def _own(category: Category, key: str, keys: tuple[str, ...]) -> Node:
+    # `name` is the node's own name in BehaviorTree.CPP, so the parameter's can't be.
+    ports = {"parameter" if one == "name" else one: f"{key}.{one}" for one in keys}
+    reads = {port: step_spelling.READS[where] for port, where in ports.items() if where in step_spelling.READS}
+    return Node(category, key, ports, reads)
+
+
+_CONTROLS: Mapping[str, Node] = {
+    "Sequence": Node("Control", "sequence"),
+    "AsyncSequence": Node("Control", "sequence"),
+    "Fallback": Node("Control", "selector"),
+    "AsyncFallback": Node("Control", "selector"),
+    "Parallel": Node("Control", "parallel", {"success_count": "", "failure_count": ""}),
+    "Inverter": Node("Decorator", "inverter"),
+}
+_DECORATORS: Mapping[str, Node] = {
+    "Timeout": Node("Decorator", "timeout", {"msec": "timeout.within"}, {"msec": _milliseconds}),
+    "RetryUntilSuccessful": Node(
+        "Decorator",
+        "retry",
+        {"num_attempts": "retry.times", "wait": "retry.wait"},
+        {"num_attempts": step_spelling.READS["retry.times"]},
+    ),
+}
+_STEPS: Mapping[str, Node] = {
+    tag_of(key): _own("Action", key, keys) for key, keys in procedure_vocabulary.STEPS.items()
+}
+_LOOKS: Mapping[str, Node] = {
+    tag_of(key): _own("Condition", key, keys) for key, keys in procedure_vocabulary.LOOKS.items()
+}
+_LEAVES: Mapping[str, Node] = {tag: node for tag, node in NODES.items() if node.category == "Condition"}
+_WATCHED: Mapping[str, Node] = {tag: node for tag, node in _LEAVES.items() if node.key in HEALTH}
+
+_NO_SCRIPTS = "scripts aren't run; write what must hold before a node in front of it, in a <Sequence>"
+_IN_ORDER = "each node is done once, in order, and what is so already is left alone; write"
+_ONCE = "a procedure is run once; write <RetryUntilSuccessful> for what may have to be tried again"
+_BRANCH = "write a <Fallback> with a <Sequence> in it: first the condition, then what depends on it"
+_WAIT = "what must be waited for is said by <WaitFor>, or by a condition such as <Topic>; leave it out"
+_CERTAIN = "it does nothing to the instance; leave it out"
+_OTHERWISE = "what is done where a node fails is written behind it, in a <Fallback>"
+_STORE = 'nothing is written while a tree is run; give constants as attributes of <SubTree>, such as node="/amcl"'
+_DRIVING = "it says something of the instance that drives, which this one doesn't yet; leave it out"
+
+_SEQUENCES = ("SequenceWithMemory", "SequenceStar", "ReactiveSequence", "PipelineSequence")
+_FALLBACKS = ("FallbackStar", "ReactiveFallback", "RoundRobin", "ManualSelector")
+_BRANCHES = ("IfThenElse", "WhileDoElse", *(f"Switch{cases}" for cases in range(2, 7)))
+_LOOPS = ("KeepRunningUntilFailure", "Repeat", "RunOnce", "LoopInt", "LoopDouble", "LoopString", "LoopBool")
+_TRIES = ("RetryUntilSuccesful", "RecoveryNode", "RateController", *_LOOPS)
+_ENTRIES = ("SetBlackboard", "UnsetBlackboard", "SkipUnlessUpdated", "WaitValueUpdate", "WasEntryUpdated")
+
+_REFUSED: Mapping[str, str] = {
+    **OF_OTHERS,
+    **{tag: _DRIVING for tag in _LEAVES if tag not in _WATCHED},
+    **dict.fromkeys(_SEQUENCES, f"{_IN_ORDER} <Sequence>"),
+    **dict.fromkeys(_FALLBACKS, f"{_IN_ORDER} <Fallback>"),
+    "ParallelAll": "after a failure it waits for the others; write <Parallel>, which cuts them short",
+    **dict.fromkeys(_BRANCHES, _BRANCH),
+    **dict.fromkeys(("TryCatch", "ForceSuccess", "ForceFailure"), _OTHERWISE),
+    **dict.fromkeys(_TRIES, _ONCE),
+    **dict.fromkeys(("Delay", "Sleep"), _WAIT),
+    **dict.fromkeys(("AlwaysSuccess", "AlwaysFailure", "TestNode"), _CERTAIN),
+    **dict.fromkeys(("Script", "ScriptCondition", "Precondition"), _NO_SCRIPTS),
+    **dict.fromkeys(_ENTRIES, _STORE),
+    "WhileTaskActive": "a procedure is run whatever the robot works on; write the node that is in it",
+    "SubTreePlus": REFUSED["SubTreePlus"],
+}
+
+
+def _library(subject: Subject, nodes: Mapping[str, Node], refused: Mapping[str, str]) -> Library:
+    return Library(subject, nodes, refused, _NO_SCRIPTS, "Sequence", thresholds.all_of)
+
+
+PROCEDURES = _library(tree_kinds.PROCEDURE, {**_CONTROLS, **_DECORATORS, **_STEPS, **_LOOKS, **_WATCHED}, _REFUSED)
+"""Procedures."""
+
+CHECKS = _library(
+    tree_kinds.CHECK,
+    {**_CONTROLS, **_LOOKS, **_WATCHED},
+    {
+        **_REFUSED,
+        **dict.fromkeys((*_DECORATORS, *_STEPS, "Delay", "Sleep"), "a check only looks; it belongs into a procedure"),
+        **dict.fromkeys(_TRIES, "a check is looked at in every period anyway; leave it out"),
+        "WhileTaskActive": "an instance that waits has no task; write the node that is in it",
+    },
+)
+"""Checks."""

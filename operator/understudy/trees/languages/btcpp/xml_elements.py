@@ -1,0 +1,101 @@
+"""Reads XML that nobody has to trust, with the place of each element.
+
+Without a document type there are no entities but XML's own five, so nothing can be expanded and nothing is fetched. Texts
+with one are refused before they are parsed: expat goes on to the end of a text after a handler has raised.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from xml.parsers import expat
+
+from understudy.api.durations import LONGEST_TEXT
+from understudy.trees.source.positions import ALONE, Beginning, Malformed
+
+DEEPEST = 64
+"""Elements that may be nested."""
+
+MOST = 4096
+"""Elements that a text may have: with the models that Groot 2 adds for nodes of other libraries, more than a tree has."""
+
+_DOCTYPE = "<!DOCTYPE"
+
+
+@dataclass(frozen=True)
+class Element:
+    """One element with what is in it."""
+
+    tag: str
+    attributes: dict[str, str]
+    line: int
+    """Of its first character; the first line of the file is 1."""
+    column: int
+    """Of its first character, in characters; the first one of a line is 1."""
+    children: list[Element] = field(default_factory=list)
+    texts: list[str] = field(default_factory=list)
+    """What stands between its elements, without what is only white space."""
+
+
+def parse(text: str, begins: Beginning = ALONE) -> Element:
+    """The outermost element, with the lines and columns of the file in which the text ``begins``. Raises Malformed."""
+    try:
+        return _parsed(text, begins)
+    except Malformed as error:
+        error.line += begins.lines
+        error.column += begins.columns
+        raise
+
+
+def _parsed(text: str, begins: Beginning) -> Element:
+    if len(text) > LONGEST_TEXT:
+        raise Malformed(f"the text has {len(text)} characters; it may have {LONGEST_TEXT}")
+    if (start := text.find(_DOCTYPE)) >= 0:
+        line, column = text.count("\n", 0, start) + 1, start - text.rfind("\n", 0, start)
+        raise Malformed("a document type can have entities and name files to read; leave it out", line, column)
+    return _Builder(begins).parse(text)
+
+
+class _Builder:
+    def __init__(self, begins: Beginning) -> None:
+        self._begins = begins
+        self._open: list[Element] = []
+        self._outermost: Element | None = None
+        self._count = 0
+        self._parser = expat.ParserCreate()
+        self._parser.buffer_text = True
+        self._parser.StartElementHandler = self._start
+        self._parser.EndElementHandler = self._end
+        self._parser.CharacterDataHandler = self._text
+
+    def parse(self, text: str) -> Element:
+        try:
+            self._parser.Parse(text, True)
+        except expat.ExpatError as error:
+            raise Malformed(
+                f"this isn't XML: {expat.ErrorString(error.code)}", error.lineno, error.offset + 1
+            ) from error
+        except UnicodeEncodeError as error:
+            raise Malformed("this isn't XML: it has half of a character (a lone surrogate)") from error
+        assert self._outermost is not None, "what is well-formed has one"
+        return self._outermost
+
+    def _start(self, tag: str, attributes: dict[str, str]) -> None:
+        line, column = self._parser.CurrentLineNumber, self._parser.CurrentColumnNumber + 1
+        self._count += 1
+        if self._count > MOST:
+            raise Malformed(f"the text has more than {MOST} elements", line, column)
+        if len(self._open) >= DEEPEST:
+            raise Malformed(f"more than {DEEPEST} elements in each other", line, column)
+        element = Element(tag, attributes, line + self._begins.lines, column + self._begins.columns)
+        if self._open:
+            self._open[-1].children.append(element)
+        else:
+            self._outermost = element
+        self._open.append(element)
+
+    def _end(self, tag: str) -> None:
+        self._open.pop()
+
+    def _text(self, text: str) -> None:
+        if self._open and (stripped := text.strip()):
+            self._open[-1].texts.append(stripped)

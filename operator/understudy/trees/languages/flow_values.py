@@ -1,0 +1,120 @@
+"""Values with fields, such as a request, where a language has only texts: in the flow style of YAML, or as JSON.
+
+JSON has ``json:`` in front of it, as in BehaviorTree.CPP, where braces alone are a blackboard entry.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Iterator
+from typing import Any, NoReturn
+
+import yaml
+from yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
+
+from understudy.trees.languages.btcpp.blackboard import JSON
+from understudy.trees.source.value_reader import found_text
+from understudy.trees.source.yaml_scalars import SCALARS, TAG, plain
+
+LONGEST = 16384
+"""Characters of one value."""
+
+DEEPEST = 32
+"""Mappings and lists in each other; ROS' own messages have five or six."""
+
+
+def structure_of(text: str) -> Any:
+    """What a text stands for: a mapping, a list, a number, true, false or a text. Raises ValueError."""
+    if len(text) > LONGEST:
+        raise ValueError(f"has {len(text)} characters; it may have {LONGEST}")
+    stripped = text.strip()
+    try:
+        if stripped.startswith(JSON):
+            return _checked(_json(stripped.removeprefix(JSON)), 0)
+        return _checked(_yaml(stripped), 0)
+    except RecursionError as error:
+        raise ValueError(_TOO_DEEP) from error
+
+
+_POWER = re.compile(r"-?[0-9]+[eE][-+]?[0-9]+")
+_TOO_DEEP = f"is nested too deeply; it may be {DEEPEST} deep"
+
+
+def _checked(value: Any, depth: int) -> Any:
+    """The value, which JSON has too. Raises ValueError."""
+    if depth > DEEPEST:
+        raise ValueError(_TOO_DEEP)
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ValueError(f"found {value}; give a number")
+    for inner in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
+        _checked(inner, depth + 1)
+    return value
+
+
+# -- JSON -------------------------------------------------------------------------------------------------------------
+
+
+def _json(text: str) -> Any:
+    try:
+        return json.loads(text, object_pairs_hook=_once, parse_constant=_no_number)
+    except json.JSONDecodeError as error:
+        message = f"found {found_text(text)}, which isn't JSON: {error.msg} at character {error.pos + 1}"
+        raise ValueError(f'{message}; write it as in json:{{"data": "hello"}}') from error
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for key, value in pairs:
+        if key in found:
+            raise ValueError(f"{key!r:.60} is given twice; leave one of them out")
+        found[key] = value
+    return found
+
+
+def _no_number(word: str) -> NoReturn:
+    raise ValueError(f"found {word}; give a number")
+
+
+# -- YAML -------------------------------------------------------------------------------------------------------------
+
+
+def _yaml(text: str) -> Any:
+    try:
+        node = yaml.compose(text, Loader=yaml.SafeLoader)
+    except yaml.MarkedYAMLError as error:
+        said = ", ".join(part for part in (error.context, error.problem) if part)
+        raise ValueError(
+            f"found {found_text(text)}, which isn't YAML: {said}; write it as in {{data: hello}}"
+        ) from error
+    except yaml.reader.ReaderError as error:
+        raise ValueError(
+            f"found the character {chr(error.character)!a}, which YAML doesn't take; leave it out"
+        ) from error
+    return _value(node, set()) if node is not None else None
+
+
+def _value(node: Node, seen: set[int]) -> Any:
+    # What is written once and stands for many is how a small text becomes a value that never ends.
+    if id(node) in seen:
+        raise ValueError("has an alias (*) in it; write out what it stands for")
+    seen.add(id(node))
+    known = f"{TAG}map" if isinstance(node, MappingNode) else f"{TAG}seq"
+    if node.tag not in (SCALARS if isinstance(node, ScalarNode) else (known,)):
+        raise ValueError(f"found the tag {node.tag.replace(TAG, '!!'):.60}; leave it out")
+    if isinstance(node, MappingNode):
+        return _once(list(_items(node, seen)))
+    if isinstance(node, SequenceNode):
+        return [_value(item, seen) for item in node.value]
+    assert isinstance(node, ScalarNode), "there is no other kind of node"
+    # A number of JSON that YAML of old has only with a point in it.
+    return float(node.value) if node.style is None and _POWER.fullmatch(node.value) else plain(node)
+
+
+def _items(node: MappingNode, seen: set[int]) -> Iterator[tuple[str, Any]]:
+    for key, value in node.value:
+        if not isinstance(key, ScalarNode):
+            raise ValueError("has a key that isn't a text; write a text before the ':'")
+        # Fields of messages are called y and n, which YAML of old takes for true and false.
+        yield key.value, _value(value, seen)

@@ -1,0 +1,43 @@
+"""What of the language trees of a kind can have; what procedures can is in steps.py, which agents don't load."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from understudy.trees.languages.osc import library, tokens
+from understudy.trees.languages.osc.library import Behavior
+from understudy.trees.source import tree_kinds
+from understudy.trees.source.tree_kinds import Subject
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """What trees of one kind can have."""
+
+    subject: Subject
+    actions: Mapping[str, Behavior]
+    modifiers: Mapping[str, Behavior]
+    refused: Mapping[str, str]
+    """Why they can't have other behaviours, and what is right."""
+    words: Mapping[str, str]
+    """Why they can't have words and signs of the language."""
+    scenario: str
+    """How a scenario of it may be called."""
+    do: str
+    """What that most often does, such as ``do parallel:``."""
+    example: str
+    """One of the actions."""
+
+
+HEALTH = Dialect(
+    tree_kinds.HEALTH,
+    library.ACTIONS,
+    library.MODIFIERS,
+    library.REFUSED,
+    tokens.REFUSED,
+    "healthy",
+    "do parallel:",
+    "topic()",
+)
+"""Health trees."""

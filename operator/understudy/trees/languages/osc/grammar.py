@@ -1,0 +1,134 @@
+"""Reads OpenSCENARIO 2 that nobody has to trust, by the parser of scenario-execution, into plain parts with their places.
+
+Only its lexer and parser are used. Its model would follow imports into files, load the entry points of whatever else is installed,
+and make the behaviours. To import the parser takes 0.1 s and 15 MB, so only a policy in this language does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from understudy.api.durations import LONGEST_TEXT
+from understudy.trees.languages.osc import tokens
+from understudy.trees.languages.osc.dialects import Dialect
+from understudy.trees.languages.osc.syntax_errors import Complaints
+from understudy.trees.languages.osc.tokens import Token
+from understudy.trees.source.positions import ALONE, Beginning, Malformed
+
+_EXPRESSIONS = """
+expression implication disjunction conjunction inversion relation sumExpression term factor postfixExp primaryExp valueExp
+"""
+
+_CHAIN = frozenset(_EXPRESSIONS.split())
+"""Rules of an expression that stand for nothing by themselves: who binds closer than whom."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """What one rule of the grammar was found to be, or a word."""
+
+    rule: str
+    """Name of the rule in the grammar, such as ``behaviorInvocation``; empty for a word."""
+    text: str
+    """As it was written."""
+    line: int
+    column: int
+    """Of its first character in the file, counted from 1."""
+    parts: tuple[Part, ...] = ()
+
+    def all(self, *rules: str) -> Iterator[Part]:
+        """The parts of some rules."""
+        return (part for part in self.parts if part.rule in rules)
+
+    def first(self, rule: str) -> Part | None:
+        """The first part of a rule."""
+        return next(self.all(rule), None)
+
+    def text_of(self, rule: str) -> str:
+        """What the first part of a rule was written as; empty where there is none."""
+        found = self.first(rule)
+        return found.text if found is not None else ""
+
+
+def parse(text: str, dialect: Dialect, begins: Beginning = ALONE) -> Part:
+    """The whole of a text that has only the words of a dialect, with the lines and columns of the file in which it ``begins``.
+
+    Raises Malformed.
+    """
+    try:
+        return _parsed(text, dialect, begins)
+    except Malformed as error:
+        error.line += begins.lines
+        error.column += begins.columns
+        raise
+    except RecursionError as error:  # what is too deep has been refused; this is for an unforeseen way to be so
+        raise Malformed("what is in each other is too deep") from error
+
+
+def _parsed(text: str, dialect: Dialect, begins: Beginning) -> Part:
+    if len(text) > LONGEST_TEXT:
+        raise Malformed(f"the text has {len(text)} characters; it may have {LONGEST_TEXT}")
+    # Not before they are needed, see above.
+    from antlr4 import CommonTokenStream, InputStream
+    from scenario_execution.osc2_parsing.OpenSCENARIO2Lexer import OpenSCENARIO2Lexer
+    from scenario_execution.osc2_parsing.OpenSCENARIO2Parser import OpenSCENARIO2Parser
+
+    complaints = Complaints()
+    source = InputStream(text if text.endswith("\n") else f"{text}\n")
+    lexer = OpenSCENARIO2Lexer(source)
+    stream = CommonTokenStream(lexer)
+    parser = OpenSCENARIO2Parser(stream)
+    for recognizer in (lexer, parser):
+        recognizer.removeErrorListeners()  # those print
+        recognizer.addErrorListener(complaints)
+    stream.fill()
+    found = [_token(parser, token) for token in stream.tokens]
+    tokens.check(found, dialect.subject, dialect.words)
+    return _Parts(parser.ruleNames, source, begins).part(parser.osc_file())
+
+
+def _token(parser: Any, found: Any) -> Token:
+    literal = parser.literalNames[found.type] if 0 < found.type < len(parser.literalNames) else "<INVALID>"
+    symbol = parser.symbolicNames[found.type] if found.type > 0 else "EOF"
+    kind = literal.strip("'") if literal != "<INVALID>" else _SIGNS.get(symbol, symbol)
+    return Token(kind, found.text, found.line, found.column + 1)
+
+
+_SIGNS = {"OPEN_PAREN": "(", "CLOSE_PAREN": ")", "OPEN_BRACK": "[", "CLOSE_BRACK": "]"}
+
+
+class _Parts:
+    """Turns what the parser has found into parts."""
+
+    def __init__(self, rules: list[str], source: Any, begins: Beginning) -> None:
+        self._rules, self._source, self._begins = rules, source, begins
+
+    def part(self, found: Any) -> Part:
+        symbol = getattr(found, "symbol", None)
+        if symbol is not None:
+            return Part("", symbol.text, *self._place(symbol))
+        rule = self._rules[found.getRuleIndex()]
+        children = found.children or []
+        if rule in _CHAIN and len(children) == 1 and getattr(children[0], "symbol", None) is None:
+            return self.part(children[0])
+        start, stop = found.start, found.stop or found.start
+        if rule == "osc_file":  # which begins at its first word otherwise
+            place = (1 + self._begins.lines, 1 + self._begins.columns)
+            return Part(rule, "", *place, tuple(self.part(child) for child in children))
+        text = self._source.getText(start.start, max(start.start, stop.stop)) if rule in _WRITTEN else ""
+        return Part(rule, text, *self._place(start), tuple(self.part(child) for child in children))
+
+    def _place(self, symbol: Any) -> tuple[int, int]:
+        return symbol.line + self._begins.lines, symbol.column + 1 + self._begins.columns
+
+
+_NAMED = """
+importReference structuredIdentifier qualifiedBehaviorName behaviorName modifierName labelName argumentName fieldName typeDeclarator
+compositionOperator physicalLiteral unitName integerLiteral identifierReference enumValueReference enumName enumMemberName
+functionApplicationExpression fieldAccessExpression
+"""
+
+_WRITTEN = _CHAIN | frozenset(_NAMED.split())
+"""Rules of which it matters as what they were written; the others are long."""

@@ -1,0 +1,48 @@
+"""Loads a health tree from OpenSCENARIO 2 (docs/trees-osc.md) and says everything that is wrong with it at once."""
+
+from __future__ import annotations
+
+from understudy.trees.core.health_tree import HealthTree
+from understudy.trees.languages.osc.dialects import HEALTH, Dialect
+from understudy.trees.languages.osc.document import Document
+from understudy.trees.languages.osc.grammar import parse
+from understudy.trees.languages.osc.nodes import Nodes
+from understudy.trees.languages.short_form import Found, Written
+from understudy.trees.languages.text_loader import Read, load_language
+from understudy.trees.source.expressions import Fields
+from understudy.trees.source.positions import ALONE, Beginning
+
+CALLED = "an OpenSCENARIO 2 file"
+"""What such a text is."""
+
+
+def load_osc(
+    text: object,
+    *,
+    path: str = "spec.monitoring.osc",
+    grace: float = 30.0,
+    fields: Fields | None = None,
+    begins: Beginning = ALONE,
+) -> HealthTree:
+    """The health tree that a text stands for: that of the short form which says the same.
+
+    ``path`` is what problems are named by, ``grace`` the seconds that an instance has to become healthy for the first
+    time. Conditions over messages are checked by their types' ``fields``, where these are known. Lines and
+    columns are those of the file in which the text ``begins``. Raises TreeError with all problems; of those with the
+    language itself, the first.
+    """
+    return load_language(text, reader(HEALTH), called=CALLED, path=path, grace=grace, fields=fields, begins=begins)
+
+
+def reader(dialect: Dialect) -> Read:
+    """Reads trees that can have what a dialect has."""
+
+    def read(text: str, path: str, begins: Beginning) -> tuple[Written | None, list[Found]]:
+        document = Document(parse(text, dialect, begins), path, dialect)
+        if document.main is None:
+            return None, document.problems
+        nodes = Nodes(document, path)
+        written = nodes.tree(document.main)
+        return written, [*document.problems, *nodes.problems]
+
+    return read

@@ -1,0 +1,214 @@
+"""Reads the nodes of a scenario: compositions, actions, and the modifiers that are written with them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from understudy.trees.languages.osc import values
+from understudy.trees.languages.osc.document import Document
+from understudy.trees.languages.osc.grammar import Part
+from understudy.trees.languages.osc.library import COMPOSITIONS, RATES, Argument, Behavior
+from understudy.trees.languages.short_form import ENOUGH, Found, Origin, Written
+from understudy.trees.source.problems import did_you_mean
+from understudy.trees.source.value_reader import DEEPEST, MOST
+
+_Given = dict[str, tuple[str, Part]]
+"""By argument, its value as the short form writes it, and where it was written."""
+
+_Read = Callable[[Part, Part | None, int], Written | None]
+
+
+class Nodes:
+    """Turns parts into what was written by them, and collects problems; one that can't be read becomes None."""
+
+    def __init__(self, document: Document, path: str) -> None:
+        self.problems: list[Found] = []
+        self._constants, self._path = document.constants, path
+        self._dialect = document.dialect
+        self._count = 0
+
+    def tree(self, main: Part) -> Written | None:
+        """What a scenario does, with all that is in it."""
+        return self._member(main, 1)
+
+    def _member(self, member: Part, depth: int) -> Written | None:
+        """A node with its name in front of it."""
+        name = member.first("labelName")
+        for found in member.parts:
+            if found.rule == "composition":
+                return self._modified(found, name, depth, self._composition)
+            if found.rule == "behaviorInvocation":
+                return self._modified(found, name, depth, self._action)
+        # What waits, sends events or calls functions has been refused by its first word.
+        self._note(
+            member, "do", f"isn't a node; give serial:, parallel:, one_of: or a leaf such as {self._dialect.example}"
+        )
+        return None
+
+    def _counted(self, part: Part, label: str, depth: int) -> bool:
+        """Whether there may be one more node here."""
+        self._count += 1
+        if self._count == MOST + 1:
+            self._note(part, label, f"the tree has more than {MOST} nodes")
+        elif depth == DEEPEST + 1:
+            self._note(part, label, f"the tree is more than {DEEPEST} levels deep")
+        return self._count <= MOST and depth <= DEEPEST and len(self.problems) <= ENOUGH
+
+    # -- nodes ------------------------------------------------------------------------------------------------------
+
+    def _composition(self, part: Part, name: Part | None, depth: int) -> Written | None:
+        operator = part.text_of("compositionOperator")
+        origin = Origin(f"{operator}:", part.line, part.column)
+        if not self._counted(part, origin.label, depth):
+            return None
+        if (given := part.first("argumentList")) is not None:
+            self._note(given, origin.label, "takes no arguments; leave out the brackets")
+        built = [self._member(child, depth + 1) for child in part.all("doMember")]
+        children = [child for child in built if child is not None]
+        if not children:
+            return None
+        named = self._named(name)
+        return Written(origin, COMPOSITIONS[operator], _name(named), children=children, places=_places(named))
+
+    def _action(self, part: Part, name: Part | None, depth: int) -> Written | None:
+        called = part.text_of("behaviorName")
+        label = f"{called:.60}()"
+        dialect = self._dialect
+        if not self._counted(part, label, depth):
+            return None
+        if called in dialect.actions:
+            action = dialect.actions[called]
+            given = self._arguments(part, label, action)
+            if given is None or (called == "topic" and not self._rated(part, label, given)):
+                return None
+            return _written(Origin(label, part.line, part.column), action, given, self._named(name))
+        if called in dialect.modifiers:
+            self._note(part, label, f"is a modifier; write it in the with: of the node that it is for: with: {label}")
+        elif called in dialect.refused:
+            self._note(part, label, f"isn't for {dialect.subject.many}: {dialect.refused[called]}")
+        else:
+            known = (*dialect.actions, *dialect.modifiers)
+            self._note(part, label, f"unknown behaviour{did_you_mean(called, known)}")
+        return None
+
+    def _named(self, name: Part | None) -> Part | None:
+        """The name in front of a node, where such names say something."""
+        return name if self._dialect.subject.named else None
+
+    def _modified(self, part: Part, name: Part | None, depth: int, read: _Read) -> Written | None:
+        """A node in the modifiers that are written with it, the first of them the outermost."""
+        block = part.first("behaviorWithDeclaration")
+        modifiers = [found for member in block.all("behaviorWithMember") for found in member.parts] if block else []
+        around = [self._modifier(found, depth + index) for index, found in enumerate(modifiers)]
+        node = read(part, name, depth + len(modifiers))
+        for modifier in reversed(around):
+            if modifier is None or node is None:
+                return None
+            behavior, origin, given = modifier
+            node = _written(origin, behavior, given, None, [node])
+        return node
+
+    def _modifier(self, part: Part, depth: int) -> tuple[Behavior, Origin, _Given] | None:
+        called = part.text_of("modifierName")
+        label = f"{called:.60}()"
+        dialect = self._dialect
+        if not self._counted(part, label, depth):
+            return None
+        if called in dialect.modifiers:
+            modifier = dialect.modifiers[called]
+            given = self._arguments(part, label, modifier)
+            return (modifier, Origin(label, part.line, part.column), given) if given is not None else None
+        if called in dialect.refused:
+            self._note(part, label, f"isn't for {dialect.subject.many}: {dialect.refused[called]}")
+        elif called in dialect.actions:
+            self._note(part, label, "is a node of its own; put it beside the other, in a parallel:")
+        else:
+            self._note(part, label, f"unknown modifier{did_you_mean(called, dialect.modifiers)}")
+        return None
+
+    # -- arguments --------------------------------------------------------------------------------------------------
+
+    def _arguments(self, part: Part, label: str, behavior: Behavior) -> _Given | None:
+        """What the arguments were given, by name; None where one of them can't be told."""
+        known = list(behavior.arguments.values())
+        listed = part.first("argumentList")
+        given: dict[str, tuple[str, Part]] = {}
+        before = len(self.problems)
+        whole = True
+        for index, found in enumerate(listed.all("positionalArgument", "namedArgument") if listed is not None else ()):
+            value = found.parts[-1]
+            if found.rule == "namedArgument":
+                name = found.text_of("argumentName")
+                if name not in behavior.arguments:
+                    hint = did_you_mean(name, behavior.arguments) if known else "; it takes none"
+                    self._note(found, f"{label} {name:.60}", f"unknown argument{hint}")
+                    continue
+            elif index >= len(known):
+                least = f"it takes {len(known)}" if known else "it takes none"
+                self._note(found, label, f"found argument number {index + 1}; {least}")
+                continue
+            else:
+                name = known[index].name
+            if name in given:
+                self._note(found, f"{label} {name}", "is given twice; leave one of them out")
+                continue
+            text = self._value(value, label, behavior.arguments[name])
+            whole = whole and text is not None
+            given[name] = (text or "", value)
+        return given if whole and len(self.problems) == before else None
+
+    def _value(self, value: Part, label: str, argument: Argument) -> str | None:
+        try:
+            return values.read(value, argument.type, self._constants)
+        except ValueError as error:
+            self._note(value, f"{label} {argument.name}", str(error))
+            return None
+
+    def _rated(self, part: Part, label: str, given: _Given) -> bool:
+        """Whether the bounds of a rate are ones that the short form has; puts them together."""
+        bounds = [name for name in given if name in RATES]
+        if len(bounds) > 1 and set(bounds) != {"rate_min", "rate_max"}:
+            self._note(
+                given[bounds[1]][1], label, f"found {' and '.join(bounds)}; give one of them, or rate_min and rate_max"
+            )
+            return False
+        if not bounds and "gap" not in given:
+            self._note(
+                part, label, "neither gap nor a rate is given; give gap, such as 500ms, or rate_above, such as 8Hz"
+            )
+            return False
+        if not bounds and "window" in given:
+            message = "a window is only for a rate; give rate_above or another bound, or leave window out"
+            self._note(given["window"][1], f"{label} window", message)
+            return False
+        band = " to ".join(given[name][0] for name in ("rate_min", "rate_max") if name in given)
+        sign = f"{RATES[bounds[0]]} " if len(bounds) == 1 else ""
+        for name in bounds:
+            given[name] = (sign + (band or given[name][0]), given[name][1])
+        return True
+
+    def _note(self, part: Part, label: str, message: str) -> None:
+        self.problems.append(Origin(label, part.line, part.column).problem(self._path, message))
+
+
+def _written(
+    origin: Origin, behavior: Behavior, given: _Given, name: Part | None, children: list[Written] | None = None
+) -> Written:
+    """A node of the library with what it was given."""
+    spelled = {name: value for name, (value, _) in given.items()}
+    places = {name: Origin(origin.label, part.line, part.column) for name, (_, part) in given.items()}
+    # Of what several arguments make, the last that is given is told.
+    named = sorted(behavior.arguments, key=lambda argument: argument in given)
+    ports = {argument: behavior.arguments[argument].where for argument in named}
+    reads = {name: one.reads for name, one in behavior.arguments.items() if one.reads is not None}
+    known = {**places, **_places(name)}
+    return Written(origin, behavior.key, _name(name), ports, spelled, children or [], known, reads)
+
+
+def _name(name: Part | None) -> str | None:
+    """The name in front of a node, without the bars around one that has other signs than letters."""
+    return name.text.strip("|") if name is not None else None
+
+
+def _places(name: Part | None) -> Mapping[str, Origin]:
+    return {"name": Origin(f"{name.text:.60}:", name.line, name.column)} if name is not None else {}

@@ -1,0 +1,132 @@
+"""The actions and modifiers that only procedures and checks in OpenSCENARIO 2 have, derived from the short form's."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from understudy.trees.languages import step_spelling
+from understudy.trees.languages.btcpp.library import tag_of
+from understudy.trees.languages.osc import tokens
+from understudy.trees.languages.osc.dialects import Dialect
+from understudy.trees.languages.osc.library import ACTIONS, MODIFIERS, STATUS_CHANGES, Argument, Behavior
+from understudy.trees.languages.short.procedure_loader import HEALTH
+from understudy.trees.leaves import procedure_vocabulary
+from understudy.trees.leaves.registry import UNUSABLE
+from understudy.trees.source import tree_kinds
+
+_TYPES: Mapping[str, str] = {
+    "set_lifecycle.state": "lifecycle_state",
+    "lifecycle_is.state": "lifecycle_state",
+    "call_service.repeat": "time",
+    "wait_for.within": "time",
+}
+"""What isn't written as text."""
+
+_SUBJECTS = ("topic", "service")
+_NAMES: Mapping[str, str] = {"restore_state.only": "names", "parameter_is.name": "parameter"}
+"""What keys are called that are words of the language."""
+
+
+def _own(kind: str, keys: tuple[str, ...]) -> Behavior:
+    found = []
+    for key in keys:
+        where = f"{kind}.{key}"
+        name = _NAMES.get(where, key)
+        if key in _SUBJECTS:
+            name = f"{key}_name"
+        elif key == "type":
+            name = f"{next(key for key in keys if key in _SUBJECTS)}_type"
+        port = "parameter" if where == "parameter_is.name" else key
+        found.append(Argument(name, _TYPES.get(where, "string"), where, port, step_spelling.READS.get(where)))
+    return Behavior(kind, {argument.name: argument for argument in found}, tag_of(kind))
+
+
+STEPS: Mapping[str, Behavior] = {kind: _own(kind, keys) for kind, keys in procedure_vocabulary.STEPS.items()}
+"""What procedures do, by name."""
+
+LOOKS: Mapping[str, Behavior] = {kind: _own(kind, keys) for kind, keys in procedure_vocabulary.LOOKS.items()}
+"""What procedures and checks look at once, by name."""
+
+WATCHED: Mapping[str, Behavior] = {name: action for name, action in ACTIONS.items() if action.key in HEALTH}
+"""Leaves of health trees that they have too."""
+
+_RETRIES = step_spelling.READS["retry.times"]
+
+DECORATORS: Mapping[str, Behavior] = {
+    "timeout": Behavior("timeout", {"duration": Argument("duration", "time", "timeout.within", "msec")}, "Timeout"),
+    "retry": Behavior(
+        "retry",
+        {
+            "count": Argument("count", "int", "retry.times", "num_attempts", _RETRIES),
+            "pause": Argument("pause", "time", "retry.wait", "wait"),
+        },
+        "RetryUntilSuccessful",
+    ),
+}
+"""What is written in the ``with:`` of a node of a procedure, by name: as scenario-execution has it, but for the pause."""
+
+INVERTER: Mapping[str, Behavior] = {"inverter": MODIFIERS["inverter"]}
+"""What may be written in that of a check too."""
+
+_ONCE = "a procedure is run once; write retry() for what may have to be tried again"
+_STORE = "nothing is remembered or written while a tree is run; leave it out"
+_CERTAIN = "it does nothing to the instance; leave it out"
+_NO_PROCESSES = "no processes are started and no files read; write what is done to the instance, such as call_service()"
+_DRIVING = "it says something of the instance that drives, which this one doesn't yet; leave it out"
+_CLUSTER = "what is done in the cluster is said by the strategies of a policy; leave it out"
+
+_OTHERS: Mapping[str, str] = {
+    **UNUSABLE,
+    **dict.fromkeys((name for name in ACTIONS if name not in WATCHED), _DRIVING),
+    "while_task_active": "a procedure is run whatever the robot works on; leave it out",
+    **dict.fromkeys(("run_process", "process_log_check"), _NO_PROCESSES),
+    **dict.fromkeys(("increment", "decrement"), _STORE),
+    "compare": "values of messages are compared by value(); write that",
+    "repeat": _ONCE,
+    **dict.fromkeys(STATUS_CHANGES, _CERTAIN),
+    "action_call": "write resend_goals() for the goals that the robot had, or call_service()",
+    "service_call": "write call_service()",
+    "topic_publish": "write publish()",
+    "set_node_parameter": "write set_parameters()",
+    "topic_monitor": "write topic()",
+    "assert_topic_latency": "write age()",
+    "assert_lifecycle_state": "write lifecycle_is()",
+    "wait_for_topics": "write wait_for()",
+    **dict.fromkeys(("check_data", "wait_for_data"), "write value()"),
+    **dict.fromkeys(("wait_for_nodes", "wait_for_node"), "write wait_for()"),
+    **dict.fromkeys(("kubernetes_delete", "kubernetes_patch_network_policy"), _CLUSTER),
+}
+
+_KNOWN = {**STEPS, **LOOKS, **WATCHED, **DECORATORS, **INVERTER}
+_REFUSED: Mapping[str, str] = {name: why for name, why in _OTHERS.items() if name not in _KNOWN}
+_LOOKS_ONLY = "a check only looks; it belongs into a procedure"
+_DONE = ("action_call", "service_call", "topic_publish", "set_node_parameter", "wait_for_topics")
+
+PROCEDURES = Dialect(
+    tree_kinds.PROCEDURE,
+    {**STEPS, **LOOKS, **WATCHED},
+    {**INVERTER, **DECORATORS},
+    _REFUSED,
+    tokens.REFUSED_IN_PROCEDURES,
+    "bring_up",
+    "do serial:",
+    "set_lifecycle()",
+)
+"""Procedures."""
+
+CHECKS = Dialect(
+    tree_kinds.CHECK,
+    {**LOOKS, **WATCHED},
+    INVERTER,
+    {
+        **_REFUSED,
+        **dict.fromkeys((*STEPS, *DECORATORS, *_DONE), _LOOKS_ONLY),
+        "repeat": "a check is looked at in every period anyway; leave it out",
+        "while_task_active": "an instance that waits has no task; leave it out",
+    },
+    tokens.REFUSED_IN_CHECKS,
+    "ready",
+    "do parallel:",
+    "lifecycle_is()",
+)
+"""Checks."""

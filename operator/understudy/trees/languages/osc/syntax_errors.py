@@ -1,0 +1,84 @@
+"""What lexer and parser complain of, in words for whoever wrote the text."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import Any
+
+from understudy.trees.languages.osc.tokens import REFUSED
+from understudy.trees.source.positions import Malformed
+
+_NAMES = {
+    "Identifier": "a name",
+    "StringLiteral": "a text in quotes",
+    "UintLiteral": "a number",
+    "NEWLINE": "the end of the line",
+    "INDENT": "an indented line",
+    "DEDENT": "the end of the block",
+    "<EOF>": "the end of the text",
+}
+"""How what can stand somewhere is called; what isn't here is called by its word."""
+
+_UNTOLD = frozenset(
+    {"FloatLiteral", "HexUintLiteral", "IntLiteral", "BoolLiteral", "'import'", *(f"'{word}'" for word in REFUSED)}
+)
+"""What isn't told of that: it is as good as another, or isn't for health trees."""
+
+_UNREAD = re.compile(r"token recognition error at: '(.*)'", re.DOTALL)
+_EXPECTED = re.compile(r"(?:expecting|missing) (\{.*?\}|'[^']+'|\w+)( at|$)", re.DOTALL)
+
+
+class Complaints:
+    """Ends reading with the first complaint: those that follow are most often its consequences."""
+
+    def syntaxError(self, recognizer: Any, symbol: Any, line: int, column: int, message: str, error: Any) -> None:
+        """Called by lexer and parser."""
+        if (unread := _UNREAD.fullmatch(message)) is not None:
+            raise Malformed(_unread(unread[1]), line, column + 1)
+        found, line, column = _found(symbol, recognizer.getTokenStream().tokens)
+        raise Malformed(f"this isn't OpenSCENARIO 2: found {found}{_expected(message, symbol.text)}", line, column)
+
+    def reportAmbiguity(self, *_: Any) -> None:
+        """Called where a text can be read in two ways; the first is taken."""
+
+    def reportAttemptingFullContext(self, *_: Any) -> None:
+        """Called where the parser looks further ahead."""
+
+    def reportContextSensitivity(self, *_: Any) -> None:
+        """Called where that has decided."""
+
+
+def _unread(text: str) -> str:
+    if text[:1] in ("'", '"'):
+        hint = "close the quotes, and write \\ before quotes in it"
+        return f"this isn't OpenSCENARIO 2: a text that is begun here isn't closed in its line; {hint}"
+    if text[:1] == "|":
+        return "this isn't OpenSCENARIO 2: a name that is begun here isn't closed; close it by |"
+    return f"this isn't OpenSCENARIO 2: found {text[:1]!a}, which nothing in the language begins with; leave it out"
+
+
+def _found(symbol: Any, tokens: Sequence[Any]) -> tuple[str, int, int]:
+    """What was found, and where: what ends a line or a block is behind the last word before."""
+    if symbol.text.strip() and symbol.text != "<EOF>":
+        return repr(symbol.text if len(symbol.text) <= 60 else f"{symbol.text[:57]}..."), symbol.line, symbol.column + 1
+    seen = [token for token in tokens[: symbol.tokenIndex] if token.text.strip()]
+    indented = symbol.text.strip("\n\r\f") and not symbol.text.strip()
+    if indented or not seen:
+        what = "an indented line" if indented else "the end of the text"
+        return what, symbol.line, symbol.column + 1
+    return "the end of the line", seen[-1].line, seen[-1].column + len(seen[-1].text) + 1
+
+
+def _expected(message: str, found: str) -> str:
+    """What could stand there instead, as far as a health tree can have it."""
+    told = _EXPECTED.search(message)
+    if found == "=":
+        return "; write ':' between the name of an argument and its value"
+    if told is None:
+        return ", which can't stand there; look at the brackets, and for a ':' in front of it"
+    listed = [part.strip() for part in re.split(r", (?=['\w<])", told[1].strip("{}"))]
+    known = list(dict.fromkeys(_NAMES.get(part, part) for part in listed if part not in _UNTOLD))
+    if not known:
+        return "; leave it out"
+    return f"; there should be {' or '.join(filter(None, [', '.join(known[:-1]), known[-1]]))}"

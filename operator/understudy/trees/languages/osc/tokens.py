@@ -1,0 +1,186 @@
+"""What is refused by its words alone, before a text is parsed: all that a tree has no use for, and what is too deep.
+
+What is left of the language is small: a parser that looks ahead as far as it needs to can't be kept busy by it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+from understudy.trees.languages.osc.library import WORDS
+from understudy.trees.source.positions import Malformed
+from understudy.trees.source.tree_kinds import Subject
+from understudy.trees.source.value_reader import DEEPEST
+
+MOST = 20_000
+"""Words and signs that a text may have: some forty for each of the nodes that a tree may have."""
+
+DEEPEST_BLOCK = DEEPEST + 4
+"""Blocks in each other: the levels of the tree, in those of the scenario."""
+
+DEEPEST_BRACKETS = 4
+"""Brackets in each other: arguments stand in one pair."""
+
+NEWLINE, INDENT, DEDENT = "NEWLINE", "INDENT", "DEDENT"
+
+_TASK = "what only counts while the robot works on a task is said by while_task_active() in the node's with:"
+_JUDGES = "a health tree only judges"
+_DECLARES = (
+    "a policy declares nothing but one scenario and its parameters; what there is comes with import osc.understudy"
+)
+_EVERYWHERE = "nothing is declared but one scenario and its parameters; what there is comes with import osc.understudy"
+_EVENTS = f"{_JUDGES}, all the time, and neither waits nor sends events; leave it out. How long something may be missing is said by gap"
+_CALCULATES = "nothing is calculated; write the value"
+
+REFUSED: Mapping[str, str] = {
+    **dict.fromkeys(("type", "unit", "enum", "struct", "actor", "action", "modifier", "global", "extend"), _DECLARES),
+    "as": "what is imported keeps its names; leave it out",
+    "inherits": "a scenario stands for itself; leave it out",
+    **dict.fromkeys(
+        ("wait", "emit", "event", "on", "until", "elapsed", "every", "rise", "fall", "sample", "@"), _EVENTS
+    ),
+    **dict.fromkeys(
+        ("call", "def", "external", "expression", "undefined", "only"),
+        f"{_JUDGES} and calls no functions; leave it out",
+    ),
+    **dict.fromkeys(
+        ("keep", "default", "hard", "remove_default"), "nothing is left open to be constrained; write the value"
+    ),
+    **dict.fromkeys(("cover", "record", "range", "var"), f"{_JUDGES} and keeps no records; leave it out"),
+    **dict.fromkeys(("if", "?"), _TASK),
+    **dict.fromkeys(("or", "and", "not"), "write one_of:, parallel:, or inverter() in the node's with:"),
+    **dict.fromkeys(
+        ("==", "!=", "<", "<=", ">", ">=", "in"), "what is compared is written as text, in holds of value()"
+    ),
+    **dict.fromkeys(("+", "-", "*", "/", "%", "=>", "..", "it"), _CALCULATES),
+    **dict.fromkeys(("list", "[", "]"), "no value is a list; write the value"),
+    **dict.fromkeys(
+        ("bool", "uint"), "no value is of that type; write the type that the argument has in understudy.osc"
+    ),
+    "->": f"{_JUDGES} and calls no functions; leave it out",
+}
+"""Words and signs of the language that no health tree has, with what would be right."""
+
+_NO_CALLS = "it calls no functions; leave it out"
+_WAITED = (
+    "what must be waited for is said by wait_for(), and for how long by timeout() in the with: of a node; leave it out"
+)
+_LOOKED = "a check only looks, in every period; leave it out"
+_BRANCH = "write a one_of: with a serial: in it: first the condition, then what depends on it"
+_COMPARED = "what must hold is said by a condition, such as parameter_is() or value()"
+
+
+def _refused(events: str) -> Mapping[str, str]:
+    """The same of procedures and checks; ``events`` is what is said of what waits for them."""
+    return {
+        **REFUSED,
+        **{word: _EVERYWHERE for word, why in REFUSED.items() if why == _DECLARES},
+        **{word: events for word, why in REFUSED.items() if why == _EVENTS},
+        **dict.fromkeys(("call", "def", "external", "expression", "undefined", "only", "->"), _NO_CALLS),
+        **dict.fromkeys(("cover", "record", "range", "var"), "it keeps no records; leave it out"),
+        **dict.fromkeys(("if", "?"), _BRANCH),
+        **dict.fromkeys(("==", "!=", "<", "<=", ">", ">=", "in"), _COMPARED),
+        **dict.fromkeys(("list", "[", "]"), "no value is a list; write a text, such as '/amcl_pose, /map'"),
+    }
+
+
+REFUSED_IN_PROCEDURES = _refused(_WAITED)
+"""Those that no procedure has."""
+
+REFUSED_IN_CHECKS = _refused(_LOOKED)
+"""Those that no check has."""
+
+
+@dataclass(frozen=True)
+class Token:
+    """A word or sign."""
+
+    kind: str
+    """``NEWLINE``, ``INDENT``, ``DEDENT``, what it is as a literal, such as ``StringLiteral``; else the word itself."""
+    text: str
+    line: int
+    column: int
+    """Both count from 1."""
+
+
+def check(tokens: Sequence[Token], subject: Subject, refused: Mapping[str, str]) -> None:
+    """Refuse what is too much, and all words that trees of a kind don't have. Raises Malformed at the first."""
+    if len(tokens) > MOST:
+        last = tokens[MOST]
+        raise Malformed(f"the text has more than {MOST} words and signs", last.line, last.column)
+    _depths(tokens)
+    _blocks(tokens)
+    importing = False
+    for before, token, after in _neighbours(tokens):
+        importing = token.kind == "import" or (importing and token.kind != NEWLINE)
+        message = _refusal(before, token, after, subject, refused)
+        if message is not None and not (importing and token.kind == "."):
+            raise _at(token, message)
+
+
+def _refusal(before: Token, token: Token, after: Token, subject: Subject, refused: Mapping[str, str]) -> str | None:
+    """Why a word or sign can't stand where it does."""
+    if token.kind == ".":
+        return f"there are no actors in {subject.a}, and nothing has fields; leave out the dot and what is before it"
+    if token.kind == "(" and before.kind == ")":
+        return f"'(' isn't for {subject.many}: {_CALCULATES}"
+    if token.kind in WORDS and after.kind == ":" and before.kind in ("(", ","):
+        return f"{token.text!r} is a word of OpenSCENARIO and no argument{_RIGHT.get(token.text, '')}"
+    if token.kind in WORDS - _OPEN and after.kind == ":" and before.kind in (NEWLINE, INDENT, DEDENT, "do"):
+        return f"{token.text!r} is a word of OpenSCENARIO and no name; write |{token.text}|"
+    if token.kind in refused:
+        return f"{token.text!r} isn't for {subject.many}: {refused[token.kind]}"
+    return None
+
+
+_OPEN = frozenset({"serial", "parallel", "one_of", "with"})
+"""Words that are followed by a colon."""
+
+_RIGHT = {
+    "type": "; write topic_type, or action_type of an action",
+    "action": "; write action_name",
+    "default": "; leave it out",
+    "only": "; write names",
+    "wait": "; write pause",
+}
+
+
+def _at(token: Token, message: str) -> Malformed:
+    return Malformed(message, token.line, token.column)
+
+
+def _neighbours(tokens: Sequence[Token]) -> Iterable[tuple[Token, Token, Token]]:
+    edge = Token(NEWLINE, "", 1, 1)
+    for index, token in enumerate(tokens):
+        after = tokens[index + 1] if index + 1 < len(tokens) else edge
+        yield (tokens[index - 1] if index else edge), token, after
+
+
+def _depths(tokens: Sequence[Token]) -> None:
+    brackets = blocks = 0
+    for token in tokens:
+        brackets += (token.kind == "(") - (token.kind == ")")
+        blocks += (token.kind == INDENT) - (token.kind == DEDENT)
+        if brackets > DEEPEST_BRACKETS:
+            raise _at(token, f"more than {DEEPEST_BRACKETS} brackets in each other")
+        if brackets < 0:
+            raise _at(token, "closes a bracket that isn't open; leave it out")
+        if blocks > DEEPEST_BLOCK:
+            raise _at(token, f"more than {DEEPEST_BLOCK} blocks in each other")
+
+
+def _blocks(tokens: Sequence[Token]) -> None:
+    """Refuse a line that is indented less than its block and more than the one around it: in which it is can't be told."""
+    columns, first = [1], True
+    for token, after in pairwise(tokens):
+        if token.kind == INDENT:
+            columns.append(after.column)
+        elif token.kind == DEDENT:
+            columns.pop()
+            if after.kind not in (INDENT, DEDENT, NEWLINE, "EOF") and after.column != columns[-1]:
+                raise _at(after, "is indented like no block around it; begin the lines of a block in the same column")
+        elif first and token.kind != NEWLINE and token.column != columns[0]:
+            raise _at(token, "the first line is indented; begin it in the first column of the text")
+        first = first and token.kind == NEWLINE

@@ -1,0 +1,68 @@
+"""The forms that procedures and checks can be written in, all turned into the short form in this one place.
+
+What is written in another language is turned into the short form by whoever reads it from the API, so that agents know that alone.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any
+
+from understudy.api.kinds.procedure_spec import Check, Procedure
+from understudy.trees.languages import text_loader
+from understudy.trees.languages.btcpp import loader as btcpp
+from understudy.trees.languages.btcpp import steps as xml
+from understudy.trees.languages.notations import TEXTS
+from understudy.trees.languages.osc import loader as osc
+from understudy.trees.languages.osc import steps as scenarios
+from understudy.trees.languages.short.procedure_loader import ProcedureTree, load_check, load_procedure
+from understudy.trees.languages.short_form import SourceMap
+from understudy.trees.source.positions import ALONE, Beginning
+
+_PROCEDURES = {
+    "xml": (btcpp.reader(xml.PROCEDURES), btcpp.CALLED),
+    "osc": (osc.reader(scenarios.PROCEDURES), osc.CALLED),
+}
+_CHECKS = {"xml": (btcpp.reader(xml.CHECKS), btcpp.CALLED), "osc": (osc.reader(scenarios.CHECKS), osc.CALLED)}
+
+
+@dataclass(frozen=True)
+class Composed:
+    """A procedure or check, whatever it was written in."""
+
+    node: Mapping[str, Any]
+    """In the short form."""
+    tree: ProcedureTree
+    places: Mapping[str, str] = field(default_factory=dict)
+    """Where in its text each of its nodes is, by path in the short form; empty where it was written in that."""
+
+
+def compose(form: str, tree: Any, *, check: bool, path: str, begins: Beginning = ALONE) -> Composed:
+    """A procedure or, with ``check``, a check of a form, which is the field that it stands in.
+
+    ``path`` is what problems are named by; their lines and columns are those of the file in which a text ``begins``. Raises
+    TreeError with all problems.
+    """
+    load = load_check if check else load_procedure
+    if form not in TEXTS:
+        return Composed(tree, load(tree, path=path))
+
+    def loaded(node: dict[str, Any], source: SourceMap) -> Composed:
+        places = {inner: f"{origin.place}: {origin.label}" for inner, origin in source.nodes.items()}
+        return Composed(node, load(node, path=path, places=places), places)
+
+    read, called = (_CHECKS if check else _PROCEDURES)[form]
+    return text_loader.translated(tree, read, loaded, called=called, path=path, begins=begins)
+
+
+def composed(procedure: Procedure | Check, *, path: str) -> Composed:
+    """That of a spec, composed once; ``path`` as of :func:`compose`. Raises TreeError with all problems."""
+    return _composed(procedure.form, json.dumps(procedure.tree), isinstance(procedure, Check), path)
+
+
+@lru_cache(maxsize=256)
+def _composed(form: str, tree: str, check: bool, path: str) -> Composed:
+    return compose(form, json.loads(tree), check=check, path=path)

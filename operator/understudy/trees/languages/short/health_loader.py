@@ -1,0 +1,297 @@
+"""Loads a health tree from its short YAML form (docs/trees.md) and says everything that is wrong with it at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import replace
+from typing import Any
+
+from py_trees.behaviour import Behaviour
+from py_trees.common import ParallelPolicy
+from py_trees.composites import Parallel, Sequence
+from py_trees.decorators import Inverter
+
+from understudy.api.ros_names import ROS_NAME_PATTERN, ROS_TYPE_PATTERN
+from understudy.trees.core.composites import AnyOf
+from understudy.trees.core.health_tree import Build, HealthTree, WatchedTopic
+from understudy.trees.core.leaf import TopicLeaf, duration
+from understudy.trees.core.observations import Glance
+from understudy.trees.core.rate_window import Band, Window
+from understudy.trees.core.task_activity import SETTLE, STATUS_TYPE, TaskActive, While
+from understudy.trees.leaves.leaf_plan import LeafPlan, topic_of, type_of
+from understudy.trees.leaves.registry import LEAVES, UNUSABLE
+from understudy.trees.source.expressions import Fields
+from understudy.trees.source.problems import Problem, TreeError, did_you_mean
+from understudy.trees.source.value_reader import Reader, duration_of, found_text
+
+__all__ = ["Problem", "TreeError", "load"]
+
+KINDS = ("parallel", "sequence", "selector", "inverter", "while", "topic", *LEAVES)
+WHILE_KEYS = ("do", "settle")
+TASK_KEYS = ("action", "type")
+TOPIC_KEYS = ("name", "type", "gap", "rate", "window")
+
+
+def load(
+    tree: Mapping[str, Any],
+    *,
+    path: str = "spec.monitoring.yaml",
+    grace: float = 30.0,
+    fields: Fields | None = None,
+    called: Callable[[str], str] = str,
+) -> HealthTree:
+    """The health tree that a node of the short form stands for.
+
+    ``path`` is what problems are named by, ``grace`` the seconds that an instance has to become healthy for the first
+    time. Conditions over messages are checked by their types' ``fields``, where these are known. ``called`` says how a
+    message names another node of this path, for trees that weren't written in this form. Raises TreeError with all problems.
+    """
+    loader = _Loader(Glance(grace), fields, called)
+    build = loader.node(tree, path, [], 1)
+    if loader.problems:
+        raise TreeError(loader.problems)
+    assert build is not None, "a node without problems can be built"
+    return HealthTree(build, loader.glance, list(loader.topics.values()))
+
+
+class _Loader(Reader):
+    """Turns nodes into what builds their behaviours, and collects problems; one with a problem in it becomes None."""
+
+    def __init__(self, glance: Glance, fields: Fields | None, called: Callable[[str], str]) -> None:
+        super().__init__()
+        self.glance = glance
+        self._fields = fields
+        self._called = called
+        self.topics: dict[str, WatchedTopic] = {}
+        self._type_paths: dict[str, str] = {}
+        self._leaf_paths: dict[str, str] = {}
+        self._tasks: list[TaskActive] = []
+
+    def node(self, value: object, path: str, above: list[str], depth: int) -> Build | None:
+        """What builds one node; ``above`` are the names of the nodes it is in."""
+        if not self.is_node(value, path, depth, KINDS):
+            return None
+        for key in value:
+            if key not in KINDS and key != "name" and not ("while" in value and key in WHILE_KEYS):
+                self._unknown_node_key(str(key), path)
+        name = self.name(value, path)
+        kind = self.kind(value, path, KINDS)
+        if kind is None:
+            return None
+        below = [*above, name] if name else above
+        if kind == "topic":
+            return self._topic(value["topic"], f"{path}.topic", above, name)
+        if kind in LEAVES:
+            return self._leaf(kind, value[kind], f"{path}.{kind}", above, name)
+        if kind == "while":
+            return self._while(value, path, name or kind, below, depth)
+        if kind == "inverter":
+            child = self.node(value["inverter"], f"{path}.inverter", below, depth + 1)
+            return _composite(lambda children: Inverter(name or kind, *children), [child]) if child else None
+        return self._composite(kind, value[kind], f"{path}.{kind}", name or kind, below, depth)
+
+    def _while(self, value: Mapping[str, Any], path: str, name: str, below: list[str], depth: int) -> Build | None:
+        before = len(self.problems)
+        settle = self.given(value, "settle", path, duration_of) if "settle" in value else SETTLE
+        task = self._task(value["while"], f"{path}.while", settle)
+        if "do" not in value:
+            self.problem(f"{path}.do", "missing; give the node that must hold while the task is active")
+            return None
+        if task is None:
+            self.node(value["do"], f"{path}.do", below, depth + 1)
+            return None
+        self._tasks.append(task)
+        child = self.node(value["do"], f"{path}.do", below, depth + 1)
+        self._tasks.pop()
+        if child is None or len(self.problems) > before:
+            return None
+
+        def build(left_out: Collection[str]) -> Behaviour | None:
+            # Whether a task is active can't be told of a topic that isn't watched: then nothing hangs on it.
+            node = child(left_out) if task.topic not in left_out else None
+            return While(name, node, task, self.glance) if node is not None else None
+
+        return build
+
+    def _task(self, value: object, path: str, settle: float | None) -> TaskActive | None:
+        before = len(self.problems)
+        if not isinstance(value, Mapping) or "task_active" not in value:
+            self.problem(path, f"found {found_text(value)}; while is a mapping with task_active, such as {_WHILE}")
+            return None
+        self.known(value, ("task_active",), path)
+        path, fields = f"{path}.task_active", value["task_active"]
+        if not isinstance(fields, Mapping):
+            self.problem(
+                path, f"found {found_text(fields)}; task_active is a mapping with the action's name, such as {_WHILE}"
+            )
+            return None
+        self.known(fields, TASK_KEYS, path)
+        if "action" not in fields:
+            self.problem(f"{path}.action", "missing; give the action's fully qualified name, such as /navigate_to_pose")
+        action = self.matching(
+            fields, "action", path, ROS_NAME_PATTERN, "a fully qualified action name such as /navigate_to_pose"
+        )
+        self.matching(
+            fields, "type", path, ROS_TYPE_PATTERN.replace("(msg|srv|action)", "action"), "package/action/Name"
+        )
+        if action is None or settle is None or len(self.problems) > before:
+            return None
+        task = TaskActive(action, settle)
+        self._watch_task(task)
+        return task
+
+    def _watch_task(self, task: TaskActive) -> None:
+        known, wanted = self.topics.get(task.topic), WatchedTopic(task.topic, STATUS_TYPE, 0.0, None, task=True)
+        seen = replace(wanted, publishers=known.publishers, node=known.node) if known is not None else wanted
+        self.topics[task.topic] = seen
+
+    def _unknown_node_key(self, key: str, path: str) -> None:
+        if key in WHILE_KEYS:
+            self.problem(f"{path}.{key}", f"unknown key; {key} belongs beside while")
+            return
+        if key in UNUSABLE:
+            self.problem(f"{path}.{key}", UNUSABLE[key])
+            return
+        if inside := [kind for kind, keys in _LEAF_KEYS.items() if key in keys]:
+            kinds = " or ".join(filter(None, (", ".join(inside[:-1]), inside[-1])))
+            self.problem(f"{path}.{key}", f"unknown key; {key} belongs inside {kinds}")
+        else:
+            self.problem(f"{path}.{key}", f"unknown key {key!r}{did_you_mean(key, (*KINDS, 'name'))}")
+
+    def _composite(self, kind: str, value: object, path: str, name: str, below: list[str], depth: int) -> Build | None:
+        if not isinstance(value, list):
+            self.problem(path, f"found {found_text(value)}; {kind} has a list of nodes")
+            return None
+        if not value:
+            self.problem(path, f"the list is empty; {kind} needs at least one node")
+            return None
+        built = [self.node(child, f"{path}[{i}]", below, depth + 1) for i, child in enumerate(value)]
+        children = [child for child in built if child is not None]
+        if len(children) < len(built):
+            return None
+        return _composite(lambda nodes: _COMPOSITES[kind](name, nodes), children)
+
+    def _topic(self, value: object, path: str, above: list[str], name: str | None) -> Build | None:
+        before = len(self.problems)
+        if not isinstance(value, Mapping):
+            self.problem(path, f"found {found_text(value)}; topic is a mapping with name and with gap or rate")
+            return None
+        self.known(value, TOPIC_KEYS, path)
+        topic = topic_of(self, value, path, "/cmd_vel", key="name")
+        type_ = type_of(self, value, path)
+        gap = self.given(value, "gap", path, duration_of)
+        band = self.given(value, "rate", path, _band)
+        length = self.given(value, "window", path, duration_of)
+        if "gap" not in value and "rate" not in value:
+            self.problem(path, "neither gap nor rate is given; give gap, such as 500ms, or rate, such as '> 8 Hz'")
+        if "window" in value and "rate" not in value:
+            self.problem(f"{path}.window", "a window is only for a rate; give rate, or leave window out")
+        window = self._window(band, length, path) if band is not None else None
+        if topic is None or len(self.problems) > before:
+            return None
+        rate = window.band.expected if window else None
+        watched = WatchedTopic(topic, type_, window.length if window else 0.0, rate)
+        plan = LeafPlan(
+            topic.lstrip("/"),
+            watched,
+            lambda place, glance, tasks: TopicLeaf(place, topic, glance, gap=gap, window=window, tasks=tasks),
+        )
+        return self._placed(plan, path, above, name)
+
+    def _leaf(self, kind: str, value: object, path: str, above: list[str], name: str | None) -> Build | None:
+        """A leaf that looks into messages."""
+        before, known = len(self.problems), LEAVES[kind]
+        if not isinstance(value, Mapping):
+            self.problem(path, f"found {found_text(value)}; {kind} is a mapping such as {known.example}")
+            return None
+        self.known(value, known.keys, path)
+        plan = known.read(self, value, path, self._fields)
+        if plan is None or len(self.problems) > before:
+            return None
+        return self._placed(plan, path, above, name)
+
+    def _placed(self, plan: LeafPlan, path: str, above: list[str], name: str | None) -> Build | None:
+        """What builds a leaf at its place, under the nodes ``above`` and with the name that it was given, if it was."""
+        leaf_path = "/".join([*above, name or plan.name])
+        if leaf_path in self._leaf_paths:
+            where = self._called(self._leaf_paths[leaf_path])
+            self.problem(path, f"{leaf_path!r} is already the name of {where}; give one of them another name")
+            return None
+        self._leaf_paths[leaf_path] = path
+        if not all(self._watch(topic, path) for topic in (plan.watched, *plan.also)):
+            return None
+
+        tasks = tuple(self._tasks)
+        needed = {topic.name for topic in (plan.watched, *plan.also) if topic.heard}
+        if plan.task is not None:
+            self._watch_task(plan.task)
+            tasks, needed = (*tasks, plan.task), {*needed, plan.task.topic}
+
+        def build(left_out: Collection[str]) -> Behaviour | None:
+            blind = not needed.isdisjoint(left_out)
+            return plan.make(leaf_path, self.glance, tasks) if not blind else None
+
+        return _unless(leaf_path, build)
+
+    def _window(self, band: Band, length: float | None, path: str) -> Window | None:
+        shortest = band.shortest_window()
+        if length is not None and length < shortest:
+            self.problem(
+                f"{path}.window",
+                f"{duration(length)} is too short to tell whether a rate is {band}: a window counts whole messages; "
+                f"give at least {duration(shortest)}",
+            )
+            return None
+        return Window(band, length if length is not None else band.default_window())
+
+    def _watch(self, wanted: WatchedTopic, path: str) -> bool:
+        """Note that a topic is needed; False, with a problem, where two leaves differ about its type."""
+        topic, known = wanted.name, self.topics.get(wanted.name, wanted)
+        if known.task and wanted.heard:
+            self.problem(
+                path,
+                f"{topic} says whether a task is active, which is looked at already; it has no rate or gap of its own",
+            )
+            return False
+        if wanted.type and known.type and wanted.type != known.type:
+            where = self._called(self._type_paths[topic])
+            self.problem(
+                f"{path}.type", f"found {wanted.type}, but {where} says {known.type} of the same topic {topic}"
+            )
+            return False
+        if wanted.type:
+            self._type_paths.setdefault(topic, f"{path}.type")
+        self.topics[topic] = known.joined(wanted)
+        return True
+
+
+_LEAF_KEYS = {"topic": TOPIC_KEYS, **{kind: leaf.keys for kind, leaf in LEAVES.items()}}
+
+_WHILE = "{task_active: {action: /navigate_to_pose}}"
+
+_COMPOSITES: dict[str, Callable[[str, list[Behaviour]], Behaviour]] = {
+    "parallel": lambda name, nodes: Parallel(name, ParallelPolicy.SuccessOnAll(synchronise=False), nodes),
+    "sequence": lambda name, nodes: Sequence(name, memory=False, children=nodes),
+    "selector": AnyOf,
+}
+
+
+def _composite(make: Callable[[list[Behaviour]], Behaviour], children: list[Build]) -> Build:
+    """Builds a node over those of its children that are not left out; none where all are."""
+
+    def build(left_out: Collection[str]) -> Behaviour | None:
+        built = [node for child in children if (node := child(left_out)) is not None]
+        return make(built) if built else None
+
+    return build
+
+
+def _unless(path: str, build: Build) -> Build:
+    """Builds the leaf of a path, unless that one is left out."""
+    return lambda left_out: build(left_out) if path not in left_out else None
+
+
+def _band(value: object) -> Band:
+    if not isinstance(value, str):
+        raise ValueError(f"found {found_text(value)}; write '> 8 Hz', '>= 8 Hz', '< 20 Hz', '<= 20 Hz' or '9 to 11 Hz'")
+    return Band.parse(value)

@@ -1,0 +1,490 @@
+"""Procedures and checks: trees that bring one instance somewhere, and trees of what must hold of it (docs/procedures.md).
+
+Both are loaded from the short form, whichever language they were written in (procedure_notations.py), and run from inside the
+instance's pod; what their leaves do and ask is behind :class:`understudy.trees.core.procedure_steps.Actions`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import Any
+
+from py_trees.behaviour import Behaviour
+from py_trees.common import ParallelPolicy, Status
+from py_trees.composites import Parallel
+from py_trees.composites import Sequence as Ordered
+from py_trees.decorators import Inverter
+
+from understudy.api.ros_names import ROS_NAME_PATTERN, ROS_TYPE_PATTERN
+from understudy.trees.core.answer_matching import mismatch
+from understudy.trees.core.composites import FirstOf
+from understudy.trees.core.health_tree import HealthTree, WatchedTopic
+from understudy.trees.core.procedure_steps import (
+    OVERTIME,
+    Actions,
+    Limit,
+    Retry,
+    Run,
+    Step,
+    Within,
+    Work,
+    reasons,
+    unfinished,
+)
+from understudy.trees.languages.short.health_loader import load
+from understudy.trees.leaves import procedure_vocabulary
+from understudy.trees.leaves.registry import LEAVES, UNUSABLE
+from understudy.trees.source.problems import TreeError, did_you_mean
+from understudy.trees.source.value_reader import Reader, duration_of, found_text
+
+COMPOSITES = ("sequence", "parallel", "selector")
+DECORATORS = ("timeout", "retry", "inverter")
+HEALTH = ("topic", *(kind for kind, leaf in LEAVES.items() if not leaf.of_control))
+"""Conditions that are leaves of a health tree."""
+
+CONDITIONS = ("lifecycle_is", *HEALTH, "node_present", "service_present", "parameter_is")
+STEPS = tuple(procedure_vocabulary.STEPS)
+STATES = ("unconfigured", "inactive", "active", "finalized")
+"""States in which a managed node rests."""
+
+MOST_TRIES = 1000
+
+TICK = 0.05
+"""Seconds between two looks at what has a time; the end of an action is noticed at once."""
+
+SETTLE = 0.05
+"""Seconds between two looks at a topic that is still starting."""
+
+Make = Callable[[Run, Sequence[Limit]], Behaviour]
+"""Makes a node for one run, under ends of time."""
+
+
+class ProcedureFailed(Exception):
+    """A procedure that didn't succeed; the text names the leaf and says why."""
+
+
+class ProcedureTree:
+    """A tree that is run once, or looked at again and again where it has only conditions."""
+
+    def __init__(self, make: Make, kinds: Collection[str], topics: Sequence[WatchedTopic]) -> None:
+        self._make = make
+        self._kinds = frozenset(kinds)
+        self.topics = list(topics)
+        """Topics that its conditions look at, which must be watched while it runs."""
+
+    @property
+    def restores_state(self) -> bool:
+        """Whether it says itself where kept state is restored."""
+        return "restore_state" in self._kinds
+
+    @property
+    def resends_goals(self) -> bool:
+        """Whether it says itself when goals are sent again."""
+        return "resend_goals" in self._kinds
+
+    async def run(self, actions: Actions, within: float) -> None:
+        """Run it to its end, for at most so many seconds. What is under way when this is cancelled is cancelled too.
+
+        Raises ProcedureFailed.
+        """
+        run, limit = Run(actions), Limit()
+        limit.until = run.clock() + within
+        root = self._make(run, [limit])
+        try:
+            while True:
+                run.wake.clear()
+                root.tick_once()
+                if root.status != Status.RUNNING:
+                    break
+                if run.clock() >= limit.until + OVERTIME:
+                    raise ProcedureFailed(f"not done within {within:g} s: {'; '.join(unfinished(root))}")
+                with contextlib.suppress(TimeoutError):
+                    async with asyncio.timeout(TICK):
+                        await run.wake.wait()
+            if root.status == Status.FAILURE:
+                raise ProcedureFailed("; ".join(reasons(root)))
+        finally:
+            if root.status == Status.RUNNING:
+                root.stop(Status.INVALID)
+            if run.tasks:
+                await asyncio.wait(run.tasks)
+
+
+def load_procedure(tree: object, *, path: str, places: Mapping[str, str] | None = None) -> ProcedureTree:
+    """The procedure that a node of the short form stands for. Raises TreeError with all its problems.
+
+    ``places`` are those of its nodes in the text that it was written in, by their paths in the short form, where it was
+    written in another language: what fails is called by them.
+    """
+    return _load(_Loader(waits=True, called=_caller(path, places)), tree, path)
+
+
+def load_check(tree: object, *, path: str, places: Mapping[str, str] | None = None) -> ProcedureTree:
+    """The check that a node of the short form stands for: a tree of conditions only. Raises TreeError.
+
+    ``places`` as of :func:`load_procedure`.
+    """
+    return _load(_Loader(waits=False, called=_caller(path, places)), tree, path)
+
+
+def _caller(path: str, places: Mapping[str, str] | None) -> Callable[[str], str]:
+    """What messages call a node by its path."""
+    if not places:
+        return str
+    known = {f"{path}.{inner}": f"{path}, {place}" for inner, place in places.items()}
+    return lambda node: known.get(node, node)
+
+
+def _load(loader: _Loader, tree: object, path: str) -> ProcedureTree:
+    make = loader.node(tree, path, 1)
+    if loader.problems:
+        raise TreeError(loader.problems)
+    assert make is not None, "a node without problems can be made"
+    return ProcedureTree(make, loader.kinds, loader.topics)
+
+
+class _Loader(Reader):
+    """Turns nodes into what makes their behaviours; one with a problem in it becomes None."""
+
+    def __init__(self, *, waits: bool, called: Callable[[str], str]) -> None:
+        """``waits`` for a procedure, which may act and wait; a check only looks. ``called`` says what messages call a node."""
+        super().__init__()
+        self._called = called
+        self.topics: list[WatchedTopic] = []
+        self.kinds: set[str] = set()
+        self._waits = waits
+        self._decorators = DECORATORS if waits else ("inverter",)
+        self._allowed = (*COMPOSITES, *self._decorators, *(STEPS if waits else ()), *CONDITIONS)
+
+    def node(self, value: object, path: str, depth: int) -> Make | None:
+        if not self.is_node(value, path, depth, self._allowed):
+            return None
+        self._unknown(value, path)
+        self.name(value, path)
+        kind = self.kind(value, path, self._allowed)
+        if kind is None:
+            return None
+        self.kinds.add(kind)
+        place = f"{path}.{kind}"
+        if kind in COMPOSITES:
+            return self._composite(kind, value[kind], place, depth)
+        if kind == "inverter":
+            return _around(self.node(value[kind], place, depth + 1), lambda child: Inverter(place, child))
+        if kind in self._decorators:
+            return self._decorator(kind, value[kind], place, depth)
+        before = len(self.problems)
+        fields = value[kind]
+        if not isinstance(fields, Mapping):
+            what = f"such as {LEAVES[kind].example}" if kind in LEAVES else f"of {_FIELDS[kind]}"
+            self.problem(place, f"found {found_text(fields)}; {kind} is a mapping {what}")
+            return None
+        work: Work | None
+        work = self._health(kind, fields, path) if kind in HEALTH else getattr(self, f"_{kind}")(fields, place)
+        if work is None or len(self.problems) > before:
+            return None
+        called = self._called(place)
+        return lambda run, limits: Step(called, work, run, limits)
+
+    def _unknown(self, value: Mapping[str, Any], path: str) -> None:
+        for key in value:
+            if key in self._allowed or key == "name":
+                continue
+            if key in (*STEPS, *DECORATORS):
+                self.problem(f"{path}.{key}", f"a check only looks; {key} belongs into a procedure")
+            elif key in UNUSABLE:
+                self.problem(f"{path}.{key}", UNUSABLE[key])
+            elif key in ("do", "within", "times", "wait"):
+                self.problem(f"{path}.{key}", f"unknown key; {key} belongs inside timeout or retry")
+            else:
+                self.problem(
+                    f"{path}.{key}", f"unknown key {str(key)!r}{did_you_mean(str(key), (*self._allowed, 'name'))}"
+                )
+
+    # -- composites and decorators ----------------------------------------------------------------------------------
+
+    def _composite(self, kind: str, value: object, path: str, depth: int) -> Make | None:
+        if not isinstance(value, list):
+            self.problem(path, f"found {found_text(value)}; {kind} has a list of nodes")
+            return None
+        if not value:
+            self.problem(path, f"the list is empty; {kind} needs at least one node")
+            return None
+        made = [self.node(child, f"{path}[{i}]", depth + 1) for i, child in enumerate(value)]
+        children = [child for child in made if child is not None]
+        if len(children) < len(made):
+            return None
+
+        def make(run: Run, limits: Sequence[Limit]) -> Behaviour:
+            nodes = [child(run, limits) for child in children]
+            if kind == "sequence":
+                return Ordered(path, memory=True, children=nodes)
+            if kind == "selector":
+                return FirstOf(path, nodes)
+            return Parallel(path, ParallelPolicy.SuccessOnAll(synchronise=True), nodes)
+
+        return make
+
+    def _decorator(self, kind: str, value: object, path: str, depth: int) -> Make | None:
+        if not isinstance(value, Mapping):
+            self.problem(path, f"found {found_text(value)}; {kind} is a mapping of {_FIELDS[kind]}")
+            return None
+        before = len(self.problems)
+        keys = ("within", "do") if kind == "timeout" else ("times", "wait", "do")
+        self.known(value, keys, path)
+        for key in keys:
+            if key not in value and key != "wait":
+                self.problem(f"{path}.{key}", f"missing; {kind} has {_FIELDS[kind]}")
+        within = self.given(value, "within", path, duration_of)
+        times = self.given(value, "times", path, _tries)
+        wait = self.given(value, "wait", path, duration_of) if "wait" in value else 1.0
+        child = self.node(value["do"], f"{path}.do", depth + 1) if "do" in value else None
+        if child is None or len(self.problems) > before:
+            return None
+        if kind == "retry":
+            return lambda run, limits: Retry(path, child(run, limits), run, times, wait)
+
+        called = self._called(path)
+
+        def make(run: Run, limits: Sequence[Limit]) -> Behaviour:
+            limit = Limit()
+            return Within(called, child(run, [*limits, limit]), run, within, limit, limits)
+
+        return make
+
+    # -- what is done -----------------------------------------------------------------------------------------------
+
+    def _set_lifecycle(self, fields: Mapping[str, Any], path: str) -> Work | None:
+        self.known(fields, _KEYS["set_lifecycle"], path)
+        node, state = self._ros(fields, "node", path), self._state(fields, path)
+
+        async def work(actions: Actions, within: float) -> None:
+            await actions.bring_to(str(node), str(state), within)
+
+        return work
+
+    def _call_service(self, fields: Mapping[str, Any], path: str) -> Work | None:
+        self.known(fields, _KEYS["call_service"], path)
+        service, type_ = self._ros(fields, "service", path), self._type(fields, path, "srv")
+        request, expect = self._mapping(fields, "request", path), self._mapping(fields, "expect", path)
+        repeat = self.given(fields, "repeat", path, duration_of)
+
+        async def work(actions: Actions, within: float) -> None:
+            answer = await actions.call(str(service), str(type_), request, within, repeat=repeat)
+            if (reason := mismatch(answer, expect)) is not None:
+                raise ProcedureFailed(f"service {service} answered otherwise: {reason}")
+
+        return work
+
+    def _publish(self, fields: Mapping[str, Any], path: str) -> Work | None:
+        self.known(fields, _KEYS["publish"], path)
+        topic, type_ = self._ros(fields, "topic", path), self._type(fields, path, "msg")
+        message = self._mapping(fields, "message", path)
+
+        async def work(actions: Actions, within: float) -> None:
+            await actions.publish(str(topic), str(type_), message, within)
+
+        return work
+
+    def _set_parameters(self, fields: Mapping[str, Any], path: str) -> Work | None:
+        self.known(fields, _KEYS["set_parameters"], path)
+        node, values = self._ros(fields, "node", path), self._mapping(fields, "values", path)
+        if not values:
+            self.problem(f"{path}.values", "missing; give the parameters to set, such as {use_sim_time: true}")
+        for name, value in values.items():
+            if value is None or isinstance(value, Mapping):
+                self.problem(
+                    f"{path}.values.{name}", f"found {found_text(value)}; a parameter is a value or a list of them"
+                )
+
+        async def work(actions: Actions, within: float) -> None:
+            await actions.set_parameters(str(node), values, within)
+
+        return work
+
+    def _wait_for(self, fields: Mapping[str, Any], path: str) -> Work | None:
+        self.known(fields, _KEYS["wait_for"], path)
+        what = [key for key in ("topic", "service", "node") if key in fields]
+        if len(what) != 1:
+            self.problem(path, f"found {' and '.join(what) or 'none'} of topic, service and node; give exactly one")
+            return None
+        kind = what[0]
+        name = self._ros(fields, kind, path)
+        type_ = self._type(fields, path, "msg") if kind == "topic" else None
+        if kind != "topic" and "type" in fields:
+            self.problem(f"{path}.type", "a type is only for a topic")
+        own = self.given(fields, "within", path, duration_of)
+
+        async def work(actions: Actions, within: float) -> None:
+            bound = min(within, own) if own is not None else within
+            if kind == "topic":
+                await actions.wait_sample(str(name), str(type_), bound)
+                return
+            present = actions.service_present if kind == "service" else actions.node_present
+            try:
+                async with asyncio.timeout(bound):
+                    while not await present(str(name)):  # noqa: ASYNC110 - the graph has no event for it
+                        await asyncio.sleep(SETTLE)
+            except TimeoutError:
+                raise ProcedureFailed(f"{kind} {name} is not there within {bound:.3g} s") from None
+
+        return work
+
+    def _restore_state(self, fields: Mapping[str, Any], path: str) -> Work | None:
+        self.known(fields, _KEYS["restore_state"], path)
+        only: list[str] | None = None
+        if "only" in fields:
+            only = fields["only"]
+            if not isinstance(only, list) or not only or not all(_is_name(entry) for entry in only):
+                self.problem(
+                    f"{path}.only",
+                    f"found {found_text(only)}; give a list of kept topics and nodes, such as [/amcl_pose]",
+                )
+
+        async def work(actions: Actions, within: float) -> None:
+            await actions.restore_state(only, within)
+
+        return work
+
+    def _resend_goals(self, fields: Mapping[str, Any], path: str) -> Work | None:
+        self.known(fields, _KEYS["resend_goals"], path)
+
+        async def work(actions: Actions, within: float) -> None:
+            await actions.resend_goals(within)
+
+        return work
+
+    # -- what must hold ---------------------------------------------------------------------------------------------
+
+    def _lifecycle_is(self, fields: Mapping[str, Any], path: str) -> Work | None:
+        self.known(fields, _KEYS["lifecycle_is"], path)
+        node, state = self._ros(fields, "node", path), self._state(fields, path)
+
+        async def work(actions: Actions, within: float) -> None:
+            found = await actions.lifecycle_state(str(node), within)
+            if found != state:
+                raise ProcedureFailed(f"node {node} is {found}, not {state}")
+
+        return work
+
+    def _health(self, kind: str, fields: Mapping[str, Any], path: str) -> Work | None:
+        try:
+            tree: HealthTree = load({kind: fields}, path=path)
+        except TreeError as error:
+            self.problems += error.problems
+            return None
+        self.topics += tree.topics
+        waits = self._waits
+
+        async def work(actions: Actions, within: float) -> None:
+            verdict = actions.health(tree)
+            while waits and verdict.state == "Starting":
+                await asyncio.sleep(SETTLE)
+                verdict = actions.health(tree)
+            if verdict.state != "Healthy":
+                raise ProcedureFailed(verdict.reason)
+
+        return work
+
+    def _node_present(self, fields: Mapping[str, Any], path: str) -> Work | None:
+        self.known(fields, _KEYS["node_present"], path)
+        node = self._ros(fields, "node", path)
+
+        async def work(actions: Actions, within: float) -> None:
+            if not await actions.node_present(str(node)):
+                raise ProcedureFailed(f"node {node} is not there")
+
+        return work
+
+    def _service_present(self, fields: Mapping[str, Any], path: str) -> Work | None:
+        self.known(fields, _KEYS["service_present"], path)
+        service = self._ros(fields, "service", path)
+
+        async def work(actions: Actions, within: float) -> None:
+            if not await actions.service_present(str(service)):
+                raise ProcedureFailed(f"service {service} is not there")
+
+        return work
+
+    def _parameter_is(self, fields: Mapping[str, Any], path: str) -> Work | None:
+        self.known(fields, _KEYS["parameter_is"], path)
+        node, name = self._ros(fields, "node", path), fields.get("name")
+        if not isinstance(name, str) or not name:
+            self.problem(f"{path}.name", f"found {found_text(name)}; give the parameter's name")
+        if "value" not in fields:
+            self.problem(f"{path}.value", "missing; give the value that it must have")
+        value = fields.get("value")
+
+        async def work(actions: Actions, within: float) -> None:
+            found = (await actions.get_parameters(str(node), [str(name)], within))[str(name)]
+            if found != value:
+                raise ProcedureFailed(f"parameter {name} of node {node} is {found!r:.100}, not {value!r:.100}")
+
+        return work
+
+    # -- fields -----------------------------------------------------------------------------------------------------
+
+    def _ros(self, fields: Mapping[str, Any], key: str, path: str) -> str | None:
+        if key not in fields:
+            self.problem(f"{path}.{key}", f"missing; give the {key}'s fully qualified name, such as /{_EXAMPLES[key]}")
+        return self.matching(
+            fields, key, path, ROS_NAME_PATTERN, f"a fully qualified {key} name such as /{_EXAMPLES[key]}"
+        )
+
+    def _type(self, fields: Mapping[str, Any], path: str, kind: str) -> str | None:
+        right = f"package/{kind}/Name, such as {_TYPES[kind]}"
+        if "type" not in fields:
+            self.problem(f"{path}.type", f"missing; give {right}")
+        return self.matching(fields, "type", path, ROS_TYPE_PATTERN.replace("(msg|srv|action)", kind), right)
+
+    def _state(self, fields: Mapping[str, Any], path: str) -> str | None:
+        state = fields.get("state")
+        if state not in STATES:
+            self.problem(f"{path}.state", f"found {found_text(state)}; give one of {', '.join(STATES)}")
+            return None
+        return str(state)
+
+    def _mapping(self, fields: Mapping[str, Any], key: str, path: str) -> Mapping[str, Any]:
+        value = fields.get(key, {})
+        if not isinstance(value, Mapping):
+            self.problem(f"{path}.{key}", f"found {found_text(value)}; {key} is a mapping of fields")
+            return {}
+        return value
+
+
+_FIELDS = {
+    "timeout": "within and do",
+    "retry": "times, do and (if not 1s) wait",
+    "set_lifecycle": "node and state",
+    "call_service": "service, type, request, expect and (if it may be asked twice) repeat",
+    "publish": "topic, type and message",
+    "set_parameters": "node and values",
+    "wait_for": "topic and type, or service, or node",
+    "restore_state": "nothing ({}) or only",
+    "resend_goals": "nothing ({})",
+    "lifecycle_is": "node and state",
+    "topic": "name and gap or rate",
+    "node_present": "node",
+    "service_present": "service",
+    "parameter_is": "node, name and value",
+}
+_KEYS = {**procedure_vocabulary.STEPS, **procedure_vocabulary.LOOKS}
+_EXAMPLES = {"node": "map_server", "service": "controller_server/get_state", "topic": "initialpose"}
+_TYPES = {"srv": "std_srvs/srv/Trigger", "msg": "geometry_msgs/msg/Twist"}
+
+
+def _around(child: Make | None, wrap: Callable[[Behaviour], Behaviour]) -> Make | None:
+    if child is None:
+        return None
+    return lambda run, limits: wrap(child(run, limits))
+
+
+def _tries(value: object) -> int:
+    if not isinstance(value, int) or isinstance(value, bool) or not 1 <= value <= MOST_TRIES:
+        raise ValueError(f"found {found_text(value)}; give how often it is tried, from 1 to {MOST_TRIES}")
+    return value
+
+
+def _is_name(value: object) -> bool:
+    return isinstance(value, str) and value.startswith("/") and len(value) > 1

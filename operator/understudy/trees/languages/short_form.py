@@ -1,0 +1,150 @@
+"""What was written in a text as a node of the short form, and where each part of that was written."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from understudy.trees.source.positions import nearest
+from understudy.trees.source.problems import Problem, TreeError
+
+LONGEST_MESSAGE = 500
+"""Characters of a message; some repeat what was found."""
+
+ENOUGH = 100
+"""Mistakes after which no more are looked for: one in a subtree is found at each of its uses."""
+
+AROUND: Mapping[str, str] = {"while": "do", "inverter": "inverter", "timeout": "timeout.do", "retry": "retry.do"}
+"""Where the node is that a node of these kinds is around, as a path from it."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """A problem and where it is, by which it is put in order."""
+
+    line: int
+    column: int
+    problem: Problem
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where a node comes from."""
+
+    label: str
+    """Such as ``<Topic>`` or ``topic()``."""
+    line: int
+    column: int
+    uses: tuple[int, ...] = ()
+    """The lines of what uses the subtrees by way of which it is in the tree, the outermost first."""
+
+    @property
+    def place(self) -> str:
+        """Such as ``line 7, column 5``."""
+        by = f" (used in line {', '.join(map(str, self.uses))})" if self.uses else ""
+        return f"line {self.line}, column {self.column}{by}"
+
+    def problem(self, path: str, message: str, attribute: str = "") -> Found:
+        """A problem here, or with an attribute that is here."""
+        what = f"{self.label} {attribute:.60}" if attribute else self.label
+        return Found(self.line, self.column, Problem(f"{path}, {self.place}", f"{what}: {message:.{LONGEST_MESSAGE}}"))
+
+
+@dataclass(frozen=True)
+class Written:
+    """A node that could be read, with those of its values and children that could be."""
+
+    origin: Origin
+    key: str
+    """What it is in the short form."""
+    name: str | None
+    ports: Mapping[str, str] = field(default_factory=dict)
+    """By port, where its value goes in the short form."""
+    values: Mapping[str, str] = field(default_factory=dict)
+    """By port, what it was given."""
+    children: list[Written] = field(default_factory=list)
+    places: Mapping[str, Origin] = field(default_factory=dict)
+    """By port, where its value was written, where that is known better than by the node."""
+    reads: Mapping[str, Callable[[str], Any]] = field(default_factory=dict)
+    """By port, what reads its value, where that is no text in the short form. Raises ValueError."""
+
+
+class SourceMap:
+    """Says of problems with the short form where they are in the text."""
+
+    def __init__(self, path: str) -> None:
+        self._path = path
+        self._places: dict[str, tuple[Origin, str]] = {}
+        self._unread: set[str] = set()
+        self.nodes: dict[str, Origin] = {}
+        """By path from the tree, with its kind behind it, where each node was written."""
+        self.problems: list[Found] = []
+        """Values that can't be read."""
+
+    def short_form(self, written: Written) -> dict[str, Any]:
+        """The node of the short form. The places of all that is in it are noted."""
+        return self._node(written, self._path)
+
+    def called(self, path: str) -> str:
+        """How another node is called in a message."""
+        origin, _ = self._find(path)
+        return f"{origin.label} in {origin.place}"
+
+    def problem(self, found: Problem) -> Found:
+        """A problem with the short form as one of the text."""
+        origin, port = self._find(found.path)
+        return origin.problem(self._path, found.message, port)
+
+    def told(self, found: Problem) -> bool:
+        """Whether a problem with the short form is with a value that couldn't be read, which was said already."""
+        return found.path in self._unread
+
+    def _node(self, written: Written, path: str) -> dict[str, Any]:
+        self._places[path] = (written.origin, "")
+        self.nodes[f"{path}.{written.key}".removeprefix(f"{self._path}.")] = written.origin
+        self._places[f"{path}.name"] = (written.places.get("name", written.origin), "name")
+        node: dict[str, Any] = {"name": written.name} if written.name is not None else {}
+        for port, where in written.ports.items():
+            self._places[f"{path}.{where}"] = (written.places.get(port, written.origin), port)
+            *above, last = where.split(".")
+            inner = node
+            for key in above:
+                inner = inner.setdefault(key, {})
+            if port in written.values:
+                inner[last] = self._value(written, port, f"{path}.{where}")
+        if written.key in AROUND:
+            *above, last = AROUND[written.key].split(".")
+            inner = node
+            for key in above:
+                inner = inner.setdefault(key, {})
+            inner[last] = self._node(written.children[0], f"{path}.{AROUND[written.key]}")
+        elif written.children:
+            node[written.key] = [
+                self._node(child, f"{path}.{written.key}[{index}]") for index, child in enumerate(written.children)
+            ]
+        else:
+            node.setdefault(written.key, {})  # a leaf that is given nothing
+        return node
+
+    def _value(self, written: Written, port: str, path: str) -> Any:
+        text = written.values[port]
+        try:
+            return written.reads[port](text) if port in written.reads else text
+        except ValueError as error:
+            self._unread.add(path)
+            self.problems.append(written.places.get(port, written.origin).problem(self._path, str(error), port))
+            return text
+
+    def _find(self, path: str) -> tuple[Origin, str]:
+        return nearest(self._places, path) or self._places[self._path]
+
+
+def refusal(found: Iterable[Found], path: str) -> TreeError:
+    """The error of a text with these problems, in the order of the text."""
+    # A subtree that is used twice has its mistakes once.
+    listed = sorted(dict.fromkeys(found), key=lambda one: (one.line, one.column))
+    problems = [one.problem for one in listed[:ENOUGH]]
+    if len(listed) > ENOUGH:
+        problems.append(Problem(path, f"and {len(listed) - ENOUGH} more"))
+    return TreeError(problems)

@@ -1,0 +1,137 @@
+"""Loads a health tree that is a text by itself, such as a key of a ConfigMap; problems name their line and column."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import yaml
+from yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
+
+from understudy.api.durations import LONGEST_TEXT
+from understudy.trees.languages.notations import load_health
+from understudy.trees.source.positions import ALONE, Beginning, nearest
+from understudy.trees.source.problems import Problem, TreeError
+from understudy.trees.source.yaml_scalars import SCALARS, TAG, plain
+
+DEEPEST = 100
+"""Levels that the text of a tree may have; a node of the short form has two."""
+
+
+def load_text(form: str, text: str, *, path: str, grace: float, begins: Beginning = ALONE) -> Any:
+    """The tree that a text of a form stands for, as it would stand in ``spec.monitoring``, once it has been loaded.
+
+    ``path`` is what problems are named by, ``grace`` in seconds; lines and columns are those of the file in which the text
+    ``begins``. Raises TreeError with all problems.
+    """
+    if len(text) > LONGEST_TEXT:
+        raise TreeError([Problem(path, f"has {len(text)} characters; a tree may have {LONGEST_TEXT}")])
+    if form != "yaml":
+        load_health(form, text, grace=grace, path=path, begins=begins)
+        return text
+    read = _Read(text, path, begins)
+    try:
+        load_health(form, read.tree, grace=grace, path=path)
+    except TreeError as error:
+        raise TreeError([read.placed(problem) for problem in error.problems]) from error
+    return read.tree
+
+
+class _Place(NamedTuple):
+    line: int
+    column: int
+
+
+class _Read:
+    """The short form's node that a text stands for, and where in it everything is. Raises TreeError."""
+
+    def __init__(self, text: str, path: str, begins: Beginning) -> None:
+        self._path, self._begins = path, begins
+        self._places: dict[str, _Place] = {}
+        self._seen: set[int] = set()
+        self._problems: list[Problem] = []
+        self.tree = self._value(self._document(text), "", 0)
+        if self._problems:
+            raise TreeError(self._problems)
+
+    def placed(self, problem: Problem) -> Problem:
+        """A problem with the short form, with its place in the text."""
+        inner = problem.path.removeprefix(self._path)
+        return self._problem_at(nearest(self._places, inner) or _Place(1, 1), inner, problem.message)
+
+    def _problem_at(self, place: _Place, inner: str, message: str) -> Problem:
+        told = f"{inner.removeprefix('.')}: {message}" if inner else message
+        return Problem(f"{self._path}, line {place.line}, column {place.column}", told)
+
+    def _document(self, text: str) -> Node:
+        try:
+            node = yaml.compose(text, Loader=yaml.SafeLoader)
+        except yaml.MarkedYAMLError as error:
+            mark = error.problem_mark or error.context_mark
+            place = self._at(mark.line, mark.column) if mark else self._at(0, 0)
+            said = ", ".join(part for part in (error.context, error.problem) if part)
+            raise TreeError([self._problem_at(place, "", f"this isn't YAML: {said}; correct it here")]) from error
+        except yaml.reader.ReaderError as error:
+            before = text[: error.position]
+            place = self._at(before.count("\n"), len(before) - before.rfind("\n") - 1)
+            message = f"found the character {chr(error.character)!a}, which YAML doesn't take; leave it out"
+            raise TreeError([self._problem_at(place, "", message)]) from error
+        except RecursionError as error:
+            raise TreeError([Problem(self._path, f"is nested too deeply; it may be {DEEPEST} deep")]) from error
+        if node is None:
+            raise TreeError([Problem(self._path, "there is nothing in it; give a node such as parallel")])
+        return node
+
+    def _at(self, line: int, column: int) -> _Place:
+        """A place of the text as one of the file."""
+        return _Place(line + 1 + self._begins.lines, column + 1 + self._begins.columns)
+
+    def _of(self, node: Node) -> _Place:
+        return self._at(node.start_mark.line, node.start_mark.column)
+
+    def _refuse(self, node: Node, inner: str, message: str) -> None:
+        self._problems.append(self._problem_at(self._of(node), inner, message))
+
+    def _value(self, node: Node, inner: str, depth: int) -> Any:
+        self._places.setdefault(inner, self._of(node))
+        # What is written once and stands for many is how a small text becomes a tree that never ends.
+        if id(node) in self._seen:
+            self._refuse(node, inner, "is an alias (*) of something further up; write it out")
+            return None
+        self._seen.add(id(node))
+        if depth > DEEPEST:
+            self._refuse(node, inner, f"is nested too deeply; it may be {DEEPEST} deep")
+            return None
+        if not isinstance(node, ScalarNode) and node.tag not in (f"{TAG}map", f"{TAG}seq"):
+            self._refuse(node, inner, f"found the tag {node.tag.replace(TAG, '!!'):.60}; leave it out")
+        if isinstance(node, MappingNode):
+            return dict(self._items(node, inner, depth))
+        if isinstance(node, SequenceNode):
+            return [self._value(item, f"{inner}[{i}]", depth + 1) for i, item in enumerate(node.value)]
+        assert isinstance(node, ScalarNode), "there is no other kind of node"
+        return self._scalar(node, inner)
+
+    def _items(self, node: MappingNode, inner: str, depth: int) -> Iterator[tuple[str, Any]]:
+        first: set[str] = set()
+        for key_node, value_node in node.value:
+            key = plain(key_node) if isinstance(key_node, ScalarNode) else None
+            if not isinstance(key, str) or key_node.tag == f"{TAG}merge":
+                self._refuse(key_node, inner, "has a key that isn't a text; write a text before the ':'")
+                continue
+            if key in first:
+                self._refuse(key_node, f"{inner}.{key}", "is given twice; leave one of them out")
+                continue
+            first.add(key)
+            self._places[f"{inner}.{key}"] = self._of(key_node)
+            yield key, self._value(value_node, f"{inner}.{key}", depth + 1)
+
+    def _scalar(self, node: ScalarNode, inner: str) -> Any:
+        if node.tag not in SCALARS:
+            self._refuse(node, inner, f"found the tag {node.tag.replace(TAG, '!!'):.60}; leave it out")
+            return None
+        found = plain(node)
+        if isinstance(found, float) and not math.isfinite(found):
+            self._refuse(node, inner, f"found {node.value}; give a number")
+            return None
+        return found

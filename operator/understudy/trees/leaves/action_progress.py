@@ -1,0 +1,220 @@
+"""The leaf ``progress``: whether an action that has a goal gets on with it, by its feedback."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from understudy.api.ros_names import ROS_NAME_PATTERN, ROS_TYPE_PATTERN
+from understudy.trees.core.evidence import Said, Track
+from understudy.trees.core.health_tree import WatchedTopic
+from understudy.trees.core.leaf import State, duration
+from understudy.trees.core.observations import Content, Glance, TopicRecord, Unreadable
+from understudy.trees.core.task_activity import SETTLE, TaskActive
+from understudy.trees.leaves.leaf_plan import LeafKind, LeafPlan
+from understudy.trees.leaves.message_content import ContentLeaf
+from understudy.trees.source.expressions import ExpressionError, Fields, Quantity, Untold
+from understudy.trees.source.value_reader import Reader, duration_of, found_text
+
+MOST_GOALS = 16
+"""Goals of one action that are told apart; most servers have one at a time."""
+
+
+@dataclass(frozen=True)
+class Aim:
+    """What a goal must get on by."""
+
+    quantity: Quantity
+    sign: int
+    """-1 where it must fall, 1 where it must grow."""
+    by: float
+    within: float
+    """Seconds."""
+
+    def __str__(self) -> str:
+        return f"not {'fallen' if self.sign < 0 else 'grown'} by {self.by:g} for {duration(self.within)}"
+
+
+class ProgressLeaf(ContentLeaf):
+    """Holds while no goal is active, or the active one gets on: feedback comes, and a quantity in it gets better.
+
+    Better than it ever was with this goal: a robot that backs up and tries again the same way hasn't got on.
+    """
+
+    def __init__(
+        self,
+        path: str,
+        action: str,
+        glance: Glance,
+        *,
+        gap: float | None = None,
+        aim: Aim | None = None,
+        tasks: Sequence[TaskActive],
+    ) -> None:
+        """A leaf over an action's feedback, at least one of ``gap`` (seconds) and ``aim`` given; its task is the last one."""
+        super().__init__(path, feedback_of(action), glance, hold_off=0.0, tasks=tasks)
+        self._action, self._gap, self._aim = action, gap, aim
+        self._best: dict[bytes, float] = {}
+        self._why = ""
+
+    def forget(self) -> None:
+        """Forget how far the goals were."""
+        self._best.clear()
+        self._why = ""
+
+    def said(self, content: Content, failed: bool) -> Said | None:
+        """What the feedback says; None where it is no better than what was there before."""
+        if self._aim is None:
+            return Said(True, "")
+        try:
+            message: Any = content.message()
+            goal = bytes(message.goal_id.uuid)
+            value = self._aim.quantity.value(message.feedback)
+        except (Unreadable, Untold) as error:
+            self._why = f"it can't be told: {error}"
+            return None
+        except AttributeError:
+            self._why = f"it can't be told: found a {type(content.message()).__name__}, no feedback"
+            return None
+        best = self._best.pop(goal, None)  # so that the one that was fed back longest ago is the first
+        better = best is None or (value - best) * self._aim.sign >= self._aim.by
+        self._best[goal] = value if best is None or better else best
+        while len(self._best) > MOST_GOALS:
+            del self._best[next(iter(self._best))]
+        self._why = f"{self._best[goal]:.6g} was the best"
+        return Said(True, "") if better else None
+
+    # -- the state --------------------------------------------------------------------------------------------------
+
+    def lost(self, track: Track[Content]) -> float:
+        """When it has failed if nothing more arrives."""
+        return min(self._silent(), self._stalled(track))
+
+    def _silent(self) -> float:
+        """When the gap has failed if nothing more arrives."""
+        if self._gap is None:
+            return math.inf
+        record = self._record()
+        return (
+            max(record.last if record is not None and record.last is not None else -math.inf, self.begun()) + self._gap
+        )
+
+    def _stalled(self, track: Track[Content]) -> float:
+        """When it hasn't got on for too long if nothing more arrives."""
+        if self._aim is None:
+            return math.inf
+        return max(track.good if track.good is not None else -math.inf, self.begun()) + self._aim.within
+
+    def _record(self) -> TopicRecord | None:
+        """The feedback's record, None without any of this instance."""
+        record = self._glance.observations.topic(self.topic)
+        return record if record is not None and (record.last or -math.inf) >= self._glance.since else None
+
+    def last(self) -> float | None:
+        """When all was last well: when feedback came that counts, or the goal became active."""
+        track, record = self.followed(), self._record()
+        silent = self._silent() <= self._stalled(track)
+        return self._last_with_task(record.last if silent and record is not None else track.good)
+
+    def condition(self) -> str:
+        """The condition in words."""
+        return f"progress of {self._action}"
+
+    def _plain_reason(self, state: State) -> str:
+        track, record = self.followed(), self._record()
+        if state == "Healthy":
+            return f"{self._action} makes progress, or has nothing to do"
+        if self._gap is not None and self._glance.now >= self._silent() and self._silent() <= self._stalled(track):
+            yet = f" for {duration(self._gap)}" if state == "Failed" else " yet"
+            return f"no feedback of {self._action}{yet}"
+        assert self._aim is not None, "a gap alone fails by the gap"
+        heard = record is not None and (record.last or -math.inf) >= self.begun()
+        what = f"{self._aim.quantity.text:.80} of {self._action}"
+        return f"{what} has {self._aim} ({self._why if heard and self._why else 'no feedback has come'})"
+
+
+def feedback_of(action: str) -> str:
+    """Where an action's server tells how its goals get on (ROS 2 design: actions)."""
+    return f"{action}/_action/feedback"
+
+
+_EXAMPLE = "{action: /navigate_to_pose, gap: 5s}"
+_MEASURES = ("falls", "grows")
+
+
+def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | None) -> LeafPlan | None:
+    before = len(reader.problems)
+    if "action" not in value:
+        reader.problem(f"{path}.action", "missing; give the action's fully qualified name, such as /navigate_to_pose")
+    action = reader.matching(
+        value, "action", path, ROS_NAME_PATTERN, "a fully qualified action name such as /navigate_to_pose"
+    )
+    type_ = reader.matching(
+        value, "type", path, ROS_TYPE_PATTERN.replace("(msg|srv|action)", "action"), "package/action/Name"
+    )
+    gap = reader.given(value, "gap", path, duration_of)
+    settle = reader.given(value, "settle", path, duration_of) if "settle" in value else SETTLE
+    aim = _aim(reader, value, path, f"{type_}_Feedback" if type_ is not None else "", fields)
+    if "gap" not in value and not any(key in value for key in _MEASURES):
+        reader.problem(
+            path, "none of gap, falls and grows is given; give gap, such as 5s, or falls, such as distance_remaining"
+        )
+    if action is None or settle is None or len(reader.problems) > before:
+        return None
+    task = TaskActive(action, settle)
+    feedback = f"{type_}_FeedbackMessage" if type_ is not None else None
+    return LeafPlan(
+        f"{action.lstrip('/')}.progress",
+        WatchedTopic(feedback_of(action), feedback, 0.0, None, contents=1, whole=aim is not None),
+        lambda place, glance, tasks: ProgressLeaf(place, action, glance, gap=gap, aim=aim, tasks=tasks),
+        task,
+    )
+
+
+def _aim(reader: Reader, value: Mapping[str, Any], path: str, type_: str, fields: Fields | None) -> Aim | None:
+    given = [key for key in _MEASURES if key in value]
+    if len(given) > 1:
+        reader.problem(f"{path}.grows", "found falls and grows; give the one that the goal gets on by")
+    if not given:
+        for key in ("by", "within"):
+            if key in value:
+                reader.problem(
+                    f"{path}.{key}", "it is only for what falls or grows; give one of these, or leave it out"
+                )
+        return None
+    if "type" not in value:
+        reader.problem(f"{path}.type", "missing; give the action's type, such as nav2_msgs/action/NavigateToPose")
+    if "by" not in value:
+        reader.problem(f"{path}.by", "missing; give by how much it must get better, such as 0.2")
+    if "within" not in value:
+        reader.problem(f"{path}.within", "missing; give the time in which it must, such as 20s")
+
+    def quantity(found: object) -> Quantity:
+        if not isinstance(found, str):
+            raise ValueError(f"found {found_text(found)}; write a field of the feedback, such as distance_remaining")
+        try:
+            return Quantity.parse(found, type_, fields)
+        except ExpressionError as error:
+            raise ValueError(f"found {found_text(found)}: {error}") from error
+
+    measured = reader.given(value, given[0], path, quantity)
+    by, within = reader.given(value, "by", path, _by), reader.given(value, "within", path, duration_of)
+    if measured is None or by is None or within is None:
+        return None
+    return Aim(measured, -1 if given[0] == "falls" else 1, by, within)
+
+
+def _by(found: object) -> float:
+    # XML has no numbers: there it is written as text.
+    try:
+        number = math.nan if isinstance(found, bool) or not isinstance(found, int | float | str) else float(found)
+    except (ValueError, OverflowError):
+        number = math.nan
+    if not 0 < number < math.inf:
+        raise ValueError(f"found {found_text(found)}; give a number above 0, such as 0.2")
+    return number
+
+
+PROGRESS = LeafKind(("action", "type", "gap", "falls", "grows", "by", "within", "settle"), _EXAMPLE, _read)

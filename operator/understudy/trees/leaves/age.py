@@ -1,0 +1,105 @@
+"""The leaf ``age``: how old messages are when they arrive, by their own stamp or by when their writer sent them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from understudy.trees.core.evidence import Said
+from understudy.trees.core.health_tree import WatchedTopic
+from understudy.trees.core.leaf import duration
+from understudy.trees.core.observations import Content, Glance
+from understudy.trees.core.task_activity import TaskActive
+from understudy.trees.leaves.leaf_plan import LeafKind, LeafPlan, at_once, hold_off_of, topic_of, type_of
+from understudy.trees.leaves.message_content import ContentLeaf
+from understudy.trees.source.expressions import Fields
+from understudy.trees.source.problems import did_you_mean
+from understudy.trees.source.value_reader import Reader, duration_of, found_text
+
+HEADER = "std_msgs/Header"
+
+STAMP, SOURCE = "stamp", "source"
+
+CLOCKS = (STAMP, SOURCE)
+"""What an age can be by: the stamp of the message's header, or the source timestamp that DDS sends with every sample
+(OMG DDS 1.4, 2.2.2.5.5; ``source_timestamp`` of ``rmw_message_info_t``).
+"""
+
+
+class AgeLeaf(ContentLeaf):
+    """Holds while the newest message's stamp was at most so old when the message was received."""
+
+    def __init__(
+        self,
+        path: str,
+        topic: str,
+        glance: Glance,
+        most: float,
+        by: str = STAMP,
+        *,
+        hold_off: float = 0.0,
+        tasks: Sequence[TaskActive] = (),
+    ) -> None:
+        """A leaf over a topic; ``most`` and ``hold_off`` in seconds, ``by`` one of CLOCKS."""
+        super().__init__(path, topic, glance, hold_off=hold_off, tasks=tasks)
+        self._most, self._by = most, by
+
+    @property
+    def unrecorded(self) -> str:
+        """A bag has when messages were received, and their stamps."""
+        return "it is told by when messages were sent, which a bag doesn't have" if self._by == SOURCE else ""
+
+    def said(self, content: Content, failed: bool) -> Said:
+        """What the message says by its stamp, or by when it was sent."""
+        age = content.under_way() if self._by == SOURCE else content.age()
+        if age is None:
+            lacks = "its middleware didn't say when it was sent" if self._by == SOURCE else "there is no stamp"
+            return Said(False, f"it can't be told: {lacks}")
+        return Said(True, "") if age <= self._most else Said(False, f"it was {rounded(age)}")
+
+    def condition(self) -> str:
+        """The condition in words."""
+        since = " since it was sent" if self._by == SOURCE else ""
+        return f"an age of at most {duration(self._most)} of {self.topic}{since}"
+
+
+def rounded(seconds: float) -> str:
+    """An age in words, such as ``412 ms`` or ``3.21 s``."""
+    return f"{seconds * 1000:.3g} ms" if seconds < 0.9995 else f"{seconds:.3g} s" if seconds < 1e6 else "over 11 days"
+
+
+_EXAMPLE = "{topic: /scan, type: sensor_msgs/msg/LaserScan, most: 300ms}"
+
+
+def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | None) -> LeafPlan | None:
+    before = len(reader.problems)
+    topic = topic_of(reader, value, path, "/scan")
+    type_ = type_of(reader, value, path)
+    by = reader.given(value, "by", path, _clock) if "by" in value else STAMP
+    known = fields(type_) if type_ and fields is not None else None
+    if by == STAMP and known is not None and next(iter(known.values()), None) != HEADER:
+        reader.problem(
+            f"{path}.type",
+            f"found {type_}, which doesn't begin with a header; an age needs one with a stamp, or give by: source",
+        )
+    if "most" not in value:
+        reader.problem(f"{path}.most", "missing; give how old a message may be when it arrives, such as 300ms")
+    most = reader.given(value, "most", path, duration_of)
+    hold_off = hold_off_of(reader, value, path)
+    if topic is None or most is None or by is None or len(reader.problems) > before:
+        return None
+    return LeafPlan(
+        f"{topic.lstrip('/')}.age",
+        WatchedTopic(topic, type_, 0.0, None, contents=1, prompt=at_once(hold_off)),
+        lambda place, glance, tasks: AgeLeaf(place, topic, glance, most, by, hold_off=hold_off, tasks=tasks),
+    )
+
+
+def _clock(found: object) -> str:
+    if found not in CLOCKS:
+        hint = did_you_mean(found, CLOCKS) if isinstance(found, str) else f"; known are {', '.join(CLOCKS)}"
+        raise ValueError(f"found {found_text(found)}{hint}")
+    return str(found)
+
+
+AGE = LeafKind(("topic", "type", "most", "for", "by"), _EXAMPLE, _read)

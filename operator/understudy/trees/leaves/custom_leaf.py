@@ -1,0 +1,211 @@
+"""Leaves of one's own: classes of other packages that judge the messages of a topic (docs/how-to/writing-a-leaf.md).
+
+Such a class is given messages and says why they aren't well; all else that makes a leaf (its topic, how long it must not
+hold, the instance that it is for) is done here. A mistake in it costs this one leaf, and never the robot's protection.
+"""
+
+from __future__ import annotations
+
+import inspect
+import logging
+import math
+from collections.abc import Callable, Mapping, Sequence
+from datetime import timedelta
+from functools import partial
+from typing import Any, NamedTuple, Protocol
+
+from understudy.trees.core.evidence import Said
+from understudy.trees.core.health_tree import WatchedTopic
+from understudy.trees.core.observations import Content, Glance, Unreadable
+from understudy.trees.core.task_activity import TaskActive
+from understudy.trees.leaves.leaf_plan import LeafKind, LeafPlan, at_once, hold_off_of, topic_of, type_of
+from understudy.trees.leaves.message_content import ContentLeaf
+from understudy.trees.source.expressions import Fields
+from understudy.trees.source.value_reader import Reader, duration_of, found_text
+
+_logger = logging.getLogger(__name__)
+
+KEYS = ("topic", "type", "for")
+"""What every such leaf is given."""
+
+LONGEST = 200
+"""Characters of a reason."""
+
+
+class Judge(Protocol):
+    """What judges the messages of one instance; it is made anew for each."""
+
+    def judge(self, message: Any) -> str | None:
+        """Why the message isn't well, in plain words; None where it is."""
+        ...
+
+
+class JudgedLeaf(ContentLeaf):
+    """Holds while its judge has nothing against the newest message, and while the judge itself fails."""
+
+    def __init__(
+        self,
+        path: str,
+        topic: str,
+        glance: Glance,
+        kind: str,
+        make: Callable[[], Judge],
+        *,
+        hold_off: float = 0.0,
+        tasks: Sequence[TaskActive] = (),
+    ) -> None:
+        """A leaf over a topic; ``hold_off`` in seconds."""
+        super().__init__(path, topic, glance, hold_off=hold_off, tasks=tasks)
+        self.kind = kind
+        self._make = make
+        self._judge: Judge | None = None
+
+    def forget(self) -> None:
+        """Judge another instance, of which nothing is known yet."""
+        self._judge = None
+
+    def said(self, content: Content, failed: bool) -> Said:
+        """What the judge says of the message."""
+        try:
+            message = content.message()
+        except Unreadable as error:
+            return Said(False, f"it can't be told: {error}")
+        try:
+            if self._judge is None:
+                self._judge = self._make()
+            why = self._judge.judge(message)
+            if why is not None and not isinstance(why, str):
+                raise TypeError(f"judge() returned {found_text(why)}, which is neither a text nor None")
+        except Exception as error:  # whatever a package of others raises
+            self._note(f"{self.kind} can't judge {self.topic}, {_told(error)}")
+            return Said(True, "")  # being blind is no failure
+        self.blind = ""
+        return Said(False, why[:LONGEST]) if why else Said(True, "")
+
+    def condition(self) -> str:
+        """The condition in words."""
+        return f"{self.kind} of {self.topic}"
+
+    def _note(self, blind: str) -> None:
+        if blind != self.blind:
+            _logger.error("%s", blind, exc_info=True)
+        self.blind = blind
+
+
+class Setting(NamedTuple):
+    """A key that a judge is made with."""
+
+    read: Callable[[object], Any]
+    """Reads its value. Raises ValueError."""
+    required: bool
+
+
+def kind_of(name: str, judge: object) -> LeafKind:
+    """The kind of leaf that a class stands for, whose keys are the parameters it is made with. Raises ValueError."""
+    if not isinstance(judge, type) or not callable(getattr(judge, "judge", None)):
+        raise ValueError("it must be a class with a method judge(self, message)")
+    settings = _settings(judge)
+    example = "".join(f", {key}: ..." for key, setting in settings.items() if setting.required)
+    return LeafKind((*KEYS, *settings), f"{{topic: /scan{example}}}", partial(_read, name, judge, settings))
+
+
+def _settings(judge: type) -> dict[str, Setting]:
+    try:
+        parameters = inspect.signature(judge, eval_str=True).parameters.values()
+    except Exception as error:  # annotations are evaluated, which may raise anything
+        raise ValueError(f"the parameters of {judge.__name__}() can't be told, {_told(error)}") from error
+    found = {}
+    for one in parameters:
+        if one.kind not in (one.POSITIONAL_OR_KEYWORD, one.KEYWORD_ONLY):
+            raise ValueError(f"its parameter {one.name} can't be given by name")
+        if one.name in (*KEYS, "name"):
+            raise ValueError(f"its parameter {one.name} is called as what every leaf has; give it another name")
+        read = next((read for type_, read in _READS.items() if one.annotation is type_), None)
+        if read is None:
+            known = ", ".join(type_.__name__ for type_ in _READS)
+            raise ValueError(f"its parameter {one.name} must have one of these as its type: {known}")
+        found[one.name] = Setting(read, one.default is one.empty)
+    return found
+
+
+def _read(
+    name: str,
+    judge: Callable[..., Judge],
+    settings: Mapping[str, Setting],
+    reader: Reader,
+    value: Mapping[str, Any],
+    path: str,
+    fields: Fields | None,
+) -> LeafPlan | None:
+    before = len(reader.problems)
+    topic = topic_of(reader, value, path, "/scan")
+    type_ = type_of(reader, value, path)
+    hold_off = hold_off_of(reader, value, path)
+    given = {}
+    for key, setting in settings.items():
+        if key in value:
+            given[key] = reader.given(value, key, path, setting.read)
+        elif setting.required:
+            reader.problem(f"{path}.{key}", f"missing; {name} needs it")
+    if topic is None or len(reader.problems) > before:
+        return None
+    make = partial(judge, **given)
+    try:
+        make()
+    except Exception as error:  # a ValueError is how it refuses a value; with all others the mistake is its own
+        reader.problem(path, str(error) if isinstance(error, ValueError) else f"{name} can't be made, {_told(error)}")
+        return None
+    return LeafPlan(
+        f"{topic.lstrip('/')}.{name}",
+        WatchedTopic(topic, type_, 0.0, None, contents=1, whole=True, prompt=at_once(hold_off)),
+        lambda place, glance, tasks: JudgedLeaf(place, topic, glance, name, make, hold_off=hold_off, tasks=tasks),
+    )
+
+
+def _told(error: Exception) -> str:
+    return f"{type(error).__name__}: {error!s:.{LONGEST}}"
+
+
+# -- values of settings: in XML and OpenSCENARIO 2 all of them are texts -----------------------------------------------
+
+
+def _text(found: object) -> str:
+    if not isinstance(found, str):
+        raise ValueError(f"found {found_text(found)}; give a text, in quotes where it looks like a number")
+    return found
+
+
+def _number(found: object) -> float:
+    try:
+        number = math.nan if isinstance(found, bool) or not isinstance(found, int | float | str) else float(found)
+    except (ValueError, OverflowError):
+        number = math.nan
+    if not math.isfinite(number):
+        raise ValueError(f"found {found_text(found)}; give a number")
+    return number
+
+
+def _whole(found: object) -> int:
+    number = _number(found)
+    if not number.is_integer():
+        raise ValueError(f"found {found_text(found)}; give a whole number")
+    return int(number)
+
+
+def _truth(found: object) -> bool:
+    if found not in (True, False, "true", "false"):
+        raise ValueError(f"found {found_text(found)}; give true or false")
+    return found in (True, "true")
+
+
+def _length(found: object) -> timedelta:
+    return timedelta(seconds=duration_of(found))
+
+
+_READS: Mapping[type, Callable[[object], Any]] = {
+    str: _text,
+    int: _whole,
+    float: _number,
+    bool: _truth,
+    timedelta: _length,
+}

@@ -1,0 +1,179 @@
+"""The leaf ``diagnostics``: how bad what is said on ``/diagnostics`` may be (REP 107)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+from understudy.trees.core.evidence import Said
+from understudy.trees.core.health_tree import WatchedTopic
+from understudy.trees.core.observations import Content, Glance, Unreadable
+from understudy.trees.core.task_activity import TaskActive
+from understudy.trees.leaves.leaf_plan import LeafKind, LeafPlan, at_once, hold_off_of, topic_of
+from understudy.trees.leaves.message_content import ContentLeaf
+from understudy.trees.source.expressions import Fields
+from understudy.trees.source.problems import did_you_mean
+from understudy.trees.source.value_reader import Reader, found_text
+
+TYPE = "diagnostic_msgs/msg/DiagnosticArray"
+
+TOPIC = "/diagnostics"
+
+OWN = "understudy: "
+"""How the statuses begin that monitors publish there themselves (docs/ros-tools.md). They are judgements, not evidence: a tree that
+looked at them would judge itself, or another instance's failure, as its own."""
+
+LEVELS = ("OK", "WARN", "ERROR", "STALE")
+"""By their numbers in diagnostic_msgs/msg/DiagnosticStatus."""
+
+KEPT = 64
+"""Messages that may come between two looks: each node says its own, and none may be missed."""
+
+BURST = 250.0
+"""Messages per second to be ready for: many nodes may say theirs at the same moment."""
+
+MOST_STATUSES = 512
+"""Statuses that are remembered; who makes up names without end must not fill the memory."""
+
+_LONGEST = 120
+"""Characters of a status's own message that are told."""
+
+
+class _Level(NamedTuple):
+    """What was last said of a status."""
+
+    level: int
+    text: str
+    well: bool
+    """Whether its level has been allowed once."""
+
+
+class DiagnosticsLeaf(ContentLeaf):
+    """Holds while the last level of each status of a name, or of names that begin so, is at most ``worst``."""
+
+    every = True
+
+    def __init__(
+        self,
+        path: str,
+        topic: str,
+        glance: Glance,
+        *,
+        name: str | None = None,
+        prefix: str = "",
+        worst: int = 0,
+        hold_off: float = 0.0,
+        tasks: Sequence[TaskActive] = (),
+    ) -> None:
+        """A leaf over the statuses named ``name``, or else all whose names begin with ``prefix``; ``hold_off`` in seconds."""
+        super().__init__(path, topic, glance, hold_off=hold_off, tasks=tasks)
+        self._name, self._prefix, self._worst = name, prefix, worst
+        self._levels: dict[str, _Level] = {}
+
+    def forget(self) -> None:
+        """Forget the levels."""
+        self._levels.clear()
+
+    def said(self, content: Content, failed: bool) -> Said | None:
+        """What all statuses say with this message's; None where none of them is asked for."""
+        try:
+            found = [status for status in _statuses(content.message()) if self._asked(status[0])]
+        except Unreadable as error:
+            return Said(False, f"it can't be told: {error}")
+        if not found:
+            return None
+        for name, level, text in found:
+            before = self._levels.pop(name, None)  # so that the one said longest ago is the first
+            well = level <= self._worst or (before is not None and before.well)
+            self._levels[name] = _Level(level, text, well)
+        while len(self._levels) > MOST_STATUSES:
+            del self._levels[next(iter(self._levels))]
+        bad = {name: said for name, said in self._levels.items() if said.level > self._worst}
+        if not bad:
+            return Said(True, "")
+        name = max(bad, key=lambda name: bad[name].level)
+        more = f", and {len(bad) - 1} more" if len(bad) > 1 else ""
+        # Nodes start one after the other: that the first are well doesn't end the grace of the others.
+        starting = content.received < self._glance.in_time and not any(said.well for said in bad.values())
+        return Said(False, _told(name, bad[name].level, bad[name].text) + more, starting)
+
+    def _asked(self, name: str) -> bool:
+        if name.startswith(OWN) or f"/{OWN}" in name:  # the latter as diagnostic_aggregator repeats it
+            return False
+        return name == self._name if self._name is not None else name.startswith(self._prefix)
+
+    def condition(self) -> str:
+        """The condition in words."""
+        return f"a level of at most {LEVELS[self._worst]} of {self.awaited()}"
+
+    def awaited(self) -> str:
+        """The statuses that must come."""
+        if self._name is not None:
+            return f"status {self._name!r} on {self.topic}"
+        return f"status {self._prefix + '...'!r} on {self.topic}" if self._prefix else f"status on {self.topic}"
+
+
+def _statuses(message: Any) -> list[tuple[str, int, str]]:
+    """Name, level and text of the statuses of a message. Raises Unreadable."""
+    try:
+        return [(str(s.name), _level(s.level), str(s.message)) for s in message.status]
+    except (AttributeError, TypeError):
+        raise Unreadable(f"found a {type(message).__name__}, not a {TYPE}") from None
+
+
+def _level(level: bytes | int) -> int:
+    return level[0] if isinstance(level, bytes) else level
+
+
+def _told(name: str, level: int, text: str) -> str:
+    said = LEVELS[level] if level < len(LEVELS) else f"level {level}"
+    text = " ".join(text.split())
+    text = text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."
+    return f"{name[:_LONGEST]} says {said}{': ' if text else ''}{text}"
+
+
+_EXAMPLE = '{name: "camera: driver", worst: WARN}'
+
+
+def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | None) -> LeafPlan | None:
+    before = len(reader.problems)
+    topic = topic_of(reader, value, path, TOPIC) if "topic" in value else TOPIC
+    name, prefix = (reader.given(value, key, path, _text) for key in ("name", "prefix"))
+    for key, text in (("name", name), ("prefix", prefix)):
+        if text is not None and text.startswith(OWN.rstrip()):
+            reader.problem(
+                f"{path}.{key}",
+                f"found {text!r}: what Understudy says itself is no evidence; give a status of the application or of the robot",
+            )
+    if "name" in value and "prefix" in value:
+        reader.problem(f"{path}.prefix", "found name and prefix; give the whole name, or what the names begin with")
+    if "worst" not in value:
+        reader.problem(f"{path}.worst", "missing; give the worst level that is allowed: OK, WARN or ERROR")
+    worst = reader.given(value, "worst", path, _worst)
+    hold_off = hold_off_of(reader, value, path)
+    if topic is None or worst is None or len(reader.problems) > before:
+        return None
+    return LeafPlan(
+        topic.lstrip("/"),
+        WatchedTopic(topic, TYPE, 0.0, BURST, contents=KEPT, whole=True, prompt=at_once(hold_off)),
+        lambda place, glance, tasks: DiagnosticsLeaf(
+            place, topic, glance, name=name, prefix=prefix or "", worst=worst, hold_off=hold_off, tasks=tasks
+        ),
+    )
+
+
+def _text(found: object) -> str:
+    if not isinstance(found, str) or not found or len(found) > 256:
+        raise ValueError(f"found {found_text(found)}; give text of up to 256 characters, such as 'camera: driver'")
+    return found
+
+
+def _worst(found: object) -> int:
+    allowed = LEVELS[:3]
+    if found not in allowed:
+        hint = did_you_mean(found.upper(), allowed) if isinstance(found, str) else "; known are OK, WARN, ERROR"
+        raise ValueError(f"found {found_text(found)}{hint}")
+    return allowed.index(str(found))
+
+
+DIAGNOSTICS = LeafKind(("topic", "name", "prefix", "worst", "for"), _EXAMPLE, _read)

@@ -1,0 +1,292 @@
+"""The leaf ``log``: what nodes of the instance may not log, or not so often (rcl_interfaces/msg/Log on ``/rosout``)."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from understudy.trees.core.health_tree import WatchedTopic
+from understudy.trees.core.leaf import Leaf, State, duration
+from understudy.trees.core.observations import Content, Glance, Unreadable
+from understudy.trees.core.task_activity import TaskActive, situation
+from understudy.trees.leaves.leaf_plan import LeafKind, LeafPlan, node_of
+from understudy.trees.source.expressions import Fields
+from understudy.trees.source.problems import did_you_mean
+from understudy.trees.source.value_reader import Reader, duration_of, found_text, whole_number_of
+
+TYPE = "rcl_interfaces/msg/Log"
+
+TOPIC = "/rosout"
+
+LEVELS = {"DEBUG": 10, "INFO": 20, "WARN": 30, "ERROR": 40, "FATAL": 50}
+"""By their names, the numbers of rcl_interfaces/msg/Log."""
+
+LEVEL = 12
+"""Where the level stands in a serialized message: after CDR's own header and the stamp. Most messages go no further."""
+
+KEPT = 256
+"""Messages that may come between two looks: all nodes share the topic."""
+
+BURST = 1000.0
+"""Messages per second to be ready for."""
+
+MOST = 1000
+"""Messages that may be asked for."""
+
+QUIET = 10.0
+"""Seconds without such a message after which all is well again, where the tree says neither that nor a window."""
+
+_LONGEST = 120
+"""Characters of a message that are told."""
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """Which messages count."""
+
+    level: str | None = None
+    """The least level; any where there is none."""
+    node: str | None = None
+    """The node that says it, fully qualified; any where there is none."""
+    says: str | None = None
+    """Text that is in it, in which ``*`` stands for any characters. Found part by part, so that its time is bounded."""
+
+    def matched(self, content: Content) -> Any:
+        """The message, where it counts; else None. Raises Unreadable."""
+        if self.level is not None and (content.byte(LEVEL) or 255) < LEVELS[self.level]:
+            return None
+        parts = [part for part in (self.says or "").split("*") if part]
+        logger = self.node.strip("/").replace("/", ".") if self.node is not None else ""
+        if not all(content.mentions(text) for text in (logger, *parts) if text):
+            return None
+        message: Any = content.message()
+        try:
+            level, name, text = message.level, message.name, message.msg
+        except AttributeError:
+            raise Unreadable(f"found a {type(message).__name__}, not a {TYPE}") from None
+        if self.level is not None and level < LEVELS[self.level]:
+            return None
+        # A node's loggers are named after it, with dots for the slashes of its name and before those of its parts.
+        if logger and name != logger and not name.startswith(f"{logger}."):
+            return None
+        place = 0
+        for part in parts:
+            found = text.find(part, place)
+            if found < 0:
+                return None
+            place = found + len(part)
+        return message
+
+    def __str__(self) -> str:
+        of = f" of {self.level}{' or worse' if self.level != 'FATAL' else ''}" if self.level is not None else ""
+        by = f" by node {self.node}" if self.node is not None else ""
+        saying = f" with {self.says!r}" if self.says is not None else ""
+        return f"{of}{by}{saying} on {TOPIC}"
+
+
+@dataclass
+class _Heard:
+    """What one instance has logged. Times are Unix seconds."""
+
+    since: float
+    """Which instance: when it took control."""
+    active: float = -math.inf
+    """Since when it counts: the task's start, where it is for one."""
+    seen: Content | None = None
+    """The newest message that was looked into."""
+    received: float = 0.0
+    """When that was received, by the clock at that time."""
+    times: deque[float] = field(default_factory=deque)
+    """When the last of the messages that count were received."""
+    first: float | None = None
+    """When the first of those was received that were too many; None while there weren't."""
+    last: float = -math.inf
+    """When the last message that counts was received."""
+    why: str = ""
+    """The message with which they were too many: a text that stays while the failure does."""
+
+    def shift(self) -> None:
+        """Follow a step of the clock, with which the time of the newest message was moved."""
+        if self.seen is None or self.seen.received == self.received:
+            return
+        step = self.seen.received - self.received
+        self.received, self.last = self.seen.received, self.last + step
+        self.active += step
+        self.times = deque((time + step for time in self.times), self.times.maxlen)
+        self.first = self.first + step if self.first is not None else None
+
+    def begin(self, active: float) -> None:
+        """Count from this time on."""
+        self.active, self.first, self.last, self.why = active, None, -math.inf, ""
+        self.times.clear()
+
+
+class LogLeaf(Leaf):
+    """Fails with the message that is the ``count``-th of its kind within ``window``, until none has come for ``quiet``.
+
+    There is nothing to wait for first: an instance that logs nothing of the kind is well. One that does so
+    within its grace is starting for as long as that lasts.
+    """
+
+    def __init__(
+        self,
+        path: str,
+        pattern: Pattern,
+        glance: Glance,
+        *,
+        count: int = 1,
+        window: float = 0.0,
+        quiet: float = QUIET,
+        tasks: Sequence[TaskActive] = (),
+    ) -> None:
+        """A leaf over the messages of a pattern; ``window`` and ``quiet`` in seconds."""
+        super().__init__(path, TOPIC, glance, tasks)
+        self._pattern, self._count, self._window, self._quiet = pattern, count, window, quiet
+        self._heard = _Heard(math.nan)
+
+    # -- what was logged --------------------------------------------------------------------------------------------
+
+    def _followed(self) -> _Heard:
+        """What was logged until the glance's moment; looks into everything once."""
+        glance, heard = self._glance, self._heard
+        if heard.since != glance.since:
+            heard = self._heard = _Heard(glance.since, times=deque(maxlen=self._count))
+        heard.shift()
+        found = situation(self.tasks, glance)
+        # What was logged while the task wasn't active doesn't count when it is: its clock begins with it.
+        active = found.active if found is not None else math.inf
+        if abs(heard.active - active) > 1e-3:
+            heard.begin(active)
+        for content in self._fresh(heard):
+            if content.received >= active:
+                self._note(heard, content)
+            heard.seen, heard.received = content, content.received
+        return heard
+
+    def _fresh(self, heard: _Heard) -> list[Content]:
+        record = self._glance.observations.own(self.topic)
+        found: list[Content] = []
+        for content in reversed(record.contents if record is not None else ()):
+            if content is heard.seen or content.received < self._glance.since:
+                break
+            found.append(content)
+        return found[::-1]
+
+    def _note(self, heard: _Heard, content: Content) -> None:
+        try:
+            message = self._pattern.matched(content)
+        except Unreadable:
+            return  # what can't be read says nothing
+        if message is None:
+            return
+        if heard.first is not None and content.received >= heard.last + self._quiet:
+            heard.begin(heard.active)  # it was well again in between
+        heard.last = content.received
+        heard.times.append(content.received)
+        # The window is open at its end: as many in a window's length are too many, as a gap fails when it is as long.
+        if heard.first is not None or len(heard.times) < self._count:
+            return
+        if self._count == 1 or heard.times[-1] - heard.times[0] < self._window:
+            heard.first, heard.why = heard.times[0], _told(message)
+
+    # -- the state --------------------------------------------------------------------------------------------------
+
+    def _limits(self) -> tuple[float, float, float]:
+        """When what was logged makes it no longer healthy, when failed, and when healthy again; all infinite for never."""
+        heard, glance = self._followed(), self._glance
+        if heard.first is None:
+            return math.inf, math.inf, math.inf
+        found = situation(self.tasks, glance)
+        settled = found.settled if found is not None and self.tasks else -math.inf
+        return settled, max(settled, glance.in_time), heard.last + self._quiet
+
+    def state(self) -> State:
+        """The state at the glance's moment."""
+        begins, fails, ends = self._limits()
+        now = self._glance.now
+        if now < begins or now >= ends:
+            return "Healthy"
+        return "Starting" if now < fails else "Failed"
+
+    def healthy_until(self) -> float | None:
+        """When it is no longer healthy; None where it isn't healthy. Another message can come at any time."""
+        begins, _, ends = self._limits()
+        now = self._glance.now
+        if now >= ends:
+            return math.inf
+        if now >= begins:
+            return None
+        return begins if begins < ends else math.inf
+
+    def changes(self) -> list[float]:
+        """The moments after the glance's at which the state may be another with no further message."""
+        return [moment for moment in self._limits() if self._glance.now < moment < math.inf]
+
+    def last(self) -> float | None:
+        """When all was last well: when the first of the messages was received that were too many."""
+        return self._followed().first
+
+    def _plain_reason(self, state: State) -> str:
+        few = self._count == 1
+        if state == "Healthy":
+            return f"no message{self._pattern}" if few else f"fewer than {self._count} messages{self._pattern}"
+        what = "a message" if few else f"{self._count} messages within {duration(self._window)}"
+        still = ", while it may still be starting" if state == "Starting" else ""
+        return f"{what}{self._pattern}{still} ({self._followed().why})"
+
+
+def _told(message: Any) -> str:
+    level = next((name for name, number in LEVELS.items() if number == message.level), f"level {message.level}")
+    text = " ".join(message.msg.split())
+    text = text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."
+    return f"{message.name[:_LONGEST]} says {level}: {text}"
+
+
+_EXAMPLE = "{level: ERROR, node: /controller_server}"
+
+
+def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | None) -> LeafPlan | None:
+    before = len(reader.problems)
+    if not any(key in value for key in ("level", "node", "says")):
+        reader.problem(path, f"none of level, node and says is given; say which messages count, such as {_EXAMPLE}")
+    level, says = reader.given(value, "level", path, _level), reader.given(value, "says", path, _says)
+    node = node_of(reader, value, path, required=False)
+    count = reader.given(value, "count", path, whole_number_of(MOST)) if "count" in value else 1
+    window = reader.given(value, "window", path, duration_of)
+    quiet = reader.given(value, "quiet", path, duration_of)
+    if count is not None and count > 1 and "window" not in value:
+        reader.problem(f"{path}.window", f"missing; give the time within which {count} messages are too many")
+    if count == 1 and "window" in value:
+        reader.problem(f"{path}.window", "a window is only for a count above 1; give count, or leave window out")
+    if len(reader.problems) > before:
+        return None
+    pattern = Pattern(level, node, says)
+    return LeafPlan(
+        f"{node.lstrip('/')}.log" if node is not None else "log",
+        WatchedTopic(TOPIC, TYPE, 0.0, BURST, contents=KEPT, whole=True, prompt=True),
+        lambda place, glance, tasks: LogLeaf(
+            place, pattern, glance, count=count, window=window or 0.0, quiet=quiet or window or QUIET, tasks=tasks
+        ),
+    )
+
+
+def _level(found: object) -> str:
+    if found not in tuple(LEVELS):
+        hint = did_you_mean(found.upper(), LEVELS) if isinstance(found, str) else f"; known are {', '.join(LEVELS)}"
+        raise ValueError(f"found {found_text(found)}{hint}")
+    return str(found)
+
+
+def _says(found: object) -> str:
+    if not isinstance(found, str) or not found.strip("* ") or len(found) > 256:
+        raise ValueError(
+            f"found {found_text(found)}; give text of up to 256 characters that is in the message, such as "
+            "'Failed to make progress', where * stands for any characters"
+        )
+    return found
+
+
+LOG = LeafKind(("level", "node", "says", "count", "window", "quiet"), _EXAMPLE, _read)

@@ -1,0 +1,27 @@
+"""Leaves that look into a topic's messages."""
+
+from __future__ import annotations
+
+from understudy.trees.core.evidence import EvidenceLeaf, Track
+from understudy.trees.core.observations import Content
+
+
+class ContentLeaf(EvidenceLeaf[Content]):
+    """Holds while the messages say so."""
+
+    every = False
+    """Whether each message is looked into, and not only the newest at each look."""
+
+    def fresh(self, track: Track[Content]) -> list[Content]:
+        """The instance's messages that haven't been looked into, oldest first."""
+        record = self._glance.observations.topic(self.topic)
+        if record is None or not record.contents or record.contents[-1] is track.seen:
+            return []
+        found: list[Content] = []
+        for content in reversed(record.contents):
+            if content is track.seen or content.received < self._glance.since:
+                break
+            found.append(content)
+            if not self.every:
+                break
+        return found[::-1]

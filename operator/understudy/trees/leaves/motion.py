@@ -1,0 +1,223 @@
+"""The leaf ``motion``: whether the robot is seen, from outside, to move as it is commanded to."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from understudy.kinematics.command_following import Allowance, Following, Motion
+from understudy.trees.core.health_tree import WatchedTopic
+from understudy.trees.core.leaf import Leaf, State
+from understudy.trees.core.observations import Content, Glance, Unreadable
+from understudy.trees.core.task_activity import TaskActive, situation
+from understudy.trees.leaves.leaf_plan import LeafKind, LeafPlan, topic_of, type_of
+from understudy.trees.source.expressions import Fields
+from understudy.trees.source.value_reader import Reader, duration_of, found_text
+
+ODOMETRY = "nav_msgs/msg/Odometry"
+COMMANDS = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
+
+KEPT = 128
+"""Messages of each topic that may come between two looks; the looks are at most some tenths of a second apart."""
+
+UNSAID = 1e-4
+"""m2/s2 and rad2/s2: the variance of a velocity whose source states none."""
+
+FASTEST = 100.0
+"""What a velocity in m/s or rad/s, or an acceleration, may be in a tree."""
+
+
+class MotionLeaf(Leaf):
+    """Holds unless the velocity that is seen differs from the commanded one by more than can be chance.
+
+    Where nothing is seen, or nothing commanded, it can't be told and holds; so it does for an instance that isn't in
+    control: what the robot does isn't its doing.
+    """
+
+    def __init__(
+        self,
+        path: str,
+        topic: str,
+        glance: Glance,
+        commands: str,
+        allowance: Allowance,
+        *,
+        tasks: Sequence[TaskActive] = (),
+    ) -> None:
+        """A leaf over a topic with the odometry of somebody outside the robot, and one with commands."""
+        super().__init__(path, topic, glance, tasks)
+        self._commands, self._allowance = commands, allowance
+        self._following = Following(allowance)
+        self._began = (-math.inf, -math.inf)
+        self._seen: dict[str, tuple[Content, float]] = {}
+        self._unreadable = ""
+
+    def _followed(self) -> Following:
+        """What has been received until the glance's moment, each message once."""
+        glance = self._glance
+        found = situation(self.tasks, glance) if self.tasks else None
+        began = (glance.since, max(glance.since, found.active) if found is not None else glance.since)
+        if began != self._began and (found is not None or not self.tasks):
+            # Who commands it is another one, or begins to only now.
+            self._began, self._following, self._seen = began, Following(self._allowance), {}
+        self._follow_clock()
+        fresh = [
+            (content.received, name == self.topic, content)
+            for name in (self._commands, self.topic)
+            for content in self._fresh(name)
+        ]
+        for received, seen, content in sorted(fresh, key=lambda entry: entry[:2]):
+            try:
+                if seen:
+                    self._following.see(received, *_seen(content.message()))
+                else:
+                    self._following.command(received, _commanded(content.message()))
+                    self._unreadable = ""
+            except (Unreadable, AttributeError, TypeError, ValueError) as error:
+                self._unreadable = f"{self.topic if seen else self._commands} can't be read: {error}"
+        return self._following
+
+    def _fresh(self, name: str) -> list[Content]:
+        record = self._glance.observations.topic(name)
+        if record is None or not record.contents:
+            return []
+        last = self._seen.get(name, (None,))[0]
+        found: list[Content] = []
+        for content in reversed(record.contents):
+            if content is last or content.received < self._began[1]:
+                break
+            found.append(content)
+        if found:
+            self._seen[name] = found[0], found[0].received
+        return found[::-1]
+
+    def _follow_clock(self) -> None:
+        """Follow a step of the clock, with which the times of the messages were moved."""
+        steps = [content.received - received for content, received in self._seen.values()]
+        if any(steps):
+            self._following.shift(max(steps, key=abs))
+            self._seen = {name: (content, content.received) for name, (content, _) in self._seen.items()}
+
+    # -- the state --------------------------------------------------------------------------------------------------
+
+    def _failing(self) -> tuple[float, float] | None:
+        """From when to when it fails if nothing more arrives; None where it doesn't."""
+        if not self._glance.observations.in_control or not self.counts():
+            return None
+        following = self._followed()
+        until = following.until
+        if until is None or following.discrepancy(self._glance.now) is None:
+            return None
+        found = situation(self.tasks, self._glance) if self.tasks else None
+        begin = found.settled if found is not None else -math.inf
+        return (begin, until) if begin < until else None
+
+    def state(self) -> State:
+        """The state at the glance's moment."""
+        failing = self._failing()
+        return "Failed" if failing is not None and failing[0] <= self._glance.now else "Healthy"
+
+    def healthy_until(self) -> float | None:
+        """When it is no longer healthy; None where it isn't healthy."""
+        failing = self._failing()
+        if failing is None:
+            return math.inf
+        return failing[0] if self._glance.now < failing[0] else None
+
+    def changes(self) -> list[float]:
+        """The moments after the glance's at which the state may be another with no further message."""
+        return [moment for moment in self._failing() or () if self._glance.now < moment < math.inf]
+
+    def last(self) -> float | None:
+        """When the robot was last seen to move as commanded, or its task became active."""
+        well = self._following.well
+        return self._last_with_task(well if well is not None and well >= self._glance.since else None)
+
+    def _plain_reason(self, state: State) -> str:
+        following = self._following
+        if state == "Failed" and (found := following.discrepancy(self._glance.now)) is not None:
+            return f"the robot doesn't move as {self._commands} says by {self.topic}: {found}"
+        if self._unreadable:
+            return f"it can't be told whether the robot moves as commanded: {self._unreadable}"
+        if not following.told or following.until is None or self._glance.now >= following.until:
+            return f"it can't be told whether the robot moves as {self._commands} says: {self.topic} doesn't see it"
+        return f"the robot moves as {self._commands} says"
+
+
+def _commanded(message: Any) -> Motion:
+    twist = message.twist if hasattr(message, "twist") else message
+    return _finite(Motion(twist.linear.x, twist.linear.y, twist.angular.z))
+
+
+def _seen(message: Any) -> tuple[Motion, Motion]:
+    twist, covariance = message.twist.twist, message.twist.covariance
+    said = [float(covariance[7 * index]) for index in (0, 1, 5)]
+    variances = Motion(*(value if value > 0 else UNSAID for value in said))
+    return _finite(Motion(twist.linear.x, twist.linear.y, twist.angular.z)), _finite(variances)
+
+
+def _finite(motion: Motion) -> Motion:
+    if not all(map(math.isfinite, motion)):
+        raise ValueError(f"{tuple(motion)} is no velocity")
+    return motion
+
+
+_EXAMPLE = "{topic: /tracker/robot/odometry, commands: /cmd_vel}"
+
+_QUANTITY = re.compile(r"([0-9]+(?:\.[0-9]+)?) ?(m/s2|m/s|rad/s2|rad/s|%)")
+
+
+def _quantity(unit: str, example: str, least: float = 0.0) -> Callable[[object], float]:
+    """Reads a number with a unit."""
+
+    def read(found: object) -> float:
+        match = _QUANTITY.fullmatch(found) if isinstance(found, str) and len(found) <= 32 else None
+        if match is None or match[2] != unit:
+            raise ValueError(f"found {found_text(found)}; write a number with {unit}, such as {example}")
+        value = float(match[1])
+        if not least <= value <= FASTEST:
+            raise ValueError(f"found {found!r}; give {least:g} to {FASTEST:g} {unit}")
+        return value
+
+    return read
+
+
+_QUANTITIES = {
+    "delay": duration_of,
+    "window": duration_of,
+    "acceleration": _quantity("m/s2", "0.5 m/s2", 0.01),
+    "turn_acceleration": _quantity("rad/s2", "1 rad/s2", 0.01),
+    "slip": _quantity("%", "20 %"),
+    "tolerance": _quantity("m/s", "0.03 m/s", 0.001),
+    "turn_tolerance": _quantity("rad/s", "0.1 rad/s", 0.001),
+}
+
+
+def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | None) -> LeafPlan | None:
+    before = len(reader.problems)
+    topic = topic_of(reader, value, path, "/tracker/robot/odometry")
+    commands = topic_of(reader, value, path, "/cmd_vel", key="commands")
+    type_ = type_of(reader, value, path)
+    if type_ is not None and type_ not in COMMANDS:
+        reader.problem(f"{path}.type", f"found {type_!r}; commands are of {' or '.join(COMMANDS)}")
+    if topic is not None and topic == commands:
+        reader.problem(
+            f"{path}.commands", f"found {commands!r}, which is the topic too; give what the robot is told by"
+        )
+    given = {key: reader.given(value, key, path, read) for key, read in _QUANTITIES.items() if key in value}
+    if topic is None or commands is None or len(reader.problems) > before:
+        return None
+    if "slip" in given:
+        given["slip"] /= 100
+    allowance = Allowance(**given)
+    return LeafPlan(
+        f"{topic.strip('/').removesuffix('/odometry')}.motion",
+        WatchedTopic(topic, ODOMETRY, 0.0, None, contents=KEPT, whole=True),
+        lambda place, glance, tasks: MotionLeaf(place, topic, glance, commands, allowance, tasks=tasks),
+        also=(WatchedTopic(commands, type_, 0.0, None, contents=KEPT, whole=True),),
+    )
+
+
+MOTION = LeafKind(("topic", "commands", "type", *_QUANTITIES), _EXAMPLE, _read, of_control=True)

@@ -1,0 +1,83 @@
+"""The leaf ``node``: whether a node of the instance is there, by the ROS graph."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from understudy.trees.core.evidence import EvidenceLeaf, Said, Track
+from understudy.trees.core.health_tree import WatchedTopic
+from understudy.trees.core.leaf import State, duration
+from understudy.trees.core.observations import Glance, Present
+from understudy.trees.core.task_activity import TaskActive
+from understudy.trees.leaves.leaf_plan import LeafKind, LeafPlan, hold_off_of, node_of
+from understudy.trees.source.expressions import Fields
+from understudy.trees.source.value_reader import Reader
+
+
+class NodeLeaf(EvidenceLeaf[Present]):
+    """Holds while the instance has a node of a name."""
+
+    hears = False
+
+    def __init__(
+        self, path: str, node: str, glance: Glance, *, hold_off: float = 0.0, tasks: Sequence[TaskActive] = ()
+    ) -> None:
+        """A leaf over a node, fully qualified; ``hold_off`` in seconds."""
+        super().__init__(path, node, glance, hold_off=hold_off, tasks=tasks)
+
+    def fresh(self, track: Track[Present]) -> list[Present]:
+        """The last look at the ROS graph, once."""
+        found = self._glance.observations.node(self.topic)
+        if found is None or found is track.seen or found.received < self._glance.since:
+            return []
+        return [found]
+
+    def said(self, content: Present, failed: bool) -> Said:
+        """What the look says."""
+        if content.there:
+            return Said(True, "")
+        # Where one of its name is in another pod, who looks with `ros2 node list` sees it and wonders.
+        return Said(False, "another instance or the robot has one of that name" if content.elsewhere else "")
+
+    def condition(self) -> str:
+        """The condition in words."""
+        return f"node {self.topic}"
+
+    def awaited(self) -> str:
+        """What must come first."""
+        return f"look for node {self.topic}"
+
+    def _plain_reason(self, state: State) -> str:
+        track, node = self.followed(), self.condition()
+        if track.heard is None:
+            return super()._plain_reason(state)
+        why = f" ({track.why})" if track.why else ""
+        if state == "Healthy":
+            return f"{node} is there" if track.held else f"{node} isn't asked for yet"
+        if state == "Starting":
+            return f"{node} is not there yet{why}"
+        if not track.held and not self.tasks:
+            return f"{node} has not been there within {duration(self._glance.grace)} of the start{why}"
+        return (
+            f"{node} has not been there for {duration(self.hold_off)}{why}" if self.hold_off else f"{node} is gone{why}"
+        )
+
+
+_EXAMPLE = "{name: /controller_server}"
+
+
+def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | None) -> LeafPlan | None:
+    before = len(reader.problems)
+    node = node_of(reader, value, path, "name")
+    hold_off = hold_off_of(reader, value, path)
+    if node is None or len(reader.problems) > before:
+        return None
+    return LeafPlan(
+        f"{node.lstrip('/')}.node",
+        WatchedTopic(node, None, 0.0, None, heard=False, node=True),
+        lambda place, glance, tasks: NodeLeaf(place, node, glance, hold_off=hold_off, tasks=tasks),
+    )
+
+
+NODE = LeafKind(("name", "for"), _EXAMPLE, _read)

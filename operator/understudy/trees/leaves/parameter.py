@@ -1,0 +1,228 @@
+"""The leaf ``parameter``: the value of a node's parameter (rcl_interfaces/msg/ParameterValue)."""
+
+from __future__ import annotations
+
+import math
+import re
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from understudy.trees.core.evidence import EvidenceLeaf, Said, Track
+from understudy.trees.core.health_tree import WatchedTopic
+from understudy.trees.core.observations import Glance, ParameterState, ParameterValue
+from understudy.trees.core.task_activity import TaskActive
+from understudy.trees.leaves.leaf_plan import LeafKind, LeafPlan, hold_off_of, node_of
+from understudy.trees.source.expressions import Fields
+from understudy.trees.source.value_reader import Reader, found_text
+
+TYPE = "rcl_interfaces/msg/ParameterEvent"
+
+EVENTS = "/parameter_events"
+"""Where every node tells of its parameters when they change."""
+
+BURST = 4000.0
+"""Messages per second to be ready for: a stack that starts tells of each of its parameters."""
+
+KEPT = 256
+"""Messages that may come between two looks. What is lost is asked for."""
+
+LONGEST = 256
+"""Characters of a name or a value."""
+
+MOST_VALUES = 32
+
+SEPARATOR = ";"
+"""Between values that are written as one text, as in BehaviorTree.CPP."""
+
+_WHOLE = re.compile(r"[-+]?[0-9]{1,20}")
+_NUMBER = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]{1,3})?"
+_BETWEEN = re.compile(rf"({_NUMBER}) to ({_NUMBER})")
+
+
+class Expected(ABC):
+    """What a parameter must be."""
+
+    @abstractmethod
+    def holds(self, value: ParameterValue) -> bool:
+        """Whether a value is that."""
+
+    @abstractmethod
+    def __str__(self) -> str:
+        """In words, after the parameter's name."""
+
+
+@dataclass(frozen=True)
+class OneOf(Expected):
+    """One of some values, each as it is written. It is compared as what the parameter is: a number, a text, true or false."""
+
+    texts: tuple[str, ...]
+
+    def holds(self, value: ParameterValue) -> bool:
+        """Whether a value is one of them."""
+        return any(_equal(value, text) for text in self.texts)
+
+    def __str__(self) -> str:
+        if len(self.texts) == 1:
+            return f"equal to {self.texts[0]}"
+        return f"one of {', '.join(self.texts)}"
+
+
+@dataclass(frozen=True)
+class Between(Expected):
+    """A number between two, which it may be itself."""
+
+    least: float
+    most: float
+
+    def holds(self, value: ParameterValue) -> bool:
+        """Whether a value is a number between them."""
+        return isinstance(value, int | float) and not isinstance(value, bool) and self.least <= value <= self.most
+
+    def __str__(self) -> str:
+        return f"between {self.least:g} and {self.most:g}"
+
+
+def _equal(value: ParameterValue, text: str) -> bool:
+    if isinstance(value, bool):
+        return text.lower() == str(value).lower()
+    if isinstance(value, str):
+        return text == value
+    if _WHOLE.fullmatch(text):
+        return int(text) == value
+    return re.fullmatch(_NUMBER, text) is not None and float(text) == value
+
+
+class ParameterLeaf(EvidenceLeaf[ParameterState]):
+    """Holds while a parameter of a node is what it must be, or while that can't be told."""
+
+    hears = False
+
+    def __init__(
+        self,
+        path: str,
+        node: str,
+        glance: Glance,
+        name: str,
+        expected: Expected,
+        *,
+        hold_off: float = 0.0,
+        tasks: Sequence[TaskActive] = (),
+    ) -> None:
+        """A leaf over a parameter of a node, fully qualified; ``hold_off`` in seconds."""
+        super().__init__(path, EVENTS, glance, hold_off=hold_off, tasks=tasks)
+        self._node, self._name, self._expected = node, name, expected
+
+    def _found(self) -> ParameterState | None:
+        """What is known of it since the instance took control."""
+        found = self._glance.observations.parameter(self._node, self._name)
+        return found if found is not None and found.received >= self._glance.since else None
+
+    def fresh(self, track: Track[ParameterState]) -> list[ParameterState]:
+        """What is known now, once."""
+        found = self._found()
+        return [found] if found is not None and found is not track.seen else []
+
+    def said(self, content: ParameterState, failed: bool) -> Said | None:
+        """What it says of the value."""
+        if not content.told:
+            return None
+        if content.value is not None and self._expected.holds(content.value):
+            return Said(True, "")
+        why = f"it is {found_text(content.value)}" if content.value is not None else content.lacks
+        if self._track.bad is not None:
+            self._track.why = why  # of wrong values the last one tells most
+        return Said(False, why)
+
+    def _limits(self, track: Track[ParameterState]) -> tuple[float, float]:
+        found = self._found()
+        if found is not None and not found.told:
+            return math.inf, math.inf  # being blind is no failure
+        return super()._limits(track)
+
+    def condition(self) -> str:
+        """The condition in words."""
+        return f"parameter {self._name} of node {self._node} {self._expected}"
+
+    def awaited(self) -> str:
+        """What must come first."""
+        return f"answer of node {self._node} to what {self._name} is"
+
+
+_EXAMPLE = "{node: /controller_server, name: max_vel_x, equals: 0.26}"
+
+_WAYS = ("equals", "one_of", "between")
+
+
+def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | None) -> LeafPlan | None:
+    before = len(reader.problems)
+    node = node_of(reader, value, path)
+    if "name" not in value:
+        reader.problem(f"{path}.name", "missing; give the parameter's name, such as max_vel_x")
+    name = reader.given(value, "name", path, _name)
+    given = [way for way in _WAYS if way in value]
+    if len(given) != 1:
+        found = " and ".join(given) if given else "none of equals, one_of and between"
+        reader.problem(path, f"found {found}; give one of them, such as equals: 0.26")
+    expected = [reader.given(value, way, path, _READ[way]) for way in given]
+    hold_off = hold_off_of(reader, value, path)
+    if node is None or name is None or len(reader.problems) > before:
+        return None
+    return LeafPlan(
+        f"{node.lstrip('/')}.{name}.parameter",
+        WatchedTopic(EVENTS, TYPE, 0.0, BURST, contents=KEPT, whole=True, parameters=frozenset({(node, name)})),
+        lambda place, glance, tasks: ParameterLeaf(
+            place, node, glance, name, expected[0], hold_off=hold_off, tasks=tasks
+        ),
+    )
+
+
+def _name(found: object) -> str:
+    if not isinstance(found, str) or not re.fullmatch(rf"\S{{1,{LONGEST}}}", found):
+        raise ValueError(
+            f"found {found_text(found)}; give a parameter's name such as max_vel_x or FollowPath.max_vel_x"
+        )
+    return found
+
+
+def _equals(found: object) -> Expected:
+    return OneOf((_text(found),))
+
+
+def _one_of(found: object) -> Expected:
+    values = found.split(SEPARATOR) if isinstance(found, str) else found
+    if not isinstance(values, list) or not 1 <= len(values) <= MOST_VALUES:
+        raise ValueError(
+            f"found {found_text(found)}; give a list of 1 to {MOST_VALUES} values, or a text with '{SEPARATOR}' between them"
+        )
+    return OneOf(tuple(_text(one.strip() if isinstance(one, str) else one) for one in values))
+
+
+def _between(found: object) -> Expected:
+    if isinstance(found, list) and len(found) == 2:
+        found = f"{_text(found[0])} to {_text(found[1])}"
+    match = _BETWEEN.fullmatch(found) if isinstance(found, str) and len(found) <= 2 * LONGEST else None
+    least, most = (float(match[1]), float(match[2])) if match is not None else (1.0, 0.0)
+    if not (least <= most and math.isfinite(least) and math.isfinite(most)):
+        raise ValueError(f"found {found_text(found)}; give the least and the greatest number, such as 0.2 to 0.3")
+    return Between(least, most)
+
+
+_READ = {"equals": _equals, "one_of": _one_of, "between": _between}
+
+
+def _text(found: object) -> str:
+    """A value as it is written; those of YAML may be numbers, or true or false."""
+    if isinstance(found, bool):
+        return str(found).lower()
+    if isinstance(found, float) and not math.isfinite(found):
+        raise ValueError(f"found {found}, which no parameter can be compared with; give a number")
+    if not isinstance(found, str | int | float) or len(str(found)) > LONGEST:
+        raise ValueError(
+            f"found {found_text(found)}; give a number, a text of up to {LONGEST} characters, true or false"
+        )
+    return str(found)
+
+
+PARAMETER = LeafKind(("node", "name", *_WAYS, "for"), _EXAMPLE, _read)

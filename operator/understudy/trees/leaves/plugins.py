@@ -1,0 +1,68 @@
+"""The leaves that other installed packages bring, by their entry points (docs/how-to/writing-a-leaf.md)."""
+
+from __future__ import annotations
+
+import logging
+import re
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint, entry_points
+from itertools import groupby
+
+from understudy.trees.leaves.custom_leaf import kind_of
+from understudy.trees.leaves.leaf_plan import LeafKind
+
+_logger = logging.getLogger(__name__)
+
+GROUP = "understudy.leaves"
+"""The group of entry points, each of which is a leaf's key in the short form and the class that judges."""
+
+_NAME = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)+")
+
+
+@dataclass(frozen=True)
+class Added:
+    """What was found."""
+
+    leaves: Mapping[str, LeafKind]
+    """By their keys in the short form."""
+    refused: Mapping[str, str]
+    """Those that can't be used, and why."""
+
+
+def added(taken: Collection[str]) -> Added:
+    """The leaves of all installed packages; none can have a name that is ``taken``.
+
+    What can't be used is logged, and told where a tree names it: it is no reason not to protect the robots that don't.
+    """
+    leaves: dict[str, LeafKind] = {}
+    refused: dict[str, str] = {}
+    found = sorted(entry_points(group=GROUP), key=lambda one: (one.name, _package(one)))
+    for name, several in groupby(found, key=lambda one: one.name):
+        entries = list(several)
+        try:
+            leaves[name] = _leaf(name, entries, taken)
+        except ValueError as error:
+            refused[name] = f"{name} of {' and '.join(map(_package, entries))} can't be used: {error}"
+            _logger.error("%s", refused[name])
+    return Added(leaves, refused)
+
+
+def _leaf(name: str, entries: list[EntryPoint], taken: Collection[str]) -> LeafKind:
+    """The leaf of a name. Raises ValueError."""
+    if not _NAME.fullmatch(name):
+        raise ValueError("its name must be two words at least, such as acme_lively: a-z and 0-9, with _ between them")
+    if name in taken:
+        raise ValueError("its name is taken, by what comes with Understudy; give it another one")
+    if len(entries) > 1:
+        raise ValueError("each of them has one of that name; install only one of them")
+    try:
+        judge = entries[0].load()
+    except Exception as error:  # whatever a package raises as it is imported
+        raise ValueError(f"{entries[0].value} can't be loaded, {type(error).__name__}: {error!s:.200}") from error
+    return kind_of(name, judge)
+
+
+def _package(entry: EntryPoint) -> str:
+    """Where it is from, such as ``acme-leaves 1.0``."""
+    return f"{entry.dist.name} {entry.dist.version}" if entry.dist is not None else "a package without a name"

@@ -1,0 +1,358 @@
+"""The leaf ``pod``: what Kubernetes says of the pod of the instance in control.
+
+Only who watches the cluster can tell, which is the workload's monitor. For an instance that waits the leaf holds: it is
+judged by its own agent, and that one by what its pod says would go in a circle.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from operator import ge, gt, le, lt
+from typing import Any
+
+from understudy.api.quantities import QUANTITY, amount
+from understudy.trees.core.evidence import EvidenceLeaf, Said, Track
+from understudy.trees.core.health_tree import WatchedTopic
+from understudy.trees.core.leaf import Leaf, State, duration
+from understudy.trees.core.observations import Glance, PodState
+from understudy.trees.core.task_activity import TaskActive, situation
+from understudy.trees.leaves.leaf_plan import LeafKind, LeafPlan, Make, hold_off_of
+from understudy.trees.source.expressions import Fields
+from understudy.trees.source.value_reader import Reader, duration_of, found_text, whole_number_of
+
+POD = "pod"
+"""What stands for it among what is watched; no topic is called so, since names of topics begin with a slash."""
+
+STATUSES = ("True", "False", "Unknown")
+
+MOST_RESTARTS = 1000
+
+LONGEST = 64
+"""Characters of a bound."""
+
+_UNRECORDED = "it is told by the cluster, which a bag doesn't have"
+
+_CONDITION = re.compile(r"([a-z0-9.-]{1,253}/)?[A-Za-z0-9]([A-Za-z0-9_.-]{0,61}[A-Za-z0-9])?")
+
+
+@dataclass(frozen=True)
+class Bound:
+    """What a figure must be less, or more, than."""
+
+    sign: str
+    text: str
+    """The quantity, as it is written."""
+
+    def holds(self, value: float) -> bool:
+        """Whether a figure is."""
+        return _SIGNS[self.sign](value, float(amount(self.text)))
+
+    def __str__(self) -> str:
+        return f"{self.sign} {self.text}"
+
+
+_SIGNS: Mapping[str, Callable[[float, float], bool]] = {"<": lt, "<=": le, ">": gt, ">=": ge}
+
+_BOUND = re.compile(rf"(<=|>=|<|>) ?({QUANTITY})")
+
+RESOURCES: Mapping[str, Callable[[float], str]] = {
+    "cpu": lambda cores: f"{cores:.3g}",
+    "memory": lambda size: f"{size / 2**20:.4g}Mi",
+}
+"""What a pod takes of its node, and how a figure is said."""
+
+
+class _LookLeaf(EvidenceLeaf[PodState]):
+    """Holds while the looks at the pod say so."""
+
+    hears = False
+    kind = POD
+    of_cluster = True
+    unrecorded = _UNRECORDED
+
+    def __init__(self, path: str, glance: Glance, *, hold_off: float, tasks: Sequence[TaskActive]) -> None:
+        super().__init__(path, POD, glance, hold_off=hold_off, tasks=tasks)
+
+    def fresh(self, track: Track[PodState]) -> list[PodState]:
+        """The last look at the pod, once."""
+        found = self._glance.observations.pod()
+        if found is None or found is track.seen or found.received < self._glance.since:
+            return []
+        return [found]
+
+    def _limits(self, track: Track[PodState]) -> tuple[float, float]:
+        return super()._limits(track) if self._glance.observations.in_control else (math.inf, math.inf)
+
+    def awaited(self) -> str:
+        """What must come first."""
+        return "look at the pod"
+
+
+class ConditionLeaf(_LookLeaf):
+    """Holds while a condition of the pod has a status."""
+
+    def __init__(
+        self,
+        path: str,
+        glance: Glance,
+        condition: str,
+        status: str = "True",
+        *,
+        hold_off: float = 0.0,
+        tasks: Sequence[TaskActive] = (),
+    ) -> None:
+        """A leaf over a condition by its type; ``hold_off`` in seconds."""
+        super().__init__(path, glance, hold_off=hold_off, tasks=tasks)
+        self._condition, self._status = condition, status
+
+    def said(self, content: PodState, failed: bool) -> Said:
+        """What the look says. A condition that the pod hasn't got is unknown (Kubernetes' API conventions)."""
+        found = next((one for one in content.conditions if one.type == self._condition), None)
+        if (found.status if found is not None else "Unknown") == self._status:
+            return Said(True, "")
+        if found is None:
+            return Said(False, "the pod has no such condition")
+        return Said(False, f"it is {found.status}{f', {found.reason}' if found.reason else ''}")
+
+    def condition(self) -> str:
+        """The condition in words."""
+        return f"status {self._status} of the pod's condition {self._condition}"
+
+
+class UsageLeaf(_LookLeaf):
+    """Holds while the pod takes no more of its node, or no less, than it may; also while that can't be told."""
+
+    def __init__(
+        self,
+        path: str,
+        glance: Glance,
+        what: str,
+        bound: Bound,
+        *,
+        hold_off: float = 0.0,
+        tasks: Sequence[TaskActive] = (),
+    ) -> None:
+        """A leaf over one of RESOURCES; ``hold_off`` in seconds."""
+        super().__init__(path, glance, hold_off=hold_off, tasks=tasks)
+        self._what, self._bound = what, bound
+
+    def said(self, content: PodState, failed: bool) -> Said:
+        """What the last figures say."""
+        if content.usage is None:
+            return Said(True, "")  # being blind is no failure
+        taken = getattr(content.usage, self._what)
+        if self._bound.holds(taken):
+            return Said(True, "")
+        return Said(False, f"it was {RESOURCES[self._what](taken)}")
+
+    def condition(self) -> str:
+        """The condition in words."""
+        return f"{self._what} {self._bound} of the pod"
+
+
+@dataclass
+class _Counted:
+    """The restarts of one instance. Times are Unix seconds."""
+
+    since: float
+    """Which instance: when it took control."""
+    times: deque[float] = field(default_factory=deque)
+    """When the last of them were seen: one more than there may be."""
+    total: int | None = None
+    """How many there were in all at the last look."""
+    seen: PodState | None = None
+    received: float = 0.0
+    """When that look was, by the clock at that time."""
+
+    def shift(self) -> None:
+        """Follow a step of the clock, with which the time of the last look was moved."""
+        if self.seen is None or self.seen.received == self.received:
+            return
+        step, self.received = self.seen.received - self.received, self.seen.received
+        self.times = deque((time + step for time in self.times), self.times.maxlen)
+
+
+class RestartsLeaf(Leaf):
+    """Holds while the containers of the pod aren't started again more than so many times within a window.
+
+    It fails with the restart that is one too many, and is well again when the first of these is out of the window.
+    """
+
+    hears = False
+    kind = POD
+    of_cluster = True
+    unrecorded = _UNRECORDED
+
+    def __init__(
+        self, path: str, glance: Glance, most: int, window: float, *, tasks: Sequence[TaskActive] = ()
+    ) -> None:
+        """A leaf that allows ``most`` restarts in ``window`` seconds."""
+        super().__init__(path, POD, glance, tasks)
+        self._most, self._window = most, window
+        self._counted = _Counted(math.nan)
+
+    def _followed(self) -> _Counted:
+        """The restarts until the glance's moment."""
+        glance, counted = self._glance, self._counted
+        if counted.since != glance.since:
+            counted = self._counted = _Counted(glance.since, deque(maxlen=self._most + 1))
+        counted.shift()
+        pod = glance.observations.pod()
+        if pod is None or pod is counted.seen or pod.received < glance.since:
+            return counted
+        # How often an instance was restarted before it took control, or before anybody looked, isn't held against it.
+        new = pod.restarts - counted.total if counted.total is not None else 0
+        counted.times.extend([pod.received] * min(max(new, 0), self._most + 1))
+        counted.total, counted.seen, counted.received = pod.restarts, pod, pod.received
+        return counted
+
+    def _failing(self) -> tuple[float, float] | None:
+        """From when to when it fails if there is no further restart; None where it doesn't."""
+        counted = self._followed()
+        if len(counted.times) <= self._most or not self._glance.observations.in_control:
+            return None
+        begin, end = -math.inf, counted.times[0] + self._window
+        if self.tasks:
+            found = situation(self.tasks, self._glance)
+            if found is None or counted.times[0] < found.active:
+                return None
+            begin = found.settled
+        return (begin, end) if begin < end else None
+
+    def state(self) -> State:
+        """The state at the glance's moment."""
+        failing = self._failing()
+        return "Failed" if failing is not None and failing[0] <= self._glance.now < failing[1] else "Healthy"
+
+    def healthy_until(self) -> float | None:
+        """When it is no longer healthy; None where it isn't healthy. Another restart can be seen at any time."""
+        failing = self._failing()
+        if failing is None or self._glance.now >= failing[1]:
+            return math.inf
+        return failing[0] if self._glance.now < failing[0] else None
+
+    def changes(self) -> list[float]:
+        """The moments after the glance's at which the state may be another with no further restart."""
+        return [moment for moment in self._failing() or () if self._glance.now < moment < math.inf]
+
+    def last(self) -> float | None:
+        """When all was last well: when the restart that was one too many was seen."""
+        counted = self._counted
+        return self._last_with_task(counted.times[-1] if counted.times else None)
+
+    def _plain_reason(self, state: State) -> str:
+        count, within = self._most + 1, duration(self._window)
+        if state == "Failed":
+            times = "once" if count == 1 else f"{count} times"
+            return f"containers of the pod were started again {times} within {within}"
+        return f"containers of the pod are started again less than {count} times within {within}"
+
+
+# -- how it is written ------------------------------------------------------------------------------------------------
+
+_EXAMPLE = "{condition: Ready, for: 10s}"
+
+_Read = Callable[[Reader, Mapping[str, Any], str], Make | None]
+
+_WITH: Mapping[str, tuple[str, ...]] = {
+    "condition": ("status", "for"),
+    "restarts": ("window",),
+    **dict.fromkeys(RESOURCES, ("for",)),
+}
+"""What is looked at, and what may be given with it."""
+
+
+def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | None) -> LeafPlan | None:
+    before = len(reader.problems)
+    given = [key for key in _WITH if key in value]
+    if len(given) != 1:
+        found = _listed(given, "and") if given else f"none of {_listed(list(_WITH), 'and')}"
+        reader.problem(path, f"found {found}; give one of them, such as condition: Ready")
+        return None
+    (what,) = given
+    for key in dict.fromkeys(key for keys in _WITH.values() for key in keys):
+        if key in value and key not in _WITH[what]:
+            belongs = _listed([other for other, keys in _WITH.items() if key in keys], "or")
+            reader.problem(f"{path}.{key}", f"{key} is only for {belongs}; leave it out")
+    make = _READ[what](reader, value, path)
+    if make is None or len(reader.problems) > before:
+        return None
+    name = str(value["condition"]).replace("/", ".") if what == "condition" else what
+    watched = WatchedTopic(POD, None, 0.0, None, heard=False, pod=True, usage=what in RESOURCES)
+    return LeafPlan(f"{POD}.{name}", watched, make)
+
+
+def _listed(words: Sequence[str], between: str) -> str:
+    return f" {between} ".join(filter(None, (", ".join(words[:-1]), words[-1])))
+
+
+def _condition(reader: Reader, value: Mapping[str, Any], path: str) -> Make | None:
+    condition = reader.given(value, "condition", path, _type)
+    status = reader.given(value, "status", path, _status) if "status" in value else STATUSES[0]
+    hold_off = hold_off_of(reader, value, path)
+    if condition is None or status is None:
+        return None
+    return lambda place, glance, tasks: ConditionLeaf(place, glance, condition, status, hold_off=hold_off, tasks=tasks)
+
+
+def _restarts(reader: Reader, value: Mapping[str, Any], path: str) -> Make | None:
+    most = reader.given(value, "restarts", path, whole_number_of(MOST_RESTARTS, least=0))
+    if "window" not in value:
+        reader.problem(
+            f"{path}.window", "missing; give the time within which there may be so many restarts, such as 10m"
+        )
+    window = reader.given(value, "window", path, duration_of)
+    if most is None or window is None:
+        return None
+    return lambda place, glance, tasks: RestartsLeaf(place, glance, most, window, tasks=tasks)
+
+
+def _usage(what: str) -> _Read:
+    def read(reader: Reader, value: Mapping[str, Any], path: str) -> Make | None:
+        bound = reader.given(value, what, path, _bound(what))
+        hold_off = hold_off_of(reader, value, path)
+        if bound is None:
+            return None
+        return lambda place, glance, tasks: UsageLeaf(place, glance, what, bound, hold_off=hold_off, tasks=tasks)
+
+    return read
+
+
+_READ: Mapping[str, _Read] = {
+    "condition": _condition,
+    "restarts": _restarts,
+    **{what: _usage(what) for what in RESOURCES},
+}
+
+
+def _type(found: object) -> str:
+    if not isinstance(found, str) or not _CONDITION.fullmatch(found):
+        raise ValueError(f"found {found_text(found)}; give the type of a condition, such as Ready or ContainersReady")
+    return found
+
+
+def _bound(what: str) -> Callable[[object], Bound]:
+    example = "'< 1.5', in cores" if what == "cpu" else "'< 200Mi'"
+
+    def read(found: object) -> Bound:
+        match = _BOUND.fullmatch(found) if isinstance(found, str) and len(found) <= LONGEST else None
+        if match is None:
+            raise ValueError(f"found {found_text(found)}; write <, <=, > or >= and a quantity, such as {example}")
+        return Bound(match[1], match[2])
+
+    return read
+
+
+def _status(found: object) -> str:
+    # Without quotes, YAML reads True and False as booleans.
+    status = str(found).capitalize() if isinstance(found, bool | str) else ""
+    if status not in STATUSES:
+        raise ValueError(f"found {found_text(found)}; known are {', '.join(STATUSES)}")
+    return status
+
+
+POD_LEAF = LeafKind(("condition", "status", "restarts", "window", *RESOURCES, "for"), _EXAMPLE, _read, of_control=True)

@@ -1,0 +1,163 @@
+"""The leaf ``transform``: whether a transform between two frames is received, and not too old when it is (tf2)."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from understudy.trees.core.evidence import Said, Track
+from understudy.trees.core.health_tree import WatchedTopic
+from understudy.trees.core.leaf import State, duration
+from understudy.trees.core.observations import Content, Glance, Unreadable
+from understudy.trees.core.task_activity import TaskActive
+from understudy.trees.leaves.age import rounded
+from understudy.trees.leaves.leaf_plan import LeafKind, LeafPlan, at_once, hold_off_of, topic_of
+from understudy.trees.leaves.message_content import ContentLeaf
+from understudy.trees.source.expressions import Fields
+from understudy.trees.source.value_reader import Reader, duration_of, found_text
+
+TYPE = "tf2_msgs/msg/TFMessage"
+
+TOPIC = "/tf"
+
+STATIC = "tf_static"
+
+KEPT = 256
+"""Messages that may come between two looks: all frames share the topic, and those that are asked for may be rare among them."""
+
+BURST = 1000.0
+"""Messages per second to be ready for."""
+
+_FRAME = re.compile(r"[^\s/]\S{0,255}")
+
+
+class TransformLeaf(ContentLeaf):
+    """Holds while a transform is received: failed once none of the topic's messages has had it for ``gap`` seconds.
+
+    With ``most`` also by one that was older than that, by its own stamp, when it was received.
+    """
+
+    every = True
+
+    def __init__(
+        self,
+        path: str,
+        topic: str,
+        glance: Glance,
+        child: str,
+        parent: str | None,
+        gap: float,
+        *,
+        most: float | None = None,
+        hold_off: float = 0.0,
+        tasks: Sequence[TaskActive] = (),
+    ) -> None:
+        """A leaf over the transform to the frame ``child``, from ``parent`` or whatever its parent is. All times in seconds."""
+        super().__init__(path, topic, glance, hold_off=hold_off, tasks=tasks)
+        self._child, self._parent, self._gap, self._most = child, parent, gap, most
+
+    def said(self, content: Content, failed: bool) -> Said | None:
+        """What the message says; None where the transform isn't in it."""
+        if not content.mentions(self._child):
+            return None
+        stamps = list(self._stamps(content))
+        if not stamps:
+            return None
+        if self._most is None:
+            return Said(True, "")
+        newest = max(stamps)
+        if not newest:
+            return Said(False, "it can't be told: there is no stamp")
+        age = content.older(newest)
+        return Said(True, "") if age <= self._most else Said(False, f"it was {rounded(age)}")
+
+    def _stamps(self, content: Content) -> Iterator[float]:
+        """The stamps of the transform in a message, in Unix seconds."""
+        try:
+            transforms: Any = getattr(content.message(), "transforms", ())
+        except Unreadable:
+            return  # what can't be read has no transform in it that anybody could use
+        for one in transforms:
+            # tf2 takes a frame that begins with a slash for the one without.
+            same = one.child_frame_id.removeprefix("/") == self._child
+            if same and self._parent in (None, one.header.frame_id.removeprefix("/")):
+                stamp = one.header.stamp
+                yield stamp.sec + stamp.nanosec * 1e-9
+
+    def lost(self, track: Track[Content]) -> float:
+        """When it has failed if nothing more arrives: by the gap, or by its age."""
+        return min(super().lost(track), self._silent(track))
+
+    def _silent(self, track: Track[Content]) -> float:
+        """When the gap has failed if nothing more arrives."""
+        return max(track.heard if track.heard is not None else -math.inf, self.begun()) + self._gap
+
+    def condition(self) -> str:
+        """The condition in words."""
+        if self._most is None:
+            return self.awaited()
+        return f"an age of at most {duration(self._most)} of {self.awaited()}"
+
+    def awaited(self) -> str:
+        """The transform that must come."""
+        frames = f"{self._parent} -> {self._child}" if self._parent is not None else f"to {self._child}"
+        return f"transform {frames} on {self.topic}"
+
+    def _plain_reason(self, state: State) -> str:
+        track = self.followed()
+        if state == "Failed" and track.heard is not None and track.held and self._glance.now >= self._silent(track):
+            return f"no {self.awaited()} for {duration(self._gap)}"
+        if state == "Healthy" and track.heard is not None:
+            return f"{self.awaited()} is received"
+        return super()._plain_reason(state)
+
+
+_EXAMPLE = "{parent: odom, child: base_link, gap: 500ms}"
+
+
+def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | None) -> LeafPlan | None:
+    before = len(reader.problems)
+    topic = topic_of(reader, value, path, TOPIC) if "topic" in value else TOPIC
+    if topic is not None and topic.rsplit("/", 1)[-1] == STATIC:
+        reader.problem(
+            f"{path}.topic", f"found {topic!r}: what is there is said once and stays, without a gap; give {TOPIC}"
+        )
+    if "child" not in value:
+        reader.problem(f"{path}.child", "missing; give the frame that the transform leads to, such as base_link")
+    child, parent = (reader.given(value, key, path, _frame) for key in ("child", "parent"))
+    if child is not None and child == parent:
+        reader.problem(
+            f"{path}.parent", f"found {parent!r}, which is the child too; give the frame above it, such as odom"
+        )
+    if "gap" not in value:
+        reader.problem(f"{path}.gap", "missing; give how long it may be missing, such as 500ms")
+    gap = reader.given(value, "gap", path, duration_of)
+    most = reader.given(value, "at_most", path, duration_of)
+    if "for" in value and "at_most" not in value:
+        reader.problem(
+            f"{path}.for",
+            "it is only for at_most; give at_most, or leave for out: how long the transform may be missing is the gap",
+        )
+    hold_off = hold_off_of(reader, value, path)
+    if topic is None or child is None or gap is None or len(reader.problems) > before:
+        return None
+    return LeafPlan(
+        f"{child}.transform",
+        WatchedTopic(topic, TYPE, 0.0, BURST, contents=KEPT, whole=True, prompt=most is not None and at_once(hold_off)),
+        lambda place, glance, tasks: TransformLeaf(
+            place, topic, glance, child, parent, gap, most=most, hold_off=hold_off, tasks=tasks
+        ),
+    )
+
+
+def _frame(found: object) -> str:
+    if not isinstance(found, str) or not _FRAME.fullmatch(found):
+        if isinstance(found, str) and _FRAME.fullmatch(bare := found.removeprefix("/")):
+            raise ValueError(f"found {found_text(found)}; frames have no slash in front, did you mean {bare!r}?")
+        raise ValueError(f"found {found_text(found)}; give a frame's name without spaces, such as base_link")
+    return found
+
+
+TRANSFORM = LeafKind(("topic", "child", "parent", "gap", "at_most", "for"), _EXAMPLE, _read)

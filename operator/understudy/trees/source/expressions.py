@@ -1,0 +1,659 @@
+"""Conditions over the fields of a message, such as ``percentage > 0.15 or charging``.
+
+Python's grammar is used to read them, and nothing of Python to evaluate them: each construct that is allowed is turned
+into a closure of its own, and all else is refused when the expression is read. A name is a field of the message, so
+nothing but the message's own data can be reached. The work that an expression can cause is bounded.
+
+The truth has three values: where a number is NaN, a divisor 0 or an element missing, a comparison can't be told
+(:class:`Untold`). ``and``, ``or``, ``not``, ``any`` and ``all`` then follow Kleene: what one side decides alone is decided.
+"""
+
+from __future__ import annotations
+
+import ast
+import math
+import operator
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from numbers import Integral, Real
+from typing import Any
+
+from understudy.trees.source.problems import did_you_mean
+
+LONGEST = 500
+"""Characters that an expression may have."""
+
+MOST_NODES = 100
+"""Names, numbers and operations that an expression may have."""
+
+DEEPEST = 24
+"""Levels that an expression may have."""
+
+MOST_LOOPS = 4
+"""``any`` and ``all`` that an expression may have."""
+
+MOST_ELEMENTS = 4096
+"""Elements of an array that are gone through; the rays of a laser scan, not the points of a cloud."""
+
+LARGEST = 2.0**64
+"""Largest number that may be written, the end of the largest integer field."""
+
+SHOWN = 3
+"""Values that are told with a condition that doesn't hold."""
+
+Fields = Callable[[str], Mapping[str, str] | None]
+"""The fields of a message type with their types, as rosidl names them (``double``, ``sequence<geometry_msgs/Point>``);
+None where the type is not known here."""
+
+_Evaluate = Callable[[Any, Any], Any]
+"""The value for a message and, inside any and all, an element."""
+
+_FIELD = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+_ARRAY = re.compile(r"sequence<(.+?)(?:, \d+)?>|(.+)\[\d+\]")
+_NESTED = re.compile(r"(\w+)/(\w+)")
+
+
+class ExpressionError(ValueError):
+    """An expression that can't be used; says what was found and what would be right."""
+
+
+class Untold(Exception):
+    """Whether a condition holds can't be told of a message; the text says why."""
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """What a value is, as far as it is known before there is one."""
+
+    text: str
+    item: _Kind | None = None
+    """Of an array, what its elements are."""
+    message: str = ""
+    """Of a message, its type."""
+
+
+_ANY = _Kind("a value")
+_NUMBER = _Kind("a number")
+_TRUTH = _Kind("true or false")
+_STRING = _Kind("a string")
+
+
+def _kind_of(type_name: str) -> _Kind:
+    """What a field of a rosidl type is."""
+    if array := _ARRAY.fullmatch(type_name):
+        return _Kind("an array", _kind_of(array[1] or array[2]))
+    if nested := _NESTED.fullmatch(type_name):
+        name = f"{nested[1]}/msg/{nested[2]}"
+        return _Kind(f"a {name}", message=name)
+    if type_name == "boolean":
+        return _TRUTH
+    return _STRING if type_name.startswith(("string", "wstring")) else _NUMBER
+
+
+class Expression:
+    """A condition that was read; holds for a message or doesn't, or can't be told."""
+
+    def __init__(self, text: str, evaluate: _Evaluate, shown: Sequence[tuple[str, _Evaluate]]) -> None:
+        self.text = text
+        self._evaluate = evaluate
+        self._shown = shown
+
+    @classmethod
+    def parse(cls, text: str, type_name: str = "", fields: Fields | None = None) -> Expression:
+        """Read a condition over messages of a type, whose fields are checked where they are known.
+
+        Raises ExpressionError.
+        """
+        text = text.strip()
+        compiler, tree = _read(text, type_name, fields, _EXAMPLE)
+        evaluate = compiler.truth(tree, 1)
+        return cls(text, evaluate, compiler.shown[:SHOWN])
+
+    def holds(self, message: object) -> bool:
+        """Whether it holds for a message. Raises Untold."""
+        return _truth(self._evaluate(message, None), self.text)
+
+    def values(self, message: object) -> str:
+        """The first few values that it looks at, such as ``percentage is 0.12``; empty where there are none to show."""
+        told = []
+        for name, evaluate in self._shown:
+            try:
+                value = evaluate(message, None)
+            except Untold:
+                continue
+            if isinstance(value, bool | int | float | str):
+                told.append(f"{name} is {_shown(value)}")
+        return ", ".join(told)
+
+
+class Quantity:
+    """A number that was asked for by an expression, such as ``distance_remaining``."""
+
+    def __init__(self, text: str, evaluate: _Evaluate) -> None:
+        self.text = text
+        self._evaluate = evaluate
+
+    @classmethod
+    def parse(cls, text: str, type_name: str = "", fields: Fields | None = None) -> Quantity:
+        """Read a number over messages of a type, whose fields are checked where they are known. Raises ExpressionError."""
+        text = text.strip()
+        compiler, tree = _read(text, type_name, fields, "a number such as distance_remaining")
+        return cls(text, compiler.number(tree, 1))
+
+    def value(self, message: object) -> float:
+        """What it is for a message, finite. Raises Untold."""
+        try:
+            value = float(self._evaluate(message, None))
+        except OverflowError:
+            raise Untold(f"{self.text:.80} is too large") from None
+        if not math.isfinite(value):
+            raise Untold(f"{self.text:.80} is {value:g}")
+        return value
+
+
+def _read(text: str, type_name: str, fields: Fields | None, example: str) -> tuple[_Compiler, ast.expr]:
+    """What is to be compiled, by what. Raises ExpressionError."""
+    if len(text) > LONGEST:
+        raise ExpressionError(f"it has {len(text)} characters; {LONGEST} are allowed")
+    if "\\" in text:
+        raise ExpressionError("found a backslash; write a string without one")
+    try:
+        tree = ast.parse(text, mode="eval").body
+    except SyntaxError as error:
+        place = f" at character {error.offset}" if error.offset else ""
+        raise ExpressionError(f"{text!r:.80} can't be read{place}; write {example}") from None
+    except (ValueError, MemoryError, RecursionError):
+        raise ExpressionError(f"{text!r:.80} can't be read; write {example}") from None
+    if sum(1 for _ in ast.walk(tree)) > 3 * MOST_NODES:  # operators and contexts are nodes of Python's too
+        raise ExpressionError(f"it has more than {MOST_NODES} names, numbers and operations")
+    return _Compiler(text, _Kind(f"a {type_name}" if type_name else "the message", message=type_name), fields), tree
+
+
+_EXAMPLE = "a condition such as percentage > 0.15"
+
+_OPERATIONS: dict[type[ast.operator], tuple[str, Callable[[Any, Any], Any]]] = {
+    ast.Add: ("+", operator.add),
+    ast.Sub: ("-", operator.sub),
+    ast.Mult: ("*", operator.mul),
+    ast.Div: ("/", operator.truediv),
+    ast.Mod: ("%", operator.mod),
+}
+_COMPARISONS: dict[type[ast.cmpop], Callable[[Any, Any], bool]] = {
+    ast.Lt: operator.lt,
+    ast.LtE: operator.le,
+    ast.Gt: operator.gt,
+    ast.GtE: operator.ge,
+    ast.Eq: operator.eq,
+    ast.NotEq: operator.ne,
+}
+_FUNCTIONS = ("abs", "min", "max", "len", "sqrt", "isfinite", "any", "all")
+
+
+class _Compiler:
+    """Turns Python's syntax tree into closures, construct by construct."""
+
+    def __init__(self, text: str, message: _Kind, fields: Fields | None) -> None:
+        self.shown: list[tuple[str, _Evaluate]] = []
+        """What is worth telling of a message: the fields that are looked at."""
+        self._text, self._message, self._fields = text, message, fields
+        self._element: tuple[str, _Kind] | None = None
+        """Name and kind of the element, inside of any and all."""
+        self._nodes = self._loops = 0
+
+    # -- kinds of values --------------------------------------------------------------------------------------------
+
+    def truth(self, node: ast.expr, depth: int) -> _Evaluate:
+        """What is true or false."""
+        return self._wanted(node, depth, _TRUTH, "compare it with something")
+
+    def number(self, node: ast.expr, depth: int) -> _Evaluate:
+        """What is a number."""
+        evaluate, text = self._wanted(node, depth, _NUMBER, "calculate with numbers"), self._source(node)
+        return lambda message, element: _number(evaluate(message, element), text)
+
+    def _wanted(self, node: ast.expr, depth: int, wanted: _Kind, way_out: str) -> _Evaluate:
+        kind, evaluate = self._value(node, depth)
+        if kind not in (wanted, _ANY):
+            raise ExpressionError(f"{self._source(node)} is {kind.text}, not {wanted.text}; {way_out}")
+        return evaluate
+
+    def _value(self, node: ast.expr, depth: int) -> tuple[_Kind, _Evaluate]:
+        self._nodes += 1
+        if self._nodes > MOST_NODES:
+            raise ExpressionError(f"it has more than {MOST_NODES} names, numbers and operations")
+        if depth > DEEPEST:
+            raise ExpressionError(f"it is more than {DEEPEST} levels deep")
+        match node:
+            case ast.Constant():
+                return self._constant(node)
+            case ast.Name() | ast.Attribute() | ast.Subscript():
+                found = self._path(node, depth)
+                self._show(node, found)
+                return found
+            case ast.BoolOp():
+                return _TRUTH, _all_of([self.truth(v, depth + 1) for v in node.values], isinstance(node.op, ast.And))
+            case ast.UnaryOp():
+                return self._unary(node, depth)
+            case ast.BinOp():
+                return _NUMBER, self._binary(node, depth)
+            case ast.Compare():
+                return _TRUTH, self._compare(node, depth)
+            case ast.Call():
+                return self._call(node, depth)
+        raise ExpressionError(
+            f"{self._source(node)} is not allowed; there are fields, numbers, strings, comparisons, and, or, not, "
+            f"+ - * / % and {', '.join(_FUNCTIONS)}"
+        )
+
+    def _constant(self, node: ast.Constant) -> tuple[_Kind, _Evaluate]:
+        value = node.value
+        if isinstance(value, bool):
+            return _TRUTH, lambda message, element: value
+        if isinstance(value, str):
+            return _STRING, lambda message, element: value
+        if isinstance(value, int | float):
+            if not abs(value) <= LARGEST:
+                raise ExpressionError(f"{self._source(node):.40} is too large; a number is at most {LARGEST:.4g}")
+            return _NUMBER, lambda message, element: value
+        raise ExpressionError(f"{self._source(node)} is not allowed; write a number, a string, True or False")
+
+    # -- fields -----------------------------------------------------------------------------------------------------
+
+    def _path(self, node: ast.expr, depth: int) -> tuple[_Kind, _Evaluate]:
+        """A field, a field of a field, or an element of an array."""
+        if depth > DEEPEST:
+            raise ExpressionError(f"it is more than {DEEPEST} levels deep")
+        if isinstance(node, ast.Name):
+            if self._element is not None and node.id == self._element[0]:
+                return self._element[1], lambda message, element: element
+            return self._field(self._message, lambda message, element: message, node.id)
+        if isinstance(node, ast.Attribute):
+            kind, evaluate = self._path(node.value, depth + 1)
+            return self._field(kind, evaluate, node.attr, self._source(node.value))
+        if isinstance(node, ast.Subscript):
+            return self._item(node, depth)
+        raise ExpressionError(f"{self._source(node)} has no fields; those of messages are looked at")
+
+    def _field(self, kind: _Kind, evaluate: _Evaluate, name: str, of: str = "") -> tuple[_Kind, _Evaluate]:
+        if not _FIELD.fullmatch(name):
+            raise ExpressionError(f"{name!r} is no field of a message; their names begin with a letter")
+        found = _ANY
+        if kind.message:
+            known = self._fields(kind.message) if self._fields is not None else None
+            if known is not None:
+                if name not in known:
+                    raise ExpressionError(f"{kind.message} has no field {name!r}{did_you_mean(name, known)}")
+                found = _kind_of(known[name])
+        elif kind not in (_ANY, self._message):
+            raise ExpressionError(f"{of} is {kind.text}, which has no field {name!r}")
+        return found, _field_of(evaluate, name)
+
+    def _item(self, node: ast.Subscript, depth: int) -> tuple[_Kind, _Evaluate]:
+        kind, array = self._path(node.value, depth + 1)
+        text = self._source(node.value)
+        index = _index(node.slice)
+        if index is None:
+            raise ExpressionError(f"{self._source(node.slice)} is no element; write its number, such as {text}[0]")
+        if kind is not _ANY and kind.item is None:
+            raise ExpressionError(f"{text} is {kind.text}, not an array; leave [{index}] out")
+
+        def evaluate(message: Any, element: Any) -> Any:
+            values = _array(array(message, element), text)
+            try:
+                return _plain(values[index])
+            except IndexError:
+                raise Untold(f"{text} has {len(values)} elements, and so no {text}[{index}]") from None
+
+        return kind.item or _ANY, evaluate
+
+    def _show(self, node: ast.expr, found: tuple[_Kind, _Evaluate]) -> None:
+        """Have a value told, unless it is of an element."""
+        kind, evaluate = found
+        text = self._source(node)
+        if self._element is None and kind in (_ANY, _NUMBER, _TRUTH, _STRING) and (text not in dict(self.shown)):
+            self.shown.append((text, evaluate))
+
+    # -- operations -------------------------------------------------------------------------------------------------
+
+    def _unary(self, node: ast.UnaryOp, depth: int) -> tuple[_Kind, _Evaluate]:
+        if isinstance(node.op, ast.Not):
+            truth, text = self.truth(node.operand, depth + 1), self._source(node.operand)
+            return _TRUTH, lambda message, element: not _truth(truth(message, element), text)
+        if isinstance(node.op, ast.USub | ast.UAdd):
+            number = self.number(node.operand, depth + 1)
+            if isinstance(node.op, ast.UAdd):
+                return _NUMBER, number
+            return _NUMBER, lambda message, element: -number(message, element)
+        raise ExpressionError(f"{self._source(node)} is not allowed; there are not and -")
+
+    def _binary(self, node: ast.BinOp, depth: int) -> _Evaluate:
+        if type(node.op) not in _OPERATIONS:
+            signs = " ".join(sign for sign, _ in _OPERATIONS.values())
+            raise ExpressionError(f"{self._source(node)} is not allowed; there are {signs}")
+        _, calculate = _OPERATIONS[type(node.op)]
+        left, right, text = self.number(node.left, depth + 1), self.number(node.right, depth + 1), self._source(node)
+
+        def evaluate(message: Any, element: Any) -> Any:
+            try:
+                return calculate(left(message, element), right(message, element))
+            except ZeroDivisionError:
+                raise Untold(f"{text} divides by 0") from None
+            except OverflowError:
+                raise Untold(f"{text} is too large") from None
+
+        return evaluate
+
+    def _compare(self, node: ast.Compare, depth: int) -> _Evaluate:
+        places = [node.left, *node.comparators]
+        texts = [self._source(place) for place in places]
+        kinds, values = zip(*(self._value(place, depth + 1) for place in places), strict=True)
+        steps = []
+        for index, sign in enumerate(node.ops):
+            compare = _COMPARISONS.get(type(sign))
+            if compare is None:
+                raise ExpressionError(f"{self._source(node)} is not allowed; there are < <= > >= == !=")
+            ordered = not isinstance(sign, ast.Eq | ast.NotEq)
+            self._comparable(kinds[index : index + 2], texts[index : index + 2], ordered)
+            steps.append((compare, ordered))
+        if len(steps) == 1:
+            return _comparison(*steps[0], values, texts)
+
+        def evaluate(message: Any, element: Any) -> bool:
+            untold: Untold | None = None
+            found = [_value_or_untold(value, message, element) for value in values]
+            for index, (compare, ordered) in enumerate(steps):
+                try:
+                    if not _compared(compare, ordered, found[index : index + 2], texts[index : index + 2]):
+                        return False
+                except Untold as error:
+                    untold = untold or error
+            if untold is not None:
+                raise untold
+            return True
+
+        return evaluate
+
+    def _comparable(self, kinds: Sequence[_Kind], texts: Sequence[str], ordered: bool) -> None:
+        for kind, text in zip(kinds, texts, strict=True):
+            if kind.item is not None or kind.message:
+                raise ExpressionError(
+                    f"{text} is {kind.text}, which can't be compared; name a field or an element of it"
+                )
+            if ordered and kind not in (_NUMBER, _ANY):
+                raise ExpressionError(f"{text} is {kind.text}, not a number; compare it by == or !=")
+        first, second = kinds
+        if first != second and _ANY not in kinds:
+            raise ExpressionError(
+                f"{texts[0]} is {first.text} and {texts[1]} is {second.text}; compare what is of one kind"
+            )
+
+    # -- functions --------------------------------------------------------------------------------------------------
+
+    def _call(self, node: ast.Call, depth: int) -> tuple[_Kind, _Evaluate]:
+        name = node.func.id if isinstance(node.func, ast.Name) else self._source(node.func)
+        if not isinstance(node.func, ast.Name) or name not in _FUNCTIONS:
+            raise ExpressionError(f"there is no function {name!r:.60}{did_you_mean(name[:60], _FUNCTIONS)}")
+        given, text = node.args, self._source(node)
+        if node.keywords or not given or any(isinstance(value, ast.Starred) for value in given):
+            raise ExpressionError(f"{text} is not allowed; {name} is given values, such as {_CALLS[name]}")
+        if len(given) > 1 and name not in ("min", "max"):
+            raise ExpressionError(f"{text} gives {name} {len(given)} values; it takes one, such as {_CALLS[name]}")
+        if name in ("any", "all"):
+            return _TRUTH, self._loop(given[0], name, depth)
+        if name == "len" or (name in ("min", "max") and len(given) == 1):
+            found = _NUMBER, self._of_array(name, given[0], depth)
+            self._show(node, found)
+            return found
+        values = [self.number(value, depth + 1) for value in given]
+        if name == "isfinite":
+            return _TRUTH, lambda message, element: _finite(values[0](message, element))
+        if name == "abs":
+            return _NUMBER, lambda message, element: abs(values[0](message, element))
+        if name == "sqrt":
+            return _NUMBER, _root(values[0], text)
+        return _NUMBER, lambda message, element: _extreme(name, [value(message, element) for value in values])
+
+    def _of_array(self, name: str, node: ast.expr, depth: int) -> _Evaluate:
+        kind, evaluate = self._path(node, depth + 1)
+        text = self._source(node)
+        if kind is not _ANY and kind.item is None and not (name == "len" and kind is _STRING):
+            raise ExpressionError(f"{text} is {kind.text}; {name} is given {_CALLS[name]}")
+        if name == "len":
+            return lambda message, element: _length(evaluate(message, element), text)
+        if kind.item is not None and kind.item not in (_NUMBER, _ANY):
+            raise ExpressionError(f"{text} has elements that are {kind.item.text}; {name} is of numbers")
+
+        def extreme(message: Any, element: Any) -> float:
+            values = _elements(evaluate(message, element), text)
+            if not len(values):
+                raise Untold(f"{text} has no elements")
+            return _extreme(name, [_number(_plain(value), f"an element of {text}") for value in values])
+
+        return extreme
+
+    def _loop(self, node: ast.expr, name: str, depth: int) -> _Evaluate:
+        """``any`` and ``all`` over the elements of one array, those that a filter lets through."""
+        if not isinstance(node, ast.GeneratorExp) or len(node.generators) != 1 or node.generators[0].is_async:
+            raise ExpressionError(f"{self._source(node)} can't be gone through; write {_CALLS[name]}")
+        if self._element is not None:
+            raise ExpressionError(f"{name} inside of any or all is not allowed")
+        self._loops += 1
+        if self._loops > MOST_LOOPS:
+            raise ExpressionError(f"it has more than {MOST_LOOPS} any and all")
+        loop = node.generators[0]
+        if not isinstance(loop.target, ast.Name) or not _FIELD.fullmatch(loop.target.id):
+            raise ExpressionError(f"{self._source(loop.target)} is no name for an element; write {_CALLS[name]}")
+        kind, array = self._path(loop.iter, depth + 1)
+        text = self._source(loop.iter)
+        if kind is not _ANY and kind.item is None:
+            raise ExpressionError(f"{text} is {kind.text}, not an array; write {_CALLS[name]}")
+        self._element = loop.target.id, kind.item or _ANY
+        filters = [self.truth(condition, depth + 2) for condition in loop.ifs]
+        truth = self.truth(node.elt, depth + 2)
+        self._element = None
+        wanted = name == "any"
+        each = _all_of([*filters, truth if wanted else _negated(truth)], True)
+        # all(c for e in a) is not any(not c for e in a); so both are one search.
+        return lambda message, element: _found(message, _elements(array(message, element), text), each) == wanted
+
+    def _source(self, node: ast.expr) -> str:
+        text = " ".join((ast.get_source_segment(self._text, node) or "it").split())
+        return text if len(text) <= 80 else f"{text[:77]}..."
+
+
+_CALLS = {
+    "abs": "abs(x)",
+    "min": "min(ranges) or min(a, b)",
+    "max": "max(ranges) or max(a, b)",
+    "len": "an array or a string, as in len(ranges)",
+    "sqrt": "sqrt(x)",
+    "isfinite": "isfinite(x)",
+    "any": "any(r < 0.2 for r in ranges)",
+    "all": "all(r > 0.2 for r in ranges)",
+}
+
+
+def _index(node: ast.expr) -> int | None:
+    """The number of an element, counted from the end where it is negative."""
+    sign = 1
+    if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
+        sign, node = -1, node.operand
+    if isinstance(node, ast.Constant) and type(node.value) is int and node.value <= 2**32:
+        return sign * node.value
+    return None
+
+
+_NUMERIC = frozenset((int, float))
+_OWN = frozenset((bool, int, float, str))
+
+# -- values of a message ------------------------------------------------------------------------------------------------
+
+
+def _field_of(evaluate: _Evaluate, name: str) -> _Evaluate:
+    """The value of a field: only what the message's type says is one, and none of its class's attributes."""
+    known: dict[type, bool] = {}
+
+    def field(message: Any, element: Any) -> Any:
+        value = evaluate(message, element)
+        cls = type(value)
+        if cls not in known:
+            describe = getattr(cls, "get_fields_and_field_types", None)
+            known[cls] = describe is not None and name in describe()
+        if not known[cls]:
+            raise Untold(f"{cls.__name__} has no field {name}")
+        return _plain(getattr(value, name))
+
+    return field
+
+
+def _plain(value: Any) -> Any:
+    """A field's value as Python's own; the octet and numpy's scalars are not."""
+    if type(value) in _OWN:
+        return value
+    if isinstance(value, bytes) and len(value) == 1:
+        return value[0]
+    if isinstance(value, Real):
+        return int(value) if isinstance(value, Integral) else float(value)
+    return value
+
+
+def _array(value: Any, text: str) -> Any:
+    if isinstance(value, Sequence) and not isinstance(value, str | bytes):
+        return value
+    if hasattr(value, "tolist") and getattr(value, "ndim", 0) == 1:
+        return value
+    raise Untold(f"{text} is no array")
+
+
+def _elements(value: Any, text: str) -> Any:
+    values = _array(value, text)
+    if len(values) > MOST_ELEMENTS:
+        raise Untold(f"{text} has {len(values)} elements; up to {MOST_ELEMENTS} are gone through")
+    return values
+
+
+def _length(value: Any, text: str) -> int:
+    return len(value) if isinstance(value, str) else len(_array(value, text))
+
+
+def _number(value: Any, text: str) -> Any:
+    if type(value) not in _NUMERIC:
+        raise Untold(f"{text} is no number")
+    return value
+
+
+def _truth(value: object, text: str) -> bool:
+    if value is not True and value is not False:
+        raise Untold(f"{text:.80} is neither true nor false")
+    return value
+
+
+def _extreme(name: str, values: Sequence[float]) -> float:
+    """The least or greatest; NaN where one of them is, since Python's own depends on their order then."""
+    if any(value != value for value in values):
+        return math.nan
+    return min(values) if name == "min" else max(values)
+
+
+def _finite(value: float) -> bool:
+    return isinstance(value, int) or math.isfinite(value)  # an integer may be larger than any float
+
+
+def _root(evaluate: _Evaluate, text: str) -> _Evaluate:
+    def root(message: Any, element: Any) -> float:
+        value = evaluate(message, element)
+        try:
+            return math.sqrt(value)
+        except ValueError:
+            raise Untold(f"{text} is of a negative number") from None
+        except OverflowError:
+            raise Untold(f"{text} is too large") from None
+
+    return root
+
+
+def _value_or_untold(evaluate: _Evaluate, message: Any, element: Any) -> Any:
+    try:
+        return evaluate(message, element)
+    except Untold as error:
+        return error
+
+
+def _comparison(
+    compare: Callable[[Any, Any], bool], ordered: bool, values: Sequence[_Evaluate], texts: Sequence[str]
+) -> _Evaluate:
+    """The usual comparison, of two values; of numbers by little work, since it may be made for each element of an array."""
+    left, right = values
+
+    def evaluate(message: Any, element: Any) -> bool:
+        first, second = left(message, element), right(message, element)
+        if type(first) in _NUMERIC and type(second) in _NUMERIC and first == first and second == second:
+            return compare(first, second)
+        return _compared(compare, ordered, (first, second), texts)
+
+    return evaluate
+
+
+def _compared(compare: Callable[[Any, Any], bool], ordered: bool, values: Sequence[Any], texts: Sequence[str]) -> bool:
+    for value, text in zip(values, texts, strict=True):
+        if isinstance(value, Untold):
+            raise value
+        if isinstance(value, float) and math.isnan(value):
+            raise Untold(f"{text} is NaN")
+        if ordered:
+            _number(value, text)
+    first, second = values
+    if isinstance(first, bool) and isinstance(second, bool):
+        return compare(first, second)
+    if isinstance(first, str) and isinstance(second, str):
+        return compare(first, second)
+    return compare(_number(first, texts[0]), _number(second, texts[1]))
+
+
+# -- truth --------------------------------------------------------------------------------------------------------------
+
+
+def _all_of(parts: Sequence[_Evaluate], conjunction: bool) -> _Evaluate:
+    """``and`` of conditions, or ``or``: the first that decides it does, else it is untold if one of them is."""
+
+    def evaluate(message: Any, element: Any) -> bool:
+        untold: Untold | None = None
+        for part in parts:
+            try:
+                if _truth(part(message, element), "a part of it") != conjunction:
+                    return not conjunction
+            except Untold as error:
+                untold = untold or error
+        if untold is not None:
+            raise untold
+        return conjunction
+
+    return evaluate
+
+
+def _negated(truth: _Evaluate) -> _Evaluate:
+    return lambda message, element: not _truth(truth(message, element), "a part of it")
+
+
+def _found(message: Any, values: Iterable[Any], truth: _Evaluate) -> bool:
+    """Whether a condition holds for any element."""
+    untold: Untold | None = None
+    for value in values:
+        try:
+            if truth(message, _plain(value)):
+                return True
+        except Untold as error:
+            untold = untold or error
+    if untold is not None:
+        raise untold
+    return False
+
+
+def _shown(value: bool | int | float | str) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, float):
+        return "NaN" if math.isnan(value) else f"{value:.4g}"
+    text = repr(value) if isinstance(value, str) else str(value)
+    return text if len(text) <= 40 else f"{text[:37]}..."

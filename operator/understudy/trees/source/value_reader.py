@@ -1,0 +1,139 @@
+"""Reads the short YAML form of trees value by value, and collects everything that is wrong with it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, TypeGuard
+
+from understudy.api.durations import seconds
+from understudy.trees.source.problems import Problem, did_you_mean
+
+DEEPEST = 32
+"""Levels a tree may have; a healthy one has three or four."""
+
+MOST = 512
+"""Nodes a tree may have."""
+
+LONGEST = 24 * 3600
+"""Seconds that a length of time in a tree may have."""
+
+_NODE_NAME = re.compile(r"[A-Za-z0-9_.-]{1,63}")
+
+
+class Reader:
+    """Collects problems; what has one reads as None."""
+
+    def __init__(self) -> None:
+        self.problems: list[Problem] = []
+        self._nodes = 0
+
+    def problem(self, path: str, message: str) -> None:
+        """Note a mistake."""
+        self.problems.append(Problem(path, message))
+
+    def is_node(self, value: object, path: str, depth: int, kinds: Sequence[str]) -> TypeGuard[Mapping[str, Any]]:
+        """Whether something can be read as one more node, which is of one of these kinds; a problem is noted where it can't."""
+        self._nodes += 1
+        if self._nodes > MOST:
+            if self._nodes == MOST + 1:
+                self.problem(path, f"the tree has more than {MOST} nodes")
+            return False
+        if depth > DEEPEST:
+            self.problem(path, f"the tree is more than {DEEPEST} levels deep")
+            return False
+        if not isinstance(value, Mapping):
+            self.problem(path, f"found {found_text(value)}; a node is a mapping with one of {', '.join(kinds)}")
+            return False
+        return True
+
+    def kind(self, value: Mapping[str, Any], path: str, kinds: Sequence[str]) -> str | None:
+        """Which one of these kinds a node is; a problem is noted where it is none or several."""
+        found = [kind for kind in kinds if kind in value]
+        if len(found) > 1:
+            self.problem(path, f"found {' and '.join(found)} in one node; give each a node of its own")
+            return None
+        if not found:
+            if not any(key != "name" for key in value):
+                self.problem(path, f"the node says nothing; give one of {', '.join(kinds)}")
+            return None
+        return found[0]
+
+    def name(self, value: Mapping[str, Any], path: str) -> str | None:
+        """The name that a node was given."""
+        if "name" not in value:
+            return None
+        name = value["name"]
+        if not isinstance(name, str) or not _NODE_NAME.fullmatch(name):
+            self.problem(
+                f"{path}.name", f"found {found_text(name)}; a node's name is 1 to 63 letters, digits, '_', '-' and '.'"
+            )
+            return None
+        return name
+
+    def known(self, value: Mapping[str, Any], keys: Iterable[str], path: str) -> None:
+        """Note the keys that nobody knows."""
+        keys = tuple(keys)
+        for key in value:
+            if key not in keys:
+                self.problem(f"{path}.{key}", f"unknown key {str(key)!r}{did_you_mean(str(key), keys)}")
+
+    def matching(self, value: Mapping[str, Any], key: str, path: str, pattern: str, right: str) -> str | None:
+        """A text of a form; ``right`` says how it is written."""
+        if key not in value:
+            return None
+        found = value[key]
+        if not isinstance(found, str) or not re.fullmatch(pattern, found):
+            message = f"found {found_text(found)}; give {right}"
+            if isinstance(found, str) and re.fullmatch(pattern, f"/{found}"):
+                message = f"found {found_text(found)}; did you mean '/{found}'?"
+            self.problem(f"{path}.{key}", message)
+            return None
+        return found
+
+    def given(self, value: Mapping[str, Any], key: str, path: str, read: Callable[[object], Any]) -> Any:
+        """A value as read by a function that raises ValueError."""
+        if key not in value:
+            return None
+        try:
+            return read(value[key])
+        except ValueError as error:
+            self.problem(f"{path}.{key}", str(error))
+            return None
+
+
+def duration_of(value: object) -> float:
+    """Seconds that a duration such as ``500ms`` stands for. Raises ValueError."""
+    if not isinstance(value, str):
+        raise ValueError(f"found {found_text(value)}, which has no unit; write it with ms, s, m or h, such as 500ms")
+    length = seconds(value)
+    if length <= 0:
+        raise ValueError(f"found {value!r}; it must be longer than 0")
+    if length > LONGEST:
+        raise ValueError(f"found {value!r}; it must be at most {LONGEST // 3600}h")
+    return length
+
+
+def whole_number_of(most: int, *, least: int = 1) -> Callable[[object], int]:
+    """Reads a whole number from ``least`` to ``most``, also where it is written as text, as in XML. Raises ValueError."""
+
+    def read(found: object) -> int:
+        digits = isinstance(found, str) and found.isascii() and found.isdigit() and len(found) < 10
+        number = int(found) if digits and isinstance(found, str) else found
+        if not isinstance(number, int) or isinstance(number, bool) or not least <= number <= most:
+            raise ValueError(f"found {found_text(found)}; give a whole number from {least} to {most}")
+        return number
+
+    return read
+
+
+def found_text(value: object) -> str:
+    """A value in words for a message."""
+    if value is None:
+        return "nothing"
+    if isinstance(value, Mapping):
+        return "a mapping"
+    if isinstance(value, list):
+        return "a list"
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."

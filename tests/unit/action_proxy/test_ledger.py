@@ -1,0 +1,576 @@
+"""The rules of the task proxy: no goal is lost, none is executed after it ended, what was cancelled stays so."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import HealthCheck, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
+
+from tests.unit.action_proxy.world import ABORTED, CANCELED, SUCCEEDED, World
+from understudy.action_proxy.client_goals import ACCEPTED, CANCELING, EXECUTING, At, Phase
+from understudy.action_proxy.goal_ledger import (
+    CANCEL_ENDED,
+    CANCEL_OK,
+    CANCEL_REJECTED,
+    CANCEL_UNKNOWN,
+    MOST_BYTES,
+    MOST_KEPT,
+    REFUSED,
+    UNDECIDED,
+    Ledger,
+)
+
+
+@pytest.fixture
+def world() -> World:
+    made = World()
+    made.switch("a")
+    return made
+
+
+def status(world: World, goal: str) -> int:
+    return world.ledger.goals[goal].status
+
+
+class TestOneInstance:
+    def test_a_goal_goes_through_under_its_own_id(self, world: World) -> None:
+        goal = world.ask()
+        assert world.accepted == {goal: True}
+        assert world.instances["a"].starts == [goal]
+        assert status(world, goal) == EXECUTING
+        world.want(goal)
+        assert world.results == {}
+        world.end("a", goal)
+        assert world.results == {goal: (SUCCEEDED, "a")}
+        assert status(world, goal) == SUCCEEDED
+
+    def test_a_result_can_be_asked_for_later(self, world: World) -> None:
+        goal = world.ask()
+        world.end("a", goal)
+        world.later(800)
+        world.want(goal)
+        assert world.results == {goal: (SUCCEEDED, "a")}
+        world.later(200)
+        assert goal not in world.ledger.goals
+
+    def test_the_instance_decides_what_is_rejected(self, world: World) -> None:
+        world.instances["a"].rejects = True
+        goal = world.ask()
+        assert world.accepted == {goal: False}
+        world.want(goal)
+        assert world.results == {goal: (0, "")}
+
+    def test_an_abort_is_told_a_moment_later(self, world: World) -> None:
+        goal = world.ask()
+        world.want(goal)
+        world.end("a", goal, ABORTED)
+        assert (world.results, status(world, goal)) == ({}, ACCEPTED)
+        world.later(1.9)
+        assert world.results == {}
+        world.later(0.2)
+        assert world.results == {goal: (ABORTED, "a")}
+
+    def test_an_abort_while_a_failure_is_seen_is_not_told(self, world: World) -> None:
+        goal = world.ask()
+        world.want(goal)
+        world.end("a", goal, ABORTED)
+        world.settle(False)
+        world.later(60)
+        assert world.results == {}
+        world.settle()
+        assert world.results == {goal: (ABORTED, "a")}
+
+    def test_a_cancel_is_the_instances_to_accept(self, world: World) -> None:
+        goal = world.ask()
+        world.want(goal)
+        world.instances["a"].refuses_cancel = True
+        world.cancel(goal)
+        assert [(c.code, c.goals) for c in world.cancelled] == [(CANCEL_REJECTED, ())]
+        assert status(world, goal) == EXECUTING
+        world.instances["a"].refuses_cancel = False
+        world.cancel(goal)
+        assert world.cancelled[-1].code == CANCEL_OK
+        assert world.cancelled[-1].goals == ((goal, world.ledger.goals[goal].accepted),)
+        assert world.results[goal][0] == CANCELED
+
+    def test_cancels_that_find_nothing(self, world: World) -> None:
+        goal = world.ask()
+        world.end("a", goal)
+        for id in (goal, "00" * 15 + "01", ""):
+            world.cancel(id)
+        assert [c.code for c in world.cancelled] == [CANCEL_ENDED, CANCEL_UNKNOWN, CANCEL_OK]
+
+    def test_all_goals_are_cancelled_at_once(self, world: World) -> None:
+        goals = [world.ask() for _ in range(3)]
+        world.cancel()
+        assert len(world.cancelled) == 1
+        assert {goal for goal, _ in world.cancelled[0].goals} == set(goals)
+
+    def test_an_application_that_restarts_in_its_pod_gets_its_goals_again(self, world: World) -> None:
+        goal = world.ask()
+        world.restart_application("a")
+        assert status(world, goal) == ACCEPTED
+        world.later(1)
+        assert status(world, goal) == EXECUTING
+        assert len(world.instances["a"].starts) == 2
+
+    def test_a_goal_that_nobody_decides_on_is_rejected_in_the_end(self) -> None:
+        world = World()
+        world.switch("")
+        goal = world.ask()
+        world.later(UNDECIDED - 1)
+        assert world.accepted == {}
+        world.later(2)
+        assert world.accepted == {goal: False}
+        world.switch("a")
+        assert world.instances["a"].starts == []
+
+    def test_a_task_that_is_dropped_ends_its_goals(self, world: World) -> None:
+        goal = world.ask()
+        world.want(goal)
+        world.rule = type(world.rule)("/other", world.rule.type)
+        world.tell()
+        assert world.results[goal][0] == ABORTED
+        assert world.instances["a"].running == {}
+
+
+class TestSwitch:
+    def test_an_unfinished_goal_is_sent_to_the_new_instance(self, world: World) -> None:
+        goal = world.ask()
+        world.want(goal)
+        world.switch("", settled=False)
+        assert (world.results, status(world, goal)) == ({}, ACCEPTED)
+        world.switch("b", settled=False)
+        assert world.instances["b"].starts == [goal]
+        assert status(world, goal) == EXECUTING
+        assert world.ledger.resent == {"/goto": 1}
+        world.end("b", goal)
+        assert world.results == {goal: (SUCCEEDED, "b")}
+        assert world.accepted == {goal: True}
+
+    def test_the_old_instances_result_does_not_count_and_its_goals_are_cancelled(self, world: World) -> None:
+        goal = world.ask()
+        world.want(goal)
+        world.epoch += 1
+        world.active = "b"
+        old = world.id_at(goal, "a")
+        del world.instances["a"].running[old]
+        world.instances["a"].ended[old] = SUCCEEDED
+        world.tell()
+        assert world.results == {}
+        other = world.ask()
+        world.switch("a")
+        world.switch("b")
+        assert other in world.instances["b"].running or len(world.instances["b"].starts) > 2
+        assert world.instances["a"].running == {}
+
+    def test_a_goal_that_the_dying_application_aborts_goes_on(self, world: World) -> None:
+        goal = world.ask()
+        world.want(goal)
+        world.end("a", goal, ABORTED)
+        world.switch("b")
+        assert world.instances["b"].starts == [goal]
+        world.end("b", goal)
+        assert world.results == {goal: (SUCCEEDED, "b")}
+
+    def test_a_goal_that_a_newer_one_replaced_is_not_sent_again(self, world: World) -> None:
+        first, second = world.ask(), world.ask()
+        world.want(first)
+        world.end("a", first, ABORTED)
+        world.switch("b")
+        assert world.results == {first: (ABORTED, "a")}
+        assert world.instances["b"].starts == [second]
+
+    def test_all_goals_that_the_dying_application_aborts_go_on_in_their_order(self, world: World) -> None:
+        goals = [world.ask() for _ in range(3)]
+        for goal in goals:
+            world.end("a", goal, ABORTED)
+        world.switch("b")
+        assert world.instances["b"].starts == goals
+
+    def test_ended_goals_are_not_sent_again(self, world: World) -> None:
+        ended, cancelled = world.ask(), world.ask()
+        world.end("a", ended)
+        world.cancel(cancelled)
+        world.switch("b")
+        assert world.instances["b"].starts == []
+
+    def test_a_cancel_that_is_pending_at_the_switch_holds(self, world: World) -> None:
+        goal = world.ask()
+        world.want(goal)
+        world.cancel(goal, work=False)
+        world.go(work=False)
+        world.epoch += 1
+        world.active = "b"
+        world.lose("a")
+        assert [c.code for c in world.cancelled] == [CANCEL_OK]
+        assert world.results[goal][0] == CANCELED
+        assert world.instances["b"].starts == []
+
+    def test_a_goal_in_cancellation_at_the_switch_is_cancelled(self, world: World) -> None:
+        goal = world.ask()
+        world.want(goal)
+        world.cancel(goal, work=False)
+        world.go(work=False)
+        world.ledger.answered_cancel("a", goal, True, world.now)
+        world.go(work=False)
+        assert status(world, goal) == CANCELING
+        world.epoch += 1
+        world.active = "b"
+        world.lose("a")
+        assert world.results[goal][0] == CANCELED
+        assert world.instances["b"].starts == []
+
+    def test_a_cancel_while_nobody_is_in_control_is_accepted_at_once(self, world: World) -> None:
+        goal = world.ask()
+        world.want(goal)
+        world.switch("", settled=False)
+        world.cancel(goal)
+        assert world.cancelled[0].code == CANCEL_OK
+        assert world.results[goal][0] == CANCELED
+
+    def test_two_switches_in_a_row_and_back(self, world: World) -> None:
+        goal = world.ask()
+        world.switch("b")
+        world.switch("a")
+        assert status(world, goal) == EXECUTING
+        first, again = world.instances["a"].starts
+        assert (first, again != goal) == (goal, True)
+        world.end("a", goal)
+        world.want(goal)
+        assert world.results == {goal: (SUCCEEDED, "a")}
+
+    def test_a_goal_that_came_while_nobody_was_in_control_is_given_to_the_next(self, world: World) -> None:
+        world.switch("", settled=False)
+        goal = world.ask()
+        assert world.accepted == {}
+        world.switch("b")
+        assert world.accepted == {goal: True}
+
+    def test_a_goal_that_the_old_instance_had_not_decided_on_is_given_to_the_next(self, world: World) -> None:
+        goal = world.ask(work=False)
+        world.answer()
+        world.epoch += 1
+        world.active = "b"
+        world.lose("a")
+        assert world.accepted == {goal: True}
+        assert world.instances["b"].starts == [goal]
+
+    def test_a_new_instance_that_rejects_is_asked_again_for_a_while(self, world: World) -> None:
+        goal = world.ask()
+        world.want(goal)
+        world.instances["b"].rejects = True
+        world.switch("b")
+        world.later(5)
+        assert world.results == {}
+        world.instances["b"].rejects = False
+        world.later(1)
+        assert world.instances["b"].starts == [goal]
+
+    def test_but_not_for_ever(self, world: World) -> None:
+        goal = world.ask()
+        world.want(goal)
+        world.instances["b"].rejects = True
+        world.switch("b")
+        world.later(REFUSED + 2)
+        assert world.results == {goal: (ABORTED, "")}
+
+    def test_a_first_goal_is_offered_again_while_the_instance_is_not_settled(self, world: World) -> None:
+        world.instances["a"].rejects = True
+        world.settle(False)
+        goal = world.ask()
+        world.later(3)
+        assert world.accepted == {}
+        world.settle()
+        world.later(1)
+        assert world.accepted == {goal: False}
+
+    def test_an_older_epoch_changes_nothing(self, world: World) -> None:
+        goal = world.ask()
+        world.switch("b")
+        world.epoch, world.active = 1, "a"
+        world.tell()
+        assert world.ledger.goals[goal].charge == "b"
+
+
+class TestPolicies:
+    def test_abort(self) -> None:
+        world = World("Abort")
+        world.switch("a")
+        goal = world.ask()
+        world.want(goal)
+        world.switch("b")
+        assert world.results == {goal: (ABORTED, "")}
+        assert world.instances["b"].starts == []
+
+    def test_tree_sends_them_when_it_asks_behind_the_closed_gate(self) -> None:
+        world = World("Tree")
+        world.switch("a")
+        goal = world.ask()
+        world.switch("", settled=False)
+        assert world.instances["b"].starts == []
+        assert world.ledger.invite("b") == 1
+        world.go()
+        assert world.instances["b"].starts == [goal]
+        assert status(world, goal) == ACCEPTED
+        world.switch("b", settled=False)
+        assert status(world, goal) == EXECUTING
+        assert world.instances["b"].starts == [goal]
+
+    def test_tree_without_a_leaf_sends_them_when_the_recovery_is_over(self) -> None:
+        world = World("Tree")
+        world.switch("a")
+        goal = world.ask()
+        world.switch("b", settled=False)
+        assert world.instances["b"].starts == []
+        world.settle()
+        assert world.instances["b"].starts == [goal]
+
+
+class TestMirrors:
+    @pytest.fixture
+    def world(self) -> World:
+        made = World()
+        made.instances["b"].executing = True
+        made.switch("a")
+        return made
+
+    def test_a_standby_that_runs_in_full_has_the_goal_and_keeps_it(self, world: World) -> None:
+        goal = world.ask()
+        assert world.instances["b"].starts == [goal]
+        world.switch("b")
+        assert world.instances["b"].starts == [goal]
+        assert status(world, goal) == EXECUTING
+        world.want(goal)
+        world.end("b", goal)
+        assert world.results == {goal: (SUCCEEDED, "b")}
+
+    def test_what_a_standby_says_does_not_count(self, world: World) -> None:
+        goal = world.ask()
+        world.want(goal)
+        world.end("b", goal)
+        assert world.results == {}
+        assert world.ledger.feedback_of("b", goal) is None
+        assert world.ledger.feedback_of("a", goal) is world.ledger.goals[goal]
+
+    def test_what_ended_at_the_standby_is_sent_to_it_anew(self, world: World) -> None:
+        goal = world.ask()
+        world.end("b", goal)
+        world.later(10)
+        assert world.instances["b"].starts == [goal], "a standby that is done stays so"
+        world.switch("b")
+        assert len(world.instances["b"].starts) == 2
+        assert status(world, goal) == EXECUTING
+
+    def test_a_standby_that_gave_up_is_given_it_again(self, world: World) -> None:
+        goal = world.ask()
+        world.end("b", goal, ABORTED)
+        world.later(3)
+        assert len(world.instances["b"].running) == 1
+
+    def test_it_is_cancelled_when_the_real_one_ends(self, world: World) -> None:
+        first, second = world.ask(), world.ask()
+        world.end("a", first)
+        assert list(world.instances["b"].running) == [second]
+        world.cancel(second)
+        assert world.instances["b"].running == {}
+
+    def test_a_standby_that_comes_later_has_it_too(self, world: World) -> None:
+        goal = world.ask()
+        world.instances["c"] = type(world.instances["a"])("c", executing=True)
+        world.tell()
+        assert world.instances["c"].starts == [goal]
+
+    def test_a_goal_that_is_rejected_is_never_mirrored(self, world: World) -> None:
+        world.instances["a"].rejects = True
+        world.ask()
+        assert world.instances["b"].starts == []
+
+
+class TestRestart:
+    @pytest.mark.parametrize("step", range(6))
+    def test_at_any_step_no_goal_is_lost_and_every_answer_is_given(self, step: int) -> None:
+        world = World()
+        world.switch("a")
+        goal = world.ask(work=False)
+        goal_id = world.ledger.goals[goal].id
+        if step == 1:
+            world.ledger.advance(world.now)
+        if step >= 2:
+            world.ledger.advance(world.now)
+            world.work()
+        if step == 3:
+            world.ledger.advance(world.now)  # the answer is known, kept, and doesn't go out
+        if step >= 4:
+            world.go()
+            world.want(goal)
+        if step == 5:
+            world.ledger.report("a", goal_id, At.ENDED, world.now, status=SUCCEEDED, result="a")
+            del world.instances["a"].running[goal_id]
+            world.instances["a"].ended[goal_id] = SUCCEEDED
+            world.ledger.advance(world.now)
+        world.restart()
+        assert world.accepted == {goal: True}
+        assert world.instances["a"].starts == [goal]
+        if step < 5:
+            world.want(goal)
+            world.end("a", goal)
+        assert world.results == {goal: (SUCCEEDED, "a")}
+
+    def test_a_switch_that_it_slept_through(self, world: World) -> None:
+        goal = world.ask()
+        world.want(goal)
+        kept = world.ledger.to_wire()
+        world.active, world.epoch = "b", 2
+        world.ledger = type(world.ledger).from_wire(kept, world.now)
+        world.ledger.report("a", goal, At.ENDED, world.now, status=SUCCEEDED, result="a")
+        world.tell()
+        assert world.results == {}
+        assert world.instances["b"].starts == [goal]
+
+
+class TestWithoutTheJournal:
+    """As when the monitor's pod is on another node now: what the instance in control kept is taken up."""
+
+    def test_goals_are_taken_up_from_the_instance_in_control(self, world: World) -> None:
+        goal = world.ask()
+        world.want(goal)
+        note = world.ledger.orders("a")[0].note
+        world.ledger = Ledger()
+        world.tell()
+        world.ledger.adopt("b", goal, note, "goal", None, world.now)
+        assert world.ledger.goals == {}
+        world.ledger.adopt("a", goal, note, "goal", None, world.now)
+        world.ledger.report("a", goal, At.RUNNING, world.now)
+        world.go()
+        assert status(world, goal) == EXECUTING
+        world.switch("b")
+        assert world.instances["b"].starts == [goal]
+        world.end("b", goal)
+        assert world.results == {goal: (SUCCEEDED, "b")}
+
+    def test_what_has_ended_meanwhile_is_told_and_never_sent_again(self, world: World) -> None:
+        goal = world.ask()
+        world.want(goal)
+        note = world.ledger.orders("a")[0].note
+        world.ledger = Ledger()
+        world.tell()
+        world.ledger.adopt("a", goal, note, "goal", (ABORTED, "a"), world.now)
+        world.switch("b")
+        assert world.results == {goal: (ABORTED, "a")}
+        assert world.instances["b"].starts == []
+
+
+def test_results_are_kept_within_bounds(world: World) -> None:
+    for _ in range(MOST_KEPT + 10):
+        world.end("a", world.ask())
+    assert len(world.ledger.goals) == MOST_KEPT
+    for _ in range(3):
+        goal = world.ask()
+        world.ledger.report("a", goal, At.ENDED, world.now, status=SUCCEEDED, result="x" * (MOST_BYTES // 2))
+        world.now += 1
+        world.go()
+    assert sum(len(g.end.result) for g in world.ledger.goals.values() if g.end) <= MOST_BYTES
+
+
+class Machine(RuleBasedStateMachine):
+    """Anything in any order; at the end every goal that was accepted has ended, once."""
+
+    @initialize(policy=st.sampled_from(["Resend", "Abort", "Tree"]), mirrored=st.booleans())
+    def begin(self, policy: str, mirrored: bool) -> None:
+        self.world = World(policy, "a", "b", "c")
+        self.world.instances["b"].executing = mirrored
+        self.world.switch("a")
+        self.cancelled: set[str] = set()
+        self.ended: dict[str, object] = {}
+
+    @rule(work=st.booleans())
+    def ask(self, work: bool) -> None:
+        goal = self.world.ask(work=work)
+        if work and self.world.accepted.get(goal):
+            self.world.want(goal)
+
+    @rule(work=st.booleans(), index=st.integers(0, 20))
+    def cancel(self, work: bool, index: int) -> None:
+        goals = [g for g in self.world.ledger.goals.values() if g.phase is not Phase.PENDING]
+        if goals:
+            self.world.cancel(goals[index % len(goals)].id, work=work)
+
+    @rule(uid=st.sampled_from(["", "a", "b", "c"]), settled=st.booleans())
+    def switch(self, uid: str, settled: bool) -> None:
+        self.world.switch(uid, settled=settled)
+
+    @rule(status=st.sampled_from([SUCCEEDED, ABORTED, CANCELED]), uid=st.sampled_from("abc"), index=st.integers(0, 20))
+    def end(self, status: int, uid: str, index: int) -> None:
+        running = list(self.world.instances[uid].running)
+        if running:
+            id = running[index % len(running)]
+            del self.world.instances[uid].running[id]
+            self.world.instances[uid].ended[id] = status
+            self.world.ledger.report(uid, id, At.ENDED, self.world.now, status=status, result=uid)
+            self.world.go()
+
+    @rule(uid=st.sampled_from("abc"))
+    def restart_application(self, uid: str) -> None:
+        self.world.restart_application(uid)
+
+    @rule(uid=st.sampled_from("abc"), rejects=st.booleans())
+    def reject(self, uid: str, rejects: bool) -> None:
+        self.world.instances[uid].rejects = rejects
+
+    @rule()
+    def restart(self) -> None:
+        self.world.restart()
+
+    @rule(uid=st.sampled_from("abc"))
+    def invite(self, uid: str) -> None:
+        self.world.ledger.invite(uid)
+        self.world.go()
+
+    @rule(seconds=st.sampled_from([0.1, 1.0, 5.0]))
+    def wait(self, seconds: float) -> None:
+        self.world.later(seconds)
+
+    @invariant()
+    def what_has_ended_stays_so(self) -> None:
+        if hasattr(self, "world"):
+            for goal in self.world.ledger.goals.values():
+                if goal.end is not None:
+                    assert self.ended.setdefault(goal.id, goal.end) == goal.end
+
+    @invariant()
+    def nothing_is_ordered_that_has_ended_or_is_cancelled(self) -> None:
+        if hasattr(self, "world"):
+            ledger = self.world.ledger
+            for uid in "abc":
+                live = {order.id for order in ledger.orders(uid) if not order.cancel}
+                for goal in ledger.goals.values():
+                    if not goal.open or goal.phase is Phase.CANCELING:
+                        assert goal.id not in live
+
+    def teardown(self) -> None:
+        if not hasattr(self, "world"):
+            return
+        world = self.world
+        for instance in world.instances.values():
+            instance.rejects = False
+        world.switch("c")
+        world.later(5)
+        for goal in list(world.ledger.goals.values()):
+            if goal.open:
+                assert goal.charge == "c"
+                world.end("c", goal.id)
+            if world.accepted.get(goal.id):
+                world.want(goal.id)
+        world.later(5)
+        open_ones = [goal for goal in world.ledger.goals.values() if goal.open]
+        assert open_ones == []
+        for goal, accepted in world.accepted.items():
+            assert not accepted or goal in world.results, "an accepted goal has a result"
+
+
+TestAnything = Machine.TestCase
+TestAnything.settings = settings(
+    max_examples=100, stateful_step_count=30, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True
+)

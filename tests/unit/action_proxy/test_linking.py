@@ -1,0 +1,193 @@
+"""The proxy's connection to an agent: what is ordered is done once, and again where it may have been missed."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import AsyncIterator, Mapping
+from typing import Any
+
+import pytest
+
+from understudy.action_proxy.client_goals import At
+from understudy.action_proxy.control_state import Peer as Instance
+from understudy.action_proxy.goal_ledger import Order
+from understudy.action_proxy.instance_link import Link
+from understudy.agent.control_channel import Operation, Peer, Refused, Sessions
+from understudy.api.protocol.agent_messages import AgentStatus
+
+TOKEN = b"secret"
+FIRST, SECOND, THIRD = (f"{n:032x}" for n in (1, 2, 3))
+
+
+class Agent:
+    """The control channel of an agent, whose instance does nothing."""
+
+    def __init__(self) -> None:
+        self.version = 0
+        self.asked: list[tuple[str, str]] = []
+        self.known: list[dict[str, Any]] = []
+        self.refused_action = ""
+        self.sessions = Sessions(self)
+
+    def greeting(self) -> Mapping[str, str]:
+        return {"pod": "robot-1", "uid": "1"}
+
+    def token(self) -> bytes:
+        return TOKEN
+
+    def refuses(self, workload: str, claim: str) -> str | None:
+        return None
+
+    def status(self) -> AgentStatus:
+        return AgentStatus()
+
+    async def changed(self, version: int) -> None:
+        await asyncio.Event().wait()
+
+    def operations(self) -> Mapping[str, Operation]:
+        async def goal(body: Mapping[str, Any], peer: Peer) -> None:
+            if body["action"] == self.refused_action:
+                raise Refused("its type is not installed")
+            self.asked.append(("goal", body["goal"]))
+
+        async def cancel(body: Mapping[str, Any], peer: Peer) -> dict[str, Any]:
+            self.asked.append(("cancel", body["goal"]))
+            return {"known": True, "accepted": True}
+
+        async def goals(body: Mapping[str, Any], peer: Peer) -> dict[str, Any]:
+            self.asked.append(("goals", ""))
+            return {"goals": self.known}
+
+        async def resent(body: Mapping[str, Any], peer: Peer) -> None:
+            self.asked.append(("resent", str(body["number"])))
+
+        return {"goal": goal, "cancel": cancel, "goals": goals, "resent": resent}
+
+
+class Heard:
+    """Who is told, and what is ordered."""
+
+    def __init__(self) -> None:
+        self.ordered: list[Order] = []
+        self.states: list[tuple[str, At]] = []
+        self.cancelled: list[str] = []
+        self.taken_up: list[str] = []
+        self.troubles: dict[str, str] = {}
+
+    def orders(self, uid: str) -> list[Order]:
+        return self.ordered
+
+    def found(self, uid: str, goal: Mapping[str, Any]) -> None:
+        self.taken_up.append(goal["id"])
+
+    def said(self, uid: str, id: str, at: At, status: int, result: str) -> None:
+        self.states.append((id, at))
+
+    def answered_cancel(self, uid: str, id: str, accepted: bool) -> None:
+        self.cancelled.append(id)
+
+    def fed_back(self, uid: str, id: str, data: bytes) -> None: ...
+
+    def invited(self, uid: str) -> None:
+        self.ordered.append(order(THIRD))
+
+    def troubled(self, uid: str, action: str, problem: str) -> None:
+        self.troubles[action] = problem
+
+
+def order(id: str, action: str = "/goto", *, cancel: bool = False) -> Order:
+    return Order(id, action, "test_msgs/action/Fibonacci", "", cancel, "note")
+
+
+async def eventually(holds: Any, within: float = 20.0) -> None:
+    end = time.monotonic() + within
+    while not holds():
+        assert time.monotonic() < end, f"not within {within} s"
+        await asyncio.sleep(0.01)
+
+
+@pytest.fixture
+def agent() -> Agent:
+    return Agent()
+
+
+@pytest.fixture
+def heard() -> Heard:
+    return Heard()
+
+
+@pytest.fixture
+async def link(agent: Agent, heard: Heard) -> AsyncIterator[Link]:
+    server = await agent.sessions.serve(0, host="127.0.0.1")
+    port = server.sockets[0].getsockname()[1]
+    made = Link(Instance("1", "robot-1", "127.0.0.1", port, TOKEN.decode(), ""), "robot", heard)
+    yield made
+    await made.close()
+    server.close()
+
+
+async def test_what_is_ordered_is_done_once_in_its_order(agent: Agent, heard: Heard, link: Link) -> None:
+    heard.ordered = [order(FIRST), order(SECOND)]
+    link.wake()
+    await eventually(lambda: len(agent.asked) == 3)
+    link.wake()
+    heard.ordered.append(order(THIRD))
+    link.wake()
+    await eventually(lambda: len(agent.asked) == 4)
+    assert agent.asked == [("goals", ""), ("goal", FIRST), ("goal", SECOND), ("goal", THIRD)]
+
+
+async def test_what_the_agent_has_is_told_and_not_sent_again(agent: Agent, heard: Heard, link: Link) -> None:
+    agent.known = [{"id": FIRST, "state": "running", "status": 0, "result": "", "note": "note"}]
+    heard.ordered = [order(FIRST), order(SECOND)]
+    await eventually(lambda: ("goal", SECOND) in agent.asked)
+    assert ("goal", FIRST) not in agent.asked
+    assert heard.taken_up == [FIRST]
+    assert heard.states == [(FIRST, At.RUNNING)]
+
+
+async def test_a_goal_that_was_rejected_is_sent_again_when_it_is_ordered_again(
+    agent: Agent, heard: Heard, link: Link
+) -> None:
+    heard.ordered = [order(FIRST)]
+    await eventually(lambda: ("goal", FIRST) in agent.asked)
+    agent.sessions.publish({"goal": {"id": FIRST, "state": "rejected", "status": 0, "result": ""}})
+    await eventually(lambda: heard.states == [(FIRST, At.REJECTED)])
+    link.wake()
+    await eventually(lambda: agent.asked.count(("goal", FIRST)) == 2)
+
+
+async def test_what_is_ordered_no_longer_is_cancelled(agent: Agent, heard: Heard, link: Link) -> None:
+    heard.ordered = [order(FIRST)]
+    await eventually(lambda: ("goal", FIRST) in agent.asked)
+    heard.ordered = []
+    link.wake()
+    await eventually(lambda: ("cancel", FIRST) in agent.asked)
+
+
+async def test_a_cancel_is_asked_for_once(agent: Agent, heard: Heard, link: Link) -> None:
+    heard.ordered = [order(FIRST, cancel=True)]
+    await eventually(lambda: heard.cancelled == [FIRST])
+    link.wake()
+    heard.ordered.append(order(SECOND))
+    link.wake()
+    await eventually(lambda: ("goal", SECOND) in agent.asked)
+    assert agent.asked.count(("cancel", FIRST)) == 1
+
+
+async def test_a_refused_goal_is_said_and_keeps_no_other_back(agent: Agent, heard: Heard, link: Link) -> None:
+    agent.refused_action = "/dock"
+    heard.ordered = [order(FIRST, "/dock"), order(SECOND)]
+    await eventually(lambda: ("goal", SECOND) in agent.asked)
+    assert "pod robot-1" in heard.troubles["/dock"]
+    assert "its type is not installed" in heard.troubles["/dock"]
+    agent.refused_action = ""
+    await eventually(lambda: heard.troubles["/dock"] == "")
+
+
+async def test_a_recovery_tree_is_answered_when_its_goals_were_sent(agent: Agent, heard: Heard, link: Link) -> None:
+    await eventually(lambda: agent.sessions.count)
+    agent.sessions.publish({"resendGoals": 7})
+    await eventually(lambda: ("resent", "7") in agent.asked)
+    assert agent.asked.index(("goal", THIRD)) < agent.asked.index(("resent", "7"))

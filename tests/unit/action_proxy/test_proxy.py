@@ -1,0 +1,292 @@
+"""The task proxy as a process, with two pods: each an application and its agent, isolated by their partitions.
+
+The client, the applications, the agents and the proxy are real processes; the monitor's part, to say who is in control,
+is played here over the proxy's socket.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.unit.action_proxy.conftest import ACTION, CANCELED, SUCCEEDED, TYPE, Process, eventually
+from tests.unit.agent.conftest import PACKAGE, TOKEN
+from tests.unit.agent.conftest import Pod as AgentPod
+from understudy.action_proxy import process as running
+from understudy.action_proxy.control_state import Peer, Rule, Situation
+from understudy.api.kinds.task_spec import Task
+from understudy.ros.dds.profiles import instance_profiles_xml
+from understudy.ros.runtime.served_node import Spinning
+
+pytestmark = pytest.mark.ros
+
+TREE = {"topic": {"name": "/cmd_vel", "type": "std_msgs/msg/String", "gap": "300ms"}}
+OUTPUTS = [{"topic": "/cmd_vel", "type": "std_msgs/msg/String"}]
+
+
+class Pod:
+    """One instance."""
+
+    def __init__(self, name: str, folder: Path, start: Callable[..., Process], profiles: Path) -> None:
+        folder.mkdir()
+        self.name, self.inner = name, AgentPod(folder)
+        self._start = start
+        self._environment = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(profiles), "UNDERSTUDY_POD": name}
+        # Judged by nothing: these tests are about goals.
+        configuration = {"tree": TREE, "outputs": OUTPUTS, "grace": 60.0}
+        (self.inner.volume / "agent.json").write_text(json.dumps({"configuration": configuration}))
+        self.inner.environment = {"UNDERSTUDY_WORKLOAD": "robot", **self._environment}
+        self.agent: subprocess.Popen[bytes] | None = None
+        self.application: Process
+
+    def start(self, role: str = "serve", **environment: str) -> Pod:
+        self.agent = self.inner.start_agent()
+        self.application = self._start(role, ACTION, **self._environment, **environment)
+        return self
+
+    def kill(self) -> None:
+        """The whole pod is gone."""
+        self.application.kill()
+        self.inner.end()
+
+    def peer(self, **more: Any) -> Peer:
+        return Peer(self.name, self.name, "127.0.0.1", self.inner.port, TOKEN.decode(), "", **more)
+
+
+class Monitor:
+    """The proxy's process, and the monitor's end of its socket."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        folder.mkdir()
+        with socket.socket() as found:
+            found.bind(("127.0.0.1", 0))
+            self.port: int = found.getsockname()[1]
+        self.reports: list[dict[str, Any]] = []
+        self.epoch, self.active, self.settled = 0, "", True
+        self.rules = (Rule(ACTION, TYPE),)
+        self.peers: tuple[Peer, ...] = ()
+        self.proxy: subprocess.Popen[bytes]
+        self._reading: asyncio.Task[None] | None = None
+        self._writer: asyncio.StreamWriter
+
+    async def start(self) -> None:
+        path = self._folder / "tasks.sock"
+        self._run(path)
+
+        async def connect() -> None:
+            while True:
+                try:
+                    reader, self._writer = await asyncio.open_unix_connection(path)
+                    break
+                except OSError:
+                    await asyncio.sleep(0.05)
+            self._reading = asyncio.create_task(self._read(reader))
+
+        async with asyncio.timeout(60):
+            await connect()
+        self.tell()
+
+    async def healthy(self) -> bool:
+        """What the kubelet is told."""
+        try:
+            reader, writer = await asyncio.open_connection("127.0.0.1", self.port)
+        except ConnectionRefusedError:
+            return False
+        writer.write(b"GET /healthz HTTP/1.1\r\n\r\n")
+        status = (await reader.readline()).split()[1]
+        writer.close()
+        return status == b"200"
+
+    def _run(self, path: Path) -> None:
+        environment = {
+            **os.environ,
+            "PYTHONPATH": str(PACKAGE),
+            "UNDERSTUDY_WORKLOAD": "robot",
+            "UNDERSTUDY_STATE": str(self._folder),
+            "UNDERSTUDY_TASKS_SOCKET": str(path),
+            "UNDERSTUDY_TASKS_PORT": str(self.port),
+        }
+        with (self._folder / "proxy.log").open("ab") as log:
+            command = [sys.executable, "-m", "understudy.main", "tasks"]
+            self.proxy = subprocess.Popen(command, env=environment, stdout=log, stderr=log)
+
+    async def _read(self, reader: asyncio.StreamReader) -> None:
+        while line := await reader.readline():
+            self.reports.append(json.loads(line)["report"])
+
+    def tell(self) -> None:
+        situation = Situation("robot", self.epoch, self.active, self.settled, self.rules, self.peers)
+        self._writer.write(json.dumps({"situation": situation.to_wire()}).encode() + b"\n")
+
+    def switch(self, pod: Pod | None, *peers: Peer, settled: bool = True) -> None:
+        self.epoch += 1
+        self.active, self.settled = pod.name if pod else "", settled
+        self.peers = peers
+        self.tell()
+
+    def task(self) -> dict[str, Any]:
+        return self.reports[-1]["tasks"][0] if self.reports and self.reports[-1]["tasks"] else {}
+
+    def kill(self, *, journal: bool = True) -> None:
+        self.proxy.kill()
+        self.proxy.wait()
+        if not journal:
+            (self._folder / "tasks" / "goals.json").unlink()
+
+    def log(self) -> str:
+        return (self._folder / "proxy.log").read_text()
+
+
+@pytest.fixture
+async def monitor(dds, tmp_path: Path):
+    made = Monitor(tmp_path / "monitor")
+    await made.start()
+    yield made
+    made.kill()
+    if made._reading is not None:
+        made._reading.cancel()
+    print(made.log())
+
+
+@pytest.fixture
+def pods(dds, tmp_path: Path, start):
+    profiles = tmp_path / "profiles.xml"
+    profiles.write_text(instance_profiles_xml([Task(action=ACTION, type=TYPE)]))
+    made: list[Pod] = []
+
+    def pod(name: str, *arguments: str, **environment: str) -> Pod:
+        made.append(Pod(name, tmp_path / name, start, profiles).start(*arguments, **environment))
+        return made[-1]
+
+    yield pod
+    for one in made:
+        one.kill()
+        print((one.inner.folder / "agent.log").read_text())
+
+
+def executed(pod: Pod) -> list[int]:
+    return [line["order"] for line in pod.application.said("executing")]
+
+
+async def test_a_client_sees_one_goal_although_the_instance_dies_and_another_takes_over(monitor, pods, start):
+    first, second = pods("robot-1", STEP="0.1"), pods("robot-2", STEP="0.1")
+    monitor.switch(first, first.peer(), second.peer())
+    client = start("client", ACTION, "100", "500")
+    await eventually(lambda: client.said("feedback", index=0, step=10))
+    assert client.said("answered", accepted=True)
+    goal = client.said("answered", index=0)[0]["goal"]
+    assert first.application.said("executing", goal=goal), "the client's own id"
+    assert second.application.said("executing") == []
+    first.kill()
+    monitor.switch(None, second.peer(), settled=False)
+    late = start("client", ACTION, "3")
+    await eventually(lambda: late.said("ready"))
+    assert client.said("ended", index=0) == []
+    monitor.switch(second, second.peer(), settled=False)
+    monitor.settled = True
+    monitor.tell()
+    await eventually(lambda: client.said("ended", index=0, status=SUCCEEDED), 120)
+    assert second.application.said("executing", goal=goal)
+    assert len(client.said("answered", index=0)) == 1
+    steps = [line["step"] for line in client.said("feedback", index=0)]
+    # A client that is starved may miss some, as with every publisher; they never come twice or in another order.
+    again = [i for i in range(1, len(steps)) if steps[i] <= steps[i - 1]]
+    assert len(again) == 1, "first those of the one instance, then those of the other"
+    assert len(steps[again[0] :]) > 20
+    assert len(client.said("ended", index=0)[0]["result"]) == 102
+    await eventually(lambda: late.said("ended", status=SUCCEEDED))
+    await eventually(lambda: monitor.task().get("resent") == 1 and monitor.task()["active"] == 0)
+
+
+@pytest.mark.parametrize("journal", [True, False], ids=["restarted", "without its journal"])
+async def test_the_proxy_is_killed_and_no_client_notices(monitor, pods, start, journal):
+    pod = pods("robot-1", STEP="0.1")
+    monitor.switch(pod, pod.peer())
+    client = start("client", ACTION, "60", "61")
+    await eventually(lambda: client.said("feedback", index=1, step=3))
+    asked = len(monitor.reports)
+    monitor.kill(journal=journal)
+    await monitor.start()
+    await eventually(lambda: client.said("ended", index=0) and client.said("ended", index=1), 120)
+    assert [line["status"] for line in client.said("ended")] == [SUCCEEDED, SUCCEEDED]
+    assert sorted(executed(pod)) == [60, 61], "each was executed once"
+    assert len(monitor.reports) > asked
+    after = start("client", ACTION, "2")
+    await eventually(lambda: after.said("ended", status=SUCCEEDED))
+
+
+async def test_cancel_reject_preempt_and_a_client_that_goes_away(monitor, pods, start):
+    pod, spare = pods("robot-1", "preempt"), pods("robot-2")
+    monitor.switch(pod, pod.peer(), spare.peer())
+    client = start("client", ACTION, "400", "2000", "401", ONE_BY_ONE="1")
+    await eventually(lambda: len(client.said("answered")) == 3)
+    assert [line["accepted"] for line in sorted(client.said("answered"), key=lambda line: line["index"])] == [
+        True,
+        False,
+        True,
+    ]
+    # The server let the newer goal replace the older one. Its client is told, and no switch brings it back.
+    await eventually(lambda: client.said("ended", index=0, status=6))
+    client.tell("cancel 2")
+    await eventually(lambda: client.said("ended", index=2, status=CANCELED))
+    assert client.said("canceling", index=2, code=0, goals=1)
+    gone = start("client", ACTION, "402")
+    await eventually(lambda: gone.said("feedback"))
+    gone.kill()
+    monitor.switch(spare, pod.peer(), spare.peer())
+    await eventually(lambda: executed(spare) == [402])
+    await eventually(lambda: pod.application.said("canceled") and len(pod.application.said("canceled")) == 2)
+
+
+async def test_an_executing_standby_has_the_goal_already(monitor, pods, start):
+    first, second = pods("robot-1", STEP="0.1"), pods("robot-2", STEP="0.1")
+    monitor.switch(first, first.peer(), second.peer(executing=True))
+    client = start("client", ACTION, "40")
+    await eventually(lambda: executed(second) == [40])
+    await eventually(lambda: client.said("feedback", step=5))
+    first.kill()
+    monitor.switch(second, second.peer())
+    await eventually(lambda: client.said("ended", status=SUCCEEDED), 120)
+    assert executed(second) == [40], "it went on, and wasn't begun again"
+    assert client.said("answered", accepted=True)
+
+
+async def test_the_kubelet_is_told_whether_the_proxy_hangs(monitor):
+    end = time.monotonic() + 60
+    while not await monitor.healthy():
+        assert time.monotonic() < end
+        await asyncio.sleep(0.1)
+    assert running.health(running.HUNG)[0] == 200
+    assert running.health(running.HUNG + 1)[0] == 503
+
+
+async def test_a_thread_that_hangs_is_seen(dds):
+    spinning, release = Spinning("hanging"), threading.Event()
+    try:
+        await eventually(lambda: spinning.silent_for < 1.5)
+        spinning.do(lambda: release.wait(60))
+        await eventually(lambda: spinning.silent_for > 3)  # at rest it comes round every second
+        release.set()
+        await eventually(lambda: spinning.silent_for < 1.5)
+    finally:
+        release.set()
+        await spinning.close()
+
+
+async def test_a_type_that_is_not_installed_is_told(monitor):
+    monitor.rules = (Rule("/dock", "robots_msgs/action/Dock"),)
+    monitor.tell()
+    await eventually(lambda: "robots_msgs/action/Dock is not installed" in monitor.task().get("message", ""))
+    assert not monitor.task()["served"]

@@ -1,0 +1,181 @@
+"""Instances that do what the ledger orders, without ROS: a goal is executed once for each id, as action servers do."""
+
+from __future__ import annotations
+
+import json
+import uuid
+from dataclasses import dataclass, field
+
+from understudy.action_proxy.client_goals import ABORTED, CANCELED, SUCCEEDED, At
+from understudy.action_proxy.control_state import Peer, Rule, Situation
+from understudy.action_proxy.goal_ledger import CancelAnswer, GoalAnswer, Ledger, ResultAnswer
+
+ACTION = "/goto"
+
+
+@dataclass
+class Instance:
+    """An application and its agent."""
+
+    uid: str
+    executing: bool = False
+    running: dict[str, None] = field(default_factory=dict)
+    ended: dict[str, int] = field(default_factory=dict)
+    rejects: bool = False
+    refuses_cancel: bool = False
+    starts: list[str] = field(default_factory=list)
+
+
+class World:
+    """A ledger, instances, and what clients were answered."""
+
+    def __init__(self, on_failover: str = "Resend", *instances: str) -> None:
+        self.ledger = Ledger()
+        self.now = 1000.0
+        self.epoch = 0
+        self.active = ""
+        self.settled = True
+        self.rule = Rule(ACTION, "test_msgs/action/Fibonacci", on_failover, 2.0)
+        self.instances = {uid: Instance(uid) for uid in instances or ("a", "b")}
+        self.accepted: dict[str, bool] = {}
+        self.results: dict[str, tuple[int, str]] = {}
+        self.cancelled: list[CancelAnswer] = []
+        self._requests: dict[tuple[str, int], str] = {}
+        self._number = 0
+
+    # -- the monitor ------------------------------------------------------------------------------------------------
+
+    def switch(self, uid: str, *, settled: bool = True) -> None:
+        self.epoch += 1
+        self.active, self.settled = uid, settled
+        self.tell()
+
+    def settle(self, settled: bool = True) -> None:
+        self.settled = settled
+        self.tell()
+
+    def tell(self) -> None:
+        peers = tuple(Peer(i.uid, i.uid, "", 0, "", "", i.executing) for i in self.instances.values())
+        self.ledger.place(Situation("w", self.epoch, self.active, self.settled, (self.rule,), peers), self.now)
+        self.go()
+
+    def lose(self, uid: str) -> None:
+        del self.instances[uid]
+        self.tell()
+
+    # -- clients ----------------------------------------------------------------------------------------------------
+
+    def request(self, goal: str) -> tuple[str, int]:
+        self._number += 1
+        self._requests[("c", self._number)] = goal
+        return ("c", self._number)
+
+    def ask(self, *, work: bool = True) -> str:
+        goal = uuid.uuid4().hex
+        self.ledger.ask(ACTION, goal, "goal", self.request(goal), self.now)
+        if work:
+            self.go()
+        return goal
+
+    def cancel(self, goal: str = "", *, work: bool = True) -> None:
+        self.ledger.cancel(ACTION, goal, 0, self.request(goal), self.now)
+        if work:
+            self.go()
+
+    def want(self, goal: str) -> None:
+        self.ledger.want_result(ACTION, goal, self.request(goal))
+        self.go()
+
+    # -- instances --------------------------------------------------------------------------------------------------
+
+    def id_at(self, goal: str, uid: str) -> str:
+        return self.ledger.goals[goal].attempts[uid].id
+
+    def end(self, uid: str, goal: str, status: int = SUCCEEDED) -> None:
+        """The application ends a goal."""
+        instance, id = self.instances[uid], self.id_at(goal, uid)
+        del instance.running[id]
+        instance.ended[id] = status
+        self.ledger.report(uid, id, At.ENDED, self.now, status=status, result=f"{uid}")
+        self.go()
+
+    def restart_application(self, uid: str) -> None:
+        instance = self.instances[uid]
+        lost, instance.running = list(instance.running), {}
+        for id in lost:
+            self.ledger.report(uid, id, At.LOST, self.now)
+        self.go()
+
+    def work(self) -> bool:
+        """Let every instance do what is ordered; whether there was anything."""
+        did = False
+        for instance in list(self.instances.values()):
+            for order in self.ledger.orders(instance.uid):
+                did = self._obey(instance, order) or did
+        return did
+
+    def _obey(self, instance: Instance, order) -> bool:
+        if order.id in instance.ended:
+            self.ledger.report(
+                instance.uid, order.id, At.ENDED, self.now, status=instance.ended[order.id], result="old"
+            )
+            return True
+        if order.id not in instance.running:
+            if order.cancel:
+                self.ledger.report(instance.uid, order.id, At.LOST, self.now)
+                return True
+            if instance.rejects:
+                self.ledger.report(instance.uid, order.id, At.REJECTED, self.now)
+                return True
+            assert order.id not in instance.starts, "executed twice"
+            instance.starts.append(order.id)
+            instance.running[order.id] = None
+            self.ledger.report(instance.uid, order.id, At.RUNNING, self.now)
+            return True
+        if order.cancel:
+            self.ledger.answered_cancel(instance.uid, order.id, not instance.refuses_cancel, self.now)
+            if instance.refuses_cancel:
+                return True
+            del instance.running[order.id]
+            instance.ended[order.id] = CANCELED
+            self.ledger.report(instance.uid, order.id, At.ENDED, self.now, status=CANCELED)
+            return True
+        return False
+
+    # -- the proxy --------------------------------------------------------------------------------------------------
+
+    def go(self, *, work: bool = True) -> None:
+        """Conclude, answer and carry out until nothing changes."""
+        for _ in range(50):
+            self.answer()
+            if not (work and self.work()):
+                self.answer()
+                return
+        raise AssertionError("it doesn't come to rest")
+
+    def answer(self) -> None:
+        for answer in self.ledger.advance(self.now):
+            goal = self._requests[tuple(answer.request)]
+            if isinstance(answer, GoalAnswer):
+                assert self.accepted.setdefault(goal, answer.accepted) == answer.accepted, "answered twice"
+            elif isinstance(answer, ResultAnswer):
+                found = (answer.status, answer.result)
+                assert self.results.setdefault(goal, found) == found, "ended twice"
+            else:
+                self.cancelled.append(answer)
+
+    def restart(self) -> None:
+        """The proxy's process is killed and started anew; the monitor tells it what is so."""
+        self.ledger = Ledger.from_wire(json.loads(json.dumps(self.ledger.to_wire())), self.now)
+        self.tell()
+
+    def later(self, seconds: float) -> None:
+        end = self.now + seconds
+        while (due := self.ledger.due(self.now)) is not None and due < end:
+            self.now = max(self.now, due) + 0.001
+            self.go()
+        self.now = end
+        self.go()
+
+
+__all__ = ["ABORTED", "ACTION", "CANCELED", "SUCCEEDED", "World"]

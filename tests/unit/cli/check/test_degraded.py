@@ -1,0 +1,97 @@
+"""What is found in a policy's ``spec.degraded`` without a cluster."""
+
+from __future__ import annotations
+
+from tests.unit.cli.check.given import POLICY, POOL, WORKLOAD, found, only
+
+DEGRADED = (
+    POLICY
+    + """\
+  degraded:
+    monitoring:
+      yaml: {topic: {name: /cmd_vel, rate: "> 18 Hz"}}
+"""
+)
+
+
+def test_a_policy_that_says_what_well_means() -> None:
+    assert found(DEGRADED) == []
+
+
+def test_a_mistake_in_that_tree_is_placed_like_one_in_the_health_tree() -> None:
+    finding = only(DEGRADED.replace("18 Hz", "18 Herz"))
+    assert finding.field == "spec.degraded.monitoring.yaml.topic.rate"
+    assert "is not a rate: write" in finding.message
+    assert finding.place.line == 11
+
+
+def test_a_text_is_read_to_the_line_and_column_of_the_file() -> None:
+    text = """\
+      osc: |
+        import osc.understudy
+        scenario well:
+            do topic("/cmd_vel", rate_minimum: 18Hz)
+"""
+    finding = only(DEGRADED.replace('      yaml: {topic: {name: /cmd_vel, rate: "> 18 Hz"}}\n', text))
+    assert finding.field == "spec.degraded.monitoring.osc"
+    assert finding.place.line == 14
+
+
+RESCHEDULING = (
+    DEGRADED
+    + """\
+    actions:
+      - reschedule: {after: 1m}
+"""
+)
+
+
+def test_a_workload_that_is_never_idle_is_told() -> None:
+    finding = only(RESCHEDULING, WORKLOAD)
+    assert (finding.severity, finding.field) == ("warning", "spec.tasks")
+    assert "nothing tells when this workload is idle" in finding.message
+    assert "spec.degraded.actions[0].reschedule.idle" in finding.message
+
+
+def test_a_task_or_a_word_of_the_policy_tells_when_it_is() -> None:
+    task = "  tasks:\n    - {action: /go, type: nav2_msgs/action/NavigateToPose}\n"
+    assert found(RESCHEDULING, WORKLOAD + task) == []
+    idle = RESCHEDULING.replace("{after: 1m}", "{after: 1m, idle: {yaml: {topic: {name: /standing, gap: 1s}}}}")
+    assert found(idle, WORKLOAD) == []
+    finding = only(idle.replace("gap: 1s", "gap: 1"), WORKLOAD)
+    assert finding.field == "spec.degraded.actions[0].reschedule.idle.yaml.topic.gap"
+
+
+def test_two_words_of_when_are_one_too_many() -> None:
+    finding = only(RESCHEDULING + "      - reschedule: {after: 2m}\n")
+    assert (finding.severity, finding.field) == ("error", "spec.degraded.actions")
+    assert "reschedule is given twice" in finding.message
+
+
+def test_an_action_is_one_thing() -> None:
+    finding = only(RESCHEDULING.replace("reschedule: {after: 1m}", "{resize: {cpu: 1500m}, reschedule: {after: 1m}}"))
+    assert finding.field == "spec.degraded.actions[0]"
+    assert "an action is exactly one of" in finding.message
+
+
+def test_more_is_a_text_and_not_nothing() -> None:
+    number = only(RESCHEDULING.replace("reschedule: {after: 1m}", "resize: {cpu: 2}"))
+    assert number.field == "spec.degraded.actions[0].resize.cpu"
+    assert "in quotes where it looks like a number" in number.message
+    assert "write cores as a text" in number.message
+    nothing = only(RESCHEDULING.replace("reschedule: {after: 1m}", "resize: {container: app}"))
+    assert "say how much it gets" in nothing.message
+
+
+def test_a_shared_pool_is_not_prewarmed() -> None:
+    policy = RESCHEDULING.replace("{type: Restart}", "{type: Fallback, poolRef: {name: hot}}")
+    policy = policy.replace("reschedule: {after: 1m}", "prewarm: {poolRef: {name: hot}}")
+    assert found(policy, WORKLOAD, POOL) == []
+    shared = POOL.replace("Executing", "Uninitialized").replace("perWorkload", "replicas")
+    finding = only(policy, WORKLOAD.replace("workloadRef: {kind: Deployment, name: nav2}", TEMPLATE), shared + SOURCE)
+    assert (finding.severity, finding.field) == ("error", "spec.degraded.actions[0].prewarm.poolRef.name")
+    assert "FallbackPool hot is Uninitialized" in finding.message
+
+
+TEMPLATE = "template: {spec: {containers: [{name: app, image: app, command: [run]}]}}"
+SOURCE = "  templateFrom: {workload: robot-17}\n"

@@ -1,0 +1,358 @@
+"""What is found in manifests, where, and what would be right."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.unit.cli.check.given import POLICY, POOL, WORKLOAD, checked, found, only, text
+from understudy.cli.check.command import check
+
+
+def _lines(*texts: str) -> list[str]:
+    return [str(finding) for finding in found(*texts)]
+
+
+def test_what_is_right_has_no_finding() -> None:
+    result = checked(f"{POLICY}---\n{WORKLOAD}", POOL)
+    assert result.findings == []
+    assert result.totals() == "3 objects checked in 2 files: 0 errors, 0 warnings"
+
+
+def test_the_line_and_column_of_a_field_deep_in_a_tree() -> None:
+    policy = text("""
+        apiVersion: understudy.dev/v1alpha1
+        kind: FailurePolicy
+        metadata: {name: navigation}
+        spec:
+          monitoring:
+            yaml:
+              parallel:
+                - topic: {name: /cmd_vel, gap: 500ms}
+                - topic: {name: /scan, gapp: 1s}
+          strategies:
+            - {type: Restart, recovery: {yaml: {sequence: [{set_lifecycle: {node: /drive, state: on}}]}}}
+        """)
+    missing, unknown, state = _lines(policy)
+    assert unknown == (
+        "a.yaml:9:32: error: FailurePolicy navigation: spec.monitoring.yaml.parallel[1].topic.gapp: "
+        "unknown key 'gapp', did you mean 'gap'?"
+    )
+    assert missing.startswith("a.yaml:9:11: error: FailurePolicy navigation: spec.monitoring.yaml.parallel[1].topic: ")
+    assert state.startswith(
+        "a.yaml:11:83: error: FailurePolicy navigation: "
+        "spec.strategies[0].recovery.yaml.sequence[0].set_lifecycle.state: found True; give one of unconfigured"
+    )
+    assert "YAML reads on as true or false: put it in quotes" in state
+
+
+def _xml(value: str) -> str:
+    return POLICY.replace("yaml: {topic: {name: /cmd_vel, gap: 500ms}}", f"xml: {value}")
+
+
+BLOCK = """|
+      <root BTCPP_format="4">
+        <BehaviorTree ID="Healthy">
+          <Topic topic="/cmd_vel" gap="0.5"/>
+        </BehaviorTree>
+      </root>"""
+
+
+@pytest.mark.parametrize(
+    ("block", "line"),
+    [
+        (BLOCK, 9),
+        (BLOCK.replace("|", "|-", 1), 9),
+        (BLOCK.replace("|", "|2  # Groot", 1).replace("      <root", "        <root"), 9),
+        (BLOCK.replace("|", "|\n", 1), 10),
+        (BLOCK.replace("|", "&tree |", 1), 9),
+    ],
+    ids=["plain", "chomped", "indented", "after-an-empty-line", "anchored"],
+)
+def test_places_in_xml_are_those_of_the_file(block: str, line: int) -> None:
+    finding = only(_xml(block))
+    assert (finding.place.line, finding.place.column) == (line, 11)
+    assert finding.field == "spec.monitoring.xml"
+    assert finding.message.startswith("<Topic> gap: '0.5' is not a duration: write a number with ms")
+
+
+def test_xml_that_is_broken_off_is_found_in_its_line() -> None:
+    finding = only(_xml(BLOCK.replace("</BehaviorTree>", "</BehaviourTree>")))
+    assert (finding.place.line, finding.field) == (10, "spec.monitoring.xml")
+    assert "mismatched tag" in finding.message
+
+
+def test_xml_in_one_line_has_columns_of_the_file_too() -> None:
+    inner = '<root BTCPP_format="4"><BehaviorTree ID="H"><Topic topic="/cmd_vel" gap="0.5"/></BehaviorTree></root>'
+    policy = _xml(f"'{inner}'")
+    finding = only(policy)
+    assert policy.splitlines()[finding.place.line - 1][finding.place.column - 1 :].startswith("<Topic ")
+
+
+def test_xml_whose_lines_are_not_those_of_the_file_says_the_line_in_the_text() -> None:
+    finding = only(_xml('"<root BTCPP_format=\\"4\\">\\n<BehaviorTree ID=\\"H\\"><Nope/></BehaviorTree></root>"'))
+    assert (finding.place.line, finding.place.column) == (6, 5)
+    assert finding.field.startswith("spec.monitoring.xml, line 2, column ")
+
+
+def test_places_in_openscenario_are_those_of_the_file() -> None:
+    policy = POLICY.replace(
+        "    yaml: {topic: {name: /cmd_vel, gap: 500ms}}\n",
+        "    osc: |\n      import osc.understudy\n      scenario healthy:\n          do parallel:\n"
+        '              topic("/cmd_vel", gap: 0.5)\n              topik()\n',
+    )
+    lines = policy.splitlines()
+    gap, unknown = found(policy)
+    assert lines[gap.place.line - 1][gap.place.column - 1 :] == "0.5)"
+    assert lines[unknown.place.line - 1][unknown.place.column - 1 :] == "topik()"
+    assert gap.field == unknown.field == "spec.monitoring.osc"
+    assert unknown.message == "topik(): unknown behaviour, did you mean 'topic'?"
+
+
+def test_an_expression_is_read_by_the_monitor_s_own_reader() -> None:
+    policy = POLICY.replace(
+        "{topic: {name: /cmd_vel, gap: 500ms}}",
+        "{value: {topic: /battery, type: sensor_msgs/msg/BatteryState, holds: 'percentage > 0.15 and'}}",
+    )
+    finding = only(policy)
+    assert finding.field == "spec.monitoring.yaml.value.holds"
+    assert (finding.place.line, finding.place.column) == (6, policy.splitlines()[5].index("holds") + 1)
+
+
+@pytest.mark.parametrize("field", ["bringUp", "initialization", "readinessCheck"])
+def test_procedures_and_checks_are_loaded(field: str) -> None:
+    base = WORKLOAD if field == "bringUp" else POOL
+    finding = only(
+        POLICY, WORKLOAD, f"{base.replace('robot-17', 'robot-18')}  {field}: {{yaml: {{set_lifecycl: {{}}}}}}\n"
+    )
+    assert finding.field == f"spec.{field}.yaml.set_lifecycl"
+    assert finding.file == "c.yaml"
+
+
+def test_a_check_has_conditions_only() -> None:
+    step = "{yaml: {set_lifecycle: {node: /drive, state: active}}}"
+    assert [one.field for one in found(POLICY, WORKLOAD, f"{POOL}  initialization: {step}\n")] == []
+    assert only(POLICY, WORKLOAD, f"{POOL}  readinessCheck: {step}\n").field.startswith("spec.readinessCheck.yaml")
+
+
+def test_what_only_the_operator_refuses() -> None:
+    reflex = only(POLICY, WORKLOAD + "  gate: {reflex: {}}\n")
+    template = "template: {spec: {containers: [{name: understudy-agent, image: i}]}}"
+    taken = only(POLICY, WORKLOAD.replace("workloadRef: {kind: Deployment, name: nav2}", template))
+    assert reflex.field == "spec.gate.reflex"
+    assert "workloadRef" in reflex.message
+    assert taken.field == "spec.template.spec.containers[0].name"
+    assert taken.message == "is understudy-agent, which is a name of the sidecar's: take another"
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        (
+            ("name: navigation}", "name: Navigation}"),
+            'a.yaml:3:12: error: FailurePolicy Navigation: metadata.name: "Navigation": names of objects have lower-case',
+        ),
+        (
+            ("name: navigation}", "labels: {a: true}, name: b}"),
+            "a.yaml:3:21: error: FailurePolicy b: metadata.labels.a: found True; must be of type string",
+        ),
+        (
+            ("name: navigation}", 'labels: {app: "a:b"}, name: b}'),
+            'a.yaml:3:21: error: FailurePolicy b: metadata.labels.app: "a:b": a label has letters, digits, dashes',
+        ),
+        (
+            ("name: navigation}", "label: {a: b}, name: b}"),
+            "a.yaml:3:12: error: FailurePolicy b: metadata.label: unknown field 'label', did you mean 'labels'?",
+        ),
+        (
+            ("{name: navigation}", "{}"),
+            "a.yaml:3:1: error: FailurePolicy (no name): metadata.name: missing; give a name",
+        ),
+        (
+            ("v1alpha1", "v1"),
+            "a.yaml:1:1: error: FailurePolicy navigation: apiVersion: found 'understudy.dev/v1'; "
+            "give understudy.dev/v1alpha1",
+        ),
+        (
+            ("FailurePolicy", "FailurePolcy"),
+            "a.yaml:2:1: error: FailurePolcy navigation: kind: found 'FailurePolcy', did you mean 'FailurePolicy'?",
+        ),
+        (
+            ("  strategies", "  startupGrace: 5s\n  strategies"),
+            "a.yaml:7:3: error: FailurePolicy navigation: spec.startupGrace: unknown field 'startupGrace' here; it belongs to "
+            "spec.monitoring.startupGrace: look at the indentation",
+        ),
+        (
+            ("  strategies", "  limits: {cooldown: 5}\n  strategies"),
+            "spec.limits.cooldown: found 5; must be of type string (a text, in quotes where it looks like a number): "
+            "write a duration as a number with ms, s, m or h",
+        ),
+    ],
+    ids=["name", "label", "label-value", "metadata", "no-name", "version", "kind", "elsewhere", "number"],
+)
+def test_what_the_api_server_would_refuse(change: tuple[str, str], line: str) -> None:
+    assert line in str(only(POLICY.replace(*change)))
+
+
+def test_no_spec_at_all() -> None:
+    for spec in ("", "spec:\n", "spec: {}\n"):
+        findings = found(POLICY[: POLICY.index("spec:")] + spec)
+        assert findings
+        assert all(finding.severity == "error" for finding in findings)
+
+
+# -- files --------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("node", ["/fork/mission: {}", "fork: {{mission: {}}}", "/**: {}"])
+def test_a_file_of_ros_parameters_is_passed_over_without_a_word(node: str) -> None:
+    result = checked(POLICY, node.format("{ros__parameters: {speed: 0.6}}"))
+    assert (result.findings, result.passed_over) == ([], 1)
+
+
+def test_other_kinds_are_passed_over_and_counted() -> None:
+    config = "apiVersion: v1\nkind: ConfigMap\nmetadata: {name: a}\ndata: {a: b, nobody: [knows]}\n"
+    result = checked(f"---\n{config}---\n{POLICY}---\n")
+    assert result.findings == []
+    assert (result.checked, result.passed_over, result.files) == (1, 1, 1)
+    assert result.totals() == "1 object checked in 1 file (1 object of other kinds passed over): 0 errors, 0 warnings"
+
+
+def test_a_list_is_its_items() -> None:
+    items = "".join(
+        "- " + one.replace("\n", "\n  ").rstrip() + "\n" for one in (POLICY, WORKLOAD.replace("Twist", "twist"))
+    )
+    result = checked(f"apiVersion: v1\nkind: List\nitems:\n{items}")
+    (finding,) = result.findings
+    assert result.checked == 2
+    assert finding.field == "spec.outputs[0].type"
+    assert (finding.place.line, finding.place.column) == (18, 27)
+
+
+@pytest.mark.parametrize(
+    ("content", "place", "message"),
+    [
+        (b"", (1, 1), "there is nothing in it"),
+        (b"---\n# only words\n---\n", (1, 1), "there is nothing in it"),
+        (b"a:\n\tb: 1\n", (2, 1), "indent with spaces"),
+        (b"a: {b: 1\n", (2, 1), "begun in line 1, column 4"),
+        (b"a: b: c\n", (1, 5), "in quotes"),
+        (b"{{- if .Values.robot }}\n", (1, 3), "helm template ... | understudy check -"),
+        (b"a: *nobody\n", (1, 4), "found undefined alias"),
+        (b"a: \x00\n", (1, 4), "which YAML doesn't take"),
+        (b"a: b\nc: \xff\n", (2, 4), "this isn't UTF-8"),
+        (b"- a\n- b\n", (1, 1), "found a list; a manifest is a mapping"),
+        (b"--- 42\n", (1, 5), "found a text or number; a manifest is a mapping"),
+        (b"a: b\n", (1, 1), "missing, so this is passed over"),
+        (b"[" * 5000, (1, 1), "nested too deeply"),
+    ],
+    ids=[
+        "empty",
+        "comments",
+        "tab",
+        "open",
+        "colons",
+        "helm",
+        "alias",
+        "zero",
+        "latin-1",
+        "list",
+        "number",
+        "no-kind",
+        "deep",
+    ],
+)
+def test_a_file_that_is_no_manifest(content: bytes, place: tuple[int, int], message: str) -> None:
+    (finding,) = check([("a.yaml", content)]).findings
+    assert message in finding.message
+    assert tuple(finding.place) == place
+
+
+def test_what_stands_before_a_syntax_error_is_checked_too() -> None:
+    kind, syntax = found(f"{POLICY.replace('FailurePolicy', 'FailurePolcy')}---\na: [\n")
+    assert kind.field == "kind"
+    assert syntax.message.startswith("this isn't YAML")
+
+
+def test_a_key_that_is_given_twice() -> None:
+    finding = only(POLICY.replace("  strategies", "  limits: {cooldown: 1s, cooldown: 2s}\n  strategies"))
+    assert (finding.field, tuple(finding.place)) == ("spec.limits.cooldown", (7, 26))
+    assert finding.message == "is given twice, in line 7 already; leave one of them out"
+
+
+def test_aliases_count_as_what_they_stand_for() -> None:
+    policy = text("""
+        apiVersion: understudy.dev/v1alpha1
+        kind: FailurePolicy
+        metadata: {name: navigation}
+        spec:
+          monitoring: {yaml: {topic: {name: /a, gap: 1s}}, debounce: &time 5 s}
+          strategies:
+            - {type: Restart, verifyWithin: *time}
+            - <<: {type: Restart}
+              verifyWithin: 3s
+        """)
+    debounce, alias, within = sorted(found(policy), key=lambda one: (one.place, one.severity == "error"))
+    assert (debounce.severity, debounce.field) == ("error", "spec.monitoring.debounce")
+    assert (alias.severity, alias.field) == ("warning", "spec.strategies[0].verifyWithin")
+    assert "spec.monitoring.debounce" in alias.message
+    assert (within.severity, within.field) == ("error", "spec.strategies[0].verifyWithin")
+
+
+def test_an_alias_inside_of_itself_and_one_that_stands_for_billions() -> None:
+    assert any("is inside of itself" in one.message for one in found("a: &a {b: *a}\nkind: X\n"))
+    bomb = "a0: &a0 [x, x, x, x, x, x, x, x, x, x]\n" + "".join(
+        f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 10)}]\n" for n in range(1, 12)
+    )
+    assert any("with all aliases written out" in one.message for one in found(bomb))
+
+
+def test_control_characters_do_not_reach_the_terminal() -> None:
+    policy = POLICY.replace("500ms", '"\\e[2J\\n\\ud800"')
+    for line in _lines(policy):
+        assert line.isprintable()
+
+
+def test_values_are_read_as_kubernetes_reads_them() -> None:
+    annotations = "{name: navigation, annotations: {time: 2026-01-02, ratio: 1:30, version: 1.0}}"
+    finding = only(POLICY.replace("{name: navigation}", annotations))
+    assert finding.field == "metadata.annotations.version"  # the others are texts
+    infinite = only(POLICY, WORKLOAD + "  monitor: {resources: {limits: {cpu: .inf}}}\n")
+    assert infinite.field == "spec.monitor.resources.limits.cpu"
+    assert "found .inf, which JSON doesn't have" in infinite.message
+
+
+PROCEDURE = """
+      xml: |
+        <root BTCPP_format="4">
+          <BehaviorTree ID="Up">
+            <SetLifecycle node="drive" state="active"/>
+          </BehaviorTree>
+        </root>"""
+
+
+def test_places_in_procedures_are_those_of_the_file() -> None:
+    findings = checked(WORKLOAD.replace("spec:\n", f"spec:\n  bringUp:{PROCEDURE}\n", 1)).findings
+    (finding,) = (one for one in findings if one.severity == "error")
+    lines = WORKLOAD.splitlines().index("spec:") + 1
+    assert (finding.place.line, finding.place.column) == (lines + 5, 13)
+    assert finding.field == "spec.bringUp.xml"
+    assert finding.message == "<SetLifecycle> node: found 'drive'; did you mean '/drive'?"
+
+
+def test_a_check_in_openscenario_has_places_of_the_file_too() -> None:
+    check = """
+    osc: |
+      import osc.understudy
+      scenario ready:
+          do resend_goals()"""
+    lines = POOL.splitlines().index("spec:") + 1
+    findings = checked(POOL.replace("spec:\n", f"spec:\n  readinessCheck:{check}\n", 1)).findings
+    (finding,) = (one for one in findings if one.field == "spec.readinessCheck.osc")
+    assert (finding.place.line, finding.place.column) == (lines + 5, 14)
+    assert finding.message == "resend_goals(): isn't for checks: a check only looks; it belongs into a procedure"
+
+
+def test_a_procedure_has_exactly_one_tree() -> None:
+    both = WORKLOAD.replace("spec:\n", f"spec:\n  bringUp:\n      yaml: {{resend_goals: {{}}}}{PROCEDURE}\n", 1)
+    told = [str(finding) for finding in found(both)]
+    assert any("the tree is given as yaml already: give exactly one of yaml, xml and osc" in line for line in told)

@@ -1,0 +1,60 @@
+"""Health trees that policies take from ConfigMaps, where those are among the files."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.unit.cli.check.given import POLICY, checked, found, only
+
+REFERRING = POLICY.replace(
+    "yaml: {topic: {name: /cmd_vel, gap: 500ms}}", "configMapKeyRef: {name: trees, key: health.yaml}"
+)
+TREES = """\
+apiVersion: v1
+kind: ConfigMap
+metadata: {name: trees, labels: {understudy.dev/health-tree: "true"}}
+data:
+  health.yaml: |
+    # what drives the robot
+    topic:
+      name: /cmd_vel
+      gap: 500ms
+"""
+
+
+def test_a_good_one() -> None:
+    assert found(REFERRING, TREES) == []
+    assert checked(REFERRING, TREES).passed_over == 1
+
+
+def test_one_that_is_not_among_the_files() -> None:
+    finding = only(REFERRING)
+    assert (finding.severity, finding.field) == ("warning", "spec.monitoring.configMapKeyRef.name")
+    assert tuple(finding.place) == (6, 23)
+
+
+def test_a_problem_is_told_where_it_is_in_the_file() -> None:
+    finding = only(REFERRING, TREES.replace("500ms", "500 parsecs"))
+    assert str(finding).startswith(
+        "b.yaml:9:7: error: ConfigMap trees: data.health.yaml: topic.gap: '500 parsecs' is not a duration"
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "place", "words"),
+    [
+        (TREES.replace(', labels: {understudy.dev/health-tree: "true"}', ""), "b.yaml:3:1:", "only with the label"),
+        (TREES.replace("health.yaml", "healthy.yaml"), "a.yaml:6:36", 'did you mean "healthy.yaml"?'),
+    ],
+)
+def test_what_a_policy_can_not_read(text: str, place: str, words: str) -> None:
+    finding = only(REFERRING, text)
+    assert finding.severity == "error"
+    assert str(finding).startswith(place)
+    assert words in finding.message
+
+
+def test_a_key_that_does_not_say_what_it_is_written_in() -> None:
+    finding = only(REFERRING.replace("health.yaml", "health"), TREES)
+    assert (finding.severity, finding.field) == ("error", "spec.monitoring.configMapKeyRef.key")
+    assert '"health": give a key that says by its ending' in finding.message

@@ -1,0 +1,146 @@
+"""What the objects of several files say of each other."""
+
+from __future__ import annotations
+
+from tests.unit.cli.check.given import POLICY, POOL, WORKLOAD, found, only
+
+FALLBACK = POLICY.replace("{type: Restart}", "{type: Fallback, poolRef: {name: hot}}")
+
+
+def test_a_policy_that_is_not_among_the_files() -> None:
+    finding = only(WORKLOAD, POLICY.replace("name: navigation}", "name: navigating}"))
+    assert str(finding) == (
+        'a.yaml:8:22: warning: RobotWorkload robot-17: spec.failurePolicyRef.name: no FailurePolicy "navigation" in the files '
+        'that were given (did you mean "navigating"?); correct the name, or give the file that it is in as well. If it is in '
+        "the cluster already, all is well"
+    )
+
+
+def test_a_pool_that_is_not_among_the_files() -> None:
+    finding = only(FALLBACK)
+    assert (finding.severity, finding.field) == ("warning", "spec.strategies[0].poolRef.name")
+    assert tuple(finding.place) == (8, 34)
+
+
+def test_a_pool_that_selects_nobody() -> None:
+    workload, pool = found(FALLBACK, WORKLOAD, POOL.replace("app: navigation", "app: nav"))
+    assert (pool.severity, pool.field) == ("warning", "spec.workloadSelector")
+    assert "robot-17 has labels app=navigation" in pool.message
+    assert (workload.severity, workload.field) == ("warning", "metadata.labels")
+    assert "no standby" in workload.message
+
+
+def test_a_pool_without_any_workload() -> None:
+    finding = only(POOL)
+    assert (finding.severity, finding.field) == ("warning", "spec.workloadSelector")
+    assert finding.message.startswith(
+        "there is no RobotWorkload in the files that were given that it could match; give"
+    )
+
+
+def test_a_workload_that_another_pool_of_its_policy_serves_has_no_warning() -> None:
+    policy = FALLBACK.replace("hot}}", "hot}}\n    - {type: Fallback, poolRef: {name: warm}}")
+    hot = POOL.replace("app: navigation", "app: navigation, task: critical")
+    critical = WORKLOAD.replace("robot-17", "robot-18").replace("app: navigation", "app: navigation, task: critical")
+    assert found(policy, WORKLOAD, critical, hot, POOL.replace("hot", "warm")) == []
+
+
+def test_a_template_of_a_workload_that_is_not_there() -> None:
+    pool = POOL.replace("Executing", "Uninitialized").replace("perWorkload", "replicas")
+    pool += "  templateFrom: {workload: robot-71}\n"
+    finding = only(POLICY, WORKLOAD, pool)
+    assert finding.field == "spec.templateFrom.workload"
+    assert 'did you mean "robot-17"?' in finding.message
+
+
+def test_namespaces_are_kept_apart() -> None:
+    def within(manifest: str, namespace: str) -> str:
+        return manifest.replace("metadata: {", f"metadata: {{namespace: {namespace}, ", 1)
+
+    assert found(within(POLICY, "a"), within(WORKLOAD, "a")) == []
+    assert found(POLICY, within(WORKLOAD, "a")) == []
+    assert only(within(POLICY, "b"), within(WORKLOAD, "a")).field == "spec.failurePolicyRef.name"
+
+
+def test_a_wait_for_a_standby_of_the_workload_s_own() -> None:
+    waits = POLICY.replace("{type: Restart}", "{type: Fallback, poolRef: {name: hot}, waitFor: 10s}")
+    finding = only(waits, WORKLOAD, POOL)
+    assert (finding.severity, finding.field) == ("warning", "spec.strategies[0].waitFor")
+    assert "FallbackPool hot is Executing, so each workload has standbys of its own" in finding.message
+    shared = POOL.replace("Executing", "Uninitialized").replace("perWorkload", "replicas")
+    assert found(waits, WORKLOAD, shared + "  templateFrom: {workload: robot-17}\n") == []
+
+
+def test_a_policy_that_looks_at_no_output_of_its_workload() -> None:
+    finding = only(POLICY.replace("/cmd_vel", "/cmd_vell"), WORKLOAD)
+    assert (finding.severity, finding.file, finding.field) == ("warning", "a.yaml", "spec.monitoring")
+    assert finding.message == (
+        "looks at /cmd_vell and at no output of RobotWorkload robot-17 (/cmd_vel), so nobody notices where these fall silent; "
+        "watch one of them, or correct the names"
+    )
+
+
+def test_one_output_that_is_looked_at_is_enough() -> None:
+    more = WORKLOAD.replace(
+        "  failurePolicyRef", "    - {topic: /fork, type: std_msgs/msg/Float64}\n  failurePolicyRef"
+    )
+    assert found(POLICY, more) == []
+
+
+def test_a_policy_that_judges_otherwise_than_by_messages_may_look_at_no_output() -> None:
+    assert found(POLICY.replace("topic: {name: /cmd_vel, gap: 500ms}", "node: {name: /planner}"), WORKLOAD) == []
+
+
+def test_a_workload_whose_outputs_are_services_has_nothing_to_look_at() -> None:
+    service = WORKLOAD.replace(
+        "{topic: /cmd_vel, type: geometry_msgs/msg/Twist}", "{service: /grip, type: std_srvs/srv/Trigger}"
+    )
+    assert found(POLICY, service) == []
+
+
+def test_a_policy_whose_tree_is_in_a_configmap_is_not_known_to_look_at_nothing() -> None:
+    elsewhere = POLICY.replace(
+        "yaml: {topic: {name: /cmd_vel, gap: 500ms}}", "configMapKeyRef: {name: trees, key: tree.yaml}"
+    )
+    assert "looks at" not in only(elsewhere, WORKLOAD).message
+
+
+def needing(name: str, *others: str) -> str:
+    listed = ", ".join(f"{{name: {other}}}" for other in others)
+    return WORKLOAD.replace("robot-17", name) + f"  dependsOn: [{listed}]\n"
+
+
+def test_workloads_that_depend_on_each_other_in_a_circle() -> None:
+    findings = found(POLICY, needing("a", "b"), needing("b", "c"), needing("c", "d", "a"), needing("d"))
+    assert [(one.severity, one.file, one.field) for one in findings] == [
+        ("error", "b.yaml", "spec.dependsOn[0].name"),
+        ("error", "c.yaml", "spec.dependsOn[0].name"),
+        ("error", "d.yaml", "spec.dependsOn[1].name"),
+    ]
+    assert all("a -> b -> c -> a is a circle" in one.message for one in findings)
+
+
+def test_a_workload_that_depends_on_itself_is_told_once() -> None:
+    finding = only(POLICY, needing("a", "a"))
+    assert (finding.severity, finding.field) == ("error", "spec.dependsOn")
+    assert "names this workload itself" in finding.message
+
+
+def test_a_workload_that_another_depends_on_and_that_is_not_there() -> None:
+    finding = only(POLICY, needing("planning", "localisation"), needing("localization"))
+    assert (finding.severity, finding.field) == ("warning", "spec.dependsOn[0].name")
+    assert 'did you mean "localization"?' in finding.message
+
+
+def test_what_is_done_after_a_recovery_needs_what_it_is_done_with() -> None:
+    def one(entry: str) -> str:
+        return WORKLOAD + f"  dependsOn: [{{name: other, {entry}}}]\n"
+
+    other = WORKLOAD.replace("robot-17", "other")
+    assert "procedure is required" in only(POLICY, other, one("onRecovery: Procedure")).message
+    assert "procedure is required" in only(POLICY, other, one("procedure: {yaml: {wait_for: {node: /a}}}")).message
+    assert "there is none: give spec.bringUp" in only(POLICY, other, one("onRecovery: Reinitialize")).message
+    wrong = only(
+        POLICY, other, one("onRecovery: Procedure, procedure: {yaml: {set_lifecycle: {node: amcl, state: active}}}")
+    )
+    assert wrong.field == "spec.dependsOn[0].procedure.yaml.set_lifecycle.node"

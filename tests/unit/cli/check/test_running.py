@@ -1,0 +1,120 @@
+"""The command: what it reads, what it prints, and how it ends."""
+
+from __future__ import annotations
+
+import io
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from tests.unit.cli.check.given import POLICY, WORKLOAD
+from understudy.cli.check.command import main
+
+REPOSITORY = Path(__file__).resolve().parents[4]
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    (tmp_path / "fleet").mkdir()
+    (tmp_path / "fleet" / "policy.yaml").write_text(POLICY)
+    (tmp_path / "fleet" / "workload.yml").write_text(WORKLOAD)
+    (tmp_path / "fleet" / "notes.txt").write_text("not: [a manifest")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_a_folder_is_its_manifests(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["fleet", "fleet/policy.yaml"]) == 0
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert told.err == "understudy check: 2 objects checked in 2 files: 0 errors, 0 warnings\n"
+
+
+def test_errors_end_with_1_and_warnings_only_where_it_is_strict(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["fleet/workload.yml"]) == 0
+    assert capsys.readouterr().out.startswith("fleet/workload.yml:8:22: warning: RobotWorkload robot-17: ")
+    assert main(["--strict", "fleet/workload.yml"]) == 1
+    (folder / "fleet" / "policy.yaml").write_text(POLICY.replace("gap: 500ms", "gap: 500"))
+    capsys.readouterr()
+    assert main(["fleet"]) == 1
+    told = capsys.readouterr()
+    assert told.out == (
+        "fleet/policy.yaml:6:36: error: FailurePolicy navigation: spec.monitoring.yaml.topic.gap: found 500, which has no "
+        "unit; write it with ms, s, m or h, such as 500ms\n"
+    )
+    assert told.err == "understudy check: 2 objects checked in 2 files: 1 error, 0 warnings\n"
+
+
+@pytest.mark.parametrize(("form", "read"), [("json", json.loads), ("yaml", yaml.safe_load)])
+def test_for_programs_everything_that_was_found_is_told(
+    folder: Path, capsys: pytest.CaptureFixture[str], form: str, read: Callable[[str], Any]
+) -> None:
+    (folder / "fleet" / "policy.yaml").write_text(POLICY.replace("gap: 500ms", "gap: 500"))
+    assert main(["fleet", "-o", form]) == 1
+    told = capsys.readouterr()
+    (finding,) = (found := read(told.out)).pop("findings")
+    assert found == {"files": 2, "checked": 2, "passedOver": 0, "errors": 1, "warnings": 0}
+    assert finding.pop("message").startswith("found 500, which has no unit; write it with ms, s, m or h")
+    assert finding == {
+        "file": "fleet/policy.yaml",
+        "line": 6,
+        "column": 36,
+        "severity": "error",
+        "subject": "FailurePolicy navigation",
+        "field": "spec.monitoring.yaml.topic.gap",
+    }
+    assert told.err.endswith("1 error, 0 warnings\n")
+    assert main(["fleet/workload.yml", "-o", form]) == 0
+    assert [one["severity"] for one in read(capsys.readouterr().out)["findings"]] == ["warning"]
+
+
+def test_standard_input(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(POLICY.replace("Restart", "Reboot").encode())))
+    assert main(["-"]) == 1
+    assert capsys.readouterr().out.startswith("<stdin>:8:8: error: FailurePolicy navigation: spec.strategies[0].type: ")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["nowhere.yaml"], "nowhere.yaml: No such file or directory; give a file"),
+        (["."], "no *.yaml and no *.yml in this folder; folders in it are not looked into, give them too: fleet"),
+        (["a\0b"], "give a file"),
+    ],
+)
+def test_what_cannot_be_read_ends_with_2(
+    folder: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], told: str
+) -> None:
+    assert main(arguments) == 2
+    assert told in capsys.readouterr().err
+
+
+def test_no_file_at_all_ends_with_2() -> None:
+    with pytest.raises(SystemExit) as ended:
+        main([])
+    assert ended.value.code == 2
+
+
+def test_it_is_a_command_of_understudy_and_needs_no_ros() -> None:
+    program = (
+        "import sys; sys.modules['rclpy'] = None; sys.argv = ['understudy', 'check', 'examples/quickstart/manifests/strategies'];"
+        "from understudy.main import main; sys.exit(main())"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        cwd=REPOSITORY,
+        env={"PYTHONPATH": "operator", "LC_ALL": "C"},
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "7 objects checked in 4 files" in done.stderr

@@ -1,0 +1,73 @@
+"""What is found in a policy's ``spec.situations`` without a cluster."""
+
+from __future__ import annotations
+
+from tests.unit.cli.check.given import POLICY, POOL, WORKLOAD, found, only
+
+CARRYING = (
+    POLICY
+    + """\
+  situations:
+    - name: carrying
+      when: {task: {action: /carry}}
+      strategies:
+        - {type: Fallback, poolRef: {name: hot}}
+        - {type: Restart}
+"""
+)
+LOADED = """\
+    - name: loaded
+      when: {yaml: {value: {topic: /load, type: std_msgs/msg/Float32, holds: data > 5}}}
+      strategies:
+        - {type: Restart}
+"""
+
+
+def test_a_policy_with_situations() -> None:
+    assert found(CARRYING + LOADED, POOL, WORKLOAD) == []
+
+
+def test_a_pool_that_is_not_there_is_told_at_its_place() -> None:
+    finding = only(CARRYING.replace("{name: hot}", "{name: hod}"), POOL, WORKLOAD)
+    assert (finding.severity, finding.field) == ("warning", "spec.situations[0].strategies[0].poolRef.name")
+    assert 'no FallbackPool "hod" in the files' in finding.message
+    assert finding.place.line == 13
+
+
+def test_a_situation_that_can_never_be_in_force() -> None:
+    again = LOADED.replace(
+        "{yaml: {value: {topic: /load, type: std_msgs/msg/Float32, holds: data > 5}}}", "{task: {action: /carry}}"
+    )
+    finding = only(CARRYING + again, POOL, WORKLOAD)
+    assert (finding.severity, finding.field) == ("warning", "spec.situations[1].when")
+    assert (
+        "is the same as that of the situation carrying, which comes before it, so this one is never in force"
+        in finding.message
+    )
+
+
+def test_a_pool_that_never_has_a_standby() -> None:
+    finding = only(CARRYING, POOL.replace("perWorkload: 1", "perWorkload: 0"), WORKLOAD)
+    assert (finding.severity, finding.field) == ("warning", "spec.situations[0].strategies[0].poolRef.name")
+    assert "FallbackPool hot has perWorkload 0" in finding.message
+
+
+def test_a_mistake_in_a_tree_is_placed_like_one_in_the_health_tree() -> None:
+    finding = only(CARRYING + LOADED.replace("data > 5", "data >"), POOL, WORKLOAD)
+    assert finding.field == "spec.situations[1].when.yaml.value.holds"
+
+
+def test_a_mistake_in_a_procedure_is_placed() -> None:
+    wrong = "recovery: {yaml: {set_lifecycle: {node: /nav, state: on}}}"
+    finding = only(CARRYING.replace("poolRef: {name: hot}}", f"poolRef: {{name: hot}}, {wrong}}}"), POOL, WORKLOAD)
+    assert finding.field.startswith("spec.situations[0].strategies[0].recovery.yaml")
+
+
+def test_what_is_in_force_must_be_said_as_the_policy_says_it() -> None:
+    finding = only(CARRYING + "      requirements: {taskCriticality: High}\n", POOL, WORKLOAD)
+    assert finding.field == "spec.situations[0]"
+    assert "give strategies, or requirements where spec.strategies are Auto" in finding.message
+    auto = CARRYING.replace(
+        "    - {type: Restart}\n  situations", "    - {type: Auto}\n  requirements: {}\n  situations", 1
+    )
+    assert "say in each situation by which requirements" in only(auto, POOL, WORKLOAD).message

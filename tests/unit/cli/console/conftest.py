@@ -1,0 +1,26 @@
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.unit.cli.console import fleet
+from tests.unit.cli.console.kubectl import Stand
+
+
+@pytest.fixture
+def stand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Stand:
+    """kubectl on the PATH, in front of a fleet; and no terminal, whatever the process that runs the tests says of one."""
+    monkeypatch.delenv("COLUMNS", raising=False)
+    made = Stand(tmp_path)
+    made.tell(fleet.fleet())
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
+    return made
+
+
+@pytest.fixture
+def in_the_present(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The clock stands still at the fleet's present, in a terminal of a certain width."""
+    monkeypatch.setattr(time, "time", lambda: fleet.NOW)
+    monkeypatch.setenv("COLUMNS", "110")

@@ -1,0 +1,180 @@
+"""``understudy blackbox``: what it tells, and that a file is fetched whole or not at all. The monitor that answers is a server of the
+same kind.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import json
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from tests.unit.cli.console.test_tree import KUBECTL, READY
+from understudy.api.kinds.recording_spec import Recording, Recordings
+from understudy.cli.inspect.blackbox import lines, main
+from understudy.process.http_pages import JSON, Page, serve
+
+FILE = bytes(range(256)) * 4096
+
+
+def recording(number: int, **more: Any) -> Recording:
+    told: dict[str, Any] = {
+        "id": f"{number}abcdef", "number": number, "failed": f"2026-11-22T19:{number:02}:00.250000Z", "reason": "no /cmd_vel for 500 ms",
+        "result": "Recovered", "strategy": "Fallback/Executing", "messages": 1234, "size": len(FILE),
+        "sha256": hashlib.sha256(FILE).hexdigest(), **more,
+    }  # fmt: skip
+    return Recording.model_validate(told)
+
+
+class Monitor:
+    """What a monitor has recorded, and the stand-in for kubectl that leads to it."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder, self.file = folder, folder / "there.mcap"
+        self.file.write_bytes(FILE)
+        self.told = Recordings(workload="robot-1", on=True, recordings=[recording(3), recording(2)])
+        self.pages: dict[str, Page] = {"/": lambda: (200, json.dumps(self.told.to_wire()), JSON)}
+        for one in self.told.recordings:
+            self.pages[f"/{one.id}.mcap"] = lambda: (200, self.file, "application/octet-stream")
+
+    def reached_by(self, port: int) -> None:
+        kubectl = self._folder / "kubectl"
+        told = self._folder / "told.json"
+        kubectl.write_text(KUBECTL.format(told=str(told), asked=str(self._folder / "asked")))
+        kubectl.chmod(0o755)
+        pod = {"metadata": {"name": "monitor-1"}, "status": READY}
+        told.write_text(json.dumps({"workload": {}, "pods": [pod], "port": port}))
+
+    @property
+    def asked(self) -> str:
+        return (self._folder / "asked").read_text()
+
+
+@pytest.fixture
+def monitor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Monitor]:
+    (tmp_path / "there").mkdir()
+    (tmp_path / "here").mkdir()
+    made = Monitor(tmp_path / "there")
+    loop = asyncio.new_event_loop()
+    thread = threading.Thread(target=loop.run_forever, daemon=True)
+    thread.start()
+    server = asyncio.run_coroutine_threadsafe(serve(made.pages, 0, host="127.0.0.1"), loop).result(20)
+    made.reached_by(server.sockets[0].getsockname()[1])
+    monkeypatch.setenv("PATH", str(tmp_path / "there"), prepend=":")
+    monkeypatch.chdir(tmp_path / "here")
+    yield made
+    loop.call_soon_threadsafe(server.close)
+    loop.call_soon_threadsafe(loop.stop)
+    thread.join(20)
+
+
+def here() -> list[str]:
+    return sorted(path.name for path in Path().iterdir())
+
+
+def test_they_are_listed(monitor: Monitor, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["robot-1", "-n", "fleet"]) == 0
+    head, *rows = capsys.readouterr().out.splitlines()
+    assert head.split() == ["NO", "ID", "FAILED", "AGO", "RESULT", "STRATEGY", "MESSAGES", "SIZE", "WHAT", "FAILED"]
+    assert [row.split()[:4] for row in rows] == [
+        ["3", "3abcdef", "2026-11-22", "19:03:00Z"], ["2", "2abcdef", "2026-11-22", "19:02:00Z"],
+    ]  # fmt: skip
+    assert all(row.endswith("Recovered  Fallback/Executing  1234      1.05 MB  no /cmd_vel for 500 ms") for row in rows)
+    assert "port-forward pod/monitor-1 :9110" in monitor.asked
+
+
+@pytest.mark.parametrize("form", ["json", "yaml"])
+def test_scripts_have_them_whole(monitor: Monitor, capsys: pytest.CaptureFixture[str], form: str) -> None:
+    assert main(["robot-1", "-o", form]) == 0
+    told = capsys.readouterr().out
+    assert told.startswith("{") is (form == "json")
+    assert Recordings.model_validate(yaml.safe_load(told)) == monitor.told
+
+
+def test_where_there_are_none_it_is_said_why(monitor: Monitor, capsys: pytest.CaptureFixture[str]) -> None:
+    monitor.told = Recordings(workload="robot-1", on=False)
+    assert main(["robot-1"]) == 1
+    assert "Nothing is recorded: spec.blackBox of the workload's FailurePolicy isn't given" in capsys.readouterr().out
+
+
+def test_topics_that_are_left_out_are_named() -> None:
+    found = Recordings(workload="robot-1", on=True, left_out={"/image": "too much"})
+    told = list(lines(found, 0.0, colours=False, columns=None))
+    assert told == [
+        "Nothing has failed since the recordings lie where they do.",
+        "Not recorded: /image (too much; blackBox.memory bounds it).",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "file"),
+    [
+        (["--fetch"], "robot-1-3.mcap"),
+        (["--fetch", "latest"], "robot-1-3.mcap"),
+        (["--fetch", "2"], "robot-1-2.mcap"),
+        (["--fetch", "2abc"], "robot-1-2.mcap"),
+        (["--fetch", "--to", "failure.mcap"], "failure.mcap"),
+    ],
+)
+def test_one_is_fetched(monitor: Monitor, capsys: pytest.CaptureFixture[str], arguments: list[str], file: str) -> None:
+    assert main(["robot-1", *arguments]) == 0
+    assert Path(file).read_bytes() == FILE
+    assert here() == [file]
+    assert capsys.readouterr().out.startswith(f"{file}: 1234 messages around failure ")
+
+
+def test_a_recording_that_is_not_there(monitor: Monitor, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["robot-1", "--fetch", "7"]) == 2
+    told = capsys.readouterr().err
+    assert "there is no recording 7 of robot-1, but 3abcdef (failure 3), 2abcdef (failure 2)" in told
+    monitor.told = Recordings(workload="robot-1", on=True)
+    assert main(["robot-1", "--fetch"]) == 2
+    assert "there is no recording of robot-1" in capsys.readouterr().err
+
+
+def test_a_number_is_one_whatever_the_ids_begin_with(monitor: Monitor) -> None:
+    newest = recording(3).model_copy(update={"id": "2fe3"})
+    monitor.told = Recordings(workload="robot-1", on=True, recordings=[newest, recording(2)])
+    assert main(["robot-1", "--fetch", "2"]) == 0
+    assert here() == ["robot-1-2.mcap"]
+
+
+def test_the_beginning_of_several_ids_means_none_of_them(monitor: Monitor, capsys: pytest.CaptureFixture[str]) -> None:
+    both = [recording(number).model_copy(update={"id": f"e{number}"}) for number in (3, 2)]
+    monitor.told = Recordings(workload="robot-1", on=True, recordings=both)
+    assert main(["robot-1", "--fetch", "e"]) == 2
+    assert "several recordings of robot-1 begin with e: e3 (failure 3), e2 (failure 2)" in capsys.readouterr().err
+    assert here() == []
+
+
+def test_where_to_without_what_is_a_mistake(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        main(["robot-1", "--to", "failure.mcap"])
+    assert "give --fetch too" in capsys.readouterr().err
+
+
+def test_one_that_is_damaged_is_not_taken_for_whole(monitor: Monitor, capsys: pytest.CaptureFixture[str]) -> None:
+    Path("robot-1-3.mcap").write_bytes(b"an earlier one")
+    monitor.file.write_bytes(FILE[:-1] + b"?")
+    assert main(["robot-1", "--fetch"]) == 2
+    assert "recording 3abcdef is damaged, on the monitor's disk or on its way" in capsys.readouterr().err
+    assert here() == ["robot-1-3.mcap"]
+    assert Path("robot-1-3.mcap").read_bytes() == b"an earlier one"
+
+
+def test_one_that_has_gone_meanwhile(monitor: Monitor, capsys: pytest.CaptureFixture[str]) -> None:
+    del monitor.pages["/3abcdef.mcap"]
+    assert main(["robot-1", "--fetch"]) == 2
+    assert "recording 3abcdef is gone: a newer one has taken its place" in capsys.readouterr().err
+    assert here() == []
+
+
+def test_a_file_that_cant_be_written(monitor: Monitor, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["robot-1", "--fetch", "--to", "none/such.mcap"]) == 2
+    assert "recording 3abcdef can't be fetched into none/such.mcap" in capsys.readouterr().err

@@ -1,0 +1,173 @@
+"""``understudy timeline`` and ``understudy explain``: what they ask kubectl and how they end; and what the page shows of all."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from tests.unit.cli.console import fleet
+from tests.unit.cli.console.kubectl import Stand
+from understudy.cli.completion import command as completion
+from understudy.cli.control import fence, pause, resume, robot_profile
+from understudy.cli.doctor import command as doctor
+from understudy.cli.inject import command as inject
+from understudy.cli.inspect import explain, status, timeline
+
+REPOSITORY = Path(__file__).parents[4]
+COMMANDS: dict[str, Callable[[list[str]], int]] = {
+    "status": status.main,
+    "timeline": timeline.main,
+    "explain": explain.main,
+    "pause": pause.main,
+    "resume": resume.main,
+    "doctor": doctor.main,
+    "fence": fence.main,
+    "inject": inject.main,
+    "robot-profile": robot_profile.main,
+    "completion": completion.main,
+}
+
+
+def test_the_last_recoveries(stand: Stand, capsys: pytest.CaptureFixture[str], in_the_present: None) -> None:
+    assert timeline.main(["robot-17-navigation", "-n", "fleet", "--last", "1"]) == 0
+    told = capsys.readouterr().out
+    assert told.startswith("fleet/robot-17-navigation: 3 recoveries\n")
+    assert told.count("recovered in") == 1
+    assert stand.asked[0].startswith("--namespace=fleet get robotworkloads.understudy.dev robot-17-navigation -o json")
+
+
+@pytest.mark.parametrize("given", ["0", "-1", "all"])
+def test_how_many_recoveries_is_a_number_from_one_on(capsys: pytest.CaptureFixture[str], given: str) -> None:
+    with pytest.raises(SystemExit) as ended:
+        timeline.main(["robot-17-navigation", f"--last={given}"])
+    assert ended.value.code == 2
+    assert f"argument --last: found '{given}'; give a whole number from 1 on" in capsys.readouterr().err
+
+
+def test_the_records_for_scripts(stand: Stand, capsys: pytest.CaptureFixture[str]) -> None:
+    assert timeline.main(["robot-17-navigation", "-o", "yaml"]) == 0
+    written = yaml.safe_load(capsys.readouterr().out)
+    assert timeline.main(["robot-17-navigation", "-o", "json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told == written
+    assert told["recoveries"] == fleet.well()["status"]["recoveries"]
+    assert (told["namespace"], told["name"], told["recoveryCount"]) == ("fleet", "robot-17-navigation", 3)
+
+
+def test_a_robot_is_explained_by_what_is_around_it(
+    stand: Stand, capsys: pytest.CaptureFixture[str], in_the_present: None
+) -> None:
+    item = fleet.well()
+    stand.tell([*fleet.around(item), fleet.event(9, "GateBlocked", "Packets of w-2")])
+    assert explain.main(["robot-17-navigation"]) == 0
+    told = capsys.readouterr().out
+    assert "✓ 1. Fallback from pool navigation-hot would be carried out" in told
+    assert "9s ago  GateBlocked" in told
+    assert "involvedObject.kind=RobotWorkload,involvedObject.name=robot-17-navigation" in stand.asked[-1]
+    assert not any("configmaps" in line for line in stand.asked), "the policy has its tree in it"
+    stand.tell([i for i in fleet.around(item) if "monitor" not in i["metadata"]["name"]])
+    assert explain.main(["robot-17-navigation"]) == 1
+
+
+def test_right_after_a_failover_it_goes_by_the_pods_that_there_are_not_by_what_was_said_of_them(
+    stand: Stand, capsys: pytest.CaptureFixture[str], in_the_present: None
+) -> None:
+    # Its standby is in control now, and nobody has said yet that there is no other.
+    item = fleet.well()
+    said = {one["type"]: one["status"] for one in item["status"]["conditions"]}
+    assert said["Protected"] == "True"
+    found = [one for one in fleet.around(item) if one["metadata"]["name"] != "robot-17-navigation-w7h5k"]
+    stand.tell(found)
+    assert explain.main(["robot-17-navigation"]) == 1
+    assert "✗ 1. Fallback from pool navigation-hot" in capsys.readouterr().out
+    stand.tell(fleet.around(item))
+    assert explain.main(["robot-17-navigation"]) == 0
+
+
+@pytest.mark.parametrize(("output", "read"), [("json", json.loads), ("yaml", yaml.safe_load)])
+def test_what_is_explained_for_scripts(
+    stand: Stand, capsys: pytest.CaptureFixture[str], in_the_present: None, output: str, read: Callable[[str], Any]
+) -> None:
+    item = fleet.unprotected()
+    stand.tell([*fleet.around(item, standby_waits="ImagePullBackOff"), fleet.event(9, "GateBlocked", "Packets of w-2")])
+    assert explain.main(["robot-19-navigation", "-o", output]) == 1
+    told = read(capsys.readouterr().out)
+    assert (told["namespace"], told["name"], told["health"]) == ("fleet", "robot-19-navigation", "Healthy")
+    assert (told["protected"], told["reason"], told["active"]) == (
+        False,
+        "ImagePullBackOff",
+        "robot-19-navigation-c5n8r",
+    )
+    assert [one["available"] for one in told["strategies"]] == [False, True, True]
+    assert told["strategies"][1]["verifyWithin"] == "20s"
+    assert told["ifItFailedNow"][0]["state"] == "Failed"
+    assert told["missing"][0]["text"].startswith("not protected (ImagePullBackOff")
+    assert told["lately"] == [{"text": "9s ago  GateBlocked: Packets of w-2", "state": ""}]
+
+
+def test_what_a_workload_refers_to_is_asked_for(stand: Stand, capsys: pytest.CaptureFixture[str]) -> None:
+    item = fleet.well()
+    del item["spec"]["template"]
+    item["spec"]["workloadRef"] = {"kind": "Deployment", "name": "nav2"}
+    stand.tell(fleet.around(item))
+    assert explain.main(["robot-17-navigation"]) == 0, "what was built before protects it still"
+    assert '✗ not accepted (ReferenceNotFound): spec.workloadRef: no Deployment "nav2"' in capsys.readouterr().out
+    assert any("get deployments.apps nav2 --ignore-not-found" in line for line in stand.asked)
+
+
+def test_a_tree_in_a_config_map_is_asked_for(stand: Stand, capsys: pytest.CaptureFixture[str]) -> None:
+    policy = fleet.policy(monitoring={"configMapKeyRef": {"name": "trees", "key": "driving.yaml"}})
+    item = fleet.well()
+    stand.tell([*(i for i in fleet.around(item) if i["kind"] != "FailurePolicy"), policy])
+    assert explain.main(["robot-17-navigation"]) == 1
+    assert 'no ConfigMap "trees" with the label' in capsys.readouterr().out
+    assert any("get configmaps -l understudy.dev/health-tree=true" in line for line in stand.asked)
+
+
+def test_what_the_monitor_was_told_is_asked_for_where_the_policy_has_situations(stand: Stand) -> None:
+    raised = {"name": "carrying", "when": {"task": {"action": "/carry"}}, "strategies": [{"type": "Restart"}]}
+    item = fleet.well()
+    stand.tell([*(i for i in fleet.around(item) if i["kind"] != "FailurePolicy"), fleet.policy(situations=[raised])])
+    assert explain.main(["robot-17-navigation"]) == 0
+    assert any("get configmaps robot-17-navigation-settings --ignore-not-found" in line for line in stand.asked)
+
+
+@pytest.mark.parametrize("command", ["timeline", "explain", "pause", "resume"])
+def test_one_that_is_not_there(stand: Stand, capsys: pytest.CaptureFixture[str], command: str) -> None:
+    more = ["--reason", "a new gripper"] if command == "pause" else []
+    assert COMMANDS[command](["robot-2", *more]) == 2
+    assert f'understudy {command}: Error from server (NotFound): robotworkloads.understudy.dev "robot-2" not found' in (
+        capsys.readouterr().err
+    )
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_says_what_the_exit_status_means(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        COMMANDS[command](["--help"])
+    assert "Exit status: 0 where" in capsys.readouterr().out
+
+
+def test_kubectl_finds_them_as_a_plugin() -> None:
+    scripts = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]["scripts"]
+    assert scripts["kubectl-understudy"] == scripts["understudy"] == "understudy.main:main"
+
+
+def test_the_pages_show_what_is_printed(stand: Stand, capsys: pytest.CaptureFixture[str], in_the_present: None) -> None:
+    pages = "".join((REPOSITORY / page).read_text() for page in ("README.md", "docs/console.md"))
+    shown = re.findall(r"```console\n\$ kubectl understudy (\w+) (.*?)\n(.*?)```", pages, re.DOTALL)
+    assert [command for command, _, _ in shown] == ["status", "status", "timeline", "explain"]
+    for command, arguments, expected in shown:
+        item = fleet.unprotected()
+        explained = fleet.around(item, standby_waits="ImagePullBackOff")
+        stand.tell(explained if command == "explain" else fleet.fleet())
+        COMMANDS[command](shlex.split(arguments))
+        assert capsys.readouterr().out == expected

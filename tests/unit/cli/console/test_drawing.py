@@ -1,0 +1,73 @@
+"""A live tree as lines of text."""
+
+from __future__ import annotations
+
+from tests.unit.cli.console.states import leaf, state
+from understudy.cli.common.tree_text import Rates, lines
+
+
+def told(*looks: dict[str, object], colours: bool = False) -> list[str]:
+    rates = Rates()
+    for look in looks:
+        rates.look(look)
+    return list(lines(looks[-1], rates, colours=colours))
+
+
+def test_a_healthy_tree() -> None:
+    later = state(102.0)
+    later["tree"]["children"][0]["received"] = 30
+    head, control, empty, *nodes = told(state(), later)
+    assert head == "fleet/robot-1-drive  Healthy"
+    assert (
+        control
+        == "in control: robot-1-drive-abc (epoch 3); policy navigation; if it failed now: Executing; recoveries: 2"
+    )
+    assert empty == ""
+    assert [line.split("  ", 1)[0] if line[0] != " " else line[:45].rstrip() for line in nodes] == [
+        "parallel",
+        "  scan",
+        "  driving (while /navigate_to_pose is active)",
+        "    cmd_vel",
+        "  node (publisher)",
+    ]
+    assert [line[45:].split() for line in nodes] == [
+        ["healthy"], ["healthy", "10", "Hz,", "50", "ms", "ago"], ["idle"], ["idle"], ["healthy"],
+    ]  # fmt: skip
+
+
+def test_before_there_were_two_looks_and_after_a_restart_of_the_monitor_no_rate_is_told() -> None:
+    assert "Hz" not in "".join(told(state()))
+    anew = state(104.0)
+    anew["tree"]["children"][0]["received"] = 1
+    assert "Hz" not in "".join(told(state(), state(102.0), anew))
+
+
+def test_a_failure_has_its_reason_and_its_colour() -> None:
+    tree = leaf("scan", "Failed", reason="/scan is silent", age=1.2)
+    found = told(state(health="Failed", tree=tree), colours=True)
+    assert found[0] == "fleet/robot-1-drive  \x1b[1;31mFailed\x1b[0m"
+    assert found[3].endswith("1.2 s ago               /scan is silent")
+    assert "\x1b[1;31mFAILED" in found[3]
+
+
+def test_texts_of_others_do_not_move_the_cursor() -> None:
+    tree = leaf("scan\x1b[2J", "Failed", reason="a\nb\r")
+    found = "\n".join(told(state(tree=tree, notes=["\x1b]0;gone\x07"], active="\x9b1A")))
+    assert not set("\x1b\r\x07\x9b") & set(found)
+    assert "scan\\x1b[2J" in found
+    assert "a\\nb\\r" in found
+
+
+def test_no_tree_and_nobody_in_control() -> None:
+    found = told(state(tree=None, active="", strategy="", policy="", health="Unknown", notes=["/scan: no type"]))
+    assert found[1] == "in control: nobody (epoch 3); policy none; if it failed now: unknown; recoveries: 2"
+    assert found[3:] == ["There is no health tree that could be judged.", "", "/scan: no type"]
+
+
+def test_what_is_short_of_well_is_told_while_it_is() -> None:
+    said = {"type": "Degraded", "status": "True", "reason": "NotWell", "message": "/scan at 8.6 Hz, below 9 Hz\n."}
+    found = told(state(health="Degraded", conditions=[said]), colours=True)
+    assert found[0] == "fleet/robot-1-drive  \x1b[33mDegraded\x1b[0m"
+    assert found[2] == "degraded: /scan at 8.6 Hz, below 9 Hz\\n."
+    well = told(state(conditions=[said | {"status": "False"}]))
+    assert not any(line.startswith("degraded") for line in well)

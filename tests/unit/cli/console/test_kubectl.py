@@ -1,0 +1,162 @@
+"""What is said where kubectl can't do what it is asked for."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.unit.cli.console import fleet
+from tests.unit.cli.console.kubectl import Stand
+from understudy.cli.common.kubectl import Kubectl, Unusable
+from understudy.cli.inspect import timeline
+
+NAME = "robot-17-navigation"
+
+ASKS = """
+if not sys.stdin.isatty():
+    sys.exit("Unable to connect to the server: getting credentials: exec plugin cannot support interactive mode: standard input is "
+        "not a terminal")
+print("Token: ", end="", file=sys.stderr, flush=True)
+if sys.stdin.readline() != "good\\n":
+    sys.exit("Unable to connect to the server: getting credentials: exec: executable login failed with exit code 1")
+"""
+"""What kubectl does by a plugin that asks."""
+
+WAITS = """
+print("E1123 14:32:20.950992 8158 memcache.go:265] nothing for people", file=sys.stderr, flush=True)
+print("To sign in, enter the code ABC", file=sys.stderr, flush=True)
+while not os.path.exists(path + ".entered"):
+    time.sleep(0.05)
+"""
+"""And by one that waits for somebody to enter a code elsewhere."""
+
+
+@pytest.mark.parametrize(
+    ("said", "told"),
+    [
+        (
+            "The connection to the server localhost:8080 was refused - did you specify the right host or port?",
+            "no kubeconfig was found, so kubectl asked there; name yours by --kubeconfig or KUBECONFIG",
+        ),
+        (
+            "The connection to the server 10.0.0.1:6443 was refused - did you specify the right host or port?",
+            "look whether its API server runs, or name another cluster by --context or --kubeconfig",
+        ),
+        (
+            "error: current-context must exist in order to minify",
+            "the kubeconfig says no context; name one by --context",
+        ),
+        ("Error in configuration: context was not found for specified context: lab", "kubectl config get-contexts"),
+        ('error: context "lab" does not exist', "kubectl config get-contexts"),
+        ('error: the server doesn\'t have a resource type "robotworkloads"', "install the chart"),
+        ("error: You must be logged in to the server (Unauthorized)", "log in anew"),
+    ],
+)
+def test_what_kubectl_says_is_told_with_the_way_out(
+    stand: Stand, capsys: pytest.CaptureFixture[str], said: str, told: str
+) -> None:
+    stand.tell(fleet.fleet(), error=said)
+    assert timeline.main([NAME]) == 2
+    error = capsys.readouterr().err
+    plain = said.removeprefix("error: ").removeprefix("Error in configuration: ").partition(" - did")[0]
+    assert error.startswith(f"understudy timeline: {plain}: ")
+    assert told in error
+
+
+def test_a_kubeconfig_without_credentials_is_told_as_that(stand: Stand, capsys: pytest.CaptureFixture[str]) -> None:
+    stand.tell(fleet.fleet(), error="error: EOF")
+    assert timeline.main([NAME]) == 2
+    assert capsys.readouterr().err.startswith("understudy timeline: the kubeconfig has no credentials for this cluster")
+
+
+def test_what_it_says_itself_is_left_as_it_is(stand: Stand, capsys: pytest.CaptureFixture[str]) -> None:
+    stand.tell(fleet.fleet(), error="Unable to connect to the server: net/http: TLS handshake timeout")
+    assert timeline.main([NAME]) == 2
+    assert capsys.readouterr().err == (
+        "understudy timeline: Unable to connect to the server: net/http: TLS handshake timeout\n"
+    )
+
+
+def test_kubectl_is_left_nothing_to_read(stand: Stand) -> None:
+    """Or it would wait for a name or a password that nobody knows it asks for, since what it writes is read by the command."""
+    program = stand.folder / "kubectl"
+    program.write_text(
+        program.read_text().replace("given = sys.argv[1:]", "given = sys.argv[1:]\nassert not sys.stdin.read()", 1)
+    )
+    assert timeline.main([NAME]) == 0
+
+
+def with_plugin(stand: Stand, plugin: str) -> None:
+    program = stand.folder / "kubectl"
+    program.write_text(program.read_text().replace("given = sys.argv[1:]", f"{plugin}\ngiven = sys.argv[1:]", 1))
+
+
+def started(stdin: int) -> subprocess.Popen[bytes]:
+    command = [sys.executable, "-m", "understudy", "timeline", NAME]
+    return subprocess.Popen(command, stdin=stdin, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+
+
+def read_until(running: subprocess.Popen[bytes], words: bytes) -> bytes:
+    """What it says, up to these words; all of it where they don't come."""
+    assert running.stderr is not None
+    found = b""
+    while words not in found and (more := os.read(running.stderr.fileno(), 4096)):
+        found += more
+    return found
+
+
+def test_a_plugin_that_asks_is_answered_by_who_sits_at_the_terminal(stand: Stand) -> None:
+    with_plugin(stand, ASKS)
+    ours, its = os.openpty()
+    with started(its) as running:
+        assert read_until(running, b"Token: ") == b"Token: "
+        os.write(ours, b"good\n")
+        output, told = running.communicate(timeout=60)
+    assert (running.returncode, told) == (0, b"")
+    assert output.decode().startswith(f"fleet/{NAME}: 3 recoveries\n")
+
+
+def test_what_it_does_not_take_is_told(stand: Stand) -> None:
+    with_plugin(stand, ASKS)
+    ours, its = os.openpty()
+    with started(its) as running:
+        read_until(running, b"Token: ")
+        os.write(ours, b"bad\n")
+        _, told = running.communicate(timeout=60)
+    assert running.returncode == 2
+    assert "executable login failed with exit code 1: log in as the kubeconfig's plugin has it" in told.decode()
+
+
+def test_a_plugin_that_waits_for_somebody_is_heard(stand: Stand) -> None:
+    with_plugin(stand, WAITS)
+    with started(subprocess.DEVNULL) as running:
+        assert read_until(running, b"ABC\n") == b"To sign in, enter the code ABC\n"
+        Path(stand.folder, "told.json.entered").touch()
+        output, _ = running.communicate(timeout=60)
+    assert (running.returncode, output[:5]) == (0, b"fleet")
+
+
+@pytest.mark.parametrize("place", ["a script", "a shell that completes"])
+def test_where_nobody_could_answer_nobody_is_asked(stand: Stand, monkeypatch: pytest.MonkeyPatch, place: str) -> None:
+    with_plugin(stand, ASKS)
+    monkeypatch.setattr(sys.stdin, "isatty", lambda: place != "a script", raising=False)
+    if place != "a script":
+        monkeypatch.setenv("_ARGCOMPLETE", "2")
+    given = argparse.Namespace(namespace="fleet", context=None, kubeconfig=None)
+    begun = time.monotonic()
+    with pytest.raises(Unusable, match="not a terminal: log in as the kubeconfig's plugin has it"):
+        Kubectl(given).get("robotworkloads.understudy.dev", NAME)
+    assert time.monotonic() - begun < 10
+
+
+def test_where_there_is_no_standard_input_nobody_is_asked(stand: Stand, monkeypatch: pytest.MonkeyPatch) -> None:
+    with_plugin(stand, ASKS)
+    monkeypatch.setattr(sys, "stdin", None)  # as Python has it after `<&-`
+    with pytest.raises(Unusable, match="not a terminal: log in as the kubeconfig's plugin has it"):
+        Kubectl(argparse.Namespace(namespace="fleet", context=None, kubeconfig=None)).get("pods")

@@ -1,0 +1,106 @@
+"""Options that say nothing where they are given are refused before anything is asked or done."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from tests.unit.cli.console.kubectl import Stand
+from understudy.cli.doctor import command as doctor
+from understudy.cli.inject import command as inject
+from understudy.cli.inspect import blackbox, timeline
+from understudy.cli.plan import recommend, size
+
+Main = Callable[[list[str]], int]
+
+ROBOT = "robot-17-navigation"
+SIZE = ["--robots", "10", "--failures-per-robot-hour", "1", "--recovery-seconds", "1"]
+
+OPTIONS = {"--for": "10s", "--percent": str(inject.PERCENT), "--from": "monitor", "--container": "app"}
+TAKEN = {
+    "kill": (),
+    "freeze": ("--for", "--container"),
+    "slow": ("--for", "--percent", "--container"),
+    "partition": ("--for", "--from"),
+}
+MEANT = {
+    "--for": "--for is for freeze, slow and partition",
+    "--percent": "--percent is for slow",
+    "--from": "--from is for partition",
+    "--container": "-c/--container is for freeze and slow",
+}
+
+
+@pytest.mark.parametrize(
+    ("fault", "option"), [(fault, option) for fault in TAKEN for option in OPTIONS if option not in TAKEN[fault]]
+)
+def test_an_option_of_another_fault_is_refused_even_with_the_value_that_it_has_anyway(
+    stand: Stand, capsys: pytest.CaptureFixture[str], fault: str, option: str
+) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        inject.main([ROBOT, fault, "--yes", option, OPTIONS[option]])
+    assert f"understudy inject: error: {MEANT[option]}, not for {fault}\n" in capsys.readouterr().err
+    assert stand.asked == []
+
+
+@pytest.mark.parametrize(("fault", "option"), [(fault, option) for fault in TAKEN for option in TAKEN[fault]])
+def test_an_option_of_the_fault_is_none_of_those(
+    stand: Stand, capsys: pytest.CaptureFixture[str], fault: str, option: str
+) -> None:
+    stand.tell([])
+    assert inject.main([ROBOT, fault, "--yes", option, OPTIONS[option]]) == 2
+    assert "namespace" in stand.asked[-1], "it went as far as asking whether failures may be made here"
+    assert "error: -" not in capsys.readouterr().err
+
+
+def test_every_fault_is_among_those_that_were_tried() -> None:
+    assert set(TAKEN) == set(inject.FAULTS)
+
+
+@pytest.mark.parametrize(
+    ("main", "arguments", "words"),
+    [
+        (
+            blackbox.main,
+            [ROBOT, "--fetch", "-o", "text"],
+            "blackbox: error: -o/--output is for the list, not for --fetch",
+        ),
+        (
+            doctor.main,
+            ["--no-pods", "--image", "monitor"],
+            "doctor: error: --image says what the pods are made of: leave",
+        ),
+        (timeline.main, [ROBOT, "-o", "json", "--last", "3"], "timeline: error: --last is for text: json has all of"),
+        (
+            size.main,
+            [*SIZE, "--fallbacks", "3", "--risk-of", "loss"],
+            "size: error: --risk-of says what --risk is of, which isn't given",
+        ),
+        (
+            recommend.main,
+            ["none.yaml", "--no-cluster", "-n", "fleet"],
+            "recommend: error: -n/--namespace says where in a cluster to look: leave out --no-cluster",
+        ),
+        (
+            recommend.main,
+            ["none.yaml", "--no-cluster", "--context", "lab"],
+            "recommend: error: --context says where in a cluster to look: leave out --no-cluster",
+        ),
+    ],
+)
+def test_options_of_other_commands_that_exclude_each_other(
+    stand: Stand,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    main: Main,
+    arguments: list[str],
+    words: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit, match="2"):
+        main(arguments)
+    assert f"understudy {words}" in capsys.readouterr().err
+    assert stand.asked == []

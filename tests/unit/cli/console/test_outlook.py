@@ -1,0 +1,408 @@
+"""What a failure now would lead to, in words."""
+
+from __future__ import annotations
+
+import asyncio
+import dataclasses
+from typing import Any
+
+import pytest
+
+from tests.unit.cli.console import fleet
+from tests.unit.controller import world
+from understudy.api import names
+from understudy.cli.common.robots import UNWATCHED
+from understudy.cli.inspect.cluster_observation import Around, observed_from
+from understudy.cli.inspect.explanation import Known, for_scripts, lines
+from understudy.kube.client import Object
+
+
+class Nothing:
+    """Answers that there is nothing else."""
+
+    async def find(self, *_: Any) -> Object | None:
+        await asyncio.sleep(0)
+        return None
+
+    async def list(self, *_: Any, **__: Any) -> Object:
+        await asyncio.sleep(0)
+        return {"items": []}
+
+
+def known(item: Object, items: list[Object] | None = None, *events: Object) -> Known:
+    observed = observed_from(item, items if items is not None else fleet.around(item), Nothing())
+    others = [one for one in items or [] if one["kind"] == "RobotWorkload"]
+    gates = {one["metadata"]["name"]: one for one in items or [] if one["kind"] == "NetworkPolicy"}
+    return Known.of(Around(dataclasses.replace(observed, now=fleet.NOW), events, others, gates))
+
+
+def told(found: Known, columns: int | None = None) -> dict[str, list[str]]:
+    """The lines by their heading, those above all under none."""
+    sections: dict[str, list[str]] = {"": []}
+    for line in lines(found, columns=columns, colours=False):
+        if line and not line.startswith(" ") and sections[""]:
+            sections[line] = []
+        elif line:
+            sections[list(sections)[-1]].append(line.strip())
+    return sections
+
+
+def test_a_robot_whose_protection_is_complete() -> None:
+    found = known(fleet.well())
+    text = told(found)
+    assert found.is_well
+    assert text[""] == [
+        "fleet/robot-17-navigation  Healthy",
+        "In control: robot-17-navigation-x8v2m on node-1, gate epoch 41, since recovery #3.",
+    ]
+    first, second, third, *_ = text["If it failed now"]
+    assert first == (
+        "✓ 1. Fallback from pool navigation-hot would be carried out: pod robot-17-navigation-w7h5k (Executing). It took 509 ms, the "
+        "median of the last 2 times."
+    )
+    assert second.startswith(
+        "✓ 2. Fallback from pool navigation-spare is next, if that is not verified within 1s: it has pods ready"
+    )
+    assert third.startswith("✓ 3. Restart is next, if that is not verified within 20s. It took 3.68 s, the last time.")
+    assert text["Missing"] == ["✓ Nothing: its protection is complete."]
+    assert text["Pools"] == [
+        "navigation-hot (Executing): 1 ready, 1 wanted",
+        "robot-17-navigation-w7h5k on node-2: ready",
+        "navigation-spare (Uninitialized, shared): 3 of 4 ready; 1 of its pods drives a robot",
+        "navigation-spare-z5j7d on node-3: not ready",
+    ]
+
+
+def test_why_a_pool_whose_size_follows_the_failures_has_as_many() -> None:
+    why = "12 robots asked for a pod 6 times in 120 robot hours. So it keeps 3 pods."
+    said = {"type": "Sized", "status": "True", "reason": "Sized", "message": why, "lastTransitionTime": fleet.ago(60)}
+    figures = {
+        "needed": 3,
+        "robots": 12,
+        "failures": 6,
+        "robotHours": 120,
+        "failuresPerRobotHour": 0.058,
+        "low": 0.027,
+        "high": 0.098,
+    }
+    sizing = {"size": 3, "lastChange": fleet.ago(60), **figures}
+    pool = fleet.spare(size={"sizing": {"risk": "1%", "max": 9}}, sizing=sizing, conditions=[said])
+    item = fleet.well()
+    others = [one for one in fleet.around(item) if one["metadata"]["name"] != "navigation-spare"]
+    text = told(known(item, [*others, pool]))["Pools"]
+    assert text[2:4] == ["navigation-spare (Uninitialized, shared): 3 of 3 ready; 1 of its pods drives a robot", why]
+
+
+def test_a_strategy_that_could_not_be_carried_out_is_told_with_the_way_out_and_what_is_done_instead() -> None:
+    item = fleet.unprotected()
+    found = known(item, fleet.around(item, standby_waits="ImagePullBackOff"))
+    text = told(found)
+    assert not found.is_well
+    first, second, *_ = text["If it failed now"]
+    assert first.startswith(
+        "✗ 1. Fallback from pool navigation-hot can't be carried out (ImagePullBackOff): pod robot-19"
+    )
+    assert first.endswith("Check the image's name, that its registry can be reached, and imagePullSecrets.")
+    assert second.startswith("✓ 2. Fallback from pool navigation-spare would be carried out: it has pods ready")
+    assert "robot-19-navigation-w7h5k on node-2: not ready (ImagePullBackOff)" in text["Pools"]
+    assert text["Missing"] == [
+        "✗ not protected (ImagePullBackOff, 3m12s): the first strategy of its policy can't be carried out, see above."
+    ]
+
+
+def test_why_it_is_degraded_and_for_how_long() -> None:
+    head, why, tree, _ = told(known(fleet.degraded()))[""]
+    assert tree == "Its health tree leaf by leaf: understudy tree -n fleet robot-18-navigation"
+    assert head == "fleet/robot-18-navigation  Degraded for 38s"
+    assert why == "/scan at 8.6 Hz (band 9.0 to 11.0), from the tree's leaf sensors/scan."
+    assert told(known(fleet.degraded()))["Missing"][-1] == "✓ Its protection is complete."
+
+
+def test_without_a_monitor_nobody_would_notice() -> None:
+    item = fleet.unwatched()
+    found = known(item, [i for i in fleet.around(item) if "monitor" not in i["metadata"]["name"]])
+    text = told(found)
+    assert not found.is_well
+    assert text[""][0] == "fleet/robot-20-navigation  Unwatched"
+    assert text["If it failed now"][0].startswith("✗ Nobody would notice")
+    assert text["Missing"][0].startswith("✗ not protected (MonitorNotReady, 9s): the monitor (Deployment ")
+
+
+def test_the_cluster_is_believed_where_the_status_is_of_another_time() -> None:
+    item = fleet.well()
+    items = [i for i in fleet.around(item) if i["metadata"]["name"] != "robot-17-navigation-w7h5k"]
+    found = known(item, items)
+    assert not found.is_well
+    assert told(found)["Missing"] == [
+        "✗ not protected (StandbyNotReady): the first strategy of its policy can't be carried out, see above. Its status says that it "
+        "is: that is a moment old, or the operator isn't running."
+    ]
+
+
+def test_a_monitor_that_counts_on_another_strategy_is_told() -> None:
+    item = fleet.well()
+    item["status"]["strategy"] = "Restart"
+    assert any(line.startswith("! Its monitor says Restart.") for line in told(known(item))["If it failed now"])
+    assert not any("Its monitor says" in line for line in told(known(fleet.well()))["If it failed now"])
+
+
+def test_a_takeover_by_the_reflex_counts_as_one_by_its_strategy() -> None:
+    item = fleet.well()
+    for recovery in item["status"]["recoveries"]:
+        recovery["strategy"] = "Fallback/Executing (reflex)"
+    assert told(known(item))["If it failed now"][0].endswith("It took 509 ms, the median of the last 3 times.")
+
+
+@pytest.mark.parametrize(("priority", "waits"), [("Normal", True), ("Safety", False)])
+def test_the_pause_that_the_limits_ask_for(priority: str, waits: bool) -> None:
+    item = fleet.well()
+    policy = fleet.policy(limits={"cooldown": "5m"}, priority=priority)
+    others = [i for i in fleet.around(item) if i["kind"] != "FailurePolicy"]
+    first = told(known(item, [*others, policy]))["If it failed now"][0]
+    assert first.startswith("! Nothing would be done for another 48 s: limits.cooldown") is waits
+
+
+def test_a_pause_with_who_and_why() -> None:
+    item = fleet.well()
+    item["spec"]["pause"] = {"reason": "a new gripper", "owner": "ann", "until": "2026-11-22T18:00:00Z"}
+    first = told(known(item))["If it failed now"][0]
+    assert first == (
+        "! Nothing would be done, it is paused by ann: a new gripper, until 2026-11-22 18:00:00 UTC (spec.pause)."
+    )
+    item["spec"]["pause"]["until"] = "2026-11-22T14:00:00Z"
+    assert "paused" not in told(known(item))["If it failed now"][0], "that is over"
+
+
+@pytest.mark.parametrize(
+    ("spent", "resumed", "expected"),
+    [
+        ([], None, None),
+        ([100], None, "limits.budget of its policy (2 recoveries within 10m) has 1 left."),
+        (
+            [100, 60],
+            None,
+            "! It would be fenced, and nothing else would be done before 2026-11-22 14:14:44 UTC: the 2 recoveries",
+        ),
+        ([700, 60], None, "limits.budget of its policy (2 recoveries within 10m) has 1 left."),
+        ([100, 60], 30, None),
+    ],
+)
+def test_what_the_budget_has_left(spent: list[float], resumed: float | None, expected: str | None) -> None:
+    item = fleet.well()
+    item["status"]["spent"] = [fleet.ago(seconds) for seconds in spent]
+    if resumed is not None:
+        item["metadata"]["annotations"] = {names.RESUMED: fleet.ago(resumed)}
+    policy = fleet.policy(limits={"budget": {"recoveries": 2, "within": "10m"}})
+    others = [i for i in fleet.around(item) if i["kind"] != "FailurePolicy"]
+    first = told(known(item, [*others, policy]))["If it failed now"][0]
+    assert first.startswith(expected or "✓ 1. Fallback")
+
+
+def test_a_storm_by_which_it_would_be_held() -> None:
+    item, policy = fleet.well(), fleet.policy(limits={"stormGuard": {}})
+    policy["status"] = {"conditions": [fleet.said("Storm", "True", "ManyFail", "12 of 20 workloads fail.").to_wire()]}
+    others = [i for i in fleet.around(item) if i["kind"] != "FailurePolicy"]
+    first = told(known(item, [*others, policy]))["If it failed now"][0]
+    assert first == "! Unless a standby took over, it would be held by limits.stormGuard: 12 of 20 workloads fail."
+
+
+def test_what_keeps_it_from_being_recovered_is_told_once_among_what_is_missing() -> None:
+    item = fleet.well()
+    text = "Paused by ann: a new gripper."
+    item["status"]["conditions"] = [
+        *(c for c in item["status"]["conditions"] if c["type"] != "Protected"),
+        fleet.said("Paused", "True", "Maintenance", text).to_wire(),
+        fleet.said("Protected", "False", "Paused", f"{text} If it failed now, nothing would be done.").to_wire(),
+    ]
+    found = known(item)
+    assert not found.is_well
+    assert told(found)["Missing"] == [
+        "✗ not protected (Paused, 4m12s): Paused by ann: a new gripper. If it failed now, nothing would be done."
+    ]
+
+
+def test_nobody_in_control() -> None:
+    item = fleet.well()
+    gate = world.gate(item, epoch=42)
+    others = [i for i in fleet.around(item) if i["kind"] != "NetworkPolicy"]
+    assert "In control: nobody (gate epoch 42)." in told(known(item, [*others, gate]))[""]
+
+
+def test_a_policy_that_is_not_there() -> None:
+    item = fleet.well()
+    found = known(item, [i for i in fleet.around(item) if i["kind"] != "FailurePolicy"])
+    text = told(found)
+    assert 'no FailurePolicy "navigation" in namespace fleet' in text["If it failed now"][0]
+    assert text["If it failed now"][1] == "Its monitor goes by what was accepted last, and would use Executing."
+    assert "Not covered" not in text
+
+
+def test_a_pool_that_does_not_serve_it() -> None:
+    item = fleet.well()
+    item["metadata"]["labels"] = {"app": "navigation"}
+    text = told(known(item))
+    assert text["If it failed now"][0].startswith(
+        "✗ 1. Fallback from pool navigation-hot can't be carried out (PoolDoesNotServe): FallbackPool navigation-hot doesn't serve it"
+    )
+    assert not any(line.startswith("navigation-hot") for line in text["Pools"])
+
+
+def test_a_pool_that_is_short_is_told_unless_its_trouble_is() -> None:
+    item = fleet.unprotected()
+    others = [i for i in fleet.around(item, standby_waits="ImagePullBackOff") if i["kind"] != "FallbackPool"]
+    text = told(known(item, [*others, fleet.short_of_one(), fleet.short_of_another()]))
+    assert text["Missing"][1:] == ["✗ pool navigation-spare not ready (PodsNotReady): 3 of 4 are ready."]
+
+
+def test_no_strategy_could_be_carried_out() -> None:
+    item = fleet.well()
+    policy = fleet.policy({"type": "Fallback", "poolRef": {"name": "elsewhere"}})
+    others = [i for i in fleet.around(item) if i["kind"] != "FailurePolicy"]
+    text = told(known(item, [*others, policy]))
+    assert (
+        "✗ No strategy of its policy could be carried out: the robot would be left without commands."
+        in text["If it failed now"]
+    )
+    assert any("The policy has one strategy" in line for line in text["Not covered"])
+
+
+def test_what_the_protection_leaves_out_as_it_is_written() -> None:
+    item = fleet.workload(
+        "robot-17-navigation",
+        status=fleet.status("robot-17-navigation", "x8v2m", 41),
+        outputs=[
+            {"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist"},
+            {"topic": "/gripper", "type": "std_msgs/msg/Float64"},
+            {"service": "/clear", "type": "std_srvs/srv/Trigger"},
+        ],
+    )
+    first, *others = told(known(item))["Not covered"]
+    assert first == "The health tree doesn't watch /gripper: nobody notices where it falls silent."
+    assert any("keeps no state" in line for line in others)
+    assert any("no safety commands" in line for line in others)
+
+
+@pytest.mark.parametrize(
+    ("status", "reason", "told_first"),
+    [
+        ("Unknown", "NobodyReads", True),
+        ("True", "ReadPastTheGate", True),
+        ("True", "AtGatedPorts", False),
+        ("False", "ReaderWithoutProfile", False),
+    ],
+)
+def test_what_is_seen_of_the_outputs_readers_and_is_no_fault(status: Any, reason: str, told_first: bool) -> None:
+    name, words = "robot-17-navigation", "Of /cmd_vel it is so."
+    item = fleet.workload(
+        name, status=fleet.status(name, "x8v2m", 41, fleet.said("OutputsRead", status, reason, words))
+    )
+    text = told(known(item))
+    assert (text["Not covered"][0] == words) is told_first
+    assert any(words in line for line in text["Missing"]) is (status == "False")
+
+
+def test_a_pool_that_has_standbys_only_while_degraded_is_left_out_and_told() -> None:
+    item = fleet.well()
+    warm = {
+        "degraded": {
+            "monitoring": {"yaml": fleet.TREE},
+            "actions": [{"prewarm": {"poolRef": {"name": "navigation-hot"}}}],
+        }
+    }
+    cold = fleet.hot()
+    cold["spec"]["perWorkload"] = 0
+    others = [
+        i for i in fleet.around(item) if i["kind"] != "FailurePolicy" and i["metadata"]["name"] != "navigation-hot"
+    ]
+    text = told(known(item, [*others, fleet.policy(**warm), cold]))
+    assert text["If it failed now"][0].startswith("✓ 1. Fallback from pool navigation-spare would be carried out")
+    assert "Left out: navigation-hot, which has standbys only while the robot is degraded." in text["If it failed now"]
+
+
+def test_the_situation_that_it_is_in_and_what_is_in_force_by_that() -> None:
+    strategies = [{"type": "Fallback", "poolRef": {"name": "navigation-hot"}}, {"type": "Restart"}]
+    carrying = {"name": "carrying", "when": {"task": {"action": "/carry"}}, "strategies": strategies}
+    asked = fleet.policy({"type": "Restart"}, situations=[carrying])
+    item = fleet.well()
+    item["status"]["situation"] = {"name": "carrying", "since": fleet.ago(90), "reason": "a goal of /carry is active"}
+    words = "In the situation carrying, in force: Executing (navigation-hot), Restart."
+    item["status"]["conditions"].append(fleet.said("SituationCovered", "True", "InForce", words).to_wire())
+    text = told(known(item, [*(i for i in fleet.around(item) if i["kind"] != "FailurePolicy"), asked]))
+    assert f"Situation: carrying for 1m30s (a goal of /carry is active). {words}" in text[""]
+    assert text["If it failed now"][0].startswith("✓ 1. Fallback from pool navigation-hot would be carried out")
+
+
+def test_a_situation_whose_standby_is_not_ready_is_told_among_what_is_missing() -> None:
+    item = fleet.well()
+    words = (
+        "The robot is in the situation carrying. Until its first strategy can be carried out, the order stays Restart."
+    )
+    item["status"]["conditions"].append(fleet.said("SituationCovered", "False", "StandbyNotReady", words).to_wire())
+    assert f"! not as its situation asks (StandbyNotReady, 4m12s): {words}" in told(known(item))["Missing"]
+
+
+def test_the_newest_warnings_and_no_other_events() -> None:
+    events = [
+        fleet.event(900, "StandbyReplaced", "w-1 was ready"),
+        fleet.event(30, "GateBlocked", "Packets of w-2", count=3),
+        fleet.event(10, "Recovered", "all well", kind="Normal"),
+    ]
+    assert told(known(fleet.well(), None, *events))["Lately"] == [
+        "30s ago  GateBlocked, 3 times: Packets of w-2",
+        "15m ago  StandbyReplaced: w-1 was ready",
+    ]
+
+
+@pytest.mark.parametrize("columns", [60, 80, 140])
+def test_nothing_is_wider_than_the_terminal(columns: int) -> None:
+    item = fleet.unprotected()
+    found = known(item, fleet.around(item, standby_waits="ImagePullBackOff"))
+    assert max(len(line) for line in lines(found, columns=columns, colours=False)) <= columns
+
+
+def test_what_it_depends_on_and_what_depends_on_it() -> None:
+    needs = [{"name": "localization"}, {"name": "maps", "onRecovery": "Restart"}]
+    item = fleet.workload("planning", status=fleet.status("planning", "x8v2m", 4), dependsOn=needs)
+    first = fleet.workload("localization", status=fleet.status("localization", "c5n8r", 2, health="Recovering"))
+    last = fleet.workload("control", dependsOn=[{"name": "planning"}])
+    text = told(known(item, [*fleet.around(item), item, first, last]))
+    assert text["Dependencies"] == [
+        "✗ on localization (Recovering); once it was recovered, nothing is done here",
+        "✗ on maps, which is not there; once it was recovered, the pod in control here is replaced",
+        "On this one: control. While it isn't healthy, a failure of theirs that may follow from that is held.",
+    ]
+    assert "Dependencies" not in told(known(fleet.well()))
+
+
+def test_a_recovery_that_only_the_gate_tells_of() -> None:
+    item = fleet.well()
+    others = [one for one in fleet.around(item) if one["kind"] != "NetworkPolicy"]
+    items = [*others, fleet.gate(item, fleet.under_way())]
+    found = known(item, items)
+    text, how = told(found), "no /cmd_vel for 500 ms; Fallback/Executing is tried with robot-17-navigation-w7h5k."
+    assert (found.health, found.is_well) == ("Recovering", False)
+    assert text[""][:2] == ["fleet/robot-17-navigation  Recovering for 1s", how]
+    assert text[""][-1].startswith("In control: robot-17-navigation-w7h5k on node-2, gate epoch 42")
+    assert text["Missing"] == [f"✗ recovering (FailureDetected, 1s): {how}"]
+    assert for_scripts(found)["health"] == "Recovering"
+    assert known(item, [one for one in items if "monitor" not in one["metadata"]["name"]]).health == UNWATCHED
+
+
+def test_one_that_it_depends_on_is_recovering_as_soon_as_its_gate_says_so() -> None:
+    needs = [{"name": "robot-17-navigation"}]
+    item = fleet.workload("planning", status=fleet.status("planning", "x8v2m", 4), dependsOn=needs)
+    first = fleet.well()
+    around = [*fleet.around(item), first]
+    assert told(known(item, around))["Dependencies"][0].startswith("✓ on robot-17-navigation (Healthy);")
+    around.append(fleet.gate(first, fleet.under_way()))
+    assert told(known(item, around))["Dependencies"][0].startswith("✗ on robot-17-navigation (Recovering);")
+
+
+def test_a_failure_that_is_held_is_told_and_why() -> None:
+    why = "no /plan for 500 ms; localization, on which it depends, is Recovering; that one comes first"
+    held = fleet.said("DependencyFailed", "True", "Held", why, since=4)
+    item = fleet.workload("planning", status=fleet.status("planning", "x8v2m", 4, held, health="Failed"))
+    text = told(known(item))
+    assert text[""][0] == "fleet/planning  Failed for 4s"
+    assert text[""][1] == f"{why}."
+    assert f"✗ held (Held, 4s): {why}" in text["Missing"]

@@ -1,0 +1,155 @@
+"""Robots on one screen, however wide that is."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+
+import pytest
+
+from tests.unit.cli.console import fleet
+from understudy.cli.common.robots import pool, robot
+from understudy.cli.inspect.status_screen import Look, in_a_line, lines, screenful, summary
+
+ALL = [fleet.well(), fleet.degraded(), fleet.unprotected(), fleet.unwatched()]
+ROBOTS = [robot(item) for item in ALL]
+POOLS = [pool(fleet.short_of_one()), pool(fleet.short_of_another())]
+LOOK = Look(now=fleet.NOW)
+
+
+def told(columns: int | None, **look: bool) -> list[str]:
+    return list(lines(ROBOTS, POOLS, dataclasses.replace(LOOK, columns=columns, **look)))
+
+
+def test_who_drives_what_protects_it_and_the_last_recovery() -> None:
+    head, first, *_ = told(140)
+    assert head.split("  ")[0] == "ROBOT"
+    assert re.split(r"\s{2,}", first) == [
+        "robot-17-navigation", "Healthy", "yes", "robot-17-navigation-x8v2m (41)", "Executing (1/1)",
+        "509 ms by Fallback/Executing, 4m12s ago",
+    ]  # fmt: skip
+
+
+def test_a_problem_stands_below_its_robot_with_how_long_it_has_been_so() -> None:
+    found = told(140)
+    index = next(i for i, line in enumerate(found) if line.startswith("robot-19-navigation"))
+    assert "  NO  " in found[index]
+    assert found[index + 1].startswith("  not protected (ImagePullBackOff, 3m12s): pod robot-19-navigation-w7h5k")
+
+
+@pytest.mark.parametrize("columns", [40, 60, 80, 100, 120, 140])
+def test_nothing_is_wider_than_the_terminal(columns: int) -> None:
+    assert max(map(len, told(columns))) <= columns
+
+
+def test_a_narrow_terminal_has_the_same_robots() -> None:
+    for columns in (40, 80, 140):
+        text = " ".join(" ".join(told(columns)).split())
+        assert text.count("not protected (") == 2
+        assert "…-x8v2m (41)" in text or "robot-17-navigation-x8v2m (41)" in text
+
+
+def test_where_there_is_no_width_a_problem_is_one_whole_line() -> None:
+    assert sum(line.endswith("and imagePullSecrets. If it failed now, Fallback from pool navigation-spare would be used: it has pods "
+        "ready (Uninitialized).") for line in told(None)) == 1  # fmt: skip
+
+
+def test_a_pool_does_not_say_again_what_is_told_of_a_robot() -> None:
+    found = told(None)
+    assert sum("ImagePullBackOff: manifest unknown" in line for line in found) == 1
+    assert "  not ready (PodsNotReady, 4s): 3 of 4 are ready." in found
+    alone = list(lines([robot(fleet.well())], POOLS, LOOK))
+    assert any("2 of 3 are ready; pod robot-19-navigation-w7h5k" in line for line in alone)
+
+
+def test_where_not_all_fits_on_the_screen_what_is_not_well_comes_first() -> None:
+    look = dataclasses.replace(LOOK, columns=140)
+    everything = told(140)
+    assert screenful(ROBOTS, POOLS, look, len(everything)) == everything
+    found = screenful(ROBOTS, POOLS, look, 10)
+    assert len(found) == 10
+    assert found[0] == "4 robots: 2 not protected; 1 degraded, 2 healthy, 1 unwatched"
+    assert found[3].startswith("robot-19-navigation")
+    assert found[-1] == f"… {len(everything) - 9} more lines: make the window taller, or name some robots"
+
+
+def test_no_column_moves_when_a_health_changes() -> None:
+    name = "robot-17-navigation"
+    for columns in (80, 100, 140):
+        look = dataclasses.replace(LOOK, columns=columns)
+        heads = {
+            next(
+                iter(
+                    lines(
+                        [robot(fleet.workload(name, status=fleet.status(name, "x8v2m", 41, health=health)))], [], look
+                    )
+                )
+            )
+            for health in ("Healthy", "Recovering", "Failed")
+        }
+        assert len(heads) == 1
+
+
+def test_colours_add_to_words_and_shift_nothing() -> None:
+    coloured = [re.sub(r"\x1b\[[0-9;]*m", "", line) for line in told(140, colours=True)]
+    assert coloured == told(140)
+    assert any("\x1b[1;31mNO" in line for line in told(140, colours=True))
+
+
+def test_wide_has_more_and_is_not_narrowed() -> None:
+    head = told(40, wide=True)[0]
+    assert head.split()[-5:] == ["RECOVERIES", "NEXT", "SITUATION", "POLICY", "AGE"]
+
+
+def test_namespaces_are_named_where_all_are_shown() -> None:
+    assert told(None, namespaces=True)[1].startswith("fleet      robot-17-navigation")
+    assert told(40, namespaces=True)[0].startswith("fleet/robot-17-navigation")
+
+
+def test_nobody_in_control_and_a_recovery_that_came_to_nothing() -> None:
+    name = "robot-1"
+    failed = fleet.recovery(1, 60, result="Failed", recovery_seconds=None, strategy="")
+    status = fleet.status(name, "", 4, health="Failed", recoveries=[failed], recovery_count=1)
+    found = list(lines([robot(fleet.workload(name, status=status))], [], LOOK))
+    assert "nobody (4)" in found[1]
+    assert "FAILED, 59s ago" in found[1]
+
+
+def test_a_recovery_that_only_the_gate_tells_of() -> None:
+    item = fleet.well()
+    found = robot(item, fleet.gate(item, fleet.under_way()), fleet.NOW)
+    _, first, second, *_ = lines([found], [], LOOK)
+    assert re.split(r"\s{2,}", first)[1:4] == ["Recovering", "yes", "robot-17-navigation-w7h5k (42)"]
+    assert second == (
+        "  recovering (FailureDetected, 1s): no /cmd_vel for 500 ms; Fallback/Executing is tried with robot-17-navigation-w7h5k."
+    )
+    for columns in (40, 80):
+        told = list(lines([found], [], dataclasses.replace(LOOK, columns=columns)))
+        assert max(map(len, told)) <= columns
+        assert "Fallback/Executing is tried" in " ".join(" ".join(told).split())
+    assert in_a_line(found).endswith(
+        "recovering (FailureDetected): no /cmd_vel for 500 ms; Fallback/Executing is tried with robot-17-navigation-w7h5k."
+    )
+
+
+def test_texts_of_others_do_not_move_the_cursor() -> None:
+    bad = fleet.said("Protected", "False", "PoolEmpty", "a\x1b[2Jb\nc")
+    status = fleet.status("robot-1", "abcde", 1, bad)
+    shown = robot(fleet.workload("robot-1", status=status))
+    for text in [*lines([shown], [], LOOK), in_a_line(shown)]:
+        assert not set("\x1b\n") & set(text)
+
+
+def test_all_in_one_line() -> None:
+    assert summary(ROBOTS) == "4 robots: 2 not protected; 1 degraded, 2 healthy, 1 unwatched"
+    assert summary(ROBOTS[:1]) == "1 robot: all protected; 1 healthy"
+
+
+def test_one_robot_in_a_line_of_its_own_says_nothing_of_passing_time() -> None:
+    found = in_a_line(ROBOTS[2])
+    assert found.startswith(
+        "fleet/robot-19-navigation; Healthy; NOT PROTECTED; in control robot-19-navigation-c5n8r (epoch 7); standby Executing (0/1); "
+        "not protected (ImagePullBackOff): pod"
+    )
+    assert "last recovery #3 509 ms by Fallback/Executing" in in_a_line(ROBOTS[0])
+    assert "ago" not in in_a_line(ROBOTS[0])

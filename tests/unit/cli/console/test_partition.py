@@ -1,0 +1,249 @@
+"""``understudy inject partition``: what is put into the pod really cuts a network namespace off; the cluster is a stand-in for it."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.unit.cli.console import fleet
+from tests.unit.cli.console.kubectl import Stand
+from tests.unit.ros.network import network
+from understudy.cli.inject import command as inject
+from understudy.cli.inject import partition
+
+ROBOT = "robot-17-navigation"
+ALLOWED = {"kind": "Namespace", "metadata": {"name": "fleet", "labels": {inject.ALLOWED: "true"}}}
+REPOSITORY = Path(__file__).parents[4]
+
+KUBECTL = """#!{python}
+import http.server, json, os, subprocess, sys, time
+from pathlib import Path
+folder = Path({folder!r})
+given = sys.argv[1:]
+cluster = json.loads((folder / "cluster.json").read_text())
+if "logs" in given:
+    made = json.loads((folder / "made.json").read_text())
+    environment = {{**os.environ, **{{entry["name"]: entry["value"] for entry in made["env"]}}}}
+    os.dup2(1, 2)
+    os.execvpe((cluster["inside"] + made["command"])[0], cluster["inside"] + made["command"], environment)
+if "exec" in given:
+    os.execvp("sh", given[given.index("--") + 1 :])
+if "proxy" not in given:
+    os.execv({others!r}, [{others!r}, *given])
+
+class Handler(http.server.BaseHTTPRequestHandler):
+    def do_GET(self):
+        made = folder / "made.json"
+        status = {{}}
+        if made.exists():
+            name = json.loads(made.read_text())["name"]
+            status = {{"ephemeralContainerStatuses": [{{"name": name, "state": cluster["state"]}}]}}
+        self.answer(200, {{"spec": cluster["spec"], "status": status}})
+
+    def do_PATCH(self):
+        text = self.rfile.read(int(self.headers["Content-Length"]))
+        code, message = cluster["refusal"]
+        if code == 200:
+            assert self.path.endswith("/ephemeralcontainers")
+            assert self.headers["Content-Type"] == "application/strategic-merge-patch+json"
+            (made,) = json.loads(text)["spec"]["ephemeralContainers"]
+            (folder / "made.json").write_text(json.dumps(made))
+        self.answer(code, {{"message": message}})
+
+    def address_string(self):
+        return "here"
+
+    def log_message(self, *_):
+        pass
+
+    def answer(self, code, body):
+        text = json.dumps(body).encode()
+        self.send_response(code)
+        self.send_header("Content-Length", str(len(text)))
+        self.end_headers()
+        self.wfile.write(text)
+
+import socketserver
+path = next(a for a in given if a.startswith("--unix-socket=")).partition("=")[2]
+with socketserver.UnixStreamServer(path, Handler) as server:
+    print("Starting to serve on " + path, flush=True)
+    server.serve_forever(poll_interval=0.05)
+"""
+
+
+class Cluster:
+    """A pod that a container can be put into; what the container says is what its program says on this machine."""
+
+    def __init__(self, folder: Path, others: Path) -> None:
+        self._folder = folder
+        program = folder / "kubectl"
+        program.write_text(KUBECTL.format(python=sys.executable, folder=str(folder), others=str(others)))
+        program.chmod(0o755)
+        self.tell()
+
+    def tell(
+        self,
+        *,
+        inside: list[str] | None = None,
+        spec: dict[str, Any] | None = None,
+        state: dict[str, Any] | None = None,
+        refusal: tuple[int, str] = (200, ""),
+    ) -> None:
+        """``inside`` is what gets a program into the pod's network; ``state`` is the container's."""
+        told = {"inside": inside or [], "spec": spec or {}, "state": state or {"running": {}}, "refusal": refusal}
+        (self._folder / "cluster.json").write_text(json.dumps(told))
+
+    @property
+    def made(self) -> dict[str, Any] | None:
+        """The container that was put into the pod."""
+        path = self._folder / "made.json"
+        found: dict[str, Any] | None = json.loads(path.read_text()) if path.exists() else None
+        return found
+
+
+@pytest.fixture
+def cluster(stand: Stand, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Cluster:
+    item = fleet.well()
+    monitor = next(one for one in fleet.around(item) if one["metadata"]["name"] == f"{ROBOT}-monitor-1")
+    monitor |= {
+        "spec": {
+            "containers": [{"name": "monitor", "image": "registry/monitor:1", "imagePullPolicy": "Never"}],
+        },
+        "status": {"podIPs": [{"ip": "10.91.0.3"}, {"ip": "fd00::3"}]},
+    }
+    stand.tell([item, monitor, ALLOWED])
+    (tmp_path / "cluster").mkdir()
+    made = Cluster(tmp_path / "cluster", tmp_path / "kubectl")
+    monkeypatch.setenv("PATH", str(tmp_path / "cluster"), prepend=":")
+    return made
+
+
+needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="takes root, for network namespaces")
+
+
+@needs_root
+def test_the_pod_is_cut_off_for_so_long(cluster: Cluster, capsys: pytest.CaptureFixture[str]) -> None:
+    with network() as lan:
+        cluster.tell(inside=lan.host("10.91.0.1"))
+        assert inject.main([ROBOT, "partition", "--for", "500ms", "--yes"]) == 0
+    told, pod = capsys.readouterr().out.splitlines(), fleet.well()["status"]["active"]
+    assert cluster.made is not None
+    cut, again, further = told
+    assert cut == f"{pod}: container {cluster.made['name']} has cut it off from the network, for 0.5 s"
+    (after,) = re.findall(rf"^{pod}: it is connected again after ([\d.]+) s$", again)
+    assert float(after) >= 0.5, "it is told how long that was, which on a busy machine is longer"
+    assert further == f"What became of it: understudy timeline -n fleet {ROBOT}"
+
+
+@needs_root
+def test_it_can_be_cut_off_from_its_monitor_alone(cluster: Cluster, capsys: pytest.CaptureFixture[str]) -> None:
+    with network() as lan:
+        cluster.tell(inside=lan.host("10.91.0.1"))
+        whom = ["--from", "monitor", "--from", "10.91.7.0/24"]
+        assert inject.main([ROBOT, "partition", *whom, "--for", "200ms", "--yes"]) == 0
+    assert "has cut it off from 10.91.0.3, fd00::3, 10.91.7.0/24, for 0.2 s" in capsys.readouterr().out
+
+
+@needs_root
+def test_ctrl_c_connects_it_at_once(cluster: Cluster) -> None:
+    with network() as lan:
+        cluster.tell(inside=lan.host("10.91.0.1"))
+        command = [sys.executable, "-m", "understudy", "inject", ROBOT, "partition", "--for", "60s", "--yes"]
+        environment = {**os.environ, "PYTHONPATH": str(REPOSITORY / "operator")}
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as running:
+            assert running.stdout is not None, "it is a pipe"
+            assert "has cut it off from the network, for 60 s" in running.stdout.readline()
+            cut = time.monotonic()
+            running.send_signal(signal.SIGINT)
+            assert "it is connected again" in running.stdout.read()
+    assert running.returncode == 0
+    assert time.monotonic() - cut < 50
+
+
+def test_the_container_has_the_monitors_image_and_one_right(cluster: Cluster) -> None:
+    cluster.tell(inside=["true"])
+    inject.main([ROBOT, "partition", "--yes"])
+    assert cluster.made is not None
+    assert (cluster.made["image"], cluster.made["imagePullPolicy"]) == ("registry/monitor:1", "Never")
+    assert not any("$" in argument for argument in cluster.made["command"]), "a kubelet puts variables in there"
+    allowed = cluster.made["securityContext"]
+    assert allowed["capabilities"] == {"drop": ["ALL"], "add": ["NET_ADMIN"]}
+    assert not allowed["allowPrivilegeEscalation"]
+
+
+def test_what_it_says_of_an_error_is_told(cluster: Cluster, capsys: pytest.CaptureFixture[str]) -> None:
+    cluster.tell(inside=["sh", "-c", "echo it is no network to cut off; exit 1"])
+    assert inject.main([ROBOT, "partition", "--yes"]) == 2
+    assert "wasn't cut off: it is no network to cut off" in capsys.readouterr().err
+    cluster.tell(state={"terminated": {"exitCode": 1, "message": "the node's kernel can't do it\n"}})
+    assert inject.main([ROBOT, "partition", "--yes"]) == 2
+    assert "wasn't cut off: the node's kernel can't do it\n" in capsys.readouterr().err
+
+
+def test_one_that_does_not_start_is_told_and_cuts_nothing_later(
+    cluster: Cluster, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(partition, "START_WITHIN", 1.0)
+    cluster.tell(state={"waiting": {"reason": "ImagePullBackOff", "message": "manifest unknown"}})
+    assert inject.main([ROBOT, "partition", "--yes"]) == 2
+    error = capsys.readouterr().err
+    assert "hasn't started within 1 s (ImagePullBackOff: manifest unknown), and does nothing now" in error
+    assert cluster.made is not None
+    (latest,) = cluster.made["env"]
+    assert float(latest["value"]) < time.time() + 2
+
+
+POD_SECURITY = (
+    'pods "robot-17-navigation-x8v2m" is forbidden: violates PodSecurity "baseline:latest": non-default capabilities '
+    '(container "partition-1a2b3c" must not include "NET_ADMIN" in securityContext.capabilities.add)'
+)
+RIGHTS = (
+    'pods "robot-17-navigation-x8v2m" is forbidden: User "ann" cannot patch resource "pods/ephemeralcontainers" in API '
+    'group "" in the namespace "fleet"'
+)
+
+
+@pytest.mark.parametrize(
+    ("refusal", "words"),
+    [
+        (POD_SECURITY, "kubectl label --overwrite namespace fleet pod-security.kubernetes.io/enforce=privileged"),
+        (RIGHTS, "takes the right to patch pods/ephemeralcontainers, which the ClusterRole edit hasn't"),
+    ],
+)
+def test_what_the_cluster_refuses_is_told_with_the_cure(
+    cluster: Cluster, capsys: pytest.CaptureFixture[str], refusal: str, words: str
+) -> None:
+    cluster.tell(refusal=(403, refusal))
+    assert inject.main([ROBOT, "partition", "--yes"]) == 2
+    error = capsys.readouterr().err
+    assert words in error
+    assert refusal in error
+    assert cluster.made is None
+
+
+def test_a_pod_in_its_nodes_network_is_left_alone(cluster: Cluster, capsys: pytest.CaptureFixture[str]) -> None:
+    cluster.tell(spec={"hostNetwork": True})
+    assert inject.main([ROBOT, "partition", "--yes"]) == 2
+    assert "is in its node's network (hostNetwork): all of the node would be cut off" in capsys.readouterr().err
+    assert cluster.made is None
+
+
+@pytest.mark.parametrize("whom", ["the robot", "10.0.0.7/24", "robot-1"])
+def test_from_whom_must_be_said_by_addresses(cluster: Cluster, capsys: pytest.CaptureFixture[str], whom: str) -> None:
+    assert inject.main([ROBOT, "partition", "--from", whom, "--yes"]) == 2
+    assert f'--from "{whom}": write monitor, an address, or a network' in capsys.readouterr().err
+
+
+def test_without_a_monitor_there_is_no_image(stand: Stand, capsys: pytest.CaptureFixture[str]) -> None:
+    stand.tell([fleet.well(), ALLOWED])
+    assert inject.main([ROBOT, "partition", "--yes"]) == 2
+    assert f"the monitor of {ROBOT} isn't there" in capsys.readouterr().err

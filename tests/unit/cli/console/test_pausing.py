@@ -1,0 +1,80 @@
+"""``understudy pause`` and ``understudy resume``: what they write, and what they refuse."""
+
+from __future__ import annotations
+
+import getpass
+
+import pytest
+
+from tests.unit.cli.console import fleet
+from tests.unit.cli.console.kubectl import Stand
+from understudy.api import names
+from understudy.api.kinds.robot_workload import RobotWorkloadSpec
+from understudy.cli.control import pause, resume
+
+ROBOT = "robot-17-navigation"
+
+
+def test_it_is_paused_with_reason_owner_and_end(
+    stand: Stand, capsys: pytest.CaptureFixture[str], in_the_present: None
+) -> None:
+    given = [ROBOT, "-n", "fleet", "--reason", "a new gripper", "--owner", "ann", "--for", "1h30m"]
+    assert pause.main(given) == 0
+    assert stand.item(ROBOT)["spec"]["pause"] == {
+        "reason": "a new gripper",
+        "owner": "ann",
+        "until": "2026-11-22T15:36:24Z",
+    }
+    assert RobotWorkloadSpec.model_validate(stand.item(ROBOT)["spec"]).pause is not None
+    told = capsys.readouterr().out
+    assert told.startswith("fleet/robot-17-navigation: paused by ann: a new gripper, until 2026-11-22 15:36:24 UTC.")
+    assert stand.asked[-1].startswith(
+        "--namespace=fleet patch robotworkloads.understudy.dev robot-17-navigation --type=merge"
+    )
+
+
+def test_whoever_asks_for_it_is_its_owner_and_it_may_have_no_end(stand: Stand) -> None:
+    assert pause.main([ROBOT, "--reason", "a new gripper", "--until", "2099-01-01T00:00:00+01:00"]) == 0
+    assert stand.item(ROBOT)["spec"]["pause"]["owner"] == getpass.getuser()
+    assert pause.main([ROBOT, "--reason", "and a new arm"]) == 0
+    assert "until" not in stand.item(ROBOT)["spec"]["pause"], "not that of the pause before"
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        (["--until", "tonight"], '--until "tonight": write a moment as a date, a time and its zone (RFC 3339)'),
+        (["--until", "2026-02-30T00:00:00Z"], '--until "2026-02-30T00:00:00Z": write a moment'),
+        (["--until", "2026-11-22T14:00:00Z"], "--until 2026-11-22T14:00:00Z is over already"),
+        (["--for", "30"], '--for "30": write a duration as a number with ms, s, m or h'),
+        (["--owner", " "], "--owner is empty"),
+    ],
+)
+def test_what_is_no_end_or_says_nothing_is_refused(
+    stand: Stand, capsys: pytest.CaptureFixture[str], in_the_present: None, more: list[str], words: str
+) -> None:
+    assert pause.main([ROBOT, "--reason", "a new gripper", *more]) == 2
+    assert f"understudy pause: {words}" in capsys.readouterr().err
+    assert "pause" not in stand.item(ROBOT)["spec"]
+
+
+def test_resume_ends_it_and_forgets_what_was_spent(
+    stand: Stand, capsys: pytest.CaptureFixture[str], in_the_present: None
+) -> None:
+    assert pause.main([ROBOT, "--reason", "a new gripper", "--owner", "ann"]) == 0
+    assert resume.main([ROBOT]) == 0
+    item = stand.item(ROBOT)
+    assert "pause" not in item["spec"]
+    assert item["metadata"]["annotations"][names.RESUMED] == fleet.ago(0)
+    assert "no longer paused by ann: a new gripper." in capsys.readouterr().out
+    assert resume.main([ROBOT]) == 0
+    assert "it wasn't paused." in capsys.readouterr().out
+
+
+def test_resume_says_who_and_why_where_it_is_told(stand: Stand, capsys: pytest.CaptureFixture[str]) -> None:
+    assert resume.main([ROBOT, "--reason", "the gripper grips", "--owner", "bob"]) == 0
+    assert stand.item(ROBOT)["metadata"]["annotations"][names.RESUMED_FOR] == "bob: the gripper grips"
+    assert resume.main([ROBOT]) == 0
+    assert names.RESUMED_FOR not in stand.item(ROBOT)["metadata"]["annotations"], "that was of the time before"
+    assert resume.main([ROBOT, "--reason", " "]) == 2
+    assert "--reason is empty: whoever finds it resumed will want to know" in capsys.readouterr().err

@@ -1,0 +1,87 @@
+"""Recoveries as bars, words and figures."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.unit.cli.console import fleet
+from understudy.api.kinds.robot_workload import Attempt, Moments, Recovery
+from understudy.cli.inspect.recovery_text import lines
+
+
+def told(*recoveries: Recovery, columns: int | None = 100, last: int = 3, count: int | None = None) -> list[str]:
+    number = len(recoveries) if count is None else count
+    return list(lines("fleet/robot-17", number, recoveries, last=last, now=fleet.NOW, columns=columns, colours=False))
+
+
+def row(found: list[str], label: str) -> str:
+    return next(line for line in found if line.startswith(f"    {label}"))
+
+
+def test_each_part_begins_where_the_one_before_it_ended_and_all_are_to_scale() -> None:
+    found = told(fleet.recoveries()[1])
+    bars = {label: row(found, label) for label in ("detection", "cluster", "start-up", "re-init")}
+    room, total = 100 - 27, 0.502 + 1.832 + 0.758 + 0.590
+    for label, seconds in (("detection", 0.502), ("cluster", 1.832), ("start-up", 0.758), ("re-init", 0.590)):
+        assert bars[label].count("█") == pytest.approx(seconds / total * room, abs=1)
+    ends = [len(bar[:-9].rstrip()) for bar in bars.values()]
+    begins = [17 + len(bar[17:]) - len(bar[17:].lstrip()) for bar in bars.values()]
+    assert begins[0] == 17
+    assert begins[1:] == pytest.approx(ends[:-1], abs=1)
+    assert bars["cluster"].endswith(" 1.83 s")
+
+
+def test_what_failed_who_took_over_and_what_was_tried_in_vain() -> None:
+    found = told(fleet.recoveries()[1])
+    assert found[2] == "#2  2026-11-22 13:03:24Z (1h3m ago)  recovered in 3.68 s by Restart"
+    assert found[3] == "    commands: no /cmd_vel for 500 ms while /navigate_to_pose was active"
+    assert "…-m2c7p → …-7k2xq, gate epoch 40, first command 31 ms after the switch" in row(found, "control")
+    assert "detected +502 ms · fenced +2.33 s · started +3.09 s" in row(found, "moments")
+    assert row(found, "state").endswith("/amcl_pose 612 ms old, carried 0.21 m · /map NOT given: it never came")
+    assert "Fallback/Executing: not available: robot-17-navigation-v4d9s" in row(found, "in vain")
+
+
+def test_all_that_are_kept_are_compared_to_one_scale() -> None:
+    found = told(*fleet.recoveries(), count=12)
+    assert found[0] == "fleet/robot-17: 12 recoveries, the last 3 of which are kept"
+    fast, slow = found[2], found[3]
+    assert fast.endswith("509 ms")
+    assert slow.endswith("3.68 s")
+    shades = slow.count("░") + slow.count("█") + slow.count("▓") + slow.count("▒")
+    assert fast.count("░") + fast.count("█") == pytest.approx(shades * 0.509 / 3.682, abs=1)
+    assert fast.index("░") == slow.index("░")
+
+
+def test_only_the_newest_are_told_one_by_one() -> None:
+    found = told(*fleet.recoveries(), last=1)
+    assert [line[:2] for line in found if line.startswith("#")] == ["#3", "#2", "#1", "#3"]
+
+
+@pytest.mark.parametrize("columns", [60, 80, 140])
+def test_nothing_is_wider_than_the_terminal(columns: int) -> None:
+    assert max(map(len, told(*fleet.recoveries(), columns=columns))) <= columns
+
+
+def test_one_that_came_to_nothing() -> None:
+    tried = [Attempt(strategy="Restart", pod="robot-17-abc", result="NotVerified", message="not verified within 60 s")]
+    failed = fleet.recovery(
+        4, 100, result="Failed", strategy="", recovery_seconds=None, parts=(0.5, 60.0, 0.0, 0.0), attempts=tried, new=""
+    )
+    found = told(failed)
+    assert found[2].endswith("FAILED: nothing verified")
+    assert not any(line.startswith("    control") for line in found)
+    assert row(found, "in vain").endswith("Restart with robot-17-abc: not verified: not verified within 60 s")
+
+
+def test_a_hand_over_that_was_planned_and_one_that_another_monitor_finished() -> None:
+    assert "handed over as planned in 509 ms" in told(fleet.recovery(1, 5, planned=True))[2]
+    assert "its monitor was replaced" in row(told(fleet.recovery(1, 5, resumed=True)), "resumed")
+
+
+def test_one_without_parts_and_moments() -> None:
+    bare = Recovery(id="r", reason="pod a is gone", result="Failed", moments=Moments())
+    assert told(bare, bare, columns=None)[0] == "fleet/robot-17: 2 recoveries"
+
+
+def test_none_yet() -> None:
+    assert told() == ["fleet/robot-17: no recovery yet"]

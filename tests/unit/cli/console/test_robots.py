@@ -1,0 +1,144 @@
+"""What the status of robots and pools comes to."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from tests.unit.cli.console import fleet
+from tests.unit.cli.console.fleet import said
+from understudy.cli.common.kubectl import Unusable
+from understudy.cli.common.robots import UNWATCHED, pool, robot
+
+
+def told(*conditions: Any, **more: Any) -> list[tuple[str, str]]:
+    name = "robot-1"
+    found = robot(fleet.workload(name, status=fleet.status(name, "abcde", 1, *conditions, **more)))
+    return [(problem.about, problem.reason) for problem in found.problems]
+
+
+def test_a_robot_that_is_well() -> None:
+    found = robot(fleet.well())
+    assert found.is_well
+    assert (found.health, found.active, found.epoch) == ("Healthy", "robot-17-navigation-x8v2m", 41)
+    assert found.problems == []
+    assert found.last_recovery is not None
+    assert found.last_recovery.strategy == "Fallback/Executing"
+    assert found.last_recovery.recovery_seconds == pytest.approx(0.509)
+    assert found.last_recovery.ended == fleet.ago(252.6 - 0.561)
+
+
+def test_one_that_is_degraded_is_driven_and_told() -> None:
+    found = robot(fleet.degraded())
+    assert found.is_well
+    assert [problem.type for problem in found.problems] == ["Degraded"]
+
+
+def test_one_without_a_monitor_is_not_as_its_monitor_has_said_last() -> None:
+    found = robot(fleet.unwatched())
+    assert found.health == UNWATCHED
+    assert not found.is_well
+
+
+@pytest.mark.parametrize("health", ["Failed", "Recovering", "Starting", "Unknown"])
+def test_one_that_nobody_drives_is_not_well_however_protected(health: str) -> None:
+    name = "robot-1"
+    assert not robot(fleet.workload(name, status=fleet.status(name, "abcde", 1, health=health))).is_well
+
+
+def test_the_same_trouble_is_told_once_and_protection_comes_first() -> None:
+    name = "robot-19-navigation"
+    found = robot(fleet.unprotected())
+    assert [problem.type for problem in found.problems] == ["Protected"]
+    assert found.problems[0].since is not None
+    both = [said("GateEnforced", "False", "NotEnforced"), said("Protected", "False", "PoolEmpty")]
+    assert told(*both) == [("not protected", "PoolEmpty"), ("gate not enforced", "NotEnforced")]
+    gate, read = (said(type_, "False", "ReaderWithoutProfile") for type_ in ("GateEnforced", "OutputsRead"))
+    assert told(gate, read) == [("gate not enforced", "ReaderWithoutProfile")]
+    assert told(said("GateEnforced", "False", "NotEnforced"), read) == [
+        ("gate not enforced", "NotEnforced"),
+        ("read past the gate", "ReaderWithoutProfile"),
+    ]
+    assert robot(fleet.workload(name)).problems[0].reason == "NotSeen"
+
+
+def test_a_recovery_is_a_problem_while_it_runs_and_when_it_came_to_nothing() -> None:
+    assert told(said("Recovering", "True", "FailureDetected")) == [("recovering", "FailureDetected")]
+    assert told(said("Recovering", "False", "NothingVerified")) == [("not recovered", "NothingVerified")]
+    assert told(said("Recovering", "False", "HealthyAgain")) == []
+
+
+def test_what_is_only_waited_for_is_none() -> None:
+    assert told(said("GateEnforced", "Unknown", "Settling"), said("Degraded", "Unknown", "Starting")) == []
+    assert told(said("OutputsRead", "Unknown", "NobodyReads")) == []
+
+
+def test_a_condition_of_a_later_version_is_told_by_its_name() -> None:
+    assert told(said("Painted", "False", "NoPaint")) == [("Painted", "NoPaint")]
+
+
+def test_a_spec_that_the_operator_has_not_seen() -> None:
+    assert told(observed_generation=fleet.GENERATION - 1) == [("not accepted", "NotSeen")]
+
+
+def test_a_status_of_a_later_version_is_refused_with_what_to_do() -> None:
+    item = fleet.well()
+    item["status"]["health"] = "Splendid"
+    with pytest.raises(Unusable, match=r"fleet/robot-17-navigation: status.health: .*as new as the operator"):
+        robot(item)
+
+
+def test_of_a_recovery_the_gate_tells_first_and_who_is_in_control_by_then() -> None:
+    item = fleet.well()
+    found = robot(item, fleet.gate(item, fleet.under_way()), fleet.NOW)
+    assert (found.health, found.active, found.epoch) == ("Recovering", "robot-17-navigation-w7h5k", 42)
+    assert not found.is_well
+    assert found.recovering is not None
+    assert [(one.about, one.reason, one.message, one.since) for one in found.problems] == [
+        ("recovering", "FailureDetected", found.recovering.message, fleet.ago(1))
+    ]
+    closed = robot(item, fleet.gate(item, fleet.under_way(), active="", epoch=43), fleet.NOW)
+    assert (closed.active, closed.epoch) == ("", 43)
+
+
+def test_a_gate_that_tells_nothing_new_changes_nothing() -> None:
+    item = fleet.well()
+    assert robot(item, fleet.gate(item, None), fleet.NOW) == robot(item)
+    assert robot(item, fleet.gate(item, fleet.under_way(id="r3")), fleet.NOW) == robot(item)
+
+
+def test_once_the_status_says_so_too_it_is_told_once() -> None:
+    name, began = "robot-17-navigation", fleet.NOW - 40
+    since = {"health": "Recovering", "failing_since": fleet.ago(40.5)}
+    said_too = said("Recovering", "True", "FailureDetected", "no /cmd_vel for 500 ms", since=40)
+    item = fleet.workload(name, status=fleet.status(name, "x8v2m", 41, said_too, **since))
+    found = robot(item, fleet.gate(item, fleet.under_way(began=began, strategy="Restart"), active=""), fleet.NOW)
+    (problem,) = found.problems
+    assert problem.message == "no /cmd_vel for 500 ms; Restart is tried with robot-17-navigation-w7h5k."
+    assert (found.health, found.active) == ("Recovering", "")
+
+
+def test_where_the_status_says_whom_it_waits_for_that_is_told() -> None:
+    name = "robot-17-navigation"
+    waits = said(
+        "Recovering", "True", "WaitingForPod", "since 14:02:11 UTC it waits, number 2 of 3 that wait", since=40
+    )
+    item = fleet.workload(name, status=fleet.status(name, "x8v2m", 41, waits, health="Recovering"))
+    found = robot(item, fleet.gate(item, fleet.under_way(began=fleet.NOW - 40), active=""), fleet.NOW)
+    assert [(one.reason, one.message) for one in found.problems] == [("WaitingForPod", waits.message)]
+    assert found.recovering is not None
+
+
+def test_where_nobody_watches_it_nobody_recovers_it_either() -> None:
+    item = fleet.unwatched()
+    found = robot(item, fleet.gate(item, fleet.under_way()), fleet.NOW)
+    assert (found.health, found.recovering) == (UNWATCHED, None)
+    assert [problem.type for problem in found.problems] == ["Protected"]
+
+
+def test_pools_are_short_of_what_they_should_have() -> None:
+    assert pool(fleet.spare()).is_short
+    assert not pool(fleet.spare(ready=4)).is_short
+    assert not pool(fleet.hot()).is_short, "a standby that drives is one of those that should be there"
+    assert pool(fleet.short_of_one()).is_short

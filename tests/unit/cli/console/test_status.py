@@ -1,0 +1,295 @@
+"""``understudy status``: what it asks kubectl, what it tells in a terminal and elsewhere, and how it ends."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import pty
+import select
+import signal
+import struct
+import subprocess
+import sys
+import termios
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from tests.unit.cli.console import fleet
+from tests.unit.cli.console.kubectl import Stand
+from understudy.cli.common.terminal import BEGIN, END
+from understudy.cli.inspect.status import AGAIN, main
+
+REPOSITORY = Path(__file__).parents[4]
+LONG = 60.0
+"""Seconds that are waited for anything."""
+
+
+def test_the_fleet_on_one_screen(stand: Stand, capsys: pytest.CaptureFixture[str], in_the_present: None) -> None:
+    assert main(["-n", "fleet", "--context", "lab"]) == 1, "one of them isn't protected"
+    told = capsys.readouterr().out
+    assert told.startswith("ROBOT ")
+    assert told.endswith("3 robots: 1 not protected; 1 degraded, 2 healthy\n")
+    assert "\x1b" not in told, "colours are for terminals"
+    gates, asked = stand.asked
+    assert asked.startswith(
+        "--namespace=fleet --context=lab get robotworkloads.understudy.dev,fallbackpools.understudy.dev -o json"
+    )
+    ours = "-l app.kubernetes.io/managed-by=understudy"
+    assert gates.startswith(f"--namespace=fleet --context=lab get networkpolicies.networking.k8s.io {ours} -o json"), (
+        "and before the robots: what their status tells of isn't under way"
+    )
+
+
+def test_some_of_them_by_name(stand: Stand, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["robot-17-navigation"]) == 0
+    assert capsys.readouterr().out.endswith("1 robot: all protected; 1 healthy\n")
+    assert main(["robot-17-navigation", "robot-18-navigation"]) == 0
+    assert capsys.readouterr().out.endswith("2 robots: all protected; 1 degraded, 1 healthy\n")
+    assert "POOL" not in capsys.readouterr().out
+
+
+def test_every_namespace(stand: Stand, capsys: pytest.CaptureFixture[str]) -> None:
+    main(["-A"])
+    assert capsys.readouterr().out.startswith("NAMESPACE  ROBOT ")
+    assert all(" -A -o json" in asked for asked in stand.asked)
+
+
+@pytest.mark.parametrize(("output", "read"), [("json", json.loads), ("yaml", yaml.safe_load)])
+def test_everything_for_scripts(stand: Stand, capsys: pytest.CaptureFixture[str], output: str, read: type) -> None:
+    assert main(["-o", output]) == 1
+    told = read(capsys.readouterr().out)
+    first, _, third = told["robots"]
+    assert first["active"] == "robot-17-navigation-x8v2m"
+    assert first["lastRecovery"]["recoverySeconds"] == pytest.approx(0.509)
+    assert (third["protected"], third["problems"][0]["reason"]) == (False, "ImagePullBackOff")
+    assert [pool["ready"] for pool in told["pools"]] == [2, 3]
+
+
+def recovering(**changes: Any) -> list[dict[str, Any]]:
+    """The fleet, and a gate that tells of a recovery."""
+    return [*fleet.fleet(), fleet.gate(fleet.well(), fleet.under_way(**changes))]
+
+
+def test_a_recovery_is_told_by_the_gate_before_the_status_does(
+    stand: Stand, capsys: pytest.CaptureFixture[str], in_the_present: None
+) -> None:
+    stand.tell(recovering())
+    assert main([]) == 1
+    told = capsys.readouterr().out
+    assert told.endswith("3 robots: 1 not protected; 1 degraded, 1 healthy, 1 recovering\n")
+    assert "  recovering (FailureDetected, 1s): no /cmd_vel for 500 ms; Fallback/Executing is tried" in told
+    assert main(["-o", "json"]) == 1
+    first, second, _ = json.loads(capsys.readouterr().out)["robots"]
+    assert (first["health"], first["active"], first["epoch"]) == ("Recovering", "robot-17-navigation-w7h5k", 42)
+    assert first["recovering"] == {
+        "reason": "no /cmd_vel for 500 ms",
+        "occasion": "FailureDetected",
+        "since": fleet.ago(1),
+        "strategy": "Fallback/Executing",
+        "pod": "robot-17-navigation-w7h5k",
+        "tried": [],
+    }
+    assert "recovering" not in second
+
+
+@pytest.mark.parametrize(
+    ("others", "expected"), [([], "Recovering"), (["robot-18-navigation"], "Recovering"), (["robot-2"], "not found")]
+)
+def test_of_some_by_name_the_gates_are_asked_for_by_name(
+    stand: Stand, capsys: pytest.CaptureFixture[str], in_the_present: None, others: list[str], expected: str
+) -> None:
+    stand.tell(recovering())
+    main(["robot-17-navigation", *others])
+    told = capsys.readouterr()
+    assert expected in told.out + told.err, "whether or not the others have a gate"
+    gates = " ".join(f"{name}-gate" for name in ["robot-17-navigation", *others])
+    assert stand.asked[0].startswith(f"get networkpolicies.networking.k8s.io {gates} --ignore-not-found -o json")
+
+
+def test_who_may_not_read_gates_sees_what_the_status_says(
+    stand: Stand, capsys: pytest.CaptureFixture[str], in_the_present: None
+) -> None:
+    stand.tell(recovering(), forbidden=["networkpolicies"])
+    assert main([]) == 1
+    told = capsys.readouterr()
+    assert told.out.endswith("3 robots: 1 not protected; 1 degraded, 2 healthy\n")
+    assert told.err == ""
+    stand.tell(fleet.fleet(), forbidden=["robotworkloads"])
+    assert main([]) == 2, "without robots there is nothing to be shown"
+    assert "robotworkloads.understudy.dev,fallbackpools.understudy.dev is forbidden" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "words"),
+    [
+        (["robot-2"], "", 'robotworkloads.understudy.dev "robot-2" not found'),
+        ([], "error: the server doesn't have a resource type", "the server doesn't have a resource type"),
+        (["-w"], "Unable to connect to the server", "Unable to connect to the server"),
+    ],
+)
+def test_what_can_not_be_told(
+    stand: Stand, capsys: pytest.CaptureFixture[str], arguments: list[str], error: str, words: str
+) -> None:
+    stand.tell(fleet.fleet(), error=error)
+    assert main(arguments) == 2
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert told.err.startswith("understudy status: ")
+    assert words in told.err
+
+
+def test_no_robot_at_all_is_not_all_protected(stand: Stand, capsys: pytest.CaptureFixture[str]) -> None:
+    stand.tell([fleet.spare()])
+    assert main([]) == 2
+    assert "there is no RobotWorkload in this namespace" in capsys.readouterr().err
+
+
+def test_watching_is_not_for_scripts(stand: Stand) -> None:
+    with pytest.raises(SystemExit):
+        main(["-w", "-o", "json"])
+
+
+class Watching:
+    """``understudy status -w`` in a process of its own."""
+
+    def __init__(self, *, terminal: bool, environment: dict[str, str] | None = None) -> None:
+        if terminal:
+            self._reading, writing = pty.openpty()
+            fcntl.ioctl(writing, termios.TIOCSWINSZ, struct.pack("HHHH", 40, 120, 0, 0))
+        else:
+            self._reading, writing = os.pipe()
+        variables = {k: v for k, v in os.environ.items() if k not in ("COLUMNS", "LINES", "NO_COLOR")}
+        variables |= {"PYTHONPATH": str(REPOSITORY / "operator")} | (environment or {})
+        command = [sys.executable, "-m", "understudy", "status", "-w"]
+        self.process = subprocess.Popen(command, stdout=writing, env=variables)
+        os.close(writing)
+        self.told = ""
+
+    def until(self, words: str) -> str:
+        """What it wrote from here to these words."""
+        end, begin = time.monotonic() + LONG, len(self.told)
+        while words not in self.told[begin:]:
+            left = end - time.monotonic()
+            assert left > 0, f"{words!r} was not told within {LONG} s, but {self.told[begin:]!r}"
+            if select.select([self._reading], [], [], left)[0]:
+                told = os.read(self._reading, 65536).decode()
+                assert told, f"it ended with {self.process.wait(LONG)} before {words!r}"
+                self.told += told
+        return self.told[begin:]
+
+    def end(self) -> int:
+        """End it as Ctrl-C does; its exit status."""
+        self.process.send_signal(signal.SIGINT)
+        return self.process.wait(LONG)
+
+    def close(self) -> None:
+        if self.process.poll() is None:
+            self.end()  # killed outright, it would leave behind the kubectl that watches for it
+        os.close(self._reading)
+
+
+@pytest.fixture
+def watching(request: pytest.FixtureRequest, stand: Stand) -> Iterator[Watching]:
+    made = Watching(**request.param)
+    yield made
+    made.close()
+
+
+def test_who_may_not_watch_sees_changes_all_the_same(stand: Stand) -> None:
+    stand.tell(fleet.fleet(), watch=False)
+    watching = Watching(terminal=False)
+    try:
+        watching.until("fleet/robot-19-navigation; Healthy")
+        stand.tell([fleet.degraded(), fleet.unprotected()], watch=False)
+        watching.until("fleet/robot-17-navigation; is gone")
+    finally:
+        watching.close()
+
+
+def test_an_api_server_that_does_not_answer_is_asked_again(stand: Stand) -> None:
+    watching = Watching(terminal=False)
+    try:
+        watching.until("fleet/robot-19-navigation; Healthy")
+        stand.tell([], error="Unable to connect to the server")
+        watching.until("Unable to connect to the server; asking again")
+        stand.tell([fleet.degraded()])
+        watching.until("fleet/robot-17-navigation; is gone")
+        assert watching.end() == 0
+    finally:
+        watching.close()
+
+
+@pytest.mark.parametrize("watching", [{"terminal": True}], indirect=True)
+def test_a_terminal_s_screen_is_written_anew_when_a_robot_changes(stand: Stand, watching: Watching) -> None:
+    first = watching.until("3 robots: 1 not protected")
+    assert first.startswith(BEGIN)
+    assert "\x1b[2J" not in first, "a screen that is cleared flickers"
+    assert "\x1b[1;31mFailed" not in first
+    failed = fleet.well()
+    failed["status"] |= {"health": "Failed"}
+    stand.tell([failed, fleet.degraded(), fleet.unprotected()])
+    assert "\x1b[H" in watching.until("\x1b[1;31mFailed")
+    status = watching.end()
+    watching.until(END)
+    assert status == 1
+
+
+@pytest.mark.parametrize("watching", [{"terminal": False}], indirect=True)
+def test_a_change_of_a_gate_alone_is_shown_at_once_and_what_the_status_tells_is_over(
+    stand: Stand, watching: Watching
+) -> None:
+    watching.until("fleet/robot-19-navigation; Healthy")
+    began = time.time()
+    beside = fleet.gate(fleet.well(), fleet.under_way(began=began))
+    stand.tell([*fleet.fleet(), beside])
+    assert "fleet/robot-17-navigation; Recovering; protected; in control robot-17-navigation-w7h5k (epoch 42)" in (
+        watching.until("Fallback/Executing is tried with robot-17-navigation-w7h5k.")
+    )
+    assert time.time() - began < AGAIN, "it was told of it, and didn't find it by asking again"
+    recovered = fleet.well()
+    recovered["status"]["recoveries"].insert(0, fleet.recovery(4, fleet.NOW - began).to_wire())
+    stand.tell([recovered, *fleet.fleet()[1:], beside])
+    assert "robot-18" not in watching.until("fleet/robot-17-navigation; Healthy")
+    assert watching.end() == 1
+
+
+def test_who_may_not_read_gates_can_watch_robots(stand: Stand) -> None:
+    stand.tell(recovering(began=time.time()), forbidden=["networkpolicies"])
+    watching = Watching(terminal=False)
+    try:
+        watching.until("fleet/robot-19-navigation; Healthy")
+        asked = len([line for line in stand.asked if "get networkpolicies" in line])
+        stand.tell([*recovering(began=time.time())[1:]], forbidden=["networkpolicies"])
+        watching.until("fleet/robot-17-navigation; is gone")
+        assert "Recovering" not in watching.told
+        assert len([line for line in stand.asked if "get networkpolicies" in line]) == asked, (
+            "once is enough for a while"
+        )
+    finally:
+        watching.close()
+
+
+@pytest.mark.parametrize("watching", [{"terminal": True, "environment": {"NO_COLOR": "1"}}], indirect=True)
+def test_no_colours_where_none_are_wanted(watching: Watching) -> None:
+    assert "\x1b[32m" not in watching.until("3 robots: 1 not protected")
+
+
+@pytest.mark.parametrize("watching", [{"terminal": False}], indirect=True)
+def test_elsewhere_each_change_is_a_line(stand: Stand, watching: Watching) -> None:
+    watching.until("fleet/robot-19-navigation; Healthy; NOT PROTECTED")
+    failed = fleet.well()
+    failed["status"] |= {"health": "Failed"}
+    stand.tell([failed, fleet.degraded()])
+    changed = watching.until("fleet/robot-19-navigation; is gone")
+    assert "fleet/robot-17-navigation; Failed; protected; in control robot-17-navigation-x8v2m (epoch 41)" in changed
+    assert "robot-18" not in changed, "it is as it was"
+    stand.tell([fleet.well(), fleet.degraded()])
+    watching.until("fleet/robot-17-navigation; Healthy")
+    assert "\x1b" not in watching.told
+    assert watching.end() == 0

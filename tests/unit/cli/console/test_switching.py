@@ -1,0 +1,139 @@
+"""``understudy failover`` and ``understudy failback``: what they ask for, what they wait for and how they end."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import pytest
+
+from tests.unit.cli.console import fleet
+from tests.unit.cli.console.kubectl import Stand
+from understudy.api.kinds.robot_workload import Attempt, Moments, Recovery
+from understudy.api.kinds.switchover_spec import SwitchoverStatus, parse
+from understudy.cli.control import failback, failover, switchover_request
+
+NAME = "robot-17-navigation"
+
+
+def phase(name: str, message: str, **more: Any) -> dict[str, Any]:
+    handled = "ASKED" if name in ("Done", "NotDone") else ""
+    found = SwitchoverStatus(
+        kind="Failover",
+        request="ASKED",
+        phase=name,
+        message=message,
+        since=fleet.ago(0),
+        **{"handled": handled} | more,  # type: ignore[arg-type]
+    )
+    return {"switchover": found.to_wire()}
+
+
+def record(result: str = "Recovered") -> dict[str, Any]:
+    found = Recovery(
+        id="r-4",
+        number=4,
+        reason="failover asked for by annotation",
+        result=result,  # type: ignore[arg-type]
+        strategy="Fallback/Executing",
+        from_pod="robot-17-navigation-7k2xq",
+        to_pod="robot-17-navigation-x8v2m",
+        epoch=42,
+        planned=True,
+        switchover="Failover",
+        moments=Moments(
+            last_output=fleet.ago(0.062), fenced=fleet.ago(0.06), routed=fleet.ago(0.06), first_output=fleet.ago(0.01)
+        ),
+        attempts=[Attempt(strategy="Fallback/Executing", result="Verified")],
+    )
+    return {"recoveries": [found.to_wire()]}
+
+
+@pytest.fixture(autouse=True)
+def quickly(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(switchover_request, "LOOK", 0.05)
+
+
+def test_it_asks_waits_and_tells_what_the_robot_saw(stand: Stand, capsys: pytest.CaptureFixture[str]) -> None:
+    stand.tell(
+        [fleet.well()],
+        then=[
+            {},
+            phase("Preparing", "An understudy is being brought to where it can drive."),
+            phase("Preparing", "An understudy is being brought to where it can drive."),
+            phase("Done", "It took over.", recovery="r-4") | record(),
+        ],
+    )
+    assert failover.main([NAME, "-n", "fleet"]) == 0
+    assert capsys.readouterr().out.splitlines() == [
+        "asked for",
+        "preparing: An understudy is being brought to where it can drive.",
+        "done: …-7k2xq → …-x8v2m by Fallback/Executing, gate epoch 42",
+        "  at the robot: no command for 52 ms",
+    ]
+    (asked,) = [line for line in stand.asked if "annotate" in line]
+    found = re.search(
+        r"annotate robotworkloads\.understudy\.dev (\S+) --overwrite understudy\.dev/switchover=(.*) --", asked
+    )
+    assert found is not None
+    assert (found[1], parse(found[2]).kind) == (NAME, "Failover")
+
+
+def test_where_it_comes_to_nothing_the_reason_is_told(stand: Stand, capsys: pytest.CaptureFixture[str]) -> None:
+    reason = "It couldn't begin for 30 s, and nothing was changed: Fallback/Executing: w-2: no /cmd_vel."
+    stand.tell([fleet.well()], then=[phase("Waiting", "w-2: no /cmd_vel."), phase("NotDone", reason)])
+    assert failback.main([NAME]) == 1
+    assert capsys.readouterr().out.splitlines()[1:] == ["waiting: w-2: no /cmd_vel.", f"NOT done: {reason}"]
+    assert any("understudy.dev/switchover=failback " in line for line in stand.asked)
+
+
+def test_where_the_robot_is_driven_from_home_already_it_is_done(
+    stand: Stand, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stand.tell([fleet.well()], then=[phase("Done", "w-1 of the workload's own controller is in control already.")])
+    assert failback.main([NAME]) == 0
+    assert "done: w-1 of the workload's own controller" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("given", ["0", "0s", "-3", "soon", "nan", "inf", ""])
+def test_how_long_it_waits_is_a_duration(stand: Stand, capsys: pytest.CaptureFixture[str], given: str) -> None:
+    with pytest.raises(SystemExit) as ended:
+        failover.main([NAME, f"--within={given}"])
+    assert ended.value.code == 2
+    assert f"argument --within: found {given!r}; give a duration above 0, such as 500ms" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("given", ["0.3", "300ms"])
+def test_it_does_not_wait_for_ever_and_says_how_to_take_it_back(
+    stand: Stand, capsys: pytest.CaptureFixture[str], given: str
+) -> None:
+    stand.tell([fleet.well()])
+    assert failover.main([NAME, "--within", given]) == 2
+    told = capsys.readouterr().err
+    assert "its monitor has not taken it up" in told
+    assert f"kubectl annotate robotworkload {NAME} understudy.dev/switchover-" in told
+
+
+def test_one_at_a_time(stand: Stand, capsys: pytest.CaptureFixture[str]) -> None:
+    item = fleet.well()
+    item["status"] |= phase("Preparing", "An understudy is being brought to where it can drive.")
+    stand.tell([item])
+    assert failover.main([NAME]) == 2
+    assert '"ASKED" is under way (preparing: ' in capsys.readouterr().err
+    assert not any("annotate" in line for line in stand.asked)
+
+
+def test_where_nobody_would_do_it_nothing_is_asked_for(stand: Stand, capsys: pytest.CaptureFixture[str]) -> None:
+    item = fleet.well()
+    for condition in item["status"]["conditions"]:
+        if condition["type"] == "Protected":
+            condition |= {"status": "False", "reason": "MonitorNotReady"}
+    stand.tell([item])
+    assert failover.main([NAME]) == 2
+    assert f"the monitor of {NAME} doesn't run" in capsys.readouterr().err
+    assert not any("annotate" in line for line in stand.asked)
+
+
+def test_one_that_is_not_there(stand: Stand, capsys: pytest.CaptureFixture[str]) -> None:
+    assert failover.main(["robot-2"]) == 2
+    assert "understudy failover: Error from server (NotFound)" in capsys.readouterr().err

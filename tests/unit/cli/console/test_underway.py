@@ -1,0 +1,92 @@
+"""What a gate tells of a recovery, beside what the status does."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from tests.unit.cli.console import fleet
+from understudy.api import names
+from understudy.api.kinds.robot_workload import Attempt, RobotWorkloadStatus
+from understudy.cli.common.recovery_under_way import UnderWay, under_way
+from understudy.cli.common.robots import status_of
+from understudy.failover.pool_queue import Waiter
+from understudy.failover.progress import LASTS, PodIdentity, Progress
+from understudy.kube.client import Object
+
+STATUS = status_of(fleet.well())
+
+
+def seen(progress: Progress | None, *, status: RobotWorkloadStatus = STATUS, now: float = fleet.NOW) -> UnderWay | None:
+    return under_way(status, fleet.gate(fleet.well(), progress), now)
+
+
+def message(**changes: Any) -> str:
+    found = seen(fleet.under_way(**changes))
+    assert found is not None
+    return found.message
+
+
+def test_what_is_done_why_and_since_when() -> None:
+    found = seen(fleet.under_way())
+    assert found is not None
+    assert (found.occasion, found.since, found.strategy) == ("FailureDetected", fleet.ago(1), "Fallback/Executing")
+    assert found.message == "no /cmd_vel for 500 ms; Fallback/Executing is tried with robot-17-navigation-w7h5k."
+
+
+def test_as_much_as_is_known_of_how() -> None:
+    assert message(target=None) == "no /cmd_vel for 500 ms; Fallback/Executing is tried."
+    assert message(strategy="") == "no /cmd_vel for 500 ms.", "as a monitor of an earlier version commits it"
+    waiting = Waiter(workload="w", pool="navigation-spare", since=fleet.NOW - 1, until=fleet.NOW + 60)
+    assert message(strategy="Fallback/Uninitialized", waiting=waiting) == (
+        "no /cmd_vel for 500 ms; Fallback/Uninitialized waits for a pod of navigation-spare."
+    )
+
+
+def test_what_came_to_nothing_before_is_named_once() -> None:
+    attempts = [Attempt(strategy="Fallback/Executing", result="NotVerified") for _ in range(2)]
+    assert message(strategy="Restart", target=PodIdentity(name="w-9", uid="u"), attempts=attempts) == (
+        "no /cmd_vel for 500 ms; Restart is tried with w-9, after Fallback/Executing."
+    )
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"id": "r3"},
+        {"began": fleet.NOW - 300},
+        {"result": "Failed"},
+        {"switchover": "Drain", "planned": True},
+        {"moments": {"detected": fleet.NOW - 1, "held": fleet.NOW - 0.9}},
+    ],
+    ids=["in the status", "older than the last there", "over", "a switchover", "held"],
+)
+def test_what_is_none_or_is_told_by_the_status(changes: dict[str, Any]) -> None:
+    assert seen(fleet.under_way(**changes)) is None
+
+
+def test_without_a_gate_or_a_record_nothing_is_told() -> None:
+    assert under_way(STATUS, None, fleet.NOW) is None
+    assert seen(None) is None
+    unreadable: Object = fleet.gate(fleet.well(), None)
+    unreadable["metadata"]["annotations"][names.RECOVERY] = "{"
+    assert under_way(STATUS, unreadable, fleet.NOW) is None
+    del unreadable["metadata"]["annotations"]
+    assert under_way(STATUS, unreadable, fleet.NOW) is None
+
+
+def test_one_of_which_the_status_says_nothing_for_long_was_given_up() -> None:
+    began = fleet.NOW - 1
+    assert seen(fleet.under_way(), now=began + LASTS - 0.1) is not None
+    assert seen(fleet.under_way(), now=began + LASTS) is None
+
+
+def test_one_of_which_the_status_says_that_it_goes_on_may_take_as_long_as_it_likes() -> None:
+    going_on = STATUS.model_copy(update={"health": "Recovering", "failing_since": fleet.ago(1.5)})
+    assert seen(fleet.under_way(), status=going_on, now=fleet.NOW + 600) is not None
+
+
+def test_it_may_be_another_one_than_the_status_says() -> None:
+    another = STATUS.model_copy(update={"health": "Recovering", "failing_since": fleet.ago(-500)})
+    assert seen(fleet.under_way(), status=another, now=fleet.NOW + 600) is None, "that one has not committed yet"

@@ -1,0 +1,294 @@
+"""``understudy recommend``: what it prints, what counts as measured, and what it says to what it can't answer."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from tests.unit.controller import test_choosing as chosen
+from understudy.cli.plan.recommend import CANT, DONE, NOT_MET, main
+
+WORKLOAD = """\
+apiVersion: understudy.dev/v1alpha1
+kind: RobotWorkload
+metadata: {name: robot-17, namespace: fleet, labels: {app: navigation}}
+spec:
+  workloadRef: {kind: Deployment, name: nav2}
+  outputs:
+    - {topic: /cmd_vel, type: geometry_msgs/msg/TwistStamped}
+  failurePolicyRef: {name: navigation}
+"""
+POLICY = """\
+apiVersion: understudy.dev/v1alpha1
+kind: FailurePolicy
+metadata: {name: navigation, namespace: fleet}
+spec:
+  monitoring:
+    yaml: {topic: {name: /cmd_vel, gap: 500ms}}
+  requirements: {availability: Medium}
+  strategies:
+    - {type: Auto}
+"""
+POOLS = """\
+apiVersion: understudy.dev/v1alpha1
+kind: FallbackPool
+metadata: {name: hot, namespace: fleet}
+spec:
+  readiness: Executing
+  perWorkload: 1
+  workloadSelector: {matchLabels: {app: navigation}}
+---
+apiVersion: understudy.dev/v1alpha1
+kind: FallbackPool
+metadata: {name: warm, namespace: fleet}
+spec:
+  readiness: Initialized
+  perWorkload: 1
+  workloadSelector: {matchLabels: {app: navigation}}
+  initialization:
+    yaml: {set_lifecycle: {node: /amcl, state: active}}
+---
+apiVersion: understudy.dev/v1alpha1
+kind: FallbackPool
+metadata: {name: spare, namespace: fleet}
+spec:
+  readiness: Uninitialized
+  replicas: 2
+  workloadSelector: {matchLabels: {app: navigation}}
+  templateFrom: {workload: robot-17}
+"""
+ALL = (WORKLOAD, POLICY, POOLS)
+
+Run = Callable[..., Any]
+
+
+def recovery(by: str, seconds: float) -> dict[str, Any]:
+    parts = {"detection": 0.5, "cluster": seconds, "startup": 0.0, "reinitialization": 0.0}
+    return {"id": f"{by}-{seconds}", "reason": "gone", "result": "Recovered", "strategy": by, "parts": parts}
+
+
+RECORDED = {"recoveries": [recovery("Restart", seconds) for seconds in (1.1, 1.2, 1.3)]}
+
+
+@pytest.fixture
+def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., str]:
+    """Writes manifests into one file, on a machine that knows of no cluster."""
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.delenv("KUBECONFIG", raising=False)
+
+    def write(*texts: str) -> str:
+        path = tmp_path / "robot.yaml"
+        path.write_text("---\n".join(texts or ALL))
+        return str(path)
+
+    return write
+
+
+@pytest.fixture
+def cluster(file: Callable[..., str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], Path]:
+    """A stand-in for kubectl, which says what it is told to; gives what it was asked."""
+
+    def tell(script: str) -> Path:
+        asked = tmp_path / "asked"
+        kubectl = tmp_path / "kubectl"
+        kubectl.write_text(f'#!/bin/sh\necho "$@" >> {asked}\n{script}\n')
+        kubectl.chmod(0o755)
+        monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin")
+        monkeypatch.setenv("KUBECONFIG", str(tmp_path / "config"))
+        return asked
+
+    return tell
+
+
+def answered(capsys: pytest.CaptureFixture[str], *arguments: str, status: int = DONE) -> list[dict[str, Any]]:
+    assert main([*arguments, "-o", "json"]) == status
+    found: list[dict[str, Any]] = json.loads(capsys.readouterr().out)
+    return found
+
+
+def test_as_yaml_it_is_the_same(file: Callable[..., str], capsys: pytest.CaptureFixture[str]) -> None:
+    found = answered(capsys, file())
+    assert main([file(), "-o", "yaml"]) == DONE
+    assert yaml.safe_load(capsys.readouterr().out) == found
+
+
+def order(found: dict[str, Any]) -> list[str]:
+    return [one["pool"] or one["strategy"] for one in found["order"]]
+
+
+def test_the_trade_off_is_told_as_a_table_with_the_reason_for_each_place(file, capsys):
+    assert main([file()]) == DONE
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "fleet/robot-17, FailurePolicy navigation"
+    assert lines[1].startswith(
+        "asked for  a recovery within 2 s of the detection (availability Medium), with no more standbys"
+    )
+    table = [" ".join(line.split()) for line in lines[3:8]]
+    assert table == [
+        "STRATEGY RECOVERS IN CPU KEPT WHY",
+        "1. Initialized (warm) 830 ms published 68 % published the cheapest that is soon enough",
+        "2. Uninitialized (spare) 3.96 s published 0 % published if those before it fail",
+        "3. Restart 4.67 s published 0 % if those before it fail",
+        "- Executing (hot) 50 ms published 96 % published would take 0.96 of a working instance's CPU, and behind the first one come "
+        "only those that take 0.1 at most",
+    ]
+    assert "published  measured with this project's navigation stack, see docs/choosing.md" in "\n".join(lines)
+
+
+def test_as_json_everything_is_a_figure(file, capsys):
+    (found,) = answered(capsys, file())
+    assert (found["workload"], found["namespace"], found["policy"], found["auto"]) == (
+        "robot-17",
+        "fleet",
+        "navigation",
+        True,
+    )
+    assert found["requirements"] == {
+        "safety": "Low",
+        "availability": "Medium",
+        "resourceUsage": "Medium",
+        "taskCriticality": "Low",
+    }
+    assert order(found) == ["warm", "spare", "Restart"]
+    (hot,) = found["leftOut"]
+    assert (hot["strategy"], hot["pool"], hot["seconds"]) == (
+        "Fallback/Executing",
+        "hot",
+        {"value": 0.05, "source": "published"},
+    )
+    assert found["notMet"] == []
+
+
+def test_other_requirements_can_be_tried(file, capsys):
+    (found,) = answered(capsys, file(), "--task-criticality", "High", "--availability", "Low")
+    assert order(found) == ["hot", "warm", "spare", "Restart"]
+    (found,) = answered(capsys, file(), "--resource-usage", "Low", "--availability", "Low")
+    assert order(found) == ["spare", "Restart"]
+
+
+def test_what_can_not_be_had_is_told_and_the_exit_status_says_so(file, capsys):
+    assert main([file(), "--availability", "High", "--resource-usage", "Low"]) == NOT_MET
+    told = capsys.readouterr().out
+    assert (
+        "not met    availability High asks for 500 ms, and Uninitialized (spare), the soonest that may go first, needs"
+        in told
+    )
+
+
+def test_what_a_waiting_instance_was_measured_to_use_counts(file, capsys):
+    (found,) = answered(capsys, file(), "--cpu", "Executing=0.3", "--cpu", "Uninitialized=0.6")
+    assert order(found)[0] == "hot"
+    assert found["order"][0]["cpu"] == {"value": pytest.approx(0.3), "standbys": 1.0, "source": "given"}
+    assert "spare" not in order(found), "it takes 0.6 for each of two, and nobody shares them"
+
+
+def test_a_shared_pool_costs_each_robot_its_share(file, capsys):
+    robots = "---\n".join(WORKLOAD.replace("robot-17", f"robot-{number}") for number in range(17, 41))
+    found = answered(capsys, file(robots, POLICY, POOLS), "--cpu", "Uninitialized=0.6")
+    assert len(found) == 24
+    spare = found[0]["order"][1]
+    assert (spare["pool"], spare["cpu"]["value"]) == ("spare", pytest.approx(0.6 * 2 / 24))
+
+
+def test_recoveries_in_a_file_that_kubectl_wrote_count_as_measured(file, capsys):
+    items = [item | {"status": RECORDED} if item["kind"] == "RobotWorkload" else item for item in _items()]
+    (found,) = answered(capsys, file(yaml.safe_dump({"apiVersion": "v1", "kind": "List", "items": items})))
+    assert order(found) == ["Restart", "spare"]
+    assert found["order"][0]["seconds"] == {"value": 1.2, "source": "measured 3 times"}
+
+
+def test_recoveries_in_the_cluster_count_as_measured(file, cluster, capsys):
+    items = [item | {"status": RECORDED} for item in _items() if item["kind"] == "RobotWorkload"]
+    asked = cluster(f"cat <<'E'\n{json.dumps({'items': items})}\nE")
+    (found,) = answered(capsys, file())
+    assert order(found) == ["Restart", "spare"]
+    assert asked.read_text().startswith("--namespace=fleet get robotworkloads -o json")
+    (found,) = answered(capsys, file(), "--no-cluster")
+    assert order(found)[0] == "warm"
+
+
+def test_a_cluster_that_does_not_answer_is_told_and_only_fatal_where_it_was_asked_for(file, cluster, capsys):
+    cluster("echo 'connection refused' >&2; exit 1")
+    assert main([file()]) == DONE
+    said = capsys.readouterr()
+    assert "recoveries in the cluster aren't taken into account: connection refused" in said.err
+    assert "830 ms  published" in said.out
+    assert main([file(), "--context", "fleet"]) == CANT
+    assert "understudy recommend: connection refused" in capsys.readouterr().err
+
+
+def test_strategies_that_are_written_out_stand_beside_what_would_be_chosen(file, capsys):
+    written = POLICY.replace("{type: Auto}", "{type: Fallback, poolRef: {name: hot}}\n    - {type: Restart}")
+    written = written.replace("  requirements: {availability: Medium}\n", "")
+    assert main([file(WORKLOAD, written, POOLS)]) == DONE
+    assert (
+        "policy     has its strategies written out: Executing, Restart, and states no requirements: the defaults were taken"
+        in capsys.readouterr().out
+    )
+
+
+@pytest.mark.parametrize("levels", [{}, {"availability": "Low"}, {"taskCriticality": "High"}, {"safety": "Medium"}])
+def test_what_is_recommended_is_what_the_operator_then_chooses(file, capsys, levels):
+    status = {"recoveries": [recovery("Fallback/Initialized", seconds) for seconds in (0.4, 0.5, 2.5)]}
+    made = chosen.world(chosen.auto(**levels), status=status)
+    (found,) = answered(capsys, file(yaml.safe_dump_all([made.workload, *made.others])))
+    assert order(found) == chosen.order(made.plan())
+
+
+@pytest.mark.parametrize("form", ["png", "svg"])
+def test_it_is_drawn(file, capsys, tmp_path, form):
+    pytest.importorskip("matplotlib")
+    picture = tmp_path / f"tradeoff.{form}"
+    assert main([file(), "--plot", str(picture)]) == DONE
+    assert picture.stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("texts", "more", "expected"),
+    [
+        ((POLICY, POOLS.replace("robot-17", "robot-1")), [], "there is no RobotWorkload in the files"),
+        (
+            (WORKLOAD, POOLS),
+            [],
+            "RobotWorkload robot-17: its FailurePolicy navigation isn't in the files; give its file too",
+        ),
+        (
+            ALL,
+            ["--workload", "robot-71"],
+            "--workload: there is no RobotWorkload 'robot-71' in the files (did you mean",
+        ),
+        ((WORKLOAD, POLICY.replace("Medium", "Middle"), POOLS), [], "the manifests can't be followed\n"),
+        ((WORKLOAD, "spec: {a: [}\n"), [], "the files can't be read\n"),
+        (ALL, ["--plot", "tradeoff.txt"], "--plot: found 'tradeoff.txt'; its name must end in .png"),
+        (
+            (WORKLOAD, WORKLOAD.replace("robot-17", "robot-18"), POLICY, POOLS),
+            ["--plot", "x.png"],
+            "--plot: one workload is drawn, and there are robot-17, robot-18: choose one by --workload",
+        ),
+    ],
+)
+def test_what_cannot_be_done_is_said_with_the_way_out(file, capsys, texts, more, expected):
+    assert main([file(*texts), *more]) == CANT
+    error = capsys.readouterr().err
+    assert error.startswith("understudy recommend: ")
+    assert expected in error
+
+
+@pytest.mark.parametrize(
+    "given", ["Initialised=0.4", "Initialized", "Executing=-1", "Restart=1", "Executing=nan", "Executing=%"]
+)
+def test_what_is_no_share_is_refused_by_name(file, capsys, given):
+    with pytest.raises(SystemExit) as ended:
+        main([file(), "--cpu", given])
+    assert ended.value.code == 2
+    said = f"--cpu: found '{given}'; give one of Uninitialized, Initialized, Executing with a share, such as Initialized=0.4"
+    assert said in capsys.readouterr().err
+
+
+def _items() -> list[dict[str, Any]]:
+    return [item for text in ALL for item in yaml.safe_load_all(text)]

@@ -1,0 +1,214 @@
+"""The page says what the records say, asks for nothing, and runs nothing of what others have written."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import re
+from html.parser import HTMLParser
+
+import pytest
+
+from tests.unit.cli.report import fleet
+from tests.unit.cli.report.fleet import DAY, NOW
+from understudy.cli.report.csv_sheets import sheets
+from understudy.cli.report.page import page
+from understudy.cli.report.recovery_records import Findings, Span, findings
+from understudy.cli.report.sections import availability
+
+VOID = ("meta", "link", "br")
+
+
+class Read(HTMLParser):
+    """A page as a browser reads it."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(convert_charrefs=True)
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
+        self.tables: dict[str, list[list[tuple[str, str | None]]]] = {}
+        """By caption, the rows of cells: what is shown, and the value."""
+        self.texts: list[str] = []
+        self._open: list[str] = []
+        self._caption = ""
+        self.feed(text)
+        self.close()
+        assert self._open == [], "every element is closed"
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self._open.append(tag)
+        if tag == "caption":
+            self._caption = ""
+        if tag == "tr" and "tbody" in self._open:
+            self.tables.setdefault(self._caption, []).append([])
+        if tag in ("td", "th") and "tbody" in self._open:
+            self.tables[self._caption][-1].append(("", dict(attrs).get("data-value")))
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self._open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.texts.append(data)
+        if self._open and self._open[-1] == "caption":
+            self._caption += data
+        if "tbody" in self._open and self._open[-1] in ("td", "th"):
+            shown, value = self.tables[self._caption][-1][-1]
+            self.tables[self._caption][-1][-1] = (shown + data, value)
+
+    def all(self, tag: str) -> list[dict[str, str | None]]:
+        return [attributes for name, attributes in self.elements if name == tag]
+
+    def table(self, beginning: str) -> list[list[tuple[str, str | None]]]:
+        (found,) = (rows for caption, rows in self.tables.items() if caption.startswith(beginning))
+        return found
+
+    @property
+    def text(self) -> str:
+        return " ".join(self.texts)
+
+
+def written(found: Findings) -> str:
+    return page(found, sheets(found), where="namespace fleet", made=NOW)
+
+
+def read(*robots: fleet.Object, period: Span = DAY) -> Read:
+    return Read(written(findings(robots, period)))
+
+
+def value(cell: tuple[str, str | None]) -> float:
+    assert cell[1] is not None, cell
+    return float(cell[1])
+
+
+def test_the_figures_are_those_of_the_records() -> None:
+    found = findings(fleet.robots(), DAY)
+    shown = Read(written(found))
+    rows = shown.table("Recoveries that began")
+    assert len(rows) == len(found.entries)
+    for row, entry in zip(rows, found.entries, strict=True):
+        assert (row[0][0], value(row[1]), value(row[2])) == (entry.name, entry.recovery.number, entry.began)
+        if entry.recovered:
+            assert value(row[5]) == entry.recovery.recovery_seconds
+        assert row[-1][0] == entry.recovery.reason.replace("\u202e", "\\u202e")
+    for row, group in zip(shown.table("Recovery time by strategy"), found.groups, strict=True):
+        assert (row[0][0], value(row[1])) == (group.name, len(group.entries))
+        assert [value(cell) for cell in row[2:6]] == list(group.parts.values())
+        assert [value(cell) for cell in row[7:9]] == [group.spread.p50, group.spread.p95]
+    for row, course in zip(shown.table("Robots:"), found.courses, strict=True):
+        assert (row[0][0], value(row[7])) == (course.robot.name, course.down)
+        assert row[8][0] == availability(course.availability)
+
+
+def test_bars_are_as_long_as_the_parts_took() -> None:
+    found = findings([fleet.robot("r", [fleet.restart(1, 700.0)])], DAY)
+    bars = [e for e in Read(written(found)).all("rect") if (e["class"] or "").startswith("part ")]
+    widths = {(bar["class"] or "").split()[1]: float((bar["width"] or "").rstrip("%")) for bar in bars}
+    (group,) = found.groups
+    for part, seconds in group.parts.items():
+        assert widths[part] / widths["cluster"] == pytest.approx(seconds / group.parts["cluster"], rel=1e-3)
+
+
+def test_a_robot_that_missed_nothing_has_a_gap_of_nothing() -> None:
+    reflex = fleet.switchover(1, 700.0)
+    reflex.moments.first_output = reflex.moments.last_output
+    (row,) = read(fleet.robot("r", [reflex])).table("Gap by strategy")
+    assert [value(cell) for cell in row[2:]] == [0.0] * 5
+
+
+def test_every_figure_is_described_and_has_a_table() -> None:
+    shown = Read(written(findings(fleet.robots(), DAY, fleet.pods())))
+    charts = [e for e in shown.all("svg") if e.get("role") == "img"]
+    assert len(charts) == len(shown.all("figure")) == 4
+    assert all(e["aria-label"] for e in charts)
+    assert "Restart: n = 2, mean 3.68 s, p50 3.68 s, p95 3.68 s" in (charts[0]["aria-label"] or "")
+    assert len(shown.tables) == 5
+    assert shown.all("html")[0]["lang"] == "en"
+
+
+def test_what_is_reserved_by_strategy() -> None:
+    shown = Read(written(findings([fleet.whole()], DAY, fleet.pods())))
+    executing, pool = shown.table("Reserved CPU")
+    assert (executing[0][0], [value(cell) for cell in executing[2:6]]) == ("Executing", [0.5, 0.52, 0.1, 0.0])
+    assert (pool[0][0], value(pool[6])) == ("pool spare", 2.0)
+    assert "No pod of these robots requests CPU" in read(fleet.whole()).text
+    told = Read(written(findings([fleet.whole()], DAY, pods_unknown="you may not list pods"))).text
+    assert "The pods can't be told: you may not list pods" in told
+
+
+def test_names_and_messages_of_others_are_text() -> None:
+    shown = read(fleet.hostile())
+    assert len(shown.all("script")) == 1, "our own"
+    assert shown.all("img") == []
+    assert not any(name.startswith("on") for _, attributes in shown.elements for name in attributes)
+    assert "<script>alert(1)</script>" in shown.text
+    assert "\u202e" not in shown.text
+
+
+def test_nothing_is_fetched_and_no_other_script_would_run() -> None:
+    text = written(findings(fleet.robots(), DAY))
+    assert not re.search(r"""(?:src|href|url\()\s*=?\s*["']?(?!data:)(?:https?:)?//""", text)
+    (policy,) = (e["content"] or "" for e in Read(text).all("meta") if e.get("http-equiv") == "Content-Security-Policy")
+    assert policy.startswith("default-src 'none'; ")
+    for tag in ("script", "style"):
+        (body,) = re.findall(rf"<{tag}>(.*?)</{tag}>", text, re.DOTALL)
+        assert f"'sha256-{base64.b64encode(hashlib.sha256(body.encode()).digest()).decode()}'" in policy
+
+
+def test_the_data_can_be_taken_from_the_page() -> None:
+    found = findings(fleet.robots(), DAY)
+    links = {e["download"]: e["href"] or "" for e in Read(written(found)).all("a")}
+    held = {name: base64.b64decode(link.partition("base64,")[2]).decode() for name, link in links.items()}
+    assert held == sheets(found)
+
+
+def test_what_is_not_known_is_said_first() -> None:
+    assert "Not the whole period is known." in read(*fleet.robots()).text
+    told = read(fleet.forgetful()).text
+    assert "robot-2-drive: 2 of 12 are not kept; known since 2026-11-22 04:06:24Z" in told
+    assert "Of 12 recoveries that these robots ever had, 10 are kept; 10 of those began in this period." in told
+    assert "Not the whole period" not in read(fleet.whole()).text
+    assert "These robots have had no recovery since they were made." in read(fleet.quiet()).text
+
+
+def test_only_robots_to_which_something_happened_have_a_lane() -> None:
+    shown = read(*fleet.robots())
+    assert shown.texts.count("robot-1-drive") > shown.texts.count("robot-5-drive") == 1, "it is in the table of robots"
+    assert "Of 1 robot there is nothing to be shown." in shown.text
+
+
+def test_a_period_without_recoveries_says_so() -> None:
+    told = read(fleet.in_vain(), period=Span(NOW - 60.0, NOW)).text
+    assert "Nothing that is known happened to these robots in this period." in told
+    assert (
+        "No recovery that is known began in this period. The last one that is known ended at 2026-11-22 13:06:24Z."
+        in told
+    )
+    assert "Nothing was recovered in this period, so far as it is known." in told
+    assert "No gap was recorded in this period." in told
+
+
+def test_what_failed_is_told_with_all_that_was_tried() -> None:
+    told = read(fleet.in_vain()).text
+    assert "Fallback/Executing: not available: no standby is ready" in told
+    assert "Restart with robot-z9: not verified: no output within 60 s" in told
+    assert "FAILED: nothing verified" in told
+
+
+def test_robots_of_several_namespaces_are_told_apart() -> None:
+    other = fleet.quiet()
+    other["metadata"]["namespace"] = "lab"
+    assert [row[0][0] for row in read(fleet.whole(), other).table("Robots:")] == [
+        "fleet/robot-1-drive",
+        "lab/robot-5-drive",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("share", "words"), [(1.0, "100 %"), (0.9999999, "99.999 %"), (0.97912, "97.912 %"), (0.5, "50 %"), (None, "–")]
+)
+def test_an_availability_is_never_rounded_up(share: float | None, words: str) -> None:
+    assert availability(share) == words

@@ -1,0 +1,316 @@
+"""The command: what it prints, what it draws, how it ends, and what it says of what it can't use."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+from PIL import Image
+from rosbags.rosbag2 import Writer
+
+from tests.unit.cli.simulate.recording import Said, every, ns, policy, write
+from understudy.cli.simulate.simulate import main
+
+TWIST = "geometry_msgs/msg/Twist"
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """With a bag in which /cmd_vel is silent from 2.9 s on, for 2.1 s."""
+    monkeypatch.chdir(tmp_path)
+    said = [*every("/cmd_vel", TWIST, 0, 3, 10), *every("/cmd_vel", TWIST, 5, 8, 10), *every("/odom", TWIST, 0, 8, 10)]
+    write(tmp_path / "bag", said)
+    (tmp_path / "policy.yaml").write_text(policy("{topic: {name: /cmd_vel, gap: 500ms}}"))
+    (tmp_path / "patient.yaml").write_text(policy("{topic: {name: /cmd_vel, gap: 3s}}"))
+    return tmp_path
+
+
+def test_it_says_what_and_when_and_ends_with_1(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["policy.yaml", "--bag", "bag"]) == 1
+    told = capsys.readouterr()
+    assert told.err == ""
+    assert "DETECTED  WALL TIME (UTC)          LEAF     LAST WELL  RECOVERED  REASON\n" in told.out
+    assert "3.400 s   2026-05-28 20:26:43.400  cmd_vel  2.900 s    5.000 s    no /cmd_vel for 500 ms\n" in told.out
+    assert "all that was recorded came from the robot or from the instance in control" in told.out
+    assert "cmd_vel  /cmd_vel  60        7.468 Hz  2.1 s        1x, 1.6 s, first at 3.400 s  Healthy\n" in told.out
+
+
+def test_it_ends_with_0_where_nothing_would_have_been_detected(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["patient.yaml", "--bag", "bag"]) == 0
+    assert "\nNothing was detected.\n" in capsys.readouterr().out
+
+
+def test_a_single_file_of_a_bag_is_enough(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["policy.yaml", "--bag", "bag/bag.mcap"]) == 1
+    write(folder / "lite", every("/cmd_vel", TWIST, 0, 3, 10), "sqlite3")
+    assert main(["policy.yaml", "--bag", "lite/lite.db3"]) == 0
+
+
+def test_for_programs_it_is_json(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["policy.yaml", "--bag", "bag", "-o", "json", "--onset", "2.95"]) == 1
+    told = json.loads(capsys.readouterr().out)
+    assert told["bag"] == {
+        "path": "bag",
+        "start": "2026-05-28T20:26:40.000Z",
+        "startUnix": 1780000000.0,
+        "duration": 7.9,
+        "topics": 2,
+    }
+    assert told["detections"] == [
+        {
+            "detectedAt": 3.4,
+            "detectedWall": "2026-05-28T20:26:43.400Z",
+            "failedAt": 3.4,
+            "lastWellAt": 2.9,
+            "recoveredAt": 5.0,
+            "leaf": "cmd_vel",
+            "reason": "no /cmd_vel for 500 ms",
+        }
+    ]
+    assert told["onsets"] == [{"at": 2.95, "delay": 0.45}]
+    (leaf,) = told["leaves"]
+    assert [state["state"] for state in leaf["states"]] == ["Healthy", "Failed", "Healthy"]
+    assert main(["policy.yaml", "--bag", "bag", "-o", "yaml", "--onset", "2.95"]) == 1
+    assert yaml.safe_load(capsys.readouterr().out) == told
+
+
+@pytest.mark.parametrize(
+    ("onsets", "told"),
+    [
+        (["3"], "Onset at 3.000 s: detected 400 ms later\n"),
+        (["2026-05-28T20:26:43Z"], "Onset at 3.000 s: detected 400 ms later\n"),
+        (["1", "3s"], "Onset at 1.000 s: NOT DETECTED\nOnset at 3.000 s: detected 400 ms later\n"),
+        (["6"], "Onset at 6.000 s: NOT DETECTED\nDetected at 3.400 s: belongs to no onset that was given\n"),
+    ],
+)
+def test_onsets_that_are_given_are_told_beside_their_detections(
+    folder: Path, capsys: pytest.CaptureFixture[str], onsets: list[str], told: str
+) -> None:
+    assert main(["policy.yaml", "--bag", "bag", *(part for one in onsets for part in ("--onset", one))]) == 1
+    assert told in capsys.readouterr().out
+
+
+def test_another_grace_for_what_was_up_before(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write(folder / "late", [*every("/odom", TWIST, 0, 8, 10), *every("/cmd_vel", TWIST, 4, 8, 10)])
+    assert main(["policy.yaml", "--bag", "late"]) == 0
+    assert main(["policy.yaml", "--bag", "late", "--grace", "0s"]) == 1
+    assert "no /cmd_vel within 0 ms of the start" in capsys.readouterr().out
+
+
+def test_it_draws_detections_and_failed_times(folder: Path) -> None:
+    assert main(["policy.yaml", "--bag", "bag", "--plot", "drawn.png"]) == 1
+    assert main(["patient.yaml", "--bag", "bag", "--plot", "fine.png"]) == 0
+    red, rosy = (179, 38, 30), (242, 184, 176)
+    for file, failed in (("drawn.png", True), ("fine.png", False)):
+        colours = {colour for _, colour in Image.open(file).convert("RGB").getcolors(1 << 24) or ()}
+        assert ({red, rosy} <= colours) == failed
+        assert (207, 232, 207) in colours, "healthy it was too"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["policy.yaml", "--bag", "bag", "--grace", "3"], "--grace: '3' is not a duration: write a number with ms"),
+        (["none.yaml", "--bag", "bag"], "none.yaml: No such file or directory; give a file with a FailurePolicy"),
+        (
+            ["policy.yaml", "--bag", "none"],
+            "none: there is no such file or folder; give a rosbag2 folder, or an .mcap or .db3",
+        ),
+        (
+            ["policy.yaml", "--bag", "policy.yaml"],
+            "policy.yaml: this can't be read as a bag: Unrecognized storage format '.yaml'; its name",
+        ),
+        (["policy.yaml", "--bag", "."], "this can't be read as a bag: "),
+        (["policy.yaml", "--bag", "no.mcap"], "no.mcap: this can't be read as a bag: File magic is invalid; give"),
+        (
+            ["policy.yaml", "--bag", "no.db3"],
+            "no.db3: this can't be read as a bag: Cannot open database no.db3: file is not a database; it isn't one that rosbag2 has",
+        ),
+        (["policy.yaml", "--bag", "cut.mcap"], "a recording that was cut off is repaired by `mcap recover`"),
+        (
+            ["policy.yaml", "--bag", "bag", "--onset", "soon"],
+            "--onset: 'soon' is no time: give seconds from the bag's start such",
+        ),
+        (["policy.yaml", "--bag", "bag", "--onset", "9"], "--onset: '9' is not within the bag, which is 7.900 s long"),
+        (
+            ["policy.yaml", "--bag", "bag", "--plot", "a.gif"],
+            "--plot: found 'a.gif'; its name must end in .png, .svg, .pdf",
+        ),
+        (["policy.yaml", "--bag", "bag", "--plot", "no/a.png"], "--plot: there is no folder no; make it"),
+        (
+            ["policy.yaml", "--bag", "bag", "--policy", "tired"],
+            "there is no FailurePolicy 'tired' in it, did you mean 'tried'?",
+        ),
+        (
+            ["pod.yaml", "--bag", "bag"],
+            "pod.yaml: there is no FailurePolicy in it, found Pod web; give the file that holds",
+        ),
+        (["two.yaml", "--bag", "bag"], "two.yaml: it holds 2 policies; choose one by --policy: one, two"),
+        (
+            ["treeless.yaml", "--bag", "bag"],
+            "treeless.yaml:5:3: error: FailurePolicy tried: spec.monitoring.yaml: a health tree is required",
+        ),
+        (["broken.yaml", "--bag", "bag"], "broken.yaml:1:"),
+        (["wrong.yaml", "--bag", "bag"], "spec.monitoring.yaml.topic.gap: found 500, which has no unit"),
+        (
+            ["typed.yaml", "--bag", "bag"],
+            "the policy's tree says std_msgs/msg/Empty of /cmd_vel, but it was recorded as geometry",
+        ),
+        (["field.yaml", "--bag", "bag"], "geometry_msgs/msg/Twist has no field 'linnear', did you mean 'linear'?"),
+    ],
+)
+def test_what_cannot_be_used_ends_with_2_and_a_way_out(
+    folder: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], told: str
+) -> None:
+    (folder / "no.mcap").write_bytes(b"not a recording at all, of whatever kind" * 9)
+    (folder / "no.db3").write_bytes(b"not a recording at all, of whatever kind" * 9)
+    (folder / "cut.mcap").write_bytes((folder / "bag" / "bag.mcap").read_bytes()[:-100])
+    good = policy("{topic: {name: /cmd_vel, gap: 500ms}}")
+    (folder / "pod.yaml").write_text("apiVersion: v1\nkind: Pod\nmetadata: {name: web}\n")
+    (folder / "two.yaml").write_text("---\n".join(good.replace("tried", name) for name in ("one", "two")))
+    (folder / "treeless.yaml").write_text(policy("null").replace("yaml: null", "").replace("30s, ", "30s"))
+    (folder / "broken.yaml").write_text("a: [b")
+    (folder / "wrong.yaml").write_text(good.replace("500ms", "500"))
+    (folder / "typed.yaml").write_text(policy("{topic: {name: /cmd_vel, type: std_msgs/msg/Empty, gap: 500ms}}"))
+    (folder / "field.yaml").write_text(policy(f'{{value: {{topic: /cmd_vel, type: {TWIST}, holds: "linnear.x > 0"}}}}'))
+    assert main(arguments) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.startswith("understudy simulate: ")
+    assert told in printed.err
+
+
+def test_one_of_several_policies_is_chosen_by_its_name(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    both = [
+        policy(f"{{topic: {{name: /cmd_vel, gap: {gap}}}}}", name=name)
+        for name, gap in (("fast", "500ms"), ("slow", "3s"))
+    ]
+    (folder / "both.yaml").write_text("---\n".join(both))
+    assert main(["both.yaml", "--bag", "bag", "--policy", "slow"]) == 0
+    assert main(["both.yaml", "--bag", "bag", "--policy", "fast"]) == 1
+
+
+def test_a_policy_may_be_xml_and_come_by_standard_input(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tree = '\'<root BTCPP_format="4"><BehaviorTree ID="Healthy"><Topic topic="/cmd_vel" gap="500ms"/></BehaviorTree></root>\''
+    text = policy("null").replace("yaml: null", f"xml: {tree}")
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(text.encode())))
+    assert main(["-", "--bag", "bag"]) == 1, capsys.readouterr().err
+    assert "no /cmd_vel for 500 ms" in capsys.readouterr().out
+
+
+REFERRING = """
+apiVersion: understudy.dev/v1alpha1
+kind: FailurePolicy
+metadata: {name: tried}
+spec:
+  monitoring: {configMapKeyRef: {name: shared, key: cmd.yaml}}
+  strategies: [{type: Restart}]
+"""
+
+LENDING = """
+apiVersion: v1
+kind: ConfigMap
+metadata: {name: shared, labels: {understudy.dev/health-tree: "true"}}
+data:
+  cmd.yaml: |
+    topic: {name: /cmd_vel, gap: 500ms}
+"""
+
+
+def test_a_tree_may_be_in_a_config_map_of_the_same_file_or_in_the_policy_s_status(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "both.yaml").write_text(f"{LENDING}---{REFERRING}")
+    assert main(["both.yaml", "--bag", "bag"]) == 1
+    status = "status: {tree: {name: shared, key: cmd.yaml, yaml: {topic: {name: /cmd_vel, gap: 3s}}}}\n"
+    (folder / "printed.yaml").write_text(REFERRING + status)
+    assert main(["printed.yaml", "--bag", "bag"]) == 0
+    capsys.readouterr()
+    (folder / "alone.yaml").write_text(REFERRING)
+    assert main(["alone.yaml", "--bag", "bag"]) == 2
+    assert "kubectl get failurepolicy/tried configmap/shared -o yaml" in capsys.readouterr().err
+    (folder / "wrong.yaml").write_text(f"{LENDING.replace('500ms', '500')}---{REFERRING}")
+    assert main(["wrong.yaml", "--bag", "bag"]) == 2
+    assert "wrong.yaml:7:" in capsys.readouterr().err
+
+
+def unknown(folder: Path) -> None:
+    """A bag of a type that nobody has a definition of."""
+    with Writer(folder / "own", version=9) as writer:
+        connection = writer.add_connection("/arm", "acme_msgs/msg/Arm", msgdef="", rihs01="RIHS01_00")
+        for at in range(5):
+            writer.write(connection, ns(at), b"\0\1\0\0\1\0\0\0")
+
+
+def test_a_type_that_nobody_knows_can_be_counted_but_not_looked_into(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    unknown(folder)
+    (folder / "count.yaml").write_text(policy("{topic: {name: /arm, gap: 500ms}}"))
+    (folder / "look.yaml").write_text(policy('{value: {topic: /arm, type: acme_msgs/msg/Arm, holds: "joints > 3"}}'))
+    assert main(["count.yaml", "--bag", "own"]) == 1
+    assert main(["look.yaml", "--bag", "own"]) == 2
+    assert (
+        "the type acme_msgs/msg/Arm of /arm is not known, and the tree looks into its messages"
+        in capsys.readouterr().err
+    )
+
+
+def test_the_bag_s_own_definitions_count(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with Writer(folder / "own", version=9) as writer:
+        connection = writer.add_connection("/arm", "acme_msgs/msg/Arm", msgdef="int32 joints\n", rihs01="RIHS01_00")
+        for at, joints in enumerate((6, 6, 2)):
+            writer.write(connection, ns(at), b"\0\1\0\0" + joints.to_bytes(4, "little"))
+    (folder / "look.yaml").write_text(policy('{value: {topic: /arm, type: acme_msgs/msg/Arm, holds: "joints > 3"}}'))
+    assert main(["look.yaml", "--bag", "own"]) == 1
+    assert "joints > 3 of /arm does not hold (joints was 2)" in capsys.readouterr().out
+
+
+def test_what_messages_say_does_not_move_the_cursor(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    status = {"status": [{"name": "camera", "level": 2, "message": "\x1b[2Jgone\x07"}]}
+    write(folder / "bad", [Said(0, "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", status)])
+    (folder / "d.yaml").write_text(policy("{diagnostics: {name: camera, worst: WARN}}", grace="0s"))
+    assert main(["d.yaml", "--bag", "bad"]) == 1
+    out = capsys.readouterr().out
+    assert "gone" in out
+    assert "\x1b" not in out
+    assert "\x07" not in out
+
+
+def run(program: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+    return subprocess.run(
+        [sys.executable, "-c", program], cwd=folder, env=environment, capture_output=True, text=True, timeout=60
+    )
+
+
+@pytest.mark.parametrize(("missing", "extra"), [("rosbags", "bags"), ("matplotlib", "plots")])
+def test_without_an_extra_it_says_which(folder: Path, missing: str, extra: str) -> None:
+    program = (
+        f"import sys; sys.modules['{missing}'] = sys.modules['rclpy'] = None;"
+        "sys.argv = ['understudy', 'simulate', 'policy.yaml', '--bag', 'bag', '--plot', 'a.png'];"
+        "from understudy.main import main; sys.exit(main())"
+    )
+    done = run(program, folder)
+    assert done.returncode == 2, done.stderr
+    assert f"pip install '.[{extra}]'" in done.stderr
+
+
+def test_it_is_a_command_of_understudy_and_needs_no_ros(folder: Path) -> None:
+    program = (
+        "import sys; sys.modules['rclpy'] = None; sys.argv = ['understudy', 'simulate', 'policy.yaml', '--bag', 'bag'];"
+        "from understudy.main import main; sys.exit(main())"
+    )
+    done = run(program, folder)
+    assert done.returncode == 1, done.stderr
+    assert "no /cmd_vel for 500 ms" in done.stdout

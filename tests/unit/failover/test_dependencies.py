@@ -1,0 +1,350 @@
+"""Workloads that depend on each other: whose failure is acted on, and what is done in which order once one was recovered."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from tests.unit.failover.world import Killed, Store, World
+from understudy.api.kinds.procedure_spec import Procedure
+from understudy.api.kinds.robot_workload import Dependency, DependencyRecovery, Recovery, RobotWorkloadStatus
+from understudy.api.protocol.monitor_settings import Upstream
+from understudy.failover.bring_up import BringUp
+from understudy.failover.dependency import Due, Held, Outage, Recovered, Seen, due, held, outage
+from understudy.failover.interfaces import GateState
+from understudy.failover.limits.escalation import Escalation
+from understudy.failover.progress import PodIdentity, Progress, rfc3339
+from understudy.failover.protocol import Choice, recover
+from understudy.failover.strategies import Reinitialize, Restart, Strategy
+
+NOW = 1_700_000_000.0
+
+
+def needs(name: str = "localization", **more: Any) -> Dependency:
+    times = {"noticeWithin": "300ms", "settleWithin": "10s", "waitFor": "2m"}
+    return Dependency.model_validate({"name": name, **times, **more})
+
+
+def recovered(
+    id: str = "r1", *, onset: float = NOW - 5, verified: float = NOW - 2, result: str = "Recovered"
+) -> Recovery:
+    progress = Progress.begin("it fell silent", last_healthy=onset, detected=onset + 0.5)
+    progress.id, progress.result = id, result  # type: ignore[assignment]
+    progress.moments["verified"] = verified
+    return progress.to_recovery(1)
+
+
+def committed(id: str = "r2", *, onset: float = NOW - 0.5, result: str = "Running") -> Progress:
+    progress = Progress.begin("it fell silent", last_healthy=onset, detected=onset + 0.5)
+    progress.id, progress.result = id, result  # type: ignore[assignment]
+    return progress
+
+
+class TestWhatIsSeen:
+    def test_a_failure_is_known_from_the_gate_before_the_status_tells_of_it(self) -> None:
+        seen = Seen.of(RobotWorkloadStatus(health="Healthy", recoveries=[recovered()]), committed())
+        assert seen.failing
+        assert seen.failing_since == pytest.approx(NOW - 0.5)
+
+    def test_a_recovery_that_is_in_the_status_is_over_whatever_stands_beside_the_gate(self) -> None:
+        status = RobotWorkloadStatus(health="Healthy", recoveries=[recovered("r2")])
+        assert not Seen.of(status, committed("r2")).failing
+
+    def test_an_older_recovery_beside_the_gate_that_the_status_no_longer_has_is_over_too(self) -> None:
+        status = RobotWorkloadStatus(health="Healthy", recoveries=[recovered("r3")])
+        assert not Seen.of(status, committed("r1", onset=NOW - 60)).failing
+
+    def test_a_recovery_that_came_to_nothing_and_was_left_to_an_instance_that_runs_is_over(self) -> None:
+        assert not Seen.of(RobotWorkloadStatus(health="Healthy"), committed(result="Failed")).failing
+
+    def test_the_beginning_of_a_failure_that_is_not_acted_on_is_in_the_status(self) -> None:
+        seen = Seen.of(RobotWorkloadStatus(health="Failed", failing_since=rfc3339(NOW - 1)), None)
+        assert seen.failing
+        assert seen.failing_since == pytest.approx(NOW - 1)
+
+    @pytest.mark.parametrize(("health", "failing"), [("Degraded", False), ("Unknown", False), ("Starting", True)])
+    def test_what_is_degraded_can_be_depended_on_and_what_starts_cannot(self, health: Any, failing: bool) -> None:
+        assert Seen.of(RobotWorkloadStatus(health=health), None).failing == failing
+
+    def test_nothing_is_concluded_where_nothing_is_there(self) -> None:
+        assert not Seen().failing
+
+
+def last(id: str = "r1", onset: float = NOW - 5, end: float | None = NOW - 2) -> Recovered:
+    return Recovered(id, onset, end)
+
+
+class TestOutages:
+    def test_it_lasts_from_the_last_healthy_output_until_the_recovery_is_verified(self) -> None:
+        began = outage(None, Seen("Failed", NOW - 5), NOW - 4)
+        assert began == Outage(NOW - 5)
+        assert outage(began, Seen("Healthy", last=last()), NOW) == Outage(NOW - 5, NOW - 2)
+
+    def test_one_that_was_over_before_anything_was_seen_of_it_is_known_too(self) -> None:
+        """An executing standby takes over in milliseconds, and its monitor writes the status once."""
+        assert outage(None, Seen("Healthy", last=last()), NOW) == Outage(NOW - 5, NOW - 2)
+        before = Outage(NOW - 50, NOW - 45)
+        assert outage(before, Seen("Healthy", last=last()), NOW) == Outage(NOW - 5, NOW - 2)
+
+    def test_one_that_got_well_by_itself_is_over_when_that_is_seen(self) -> None:
+        assert outage(Outage(NOW - 5), Seen("Healthy"), NOW) == Outage(NOW - 5, NOW)
+        older = Seen("Healthy", last=last("r0", NOW - 90, NOW - 80))
+        assert outage(Outage(NOW - 5), older, NOW) == Outage(NOW - 5, NOW)
+
+    def test_it_goes_on_through_everything_that_is_tried(self) -> None:
+        assert outage(Outage(NOW - 5), Seen("Starting"), NOW) == Outage(NOW - 5)
+        assert outage(Outage(NOW - 5), Seen("Recovering", NOW - 1), NOW) == Outage(NOW - 5)
+
+    def test_where_its_beginning_is_not_known_everything_may_follow_from_it(self) -> None:
+        assert outage(None, Seen("Starting"), NOW) == Outage(-math.inf)
+
+    def test_what_is_healthy_and_never_failed_has_none(self) -> None:
+        assert outage(None, Seen("Healthy"), NOW) is None
+        assert outage(None, Seen("Healthy", last=last(end=None)), NOW) is None
+
+
+def held_at(now: float, *dependencies: Dependency, onset: float = NOW, **outages: Outage) -> Held | None:
+    """Of a failure that was noticed half a second after its last healthy output."""
+    return held(onset, onset + 0.5, now, depends_on=dependencies or (needs(),), outages=outages)
+
+
+class TestHolding:
+    def test_without_dependencies_nothing_is_put_off(self) -> None:
+        assert held(NOW, NOW, NOW, depends_on=[], outages={}) is None
+
+    def test_it_is_looked_for_a_moment_whether_another_failed_first(self) -> None:
+        assert held_at(NOW + 0.5) == Held(NOW + 0.8)
+        assert held_at(NOW + 0.81) is None
+
+    def test_a_failure_after_that_of_another_is_held_for_as_long_as_that_one_is_not_healthy(self) -> None:
+        found = held_at(NOW + 30, localization=Outage(NOW - 0.05))
+        assert found == Held(NOW + 120.5, "localization")
+
+    def test_it_is_acted_on_after_a_bounded_time_all_the_same(self) -> None:
+        assert held_at(NOW + 121, localization=Outage(NOW - 0.05)) is None
+
+    def test_a_failure_before_that_of_another_is_its_own(self) -> None:
+        assert held_at(NOW + 1, localization=Outage(NOW + 0.2)) is None
+
+    def test_clocks_of_two_nodes_may_differ_a_little(self) -> None:
+        found = held_at(NOW + 1, localization=Outage(NOW + 0.08))
+        assert found is not None
+        assert found.name == "localization"
+
+    def test_once_the_other_is_healthy_again_it_has_time_to_settle_and_no_more(self) -> None:
+        over = Outage(NOW - 1, NOW + 5)
+        assert held_at(NOW + 6, localization=over) == Held(NOW + 15, "localization", settling=True)
+        assert held_at(NOW + 15.1, localization=over) is None
+
+    def test_a_failure_long_after_the_other_was_healthy_again_is_its_own(self) -> None:
+        over = Outage(NOW - 60, NOW - 55)
+        assert held_at(NOW + 0.9, localization=over) is None
+
+    def test_what_is_depended_on_through_others_counts_with_the_longest_times(self) -> None:
+        dependencies = needs("planning", settleWithin="20s"), needs("maps", waitFor="5m")
+        assert held_at(NOW + 1, *dependencies, localization=Outage(NOW - 1)) == Held(NOW + 300.5, "localization")
+        over = Outage(NOW - 1, NOW)
+        assert held_at(NOW + 1, *dependencies, localization=over) == Held(NOW + 20, "localization", settling=True)
+
+    def test_of_several_the_one_that_takes_longest_counts(self) -> None:
+        found = held_at(NOW + 1, needs("a"), needs("b"), a=Outage(NOW - 1, NOW), b=Outage(NOW - 1))
+        assert found is not None
+        assert found.name == "b"
+
+    def test_nothing_is_looked_for_where_that_is_not_wanted(self) -> None:
+        assert held_at(NOW + 0.5, needs(noticeWithin="0s")) is None
+
+
+CHAIN = [Upstream(name="localization"), Upstream(name="planning", depends_on=["localization"])]
+
+
+def healthy(id: str = "", end: float = NOW - 2, **followed: str) -> Seen:
+    return Seen("Healthy", last=last(id, end - 3, end) if id else None, followed=followed)
+
+
+def due_now(followed: dict[str, str], now: float = NOW, *dependencies: Dependency, **seen: Seen) -> list[str] | None:
+    outages = {name: found for name, one in seen.items() if (found := outage(None, one, now)) is not None}
+    wanted = dependencies or (needs("localization"), needs("planning"))
+    found = due(wanted, CHAIN, seen, outages, followed=followed, now=now)
+    return None if found is None else [f"{one.name}/{one.recovery}" for one in found.follows]
+
+
+class TestWhatIsDue:
+    known = {"localization": "r0", "planning": "p0"}  # noqa: RUF012
+
+    def test_nothing_while_nobody_was_recovered(self) -> None:
+        assert due_now(self.known, localization=healthy("r0"), planning=healthy("p0", localization="r0")) is None
+
+    def test_a_recovery_of_another_once(self) -> None:
+        seen = {"localization": healthy("r1"), "planning": healthy("p0", localization="r1")}
+        assert due_now(self.known, **seen) == ["localization/r1"]
+        assert due_now(self.known | {"localization": "r1"}, **seen) is None
+
+    def test_not_before_those_that_come_first_have_done_theirs(self) -> None:
+        seen = {"localization": healthy("r1"), "planning": healthy("p0", localization="r0")}
+        assert due_now(self.known, **seen) is None
+
+    def test_once_for_all_that_came_before(self) -> None:
+        seen = {"localization": healthy("r1"), "planning": healthy("p1", localization="r1")}
+        assert due_now(self.known, **seen) == ["localization/r1", "planning/p1"]
+
+    def test_not_while_one_that_comes_first_is_not_healthy(self) -> None:
+        seen = {"localization": healthy("r1"), "planning": Seen("Recovering", NOW - 1, followed={"localization": "r1"})}
+        assert due_now(self.known, **seen) is None
+
+    def test_one_that_never_gets_there_is_waited_for_no_longer_than_that(self) -> None:
+        seen = {"localization": healthy("r1", NOW - 121), "planning": healthy("p0", localization="r0")}
+        assert due_now(self.known, **seen) == ["localization/r1"]
+
+    def test_never_while_the_recovered_one_is_failing_again(self) -> None:
+        failing = replace(healthy("r1", NOW - 500), health="Failed")
+        assert due_now(self.known, localization=failing, planning=healthy("p0", localization="r1")) is None
+
+    def test_one_that_was_not_seen_before_is_not_followed_yet(self) -> None:
+        assert due_now({}, localization=healthy("r1"), planning=healthy()) is None
+
+    def test_a_recovery_that_came_to_nothing_and_an_instance_that_is_healthy_since(self) -> None:
+        seen = Seen("Healthy", last=last("r1", NOW - 9, None))
+        outages = {"localization": Outage(NOW - 9, NOW - 1)}
+        found = due([needs()], CHAIN[:1], {"localization": seen}, outages, followed={"localization": "r0"}, now=NOW)
+        assert found == Due([DependencyRecovery(name="localization", recovery="r1")], NOW - 1)
+
+
+GRAPHS = {
+    "chain": ({"a": [], "b": ["a"], "c": ["b"]}, [["b"], ["c"]]),
+    "ladder": ({"a": [], "b": ["a"], "c": ["a", "b"]}, [["b"], ["c"]]),
+    "diamond": ({"a": [], "b": ["a"], "c": ["a"], "d": ["b", "c"]}, [["b", "c"], ["d"]]),
+    "long way": ({"a": [], "b": ["a"], "c": ["b"], "d": ["a", "c"]}, [["b"], ["c"], ["d"]]),
+}
+
+
+@pytest.mark.parametrize(("graph", "expected"), GRAPHS.values(), ids=GRAPHS.keys())
+def test_every_graph_is_recovered_in_order_at_the_same_time_where_it_can_be_and_each_once(
+    graph: dict[str, list[str]], expected: list[list[str]]
+) -> None:
+    def upstream(name: str) -> list[Upstream]:
+        names = {one for before in graph[name] for one in (before, *(u.name for u in upstream(before)))}
+        return [Upstream(name=one, depends_on=graph[one]) for one in graph if one in names]
+
+    seen = {name: healthy(f"{name}0", NOW - 100, **{one: f"{one}0" for one in graph[name]}) for name in graph}
+    seen["a"] = healthy("a1", NOW)
+    waves: list[list[str]] = []
+    for step in range(1, 9):
+        now = NOW + step
+        wave = {}
+        for name in graph:
+            above = {one.name: seen[one.name] for one in upstream(name)}
+            found = due(
+                [needs(one) for one in graph[name]],
+                upstream(name),
+                above,
+                {},
+                followed=seen[name].followed,
+                now=now,
+            )
+            if found is not None:
+                followed = {**seen[name].followed, **{one.name: one.recovery for one in found.follows}}
+                wave[name] = healthy(f"{name}1", now, **followed)
+        seen |= wave
+        waves += [sorted(wave)] if wave else []
+    assert waves == expected
+
+
+# -- on the instance in control -----------------------------------------------------------------------------------------
+
+
+def procedure(name: str, node: str = "/plan") -> BringUp:
+    found = BringUp.of(name, Procedure(yaml={"set_lifecycle": {"node": node, "state": "active"}}, within="10s"))
+    assert found is not None
+    return found
+
+
+AGAIN = Reinitialize("Reinitialize", [procedure("bringUp")])
+BOTH = Reinitialize("Procedure", [procedure("bringUp"), procedure("dependsOn[1].procedure", "/costmap")])
+
+
+def choices(*strategies: Strategy) -> list[Choice]:
+    """Each with time enough on a busy machine: none of these runs out of it."""
+    return [Choice(strategy, 20.0) for strategy in strategies]
+
+
+def driving() -> Store:
+    store = Store()
+    store.add("w-1")
+    store.gate = GateState(epoch=1, active="w-1", active_uid="uid-w-1")
+    return store
+
+
+def following(world: World) -> Progress:
+    progress = Progress.begin("localization was recovered", last_healthy=world.clock(), detected=world.clock())
+    progress.follows = [DependencyRecovery(name="localization", recovery="r1")]
+    progress.target = PodIdentity(name="w-1", uid="uid-w-1")
+    return progress
+
+
+class TestBringingUpAgain:
+    async def test_it_is_done_behind_a_closed_gate_and_the_same_instance_drives_on(self) -> None:
+        store = driving()
+        world = World(store)
+        done = await recover(following(world), choices(BOTH, Restart()), world.means())
+        assert (done.result, done.strategy) == ("Recovered", "Procedure")
+        assert store.commits == ["", "w-1"]
+        assert store.brought_up == [("w-1", "bringUp"), ("w-1", "dependsOn[1].procedure")]
+        assert store.deleted == []
+        recovery = done.to_recovery(1)
+        assert (recovery.from_pod, recovery.to_pod) == ("", "w-1")
+        assert done.parts["reinitialization"] > 0
+        assert recovery.follows == [DependencyRecovery(name="localization", recovery="r1")]
+
+    async def test_where_that_fails_the_policy_s_strategies_have_their_turn(self) -> None:
+        store = driving()
+        store.unwilling.add("w-1")
+        world = World(store)
+        done = await recover(following(world), choices(AGAIN, Restart()), world.means())
+        assert (done.result, done.strategy) == ("Recovered", "Restart")
+        assert store.deleted == ["w-1"], "what could not be brought up again has failed"
+
+    async def test_an_instance_that_is_gone_is_replaced(self) -> None:
+        store = driving()
+        world = World(store)
+        progress = following(world)
+        del store.pods["w-1"]
+        done = await recover(progress, choices(AGAIN, Restart()), world.means())
+        assert (done.result, done.strategy) == ("Recovered", "Restart")
+
+    async def test_a_monitor_that_is_killed_at_any_step_leaves_it_to_be_finished_once(self) -> None:
+        for step in range(1, 30):
+            store = driving()
+            first = World(store, dies_after=step)
+            progress = following(first)
+            try:
+                await recover(progress, choices(AGAIN, Restart()), first.means())
+            except Killed:
+                second = World(store)
+                kept = store.journal or store.gate.recovery
+                left = (kept or following(second)).model_copy(update={"resumed": True}, deep=True)
+                done = await recover(left, choices(AGAIN, Restart()), second.means())
+                assert (done.result, done.strategy) == ("Recovered", "Reinitialize")
+                assert store.gate.active == "w-1"
+                assert store.deleted == []
+            else:
+                assert step > 4
+                return
+        pytest.fail("it never got through")
+
+    def test_that_it_fails_right_after_is_no_reason_to_pass_over_the_policy_s_first_strategy(self) -> None:
+        done = Progress.begin("localization was recovered", last_healthy=NOW, detected=NOW)
+        done.follows, done.result = [DependencyRecovery(name="localization", recovery="r1")], "Recovered"
+        done.target, done.moments["verified"] = PodIdentity(name="w-1", uid="uid-w-1"), NOW
+        escalation = Escalation()
+        escalation.note(done)
+        assert escalation.first("uid-w-1", NOW + 0.5, 2, healthy_delay=2.0) == 0
+
+
+def test_it_survives_being_written_down() -> None:
+    progress = Progress.begin("localization was recovered", last_healthy=NOW, detected=NOW)
+    progress.follows = [DependencyRecovery(name="localization", recovery="r1")]
+    assert Progress.model_validate_json(progress.model_dump_json()).follows == progress.follows

@@ -1,0 +1,104 @@
+"""Applications that end again and again: another strategy's turn comes, early, and after all of them a pause."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import replace
+
+import pytest
+
+from tests.unit.failover.test_failover import VERIFY_WITHIN, failure, protected
+from tests.unit.failover.world import Store, World
+from understudy.failover.limits.escalation import Escalation
+from understudy.failover.progress import PodIdentity, Progress
+from understudy.failover.protocol import Choice, recover
+from understudy.failover.strategies import Restart, UninitializedFallback
+
+LONG = 60.0
+DELAY = 2.0
+"""Seconds for which an instance must be healthy to count as recovered."""
+
+
+def recovered(index: int, *, uid: str = "uid-2", at: float = 100.0) -> Progress:
+    progress = Progress.begin("it ended", last_healthy=at - 1, detected=at - 1)
+    progress.index, progress.result = index, "Recovered"
+    progress.target = PodIdentity(name="w-2", uid=uid)
+    progress.moments["verified"] = at
+    return progress
+
+
+def test_an_instance_that_fails_as_soon_as_it_is_in_control_has_the_next_strategy_tried() -> None:
+    escalation = Escalation()
+    escalation.note(recovered(0))
+    assert escalation.first("uid-2", 100.0 + DELAY / 2, 2, healthy_delay=DELAY) == 1
+
+
+def test_after_the_last_strategy_comes_a_pause_and_then_the_first() -> None:
+    escalation = Escalation()
+    escalation.note(recovered(1))
+    assert escalation.first("uid-2", 101.0, 2, healthy_delay=DELAY) is None
+    assert escalation.first("uid-2", 103.0, 2, healthy_delay=DELAY) == 0
+
+
+@pytest.mark.parametrize(("uid", "onset"), [("uid-2", 100.0 + DELAY), ("uid-3", 101.0)])
+def test_one_that_has_worked_and_another_one_have_the_first_strategy_tried(uid: str, onset: float) -> None:
+    escalation = Escalation()
+    escalation.note(recovered(0))
+    assert escalation.first(uid, onset, 2, healthy_delay=DELAY) == 0
+
+
+def test_a_recovery_that_failed_is_no_reason_to_skip_a_strategy() -> None:
+    escalation = Escalation()
+    escalation.note(recovered(0).model_copy(update={"result": "Failed"}))
+    assert escalation.first("uid-2", 101.0, 2, healthy_delay=DELAY) == 0
+
+
+def test_one_that_flaps_has_every_strategy_tried_in_turn_until_it_was_healthy_for_long_enough() -> None:
+    escalation, delay = Escalation(), 60.0
+    escalation.note(recovered(0, uid="uid-2", at=100.0))
+    assert escalation.lived("uid-2", 130.0) == 30.0
+    assert escalation.lived("uid-3", 130.0) is None
+    assert escalation.first("uid-2", 130.0, 3, healthy_delay=delay) == 1
+    escalation.note(recovered(1, uid="uid-3", at=140.0))
+    assert escalation.first("uid-3", 199.9, 3, healthy_delay=delay) == 2
+    escalation.note(recovered(2, uid="uid-4", at=210.0))
+    assert escalation.first("uid-4", 210.0 + delay, 3, healthy_delay=delay) == 0, "that one has worked"
+
+
+def crash_looping(name: str, store: Store) -> None:
+    store.pods[name] = replace(store.pods[name], crashing=True, ready=False)
+
+
+async def test_an_understudy_that_ends_again_and_again_is_given_up_before_its_time() -> None:
+    store = protected(pool="spare", held=True)
+    store.broken.add("w-2")
+    world = World(store)
+    asyncio.get_running_loop().call_later(0.2, crash_looping, "w-2", store)
+    begun = world.clock()
+    strategies = [Choice(UninitializedFallback("spare"), LONG), Choice(Restart(), VERIFY_WITHIN)]
+    done = await recover(failure(world), strategies, world.means())
+    assert (done.result, done.strategy) == ("Recovered", "Restart")
+    assert done.attempts[0].message == "a container of pod w-2 ends again and again"
+    assert world.clock() - begun < LONG / 3
+
+
+async def test_the_last_strategy_has_all_of_its_time() -> None:
+    store = protected(pool="spare", held=True)
+    store.broken.add("w-2")
+    world = World(store)
+    asyncio.get_running_loop().call_later(0.1, crash_looping, "w-2", store)
+    done = await recover(failure(world), [Choice(UninitializedFallback("spare"), 0.5)], world.means())
+    assert done.result == "Failed"
+    assert "not verified within 0.5 s" in done.attempts[0].message
+
+
+async def test_a_restart_replaces_a_pod_that_ends_again_and_again() -> None:
+    store = protected()
+    store.add("w-2", crashing=True, ready=False)
+    store.broken.add("w-2")
+    world = World(store)
+    done = await recover(failure(world), [Choice(Restart(), VERIFY_WITHIN)], world.means())
+    assert done.result == "Recovered"
+    assert set(store.deleted) == {"w-1", "w-2"}
+    assert done.target is not None
+    assert done.target.name.startswith("w-new")

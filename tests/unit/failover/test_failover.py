@@ -1,0 +1,253 @@
+"""The failover protocol: who ends up in control, through escalation and through the death of the monitor at every step."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+
+from tests.unit.failover.world import Killed, Store, World
+from understudy.failover.interfaces import GateState, Instance, Superseded
+from understudy.failover.progress import PodIdentity, Progress
+from understudy.failover.protocol import Choice, recover
+from understudy.failover.strategies import ExecutingFallback, Restart, UninitializedFallback
+
+VERIFY_WITHIN = 0.3
+
+
+def choices(*strategies: object) -> list[Choice]:
+    return [Choice(strategy, VERIFY_WITHIN) for strategy in strategies]  # type: ignore[arg-type]
+
+
+def failure(world: World, pod: str = "w-1") -> Progress:
+    now = world.clock()
+    failed = [PodIdentity(name=pod, uid=f"uid-{pod}")] if pod else []
+    return Progress.begin("no /cmd_vel for 500 ms", last_healthy=now - 0.5, detected=now, failed=failed)
+
+
+def protected(**standby: object) -> Store:
+    store = Store()
+    store.add("w-1")
+    store.gate = GateState(epoch=1, active="w-1", active_uid="uid-w-1")
+    store.broken.add("w-1")
+    if standby:
+        store.add("w-2", **standby)
+    return store
+
+
+async def test_an_executing_standby_takes_over_in_one_commit() -> None:
+    store = protected(pool="hot")
+    world = World(store)
+    done = await recover(failure(world), choices(ExecutingFallback("hot"), Restart()), world.means())
+    assert (done.result, done.strategy) == ("Recovered", "Fallback/Executing")
+    assert store.commits == ["w-2"], "the gate was committed once, straight from the failed pod to the standby"
+    assert store.deleted == ["w-1"], "a policy patch routes, it does not kill"
+    assert done.epoch == 2
+
+
+async def test_the_parts_add_up_from_last_healthy_to_routed() -> None:
+    world = World(protected(pool="hot"))
+    done = await recover(failure(world), choices(ExecutingFallback("hot")), world.means())
+    assert sum(done.parts.values()) == pytest.approx(done.moments["routed"] - done.moments["last_healthy"], abs=1e-6)
+    assert done.parts["detection"] == pytest.approx(0.5, abs=0.01)
+    assert done.parts.get("startup", 0.0) == 0.0, (
+        "an executing standby has nothing to start (the paper's t_startup = 0)"
+    )
+
+
+async def test_a_claimed_pod_is_started_only_behind_a_closed_gate() -> None:
+    store = protected(pool="spare", held=True)
+    world = World(store)
+    done = await recover(failure(world), choices(UninitializedFallback("spare")), world.means())
+    assert (done.result, done.strategy) == ("Recovered", "Fallback/Uninitialized")
+    assert store.commits == ["", "w-2"]
+    assert store.claims == {"w-2": f"uid-w/{done.id}"}
+    assert {"claimed", "fenced", "started", "ready", "routed", "verified"} <= set(done.moments)
+
+
+async def test_losing_a_claim_means_trying_another_pod() -> None:
+    store = protected(pool="spare", held=True)
+    store.add("w-3", pool="spare", held=True)
+    store.others_claim.add("w-2")
+    world = World(store)
+    done = await recover(failure(world), choices(UninitializedFallback("spare")), world.means())
+    assert done.result == "Recovered"
+    assert done.target == PodIdentity(name="w-3", uid="uid-w-3")
+
+
+async def test_an_empty_pool_leaves_the_gate_alone_and_the_next_strategy_is_tried() -> None:
+    store = protected()
+    world = World(store)
+    done = await recover(failure(world), choices(UninitializedFallback("spare"), Restart()), world.means())
+    assert [(a.strategy, a.result) for a in done.attempts] == [
+        ("Fallback/Uninitialized", "NotAvailable"),
+        ("Restart", "Verified"),
+    ]
+    assert "pool spare has no unclaimed pod" in done.attempts[0].message
+    assert store.commits == ["", "w-new1"]
+
+
+async def test_restart_never_opens_the_gate_for_the_pod_that_failed() -> None:
+    store = protected()
+    world = World(store)
+    done = await recover(failure(world), choices(Restart()), world.means())
+    assert store.deleted == ["w-1"]
+    assert done.target is not None
+    assert done.target.name == "w-new1"
+    assert "w-1" not in store.commits
+
+
+async def test_a_standby_that_does_not_verify_is_followed_by_the_next_strategy_and_deleted() -> None:
+    store = protected(pool="hot")
+    store.broken.add("w-2")
+    world = World(store)
+    done = await recover(failure(world), choices(ExecutingFallback("hot"), Restart()), world.means())
+    assert (done.result, done.strategy) == ("Recovered", "Restart")
+    assert done.attempts[0].result == "NotVerified"
+    assert "no output of the understudy reached the gated readers" in done.attempts[0].message
+    assert {"w-1", "w-2"} <= set(store.deleted)
+
+
+async def test_the_strategy_that_is_being_tried_stands_beside_the_gate(monkeypatch: pytest.MonkeyPatch) -> None:
+    store = protected(pool="hot")
+    store.broken.add("w-2")
+    world = World(store)
+    means, told = world.means(), list[str]()
+    commit = means.gate.commit
+
+    async def noted(target: Instance | None, progress: Progress | None) -> GateState:
+        told.append(progress.strategy if progress is not None else "")
+        return await commit(target, progress)
+
+    monkeypatch.setattr(means.gate, "commit", noted)
+    await recover(failure(world), choices(ExecutingFallback("hot"), Restart()), means)
+    assert list(dict.fromkeys(told)) == ["Fallback/Executing", "Restart"]
+
+
+@pytest.mark.parametrize("loss", ["terminating", "gone"])
+async def test_an_understudy_that_is_lost_is_given_up_at_once(loss: str) -> None:
+    store = protected(pool="spare", held=True)
+    store.broken.add("w-2")
+    world = World(store)
+
+    def lose() -> None:
+        pod = store.pods.pop("w-2")
+        if loss == "terminating":
+            store.pods["w-2"] = replace(pod, terminating=True)
+
+    asyncio.get_running_loop().call_later(0.2, lose)
+    slow = [Choice(UninitializedFallback("spare"), 60.0), Choice(Restart(), VERIFY_WITHIN)]
+    begun = world.clock()
+    done = await recover(failure(world), slow, world.means())
+    assert (done.result, done.strategy) == ("Recovered", "Restart")
+    assert "w-2 is" in done.attempts[0].message
+    assert world.clock() - begun < 20.0, "the time of the first strategy was waited for"
+
+
+async def test_when_nothing_verifies_the_recovery_has_failed_and_says_why() -> None:
+    store = protected()
+    store.source_makes_broken = True
+    world = World(store)
+    done = await recover(failure(world), choices(Restart()), world.means())
+    assert (done.result, done.strategy) == ("Failed", "")
+    assert "within 0.3 s" in done.attempts[0].message
+
+
+async def test_a_standby_that_is_not_ready_is_not_chosen() -> None:
+    store = protected(pool="hot", ready=False)
+    world = World(store)
+    done = await recover(failure(world), choices(ExecutingFallback("hot"), Restart()), world.means())
+    assert done.attempts[0].result == "NotAvailable"
+    assert done.attempts[0].message == "w-2: no /cmd_vel for 500 ms"
+    assert done.strategy == "Restart"
+
+
+async def test_a_stale_monitor_never_undoes_a_newer_epoch() -> None:
+    store = protected(pool="hot")
+    world = World(store)
+    means = world.means()
+    store.gate = GateState(epoch=7, active="w-9", active_uid="uid-w-9")
+    with pytest.raises(Superseded):
+        await recover(failure(world), choices(ExecutingFallback("hot")), means)
+    assert store.gate.active == "w-9"
+
+
+async def test_without_a_failed_pod_any_ready_instance_takes_over() -> None:
+    store = Store()
+    store.add("w-2", pool="hot")
+    store.gate = GateState(epoch=3, active="w-1", active_uid="uid-w-1")
+    world = World(store)
+    done = await recover(failure(world), choices(ExecutingFallback("hot")), world.means())
+    assert done.result == "Recovered"
+
+
+@pytest.mark.parametrize(
+    ("make", "strategies"),
+    [
+        pytest.param(lambda: protected(pool="hot"), [ExecutingFallback("hot"), Restart()], id="executing"),
+        pytest.param(
+            lambda: protected(pool="spare", held=True), [UninitializedFallback("spare"), Restart()], id="uninitialized"
+        ),
+        pytest.param(protected, [Restart()], id="restart"),
+    ],
+)
+async def test_a_monitor_killed_at_any_step_is_finished_by_the_next(
+    make: Callable[[], Store], strategies: list[object]
+) -> None:
+    whole = World(make())
+    await recover(failure(whole), choices(*strategies), whole.means())
+    for step in range(whole.effects):
+        store = make()
+        first = World(store, dies_after=step)
+        progress = failure(first)
+        with pytest.raises(Killed):
+            await recover(progress.model_copy(deep=True), choices(*strategies), first.means())
+        kept = store.gate.recovery or store.journal
+        second = World(store)
+        again = (kept or progress).model_copy(deep=True, update={"resumed": True})
+        done = await recover(again, choices(*strategies), second.means())
+        assert done.result == "Recovered", f"killed at step {step}"
+        assert done.target is not None
+        assert store.drives(done.target.name), f"killed at step {step}: the robot is driven by the recorded instance"
+        assert "w-1" not in store.pods, f"killed at step {step}: the failed pod was left running"
+        assert len(store.claims) <= 1, f"killed at step {step}: claimed more than one pod"
+        assert store.commits.count(done.target.name) == 1, f"killed at step {step}: routed more than once"
+
+
+async def test_what_is_held_is_passed_over_and_takes_nothing() -> None:
+    store = protected(pool="spare", held=True)
+    world = World(store)
+    means = replace(world.means(), holds=lambda strategy: "others fail too" if not strategy.standing else None)
+    done = await recover(failure(world), choices(UninitializedFallback("spare"), Restart()), means)
+    assert done.result == "Failed"
+    assert [(a.result, a.message) for a in done.attempts] == [("NotAvailable", "others fail too")] * 2
+    assert (store.commits, store.deleted) == ([], []), "nothing was claimed, fenced or deleted"
+
+
+async def test_what_a_monitor_that_is_gone_has_begun_is_not_held() -> None:
+    store = protected(pool="hot")
+    world = World(store)
+    progress = failure(world)
+    progress.target = PodIdentity(name="w-2", uid="uid-w-2")
+    done = await recover(progress, choices(ExecutingFallback("hot")), replace(world.means(), holds=lambda _: "held"))
+    assert done.result == "Recovered"
+
+
+async def test_a_claim_that_is_refused_leaves_no_commit_under_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    # A commit that is carried out after the recovery was given up would look to the next one like another writer's.
+    store = protected(pool="spare", held=True)
+    world = World(store)
+    means, store.away = world.means(), True
+
+    async def refuse(instance: Instance, claim: str) -> Instance:
+        asyncio.get_running_loop().call_later(0.05, setattr, store, "away", False)
+        raise PermissionError("401: the API server doesn't know the roles again yet")
+
+    monkeypatch.setattr(means.instances, "claim", refuse)
+    with pytest.raises(PermissionError):
+        await recover(failure(world), choices(UninitializedFallback("spare")), means)
+    given_up = list(store.commits)
+    await asyncio.sleep(0.2)
+    assert store.commits == given_up == [""]

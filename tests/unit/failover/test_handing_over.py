@@ -1,0 +1,134 @@
+"""A recovery gives the instance that takes over the state of the last healthy one, and records what became of it."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.unit.failover.world import Killed, Store, World
+from understudy.api.protocol.kept_state import KeptSample, KeptState, NotRestored, ParameterValues
+from understudy.failover.interfaces import GateState
+from understudy.failover.progress import PodIdentity, Progress
+from understudy.failover.protocol import Choice, recover
+from understudy.failover.strategies import ExecutingFallback, Restart, UninitializedFallback
+
+ONSET = -0.5
+
+
+def store(**standby: object) -> Store:
+    made = Store()
+    made.add("w-1")
+    made.broken.add("w-1")
+    made.gate = GateState(epoch=1, active="w-1", active_uid="uid-w-1")
+    made.kept = KeptState(
+        (
+            KeptSample(
+                "/amcl_pose", "geometry_msgs/msg/PoseWithCovarianceStamped", ONSET - 1.25, b"pose", to="/initialpose"
+            ),
+            KeptSample("/map", "nav_msgs/msg/OccupancyGrid", ONSET - 9, b"map"),
+        ),
+        (ParameterValues("/controller", {"speed": 0.3}, ONSET - 2.0),),
+        (),
+        (NotRestored("/plan", "what is kept is 90.0 s old, more than maxAge (1m)", failed=False),),
+    )
+    if standby:
+        made.add("w-2", **standby)
+    return made
+
+
+def failure(world: World) -> Progress:
+    now = world.clock()
+    failed = [PodIdentity(name="w-1", uid="uid-w-1")]
+    progress = Progress.begin("no /cmd_vel for 500 ms", last_healthy=now - 0.5, detected=now, failed=failed)
+    progress.moments["last_healthy"] = ONSET
+    return progress
+
+
+def recorded(progress: Progress) -> list[tuple[str, bool, float | None, str]]:
+    return [(s.name, s.restored, s.age_seconds, s.message) for s in progress.to_recovery(1).state]
+
+
+EXPECTED = [
+    ("/amcl_pose", True, 1.25, ""),
+    ("/controller (parameters)", True, 2.0, ""),
+    ("/plan", False, None, "what is kept is 90.0 s old, more than maxAge (1m)"),
+]
+
+
+async def test_a_claimed_pod_is_given_the_state_behind_the_closed_gate() -> None:
+    made = store(pool="spare", held=True)
+    done = await recover(failure(world := World(made)), [Choice(UninitializedFallback("spare"), 0.5)], world.means())
+    assert done.result == "Recovered"
+    assert made.given == {"w-2": made.kept}
+    assert recorded(done) == EXPECTED
+
+
+async def test_a_restarted_pod_is_given_the_state() -> None:
+    made = store()
+    done = await recover(failure(world := World(made)), [Choice(Restart(), 0.5)], world.means())
+    assert (done.result, list(made.given)) == ("Recovered", ["w-new1"])
+    assert recorded(done) == EXPECTED
+
+
+async def test_an_executing_standby_has_its_own_state() -> None:
+    made = store(pool="hot")
+    done = await recover(failure(world := World(made)), [Choice(ExecutingFallback("hot"), 0.5)], world.means())
+    assert (done.result, made.given, done.state) == ("Recovered", {}, [])
+
+
+async def test_a_pod_without_an_agent_takes_over_and_is_told_to_have_been_given_nothing() -> None:
+    made = store()
+    made.broken.discard("w-1")
+    world = World(made)
+    means = world.means()
+    progress = failure(world)
+    made.add("w-9", has_agent=False, created="9")
+    made.pods.pop("w-1")
+    done = await recover(progress, [Choice(Restart(), 0.5)], means)
+    assert (done.result, made.given) == ("Recovered", {})
+    assert [(entry.name, entry.restored) for entry in done.state] == [
+        ("/plan", False),
+        ("/amcl_pose", False),
+        ("/controller (parameters)", False),
+    ]
+    assert done.state[1].message == "pod w-9 has no agent, since a referred controller made it"
+
+
+async def test_a_state_that_can_not_be_given_is_recorded_and_keeps_nobody_from_taking_over() -> None:
+    made = store()
+    made.refusal = "nobody subscribes to /initialpose within 5 s"
+    done = await recover(failure(world := World(made)), [Choice(Restart(), 0.5)], world.means())
+    assert done.result == "Recovered"
+    assert [(entry.name, entry.restored) for entry in done.to_recovery(1).state] == [
+        ("/plan", False),
+        ("/amcl_pose", False),
+        ("/controller (parameters)", False),
+    ]
+    assert done.to_recovery(1).state[1].message == "nobody subscribes to /initialpose within 5 s"
+
+
+async def test_a_second_attempt_records_what_its_own_instance_was_given() -> None:
+    made = store(pool="spare", held=True)
+    made.broken.add("w-2")
+    choices = [Choice(UninitializedFallback("spare"), 0.3), Choice(Restart(), 0.5)]
+    done = await recover(failure(world := World(made)), choices, world.means())
+    assert (done.result, list(made.given)) == ("Recovered", ["w-2", "w-new1"])
+    assert recorded(done) == EXPECTED
+
+
+async def test_whenever_the_monitor_is_killed_the_next_one_has_the_state_given() -> None:
+    for step in range(60):
+        made = store(pool="spare", held=True)
+        world = World(made, dies_after=step)
+        try:
+            done = await recover(failure(world), [Choice(UninitializedFallback("spare"), 1.0)], world.means())
+        except Killed:
+            begun = made.journal or made.gate.recovery
+            progress = begun.model_copy(deep=True) if begun is not None else failure(World(made))
+            world = World(made)
+            done = await recover(progress, [Choice(UninitializedFallback("spare"), 1.0)], world.means())
+            assert (done.result, made.given) == ("Recovered", {"w-2": made.kept}), f"killed at step {step}"
+            assert recorded(done) == EXPECTED, f"killed at step {step}"
+        else:
+            assert step > 8
+            return
+    pytest.fail("the recovery never came to its end")

@@ -1,0 +1,154 @@
+"""When the gate was enforced is told by what came through it first; and what a gate tells of a recovery before the status does."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import pytest
+
+from understudy.api.kinds.robot_workload import DependencyRecovery
+from understudy.failover.progress import LASTS, Committed, PodIdentity, Progress, rfc3339, under_way
+
+
+def switched(*, routed: float, fenced: float | None = None) -> Progress:
+    """A recovery in which the understudy's first probe was waited for."""
+    progress = Progress.begin("silent", last_healthy=99.5, detected=100.0)
+    progress.moments |= {"decided": 100.0, "committing": 100.01, "fenced": fenced or routed, "routed": routed}
+    progress.charge("cluster", routed)
+    return progress
+
+
+def test_a_command_before_the_first_probe_shows_that_the_gate_was_open() -> None:
+    progress = switched(routed=100.09)
+    progress.note_first_output(100.05)
+    moments = progress.moments
+    assert (moments["routed"], moments["fenced"], moments["first_output"]) == (100.05, 100.05, 100.05)
+    assert progress.parts["cluster"] == pytest.approx(0.05)
+    assert progress.cursor == pytest.approx(100.05)
+    assert progress.to_recovery(1).parts.cluster == pytest.approx(0.05)
+
+
+def test_one_after_the_first_probe_says_nothing_new() -> None:
+    progress = switched(routed=100.02)
+    progress.note_first_output(100.05)
+    assert (progress.moments["routed"], progress.moments["first_output"]) == (100.02, 100.05)
+    assert progress.parts["cluster"] == pytest.approx(0.02)
+
+
+def test_a_failed_pod_that_was_heard_later_was_fenced_later() -> None:
+    progress = switched(routed=100.09, fenced=100.12)
+    progress.note_first_output(100.05)
+    assert (progress.moments["routed"], progress.moments["fenced"]) == (100.05, 100.12)
+
+
+def test_by_the_reflex_the_first_command_came_before_the_commit() -> None:
+    progress = switched(routed=100.09)
+    progress.taken_over = PodIdentity(name="p", uid="u")
+    progress.moments["first_output"] = 99.9
+    progress.note_first_output(100.0)
+    assert (progress.moments["first_output"], progress.moments["routed"]) == (99.9, 100.09)
+
+
+def test_without_a_probe_nothing_is_made_up() -> None:
+    progress = Progress.begin("silent", last_healthy=99.5, detected=100.0)
+    progress.note_first_output(100.05)
+    assert "routed" not in progress.moments
+    assert "cluster" not in progress.parts
+
+
+def test_that_it_is_planned_outlives_a_monitor_and_is_recorded() -> None:
+    begun = Progress.begin("degraded: slow", last_healthy=99.9, detected=100.0, planned=True)
+    taken_up = Progress.model_validate_json(begun.model_dump_json())
+    assert taken_up.to_recovery(1).planned
+    assert not Progress.begin("silent", last_healthy=99.9, detected=100.0).to_recovery(2).planned
+
+
+NOW = 1_700_000_000.0
+
+
+def beside(**moments: float) -> Progress:
+    """A recovery that has just committed to the gate, half a second after its failure was detected."""
+    progress = Progress.begin("silent", last_healthy=NOW - 1, detected=NOW - 0.5)
+    progress.id = "r2"
+    progress.moments |= moments
+    return progress
+
+
+class TestWhatOnlyAGateTellsOf:
+    """A status tells of the recovery beside its gate once that is over, or takes long."""
+
+    def test_a_recovery_that_the_status_has_not_is_under_way(self) -> None:
+        committed = Committed.of(beside())
+        assert under_way(committed, [])
+        assert under_way(committed, [("r1", rfc3339(NOW - 60))], NOW)
+
+    def test_one_that_the_status_has_is_told_whatever_else_it_says(self) -> None:
+        committed = Committed.of(beside())
+        assert not under_way(committed, [("r2", rfc3339(NOW - 0.5))])
+        assert not under_way(committed, [("r1", None), ("r2", None)]), "and however many others there are"
+
+    def test_where_the_gate_tells_of_none_there_is_none(self) -> None:
+        assert not under_way(None, [], NOW)
+
+    @pytest.mark.parametrize("result", ["Recovered", "Failed"])
+    def test_one_that_has_come_to_its_end_by_the_gate_is_over(self, result: Literal["Recovered", "Failed"]) -> None:
+        progress = beside()
+        progress.result = result
+        assert not under_way(Committed.of(progress), [], NOW)
+
+    @pytest.mark.parametrize(("later", "expected"), [(0.0, False), (10.0, False), (-10.0, True)])
+    def test_one_that_began_no_later_than_one_in_the_status_is_told_with_that(
+        self, later: float, expected: bool
+    ) -> None:
+        """Of several that failed like each other only the last is kept, and the status keeps ten."""
+        assert under_way(Committed.of(beside()), [("r3", rfc3339(NOW - 0.5 + later)), ("r1", None)]) is expected
+
+    def test_the_order_in_the_status_does_not_matter(self) -> None:
+        told = [("r1", rfc3339(NOW - 60)), ("r3", rfc3339(NOW))]
+        assert not under_way(Committed.of(beside()), told)
+        assert not under_way(Committed.of(beside()), reversed(told))
+
+    def test_after_a_while_it_may_have_been_given_up_which_nothing_tells(self) -> None:
+        committed = Committed.of(beside())
+        assert under_way(committed, [], NOW - 0.5 + LASTS - 0.001)
+        assert not under_way(committed, [], NOW - 0.5 + LASTS)
+        assert under_way(committed, []), "who has a bound of their own asks for none"
+        assert under_way(committed, [], NOW - 60), "by a clock that is behind it has only just begun"
+
+    def test_one_that_was_held_begins_when_it_is_released(self) -> None:
+        committed = Committed.of(beside(held=NOW, released=NOW + 300))
+        assert under_way(committed, [], NOW + 305)
+        assert not under_way(committed, [("r1", rfc3339(NOW + 1))], NOW + 305), (
+            "it is as old as its failure all the same"
+        )
+
+    def test_of_one_without_a_time_only_its_id_is_known(self) -> None:
+        progress = beside()
+        progress.moments, progress.cursor = {}, 0.0
+        committed = Committed.of(progress)
+        assert under_way(committed, [("r1", None)])
+        assert not under_way(committed, [("r1", None)], NOW)
+
+    def test_a_switchover_is_planned_and_a_failure_is_not(self) -> None:
+        assert not Committed.of(beside()).planned
+        switchover = beside()
+        switchover.switchover = "Drain"
+        assert Committed.of(switchover).planned
+
+
+@pytest.mark.parametrize(
+    ("changes", "occasion"),
+    [
+        ({}, "FailureDetected"),
+        ({"planned": True}, "Rescheduling"),
+        ({"follows": [DependencyRecovery(name="maps", recovery="r9")]}, "FollowsDependency"),
+    ],
+)
+def test_what_it_was_begun_for(changes: dict[str, Any], occasion: str) -> None:
+    assert beside().model_copy(update=changes).occasion == occasion
+
+
+def test_it_is_held_until_it_is_released() -> None:
+    assert not beside().held
+    assert beside(held=NOW).held
+    assert not beside(held=NOW, released=NOW + 1).held

@@ -1,0 +1,160 @@
+"""The robot's readers chose a standby: that is noticed from samples alone, committed, and never charged to the cluster."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import replace
+
+import pytest
+
+from tests.unit.failover.world import Killed, Store, World
+from understudy.failover import reflex
+from understudy.failover.interfaces import GateState
+from understudy.failover.progress import PodIdentity, Progress
+from understudy.failover.protocol import Choice, recover
+from understudy.failover.reflex import ReflexFallback, TakenOver, longest_gap, measured, switched
+from understudy.failover.strategies import ExecutingFallback, Restart
+
+DEADLINE = 0.1
+W1, W2 = PodIdentity(name="w-1", uid="uid-w-1"), PodIdentity(name="w-2", uid="uid-w-2")
+
+
+def every(period: float, start: float, end: float) -> list[float]:
+    return [start + period * i for i in range(int((end - start) / period + 1e-9) + 1)]
+
+
+# -- noticing ------------------------------------------------------------------------------------------------------
+
+
+def seen(active: list[float], standby: list[float], now: float) -> tuple[float, float] | None:
+    return switched(active, standby, deadline=DEADLINE, now=now)
+
+
+def test_a_standby_heard_after_the_deadline_drives() -> None:
+    assert seen(every(0.05, 1, 2), [2.13], 2.14) == (2.0, 2.13)
+
+
+def test_while_the_one_in_control_is_heard_nothing_else_counts() -> None:
+    assert seen(every(0.05, 1, 2), [], 2.3) is None, "silence alone is the health tree's business"
+    assert seen(every(0.05, 1, 2), [0.9], 2.01) is None, "what was before its last output"
+    assert seen([*every(0.05, 1, 2), 2.14], [2.12], 2.2) is None, "it was late once and took the robot back"
+
+
+def test_a_writer_that_left_gives_way_at_once_but_must_stay_silent() -> None:
+    assert seen(every(0.05, 1, 2), [2.02, 2.07], 2.08) is None
+    assert seen(every(0.05, 1, 2), [2.02, 2.07], 2.11) == (2.0, 2.02)
+
+
+def test_a_standby_that_begins_first_after_a_pause_is_given_a_deadline_to_lose_again() -> None:
+    assert seen(every(0.05, 1, 2), [9.0], 9.02) is None
+    assert seen(every(0.05, 1, 2), [9.0, 9.05], 9.11) == (2.0, 9.0)
+
+
+def test_before_the_one_in_control_was_heard_nothing_is_concluded() -> None:
+    assert seen([], every(0.05, 5, 9), 9.01) is None, "a monitor that starts may discover the standby first"
+
+
+def test_a_period_longer_than_the_deadline_is_told() -> None:
+    assert longest_gap(every(0.05, 0, 5), DEADLINE) is None
+    assert longest_gap(every(0.15, 0, 5), DEADLINE) == pytest.approx(0.15)
+    late = every(0.05, 0, 5)
+    del late[50:52]
+    assert longest_gap(late, DEADLINE) is None, "late once in a while is no period"
+    assert measured(every(0.05, 0, 5), 5.1)
+    assert not measured(every(0.05, 0, 1), 1.1)
+    assert not measured(every(0.05, 0, 5), 60.0), "nothing of late"
+
+
+# -- committing ----------------------------------------------------------------------------------------------------
+
+
+def fallen_over() -> Store:
+    store = Store()
+    store.add("w-1")
+    store.add("w-2", pool="hot")
+    store.gate = GateState(epoch=1, active="w-1", active_uid="uid-w-1", admitted="w-2", admitted_uid="uid-w-2")
+    store.broken.add("w-1")
+    return store
+
+
+def begun(world: World) -> Progress:
+    now = world.clock()
+    return reflex.begin(TakenOver(W2, last=now - 0.13, first=now - 0.005), W1, DEADLINE)
+
+
+async def carried_out(progress: Progress, world: World) -> Progress:
+    await reflex.commit(progress, world.means())
+    choices = [Choice(ReflexFallback(), 0.3), Choice(ExecutingFallback("hot"), 0.3), Choice(Restart(), 0.3)]
+    return await recover(progress, choices, world.means())
+
+
+async def test_it_is_committed_once_and_only_the_detection_counts() -> None:
+    world = World(fallen_over())
+    done = await carried_out(begun(world), world)
+    assert (done.result, done.strategy, done.epoch) == ("Recovered", "Fallback/Executing (reflex)", 2)
+    assert world.store.commits == ["w-2"]
+    beside = world.store.gate.recovery
+    assert beside is not None
+    assert beside.strategy == "Fallback/Executing (reflex)", "as it was committed"
+    assert world.store.deleted == world.store.gave_way == ["w-1"]
+    recovery = done.to_recovery(1)
+    assert recovery.parts is not None
+    assert (recovery.parts.cluster, recovery.parts.startup, recovery.parts.reinitialization) == (0, 0, 0)
+    assert recovery.parts.detection == recovery.recovery_seconds == pytest.approx(0.125)
+    assert (recovery.from_pod, recovery.to_pod) == ("w-1", "w-2")
+    assert done.moments["routed"] == done.moments["first_output"] < done.moments["fenced"]
+
+
+async def test_an_api_server_that_is_away_for_long_delays_only_the_commit() -> None:
+    world = World(fallen_over())
+    means = world.means()
+    commit = means.gate.commit
+
+    async def late(*arguments: object) -> GateState:
+        await asyncio.sleep(0.7)  # longer than any strategy may take
+        return await commit(*arguments)  # type: ignore[arg-type]
+
+    means.gate.commit = late  # type: ignore[method-assign]
+    progress = begun(world)
+    await reflex.commit(progress, means)
+    done = await recover(progress, [Choice(ReflexFallback(), 0.3), Choice(Restart(), 0.3)], means)
+    assert (done.result, done.strategy) == ("Recovered", "Fallback/Executing (reflex)")
+    assert sum(done.parts.values()) == pytest.approx(0.125)
+
+
+async def test_a_standby_that_is_gone_before_the_commit_is_replaced_by_the_next_strategy() -> None:
+    store = fallen_over()
+    store.pods["w-2"] = replace(store.pods["w-2"], running=False)
+    store.add("w-3", pool="hot")
+    world = World(store)
+    done = await carried_out(begun(world), world)
+    assert (done.result, done.strategy) == ("Recovered", "Fallback/Executing")
+    assert done.target == PodIdentity(name="w-3", uid="uid-w-3")
+    assert [attempt.result for attempt in done.attempts] == ["NotAvailable", "Verified"]
+    assert sum(done.parts.values()) == pytest.approx(done.moments["routed"] - done.moments["last_healthy"])
+
+
+async def test_a_monitor_killed_at_any_step_is_finished_by_the_next() -> None:
+    whole = World(fallen_over())
+    await carried_out(begun(whole), whole)
+    for step in range(whole.effects):
+        store = fallen_over()
+        first = World(store, dies_after=step)
+        progress = begun(first)
+        with pytest.raises(Killed):
+            await carried_out(progress.model_copy(deep=True), first)
+        kept = store.gate.recovery or store.journal or progress
+        done = await carried_out(kept.model_copy(deep=True, update={"resumed": True}), World(store))
+        assert (done.result, done.strategy) == ("Recovered", "Fallback/Executing (reflex)"), f"killed at step {step}"
+        assert store.commits == ["w-2"], f"killed at step {step}"
+        assert "w-1" not in store.pods, f"killed at step {step}"
+
+
+async def test_an_ordinary_fallback_takes_the_standby_that_is_let_through() -> None:
+    store = fallen_over()
+    store.add("w-0", pool="hot", created="2020-01-01T00:00:00Z")
+    world = World(store)
+    now = world.clock()
+    progress = Progress.begin("no /scan", last_healthy=now - 1, detected=now, failed=[W1])
+    done = await recover(progress, [Choice(ExecutingFallback("hot"), 0.3)], world.means())
+    assert done.target == W2

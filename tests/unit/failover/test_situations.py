@@ -1,0 +1,78 @@
+"""Which situation is in force: the first that counts, which comes and goes with hysteresis."""
+
+from __future__ import annotations
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from understudy.failover.situation import Rule, Situations
+
+CARRYING, DOCKING = Rule("carrying", 0.0, 10.0), Rule("docking", 2.0, 0.0)
+BOTH = (CARRYING, DOCKING)
+
+
+def test_it_is_in_force_at_once_and_for_a_time_after_its_end() -> None:
+    found = Situations()
+    assert found.note(BOTH, {"carrying": False, "docking": False}, 0.0) is None
+    assert found.note(BOTH, {"carrying": True, "docking": False}, 1.0) == "carrying"
+    assert found.note(BOTH, {"carrying": False, "docking": False}, 2.0) == "carrying"
+    assert found.note(BOTH, {"carrying": False, "docking": False}, 11.9) == "carrying"
+    assert found.note(BOTH, {"carrying": False, "docking": False}, 12.0) is None
+
+
+def test_a_task_that_begins_again_before_that_ends_nothing() -> None:
+    found = Situations()
+    for second in range(60):
+        assert found.note(BOTH, {"carrying": second % 6 == 0}, float(second)) == "carrying"
+
+
+def test_one_that_does_not_last_never_is() -> None:
+    found = Situations()
+    for second in range(60):
+        assert found.note(BOTH, {"docking": second % 2 == 0}, float(second)) is None
+
+
+def test_the_first_of_the_list_goes_before_the_others() -> None:
+    found = Situations()
+    assert found.note(BOTH, {"docking": True}, 0.0) is None
+    assert found.note(BOTH, {"docking": True, "carrying": False}, 2.0) == "docking"
+    assert found.note(BOTH, {"docking": True, "carrying": True}, 3.0) == "carrying"
+    assert found.note(BOTH, {"docking": True, "carrying": False}, 4.0) == "carrying"
+    assert found.note(BOTH, {"docking": True, "carrying": False}, 14.0) == "docking"
+
+
+def test_what_can_not_be_told_changes_nothing_however_long_it_lasts() -> None:
+    found = Situations()
+    assert found.note(BOTH, {"carrying": True}, 0.0) == "carrying"
+    assert found.note(BOTH, {"carrying": False}, 1.0) == "carrying"
+    for second in range(2, 100):
+        assert found.note(BOTH, {}, float(second)) == "carrying"
+    assert found.note(BOTH, {"carrying": False}, 100.0) == "carrying"
+    assert found.note(BOTH, {"carrying": False}, 110.0) is None
+
+
+def test_one_that_was_in_force_before_goes_on() -> None:
+    found = Situations()
+    found.adopt("carrying", 5.0)
+    assert found.note(BOTH, {}, 5.0) == "carrying"
+    assert found.note((DOCKING,), {}, 6.0) is None, "the policy has it no longer"
+    assert found.note(BOTH, {}, 7.0) is None
+
+
+SEEN = st.fixed_dictionaries({rule.name: st.sampled_from([True, False, None]) for rule in BOTH})
+
+
+@given(st.lists(st.tuples(st.integers(1, 30), SEEN), min_size=1, max_size=50))
+def test_however_it_flickers_none_is_in_force_for_less_than_its_clear_time(
+    course: list[tuple[int, dict[str, bool | None]]],
+) -> None:
+    found, now, entered = Situations(), 0.0, None
+    for step, seen in course:
+        now += step / 10
+        told = found.note((CARRYING,), seen, now)
+        if told is not None and entered is None:
+            assert seen["carrying"]
+            entered = now
+        elif told is None and entered is not None:
+            assert now - entered >= CARRYING.clear_after
+            entered = None

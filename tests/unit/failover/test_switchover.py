@@ -1,0 +1,288 @@
+"""A planned switchover: who drives at every moment of it, and who is left when it comes to nothing or its monitor dies."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+from dataclasses import replace
+
+import pytest
+
+from tests.unit.failover.world import Killed, Store, World
+from understudy.api.protocol.kept_state import KeptSample, KeptState
+from understudy.failover import switchover
+from understudy.failover.bring_up import BringUp
+from understudy.failover.interfaces import GateState, Instance, NotAvailable, Superseded
+from understudy.failover.progress import Progress
+from understudy.failover.protocol import Choice
+from understudy.failover.strategies import (
+    ExecutingFallback,
+    InitializedFallback,
+    Restart,
+    Strategy,
+    UninitializedFallback,
+)
+from understudy.failover.switchover import Prepared, prepare, settle, switch
+
+BRING_UP = BringUp("bringUp", {}, 0.2, "digest", False)
+WITHIN = 0.3
+
+
+def driven(**standby: object) -> Store:
+    """A robot that w-1 drives, which is well."""
+    store = Store(beside=True)
+    store.add("w-1")
+    store.gate = GateState(epoch=1, active="w-1", active_uid="uid-w-1")
+    store.kept = KeptState(
+        (KeptSample("/amcl_pose", "geometry_msgs/msg/Pose", -1.0, b"pose", to="/initialpose"),), (), (), ()
+    )
+    if standby:
+        store.add("w-2", **standby)
+    return store
+
+
+def anything(instance: Instance) -> str | None:
+    return None
+
+
+def planned(world: World) -> Progress:
+    now = world.clock()
+    progress = Progress.begin("somebody asked for it", last_healthy=now, detected=now, planned=True)
+    progress.switchover, progress.request = "Failover", "failover 2026-11-22T14:02:11Z"
+    return progress
+
+
+async def prepared_by(world: World, *strategies: Strategy, unfit: switchover.Unfit = anything) -> Prepared:
+    choices = [Choice(strategy, WITHIN) for strategy in strategies]
+    return await prepare(planned(world), choices, world.means(), unfit)
+
+
+async def switched(world: World, *strategies: Strategy) -> Progress:
+    return await switch(await prepared_by(world, *strategies), world.means())
+
+
+STRATEGIES: Sequence[tuple[Strategy, dict[str, object]]] = (
+    (ExecutingFallback("hot"), {"pool": "hot"}),
+    (InitializedFallback("warm", recovery=BRING_UP), {"pool": "warm"}),
+    (UninitializedFallback("spare", recovery=BRING_UP), {"pool": "spare", "held": True}),
+)
+EACH = pytest.mark.parametrize(("strategy", "standby"), STRATEGIES, ids=["executing", "initialized", "uninitialized"])
+
+
+@EACH
+async def test_the_gate_is_written_once_and_never_closed(strategy: Strategy, standby: dict[str, object]) -> None:
+    store = driven(**standby)
+    done = await switched(World(store), strategy)
+    assert (done.result, store.gate.active, store.gate.epoch) == ("Recovered", "w-2", 2)
+    assert store.commits == ["w-2"]
+    assert store.deleted == ["w-1"], "the former instance goes once the next one was seen to drive"
+
+
+@EACH
+async def test_nothing_is_changed_at_the_gate_before_the_understudy_can_drive(
+    strategy: Strategy, standby: dict[str, object]
+) -> None:
+    store = driven(**standby)
+    found = await prepared_by(World(store), strategy)
+    assert found.target is not None
+    assert found.target.name == "w-2"
+    assert (store.gate.active, store.commits, store.deleted) == ("w-1", [], [])
+    assert store.journal is None, "a new monitor has nothing to go on with: it begins anew"
+
+
+async def test_an_initialized_standby_gets_fresh_state_and_is_brought_up_while_the_former_one_drives() -> None:
+    store = driven(pool="warm")
+    done = await switched(World(store), InitializedFallback("warm", recovery=BRING_UP))
+    assert store.given == {"w-2": store.kept}
+    assert store.brought_up == [("w-2", "bringUp")]
+    assert [(entry.name, entry.restored) for entry in done.to_recovery(1).state] == [("/amcl_pose", True)]
+
+
+async def test_its_record_counts_what_the_robot_saw_and_not_the_preparation() -> None:
+    world = World(driven(pool="spare", held=True))
+    recovery = (await switched(world, UninitializedFallback("spare", recovery=BRING_UP))).to_recovery(4)
+    assert (recovery.planned, recovery.switchover) == (True, "Failover")
+    assert (recovery.from_pod, recovery.to_pod, recovery.epoch) == ("w-1", "w-2", 2)
+    assert recovery.parts is not None
+    assert (recovery.parts.detection, recovery.parts.startup, recovery.parts.reinitialization) == (0.0, 0.0, 0.0)
+    assert recovery.moments.last_output is not None
+    assert [(a.strategy, a.result) for a in recovery.attempts] == [("Fallback/Uninitialized", "Verified")]
+
+
+async def test_when_a_standbys_processes_were_started_is_of_no_interest() -> None:
+    done = await switched(World(driven(pool="warm")), InitializedFallback("warm", recovery=BRING_UP))
+    assert "started" not in done.moments, "long ago"
+    assert "ready" in done.moments
+
+
+async def test_where_no_understudy_is_ready_nothing_is_changed_and_the_reason_is_told() -> None:
+    store = driven(pool="hot", ready=False)
+    found = await prepared_by(World(store), ExecutingFallback("hot"), UninitializedFallback("spare"), Restart())
+    assert found.target is None
+    assert found.passing
+    assert "Fallback/Executing: w-2: no /cmd_vel for 500 ms" in found.reason
+    assert "Fallback/Uninitialized: pool spare has no unclaimed pod" in found.reason
+    assert "Restart: its own controller runs one pod" in found.reason
+    assert (store.gate.active, store.commits, store.deleted) == ("w-1", [], [])
+
+
+async def test_an_understudy_that_does_not_get_ready_in_its_time_is_deleted_and_the_next_strategy_has_its_turn() -> (
+    None
+):
+    store = driven(pool="warm")
+    store.broken.add("w-2")
+    store.add("w-3", pool="spare", held=True)
+    world = World(store)
+    found = await prepared_by(world, InitializedFallback("warm", recovery=BRING_UP), UninitializedFallback("spare"))
+    assert found.target is not None
+    assert found.target.name == "w-3"
+    assert (store.gate.active, store.commits, store.deleted) == ("w-1", [], ["w-2"])
+    assert "could not drive within 0.3 s" in found.attempts[0].message
+
+
+async def test_a_procedure_that_fails_is_told_and_nothing_is_changed() -> None:
+    store = driven(pool="warm")
+    store.unwilling.add("w-2")
+    found = await prepared_by(World(store), InitializedFallback("warm", recovery=BRING_UP))
+    assert not found.passing
+    assert "node /amcl is gone" in found.reason
+    assert (store.gate.active, store.commits) == ("w-1", [])
+
+
+@EACH
+async def test_an_instance_that_does_not_fit_is_not_taken(strategy: Strategy, standby: dict[str, object]) -> None:
+    store = driven(**standby, node="node-2")
+    world = World(store)
+    found = await prepared_by(world, strategy, unfit=lambda i: "is on node-2" if i.node == "node-2" else None)
+    assert found.target is None
+    assert found.reason == f"{strategy.name}: w-2 is on node-2"
+    store.add("w-3", **standby, node="node-3")
+    found = await prepared_by(world, strategy, unfit=lambda i: "is on node-2" if i.node == "node-2" else None)
+    assert found.target is not None
+    assert found.target.name == "w-3"
+
+
+async def test_where_the_robot_is_not_seen_to_be_driven_the_gate_is_given_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(switchover, "SEEN_WITHIN", 0.1)
+    store = driven(pool="hot")
+    store.broken.add("w-2")
+    done = await switched(World(store), ExecutingFallback("hot"))
+    assert (done.result, store.gate.active) == ("Failed", "w-1")
+    assert store.commits == ["w-2", "w-1"]
+    assert store.deleted == ["w-2"], "the former one drives on; that one is of no use"
+    recovery = done.to_recovery(1)
+    assert (recovery.result, recovery.from_pod, recovery.strategy) == ("Failed", "w-1", "")
+    assert recovery.attempts[-1].message == "w-2 was not seen to drive within 0.1 s"
+    assert [pod.name for pod in done.replaced] == ["w-2"], "the former one isn't one that was replaced"
+
+
+async def test_where_the_former_instance_is_gone_too_the_gate_is_left_for_what_follows(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(switchover, "SEEN_WITHIN", 0.1)
+    store = driven(pool="hot")
+    store.broken.add("w-2")
+    world = World(store)
+    found = await prepared_by(world, ExecutingFallback("hot"))
+    store.pods.pop("w-1")
+    done = await switch(found, world.means())
+    assert (done.result, store.gate.active, store.deleted) == ("Failed", "w-2", [])
+
+
+async def test_an_api_server_that_does_not_answer_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(switchover, "COMMIT_WITHIN", 0.05)
+    store = driven(pool="hot")
+    world = World(store)
+    found = await prepared_by(world, ExecutingFallback("hot"))
+    store.away = True
+    with pytest.raises(TimeoutError):
+        await switch(found, world.means())
+    assert (store.gate.active, store.deleted) == ("w-1", [])
+
+
+async def test_whoever_commits_in_between_wins() -> None:
+    store = driven(pool="hot")
+    world = World(store)
+    found, means = await prepared_by(world, ExecutingFallback("hot")), world.means()
+    store.gate = replace(store.gate, epoch=2)
+    with pytest.raises(Superseded):
+        await switch(found, means)
+    assert store.deleted == []
+
+
+async def test_one_that_was_overtaken_settles_nothing() -> None:
+    store = driven(pool="hot")
+    world = World(store)
+    progress = planned(world)
+    progress.target = progress.former = None
+    with pytest.raises(Superseded):
+        await settle(progress, world.means())
+
+
+async def test_home_is_a_pod_that_the_workloads_own_controller_starts_beside_the_one_that_drives() -> None:
+    store = driven()
+    store.pods.clear()
+    store.add("s-1", pool="spare", claim="uid-w/1")
+    store.started.add("s-1")
+    store.gate = GateState(epoch=5, active="s-1", active_uid="uid-s-1")
+    world = World(store)
+    home = Restart(recovery=BRING_UP)
+    found = await prepared_by(world, home)
+    assert found.target is not None
+    assert found.target.from_source
+    assert (store.gate.active, store.commits) == ("s-1", [])
+    assert store.brought_up == [(found.target.name, "bringUp")]
+    done = await switch(found, world.means())
+    assert (done.result, store.gate.active, store.deleted) == ("Recovered", found.target.name, ["s-1"])
+
+
+@EACH
+async def test_whenever_the_monitor_is_killed_one_instance_drives_and_the_next_monitor_makes_an_end(
+    strategy: Strategy, standby: dict[str, object]
+) -> None:
+    for step in range(60):
+        store = driven(**standby)
+        store.add("w-9", **standby)
+        world = World(store, dies_after=step)
+        try:
+            done = await switched(world, strategy)
+        except Killed:
+            assert store.gate.active in ("w-1", "w-2", "w-9"), f"killed at step {step}"
+            assert store.gate.active in store.pods, f"killed at step {step}: who is let through runs"
+            # As the next one does: what was committed is settled, and anything else begun anew.
+            means = World(store).means()
+            begun = store.journal if store.journal is not None else store.gate.recovery
+            if begun is not None and (begun.result != "Running" or switchover.committed(begun, means)):
+                done = await settle(begun.model_copy(deep=True), means)
+            else:
+                done = await switched(World(store), strategy)
+        assert done.result == "Recovered", f"killed at step {step}"
+        assert store.commits.count("") == 0, f"killed at step {step}: the gate was closed"
+        assert len([c for c in store.commits if c]) == 1, f"killed at step {step}: {store.commits}"
+        assert "w-1" not in store.pods, f"killed at step {step}"
+        if world.effects <= step:
+            assert step > 4
+            return
+    pytest.fail("the switchover never came to its end")
+
+
+async def test_a_preparation_can_be_broken_off() -> None:
+    store = driven(pool="warm")
+    store.broken.add("w-2")
+    world = World(store)
+    task = asyncio.create_task(prepared_by(world, InitializedFallback("warm", recovery=BRING_UP)))
+    await asyncio.sleep(0.05)
+    task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await task
+    assert (store.gate.active, store.commits, store.deleted) == ("w-1", [], [])
+
+
+async def test_an_understudy_that_is_gone_before_the_switch_changes_nothing() -> None:
+    store = driven(pool="hot")
+    world = World(store)
+    found = await prepared_by(world, ExecutingFallback("hot"))
+    store.pods.pop("w-2")
+    with pytest.raises(NotAvailable, match="w-2, which was ready, is gone"):
+        await switch(found, world.means())
+    assert (store.gate.active, store.commits) == ("w-1", [])

@@ -1,0 +1,258 @@
+"""The monitor's end of the control channel, against agents that misbehave; tests/unit/agent has a real one."""
+
+import asyncio
+import contextlib
+import time
+
+import pytest
+
+from understudy.api.protocol import agent_messages as wire
+from understudy.api.protocol.agent_messages import AgentStatus, OutputCount, ProtocolError
+from understudy.kube.agent_client import AgentGone, AgentLink, AgentRefused
+
+TOKEN = b"token"
+STATUS = AgentStatus("Running", True, "", 1.0, 2.0, 3.0, True, {"/cmd_vel": OutputCount(5, 4.0)})
+
+
+class Agent:
+    """Speaks the protocol; how it goes on after the greeting is the test's to say."""
+
+    def __init__(self):
+        self.follow = None
+        self.sessions = 0
+        self.greeting = {"nonce": "n", "pod": "p", "uid": "u", "version": 1}
+        self.server = None
+        self._writers = []
+
+    async def serve(self, port=0):
+        self.server = await asyncio.start_server(self._session, "127.0.0.1", port)
+        self.port = self.server.sockets[0].getsockname()[1]
+
+    async def close(self):
+        self.server.close()
+        for writer in self._writers:
+            writer.transport.abort()
+
+    async def _session(self, reader, writer):
+        self._writers.append(writer)
+        self.sessions += 1
+        with contextlib.suppress(ConnectionError):
+            writer.write(wire.encode(self.greeting))
+            answer = wire.decode(await reader.readline())
+            assert answer["mac"] == wire.mac(TOKEN, "n", answer["workload"], answer["claim"])
+            await self.follow(reader, writer)
+
+
+async def say(writer, status=STATUS):
+    writer.write(wire.encode({"status": status.to_wire()}))
+    await writer.drain()
+
+
+async def keep_saying(reader, writer):
+    while True:
+        await say(writer)
+        await asyncio.sleep(0.5)
+
+
+@pytest.fixture
+async def agent():
+    made = Agent()
+    made.follow = keep_saying
+    await made.serve()
+    yield made
+    await made.close()
+
+
+@pytest.fixture
+async def link(agent):
+    made = AgentLink("127.0.0.1", agent.port, TOKEN, "robot", "uid/1")
+    yield made
+    await made.close()
+
+
+def test_a_status_survives_the_wire():
+    assert AgentStatus.from_wire(wire.decode(wire.encode(STATUS.to_wire()))) == STATUS
+    assert AgentStatus.from_wire({"phase": "Held", "ready": False, "newer": 1}) == AgentStatus()
+
+
+@pytest.mark.parametrize("data", [{}, {"phase": "Held"}, {"phase": "Held", "ready": 1, "outputs": {"/x": 1}}])
+def test_what_is_no_status_is_refused(data):
+    with pytest.raises(ProtocolError, match="not a status"):
+        AgentStatus.from_wire(data)
+
+
+@pytest.mark.parametrize("line", [b"", b"x", b"[]", b"1", b"[" * 100_000, b"\xff"])
+def test_what_is_no_message_is_refused(line):
+    with pytest.raises(ProtocolError):
+        wire.decode(line)
+
+
+def test_a_message_too_long_is_not_sent():
+    with pytest.raises(ProtocolError, match="the most is"):
+        wire.encode({"tree": "x" * wire.MAX_LINE})
+
+
+def test_the_mac_depends_on_all_of_it():
+    assert (
+        len(
+            {
+                wire.mac(token, nonce, workload, claim)
+                for token in (b"a", b"b")
+                for nonce in "ab"
+                for workload in "ab"
+                for claim in "ab"
+            }
+        )
+        == 16
+    )
+
+
+async def test_connects_and_knows_the_status(link):
+    assert not link.connected
+    await link.wait_connected(2)
+    assert link.status == STATUS
+    assert (link.pod, link.uid, link.problem) == ("p", "u", "")
+    assert await link.wait_for(lambda s: s.ready, 1) == STATUS
+
+
+async def test_connects_as_soon_as_there_is_an_agent(agent):
+    await agent.close()
+    await agent.server.wait_closed()
+    link = AgentLink("127.0.0.1", agent.port, TOKEN, "robot", "")
+    with pytest.raises(AgentGone, match="Connection refused"):
+        await link.wait_connected(0.3)
+    await agent.serve(agent.port)
+    begun = time.monotonic()
+    await link.wait_connected(3)
+    assert time.monotonic() - begun < 1.2
+    await link.close()
+
+
+async def test_a_lost_connection_fails_what_is_in_flight_at_once(agent, link):
+    async def die(reader, writer):
+        await say(writer)
+        await reader.readline()
+        writer.transport.abort()
+
+    agent.follow = die
+    await link.wait_connected(2)
+    begun = time.monotonic()
+    with pytest.raises(AgentGone):
+        await link.start({"app": {"A": "1"}}, {})
+    assert time.monotonic() - begun < 0.5
+    agent.follow = keep_saying
+    await link.wait_connected(2)
+    assert agent.sessions >= 2
+
+
+async def test_a_silent_agent_is_taken_for_gone(agent, link, monkeypatch):
+    monkeypatch.setattr(wire, "SILENCE", 0.3)
+
+    async def fall_silent(reader, writer):
+        await say(writer)
+        await asyncio.sleep(60)
+
+    agent.follow = fall_silent
+    changes = []
+    link._on_change = lambda changed: changes.append(changed.connected)
+    await link.wait_connected(2)
+    asking = asyncio.create_task(link.ask())
+    with pytest.raises(AgentGone, match="lost"):
+        await asking
+    assert (link.connected, link.status) == (False, None)
+    assert link.problem == "silent for 0.3 s"
+    assert changes[:2] == [True, False]
+
+
+async def test_a_refusal_is_said(agent, link):
+    async def refuse(reader, writer):
+        writer.write(wire.encode({"error": "claimed by other"}))
+        await writer.drain()
+        writer.close()
+
+    agent.follow = refuse
+    with pytest.raises(AgentGone, match="claimed by other"):
+        await link.wait_connected(0.3)
+    with pytest.raises(AgentGone, match="claimed by other"):
+        await link.ask()
+    assert agent.sessions == 1
+
+
+async def test_an_error_is_an_answer_to_its_request(agent, link):
+    async def answer(reader, writer):
+        await say(writer)
+        while line := await reader.readline():
+            request = wire.decode(line)
+            await say(writer)
+            if request["op"] == "status":
+                writer.write(wire.encode({"id": request["id"], "ok": True, "status": STATUS.to_wire()}))
+            else:
+                writer.write(wire.encode({"id": request["id"], "error": "no"}))
+
+    agent.follow = answer
+    await link.wait_connected(2)
+    asked, refused = await asyncio.gather(link.ask(), link.probe("127.0.0.1", 8149, 0.001, 1), return_exceptions=True)
+    assert asked == STATUS
+    assert isinstance(refused, AgentRefused)
+    assert "probe: no" in str(refused)
+
+
+@pytest.mark.parametrize("said", [b"x\n", b"[]\n", b'{"status": 1}\n', b"\xff\n", b"x" * (2 << 20)])
+async def test_nonsense_ends_the_session_and_not_the_link(agent, link, said):
+    async def talk(reader, writer):
+        await say(writer)
+        writer.write(said)
+        agent.follow = keep_saying
+        await asyncio.sleep(60)
+
+    again = asyncio.Event()
+    link._on_change = lambda changed: agent.sessions > 1 and changed.connected and again.set()
+    agent.follow = talk
+    async with asyncio.timeout(5):
+        await again.wait()
+
+
+async def test_an_answer_to_nothing_is_passed_over(agent, link):
+    async def talk(reader, writer):
+        await say(writer)
+        for number in (99, "x", [], None):
+            writer.write(wire.encode({"id": number, "ok": True}))
+        await keep_saying(reader, writer)
+
+    agent.follow = talk
+    await link.wait_connected(2)
+    await asyncio.sleep(0.7)
+    assert link.connected
+    assert agent.sessions == 1
+
+
+async def test_another_protocol_is_said(agent, link):
+    agent.greeting = {"nonce": "n", "version": 9}
+    with pytest.raises(AgentGone, match="expected a greeting of version 1"):
+        await link.wait_connected(0.5)
+
+
+async def test_wait_for_says_what_was_last(link):
+    with pytest.raises(TimeoutError, match=r"agent p: not within 0\.5 s: Running"):
+        await link.wait_for(lambda s: s.phase == "Held", 0.5)
+
+
+async def test_a_listener_that_fails_does_not_end_the_link(agent):
+    def fail(link):
+        raise RuntimeError("listener")
+
+    link = AgentLink("127.0.0.1", agent.port, TOKEN, "robot", "", on_change=fail)
+    await link.wait_connected(2)
+    await asyncio.sleep(0.7)
+    assert link.connected
+    await link.close()
+
+
+async def test_close_ends_it(agent, link):
+    await link.wait_connected(2)
+    asking = asyncio.create_task(link.ask())
+    await asyncio.sleep(0)
+    await link.close()
+    with pytest.raises(AgentGone):
+        await asking
+    assert not link.connected

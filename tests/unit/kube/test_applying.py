@@ -1,0 +1,64 @@
+"""Differences are what must be written; others' objects are left alone."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from tests.unit.kube.memory import MemoryClient
+from understudy.kube import apply
+from understudy.kube.client import SECRETS, Object
+
+
+@pytest.mark.parametrize(
+    ("live", "desired", "found"),
+    [
+        ({"a": 1, "default": 2}, {"a": 1}, []),
+        ({"a": {"b": 1, "c": 2}}, {"a": {"b": 1}}, []),
+        ({"a": {"b": 1}}, {"a": {"b": 2}}, [".a.b"]),
+        ({}, {"a": {"b": 2}}, [".a"]),
+        ({"a": [{"n": 1, "d": 0}]}, {"a": [{"n": 1}]}, []),
+        ({"a": [1, 2]}, {"a": [1]}, [".a"]),
+        ({"a": [1]}, {"a": [2]}, [".a[0]"]),
+        ({}, {"a": "", "b": [], "c": {}}, []),
+        ({"a": "x"}, {"a": ""}, [".a"]),
+        ({"a": [1]}, {"a": []}, [".a"]),
+    ],
+)
+def test_differences(live: Any, desired: Any, found: list[str]) -> None:
+    assert apply.differences(live, desired) == found
+
+
+def test_a_stamp_tells_of_a_field_that_was_taken_back() -> None:
+    with_both = apply.stamped({"metadata": {"name": "x"}, "spec": {"a": 1, "b": 2}})
+    with_one = apply.stamped({"metadata": {"name": "x"}, "spec": {"a": 1}})
+    assert apply.differences(with_both, with_one) == [f".metadata.annotations.{apply.APPLIED}"]
+
+
+def owned(uid: str) -> Object:
+    owner = {
+        "apiVersion": "understudy.dev/v1alpha1",
+        "kind": "RobotWorkload",
+        "name": "w",
+        "uid": uid,
+        "controller": True,
+    }
+    return {"kind": "Secret", "metadata": {"name": "w-agent", "ownerReferences": [owner]}}
+
+
+async def test_creating_twice_finds_the_first() -> None:
+    client = MemoryClient()
+    first = await apply.create(client, SECRETS, "fleet", owned("u1"))
+    second = await apply.create(client, SECRETS, "fleet", owned("u1"))
+    assert first["metadata"]["uid"] == second["metadata"]["uid"]
+
+
+@pytest.mark.parametrize("foreign", [owned("u2"), {"kind": "Secret", "metadata": {"name": "w-agent"}}])
+async def test_an_object_of_somebody_else_is_left_alone_and_named(foreign: Object) -> None:
+    client = MemoryClient()
+    await client.create(SECRETS, "fleet", foreign)
+    before = dict(client.items)
+    with pytest.raises(apply.Taken, match=r'Secret "w-agent" exists in namespace fleet'):
+        await apply.create(client, SECRETS, "fleet", owned("u1"))
+    assert client.items == before

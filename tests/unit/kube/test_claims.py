@@ -1,0 +1,178 @@
+"""Claims by version and by name, also such whose answers are lost: the pod has one owner, and that one knows it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+
+import aiohttp
+import pytest
+
+from tests.support.answers import tabled
+from tests.unit.kube.memory import MemoryClient
+from understudy.api import names
+from understudy.kube import claims, pod_tables
+from understudy.kube.client import PODS, ApiError, Object
+
+UNANSWERED: list[Exception] = [
+    ApiError(504, "Timeout", "the server did not answer in time"),
+    ApiError(429, "TooManyRequests", "try again"),
+    aiohttp.ServerDisconnectedError(),
+    TimeoutError(),
+]
+
+
+class Lossy(MemoryClient):
+    """Loses answers to patches, or the patches themselves."""
+
+    def __init__(self, *losses: tuple[Exception, bool]) -> None:
+        super().__init__()
+        self.losses = list(losses)
+        self.meanwhile: Callable[[], None] = lambda: None
+
+    async def patch(self, *args: object, **more: object) -> Object:
+        if not self.losses:
+            return await super().patch(*args, **more)  # type: ignore[arg-type]
+        error, carried_out = self.losses.pop(0)
+        if carried_out:
+            await super().patch(*args, **more)  # type: ignore[arg-type]
+        self.meanwhile()
+        raise error
+
+
+HELD = {names.HELD: "true", names.POOL: "spare"}
+PLACE = (PODS.plural, "fleet", "spare-1")
+
+
+async def free_pod(client: MemoryClient, annotations: Object | None = None) -> Object:
+    metadata = {"name": "spare-1", "labels": {**HELD}, "annotations": annotations or {"of": "its own"}}
+    return await client.create(PODS, "fleet", {"metadata": metadata, "spec": {}})
+
+
+def by_name(pod: Object) -> Object:
+    """What a table tells of a pod."""
+    [found] = pod_tables.pods(tabled({"metadata": {}, "items": [pod]}), namespace="fleet", labels=HELD)
+    return found
+
+
+def whole(pod: Object) -> Object:
+    """What a list tells of it."""
+    return pod
+
+
+async def claimed(client: MemoryClient, pod: Object, by: str = "w") -> Object:
+    return await claims.claim(client, pod, workload=by, workload_uid=f"uid-{by}", claim=f"uid-{by}/1")
+
+
+@pytest.mark.parametrize("told", [whole, by_name])
+@pytest.mark.parametrize("carried_out", [True, False])
+@pytest.mark.parametrize("error", UNANSWERED, ids=repr)
+async def test_a_claim_without_an_answer_ends_with_the_pod_claimed_once(
+    error: Exception, carried_out: bool, told: Callable[[Object], Object]
+) -> None:
+    client = Lossy((error, carried_out))
+    found = await claimed(client, told(await free_pod(client)))
+    assert found["metadata"]["annotations"][names.CLAIM] == "uid-w/1"
+    assert names.HELD not in found["metadata"]["labels"]
+    writes = [name for method, name, _ in client.requests if method == "PATCH"]
+    assert len(writes) == 1, "one that was carried out isn't made again"
+
+
+@pytest.mark.parametrize("told", [whole, by_name])
+async def test_a_pod_that_another_workload_got_meanwhile_is_not_taken_for_ours(
+    told: Callable[[Object], Object],
+) -> None:
+    client = Lossy((TimeoutError(), False))
+    pod = told(await free_pod(client))
+    item = client.items[(PODS.plural, "fleet", "spare-1")]
+
+    def another() -> None:
+        item["metadata"] |= {"labels": {names.WORKLOAD: "v"}, "annotations": {names.CLAIM: "uid-v/1"}}
+
+    client.meanwhile = another
+    with pytest.raises(ApiError) as refused:
+        await claimed(client, pod)
+    assert refused.value.conflict
+
+
+@pytest.mark.parametrize("told", [whole, by_name])
+async def test_of_two_claims_the_first_has_the_pod(told: Callable[[Object], Object]) -> None:
+    client = MemoryClient()
+    pod = told(await free_pod(client))
+    first = await claimed(client, pod, by="v")
+    with pytest.raises(ApiError) as refused:
+        await claimed(client, pod, by="w")
+    assert refused.value.conflict
+    assert client.items[PLACE] == first
+
+
+async def test_a_pod_that_is_known_by_name_is_claimed_by_one_write_though_it_has_changed() -> None:
+    client = MemoryClient()
+    pod = by_name(await free_pod(client))
+    await client.patch(PODS, "fleet", "spare-1", {"status": {"phase": "Running"}})
+    client.requests.clear()
+    found = await claimed(client, pod)
+    assert [method for method, _, _ in client.requests] == ["PATCH"]
+    metadata = found["metadata"]
+    assert metadata["labels"] == {names.POOL: "spare", names.WORKLOAD: "w"}
+    assert metadata["annotations"].keys() == {"of", names.CLAIM, names.CLAIMED_AT}
+    assert [(owner["kind"], owner["uid"], owner["controller"]) for owner in metadata["ownerReferences"]] == [
+        ("RobotWorkload", "uid-w", True)
+    ]
+
+
+async def test_a_pod_that_is_known_by_name_and_has_no_annotations_is_claimed_all_the_same() -> None:
+    client = MemoryClient()
+    pod = by_name(await free_pod(client))
+    del client.items[PLACE]["metadata"]["annotations"]
+    found = await claimed(client, pod)
+    assert found["metadata"]["annotations"][names.CLAIM] == "uid-w/1"
+
+
+async def test_a_pod_of_another_pool_that_has_the_name_now_is_not_claimed() -> None:
+    client = MemoryClient()
+    pod = by_name(await free_pod(client))
+    client.items[PLACE]["metadata"]["labels"][names.POOL] = "others"
+    with pytest.raises(ApiError):
+        await claimed(client, pod)
+    assert names.WORKLOAD not in client.items[PLACE]["metadata"]["labels"]
+
+
+async def test_a_pod_that_is_being_deleted_is_no_pod_to_go_on_with() -> None:
+    client = MemoryClient()
+    pod = by_name(await free_pod(client))
+    client.items[PLACE]["metadata"]["deletionTimestamp"] = "2026-01-01T00:00:30Z"
+    with pytest.raises(ApiError) as refused:
+        await claimed(client, pod)
+    assert refused.value.not_found
+
+
+async def test_what_the_api_server_refuses_for_good_is_not_tried_again() -> None:
+    client = Lossy((ApiError(403, "Forbidden", "not yours"), False))
+    with pytest.raises(ApiError) as refused:
+        await claimed(client, await free_pod(client))
+    assert refused.value.status == 403
+    assert [method for method, _, _ in client.requests] == ["POST"]
+
+
+async def test_a_question_is_asked_until_it_is_answered_or_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(claims, "RETRY_FIRST", 0.001)
+    answers: list[Exception | str] = [TimeoutError(), ApiError(429, "TooManyRequests", "busy"), "pods"]
+
+    async def ask() -> str:
+        answer = answers.pop(0)
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+    assert await claims.answered(ask) == "pods"
+    answers[:] = [ApiError(403, "Forbidden", "no"), "pods"]
+    with pytest.raises(ApiError):
+        await claims.answered(ask)
+    assert answers == ["pods"], "it isn't asked again"
+
+
+def test_the_parts_of_a_pool_have_about_as_many_pods_each() -> None:
+    counted = Counter(claims.part(f"spare-{number}") for number in range(1600))
+    assert len(counted) == claims.PARTS
+    assert 60 < min(counted.values()) <= max(counted.values()) < 140

@@ -1,0 +1,230 @@
+"""Probes over a real UDP socket of the loopback."""
+
+import asyncio
+import itertools
+import socket
+import statistics
+import time
+
+import pytest
+
+from understudy.kube.gates import probes
+from understudy.kube.gates.probes import Probe, ProbeReceiver, ProbeSender
+
+UID = "0b5d9f5e-7c1e-4a8e-9f2b-5d2f3f6f9a10"
+OTHER = "1b5d9f5e-7c1e-4a8e-9f2b-5d2f3f6f9a11"
+
+
+@pytest.fixture
+async def receiver():
+    made = ProbeReceiver()
+    made.port = await made.listen(port=0, host="127.0.0.1")
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def sender():
+    made = ProbeSender(UID)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def send(receiver):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+        yield lambda datagram: sock.sendto(datagram, ("127.0.0.1", receiver.port))
+
+
+def test_a_datagram_is_as_agreed():
+    datagram = probes.encode(UID, 7, 1_700_000_000_123_456_789)
+    assert datagram == b"USP1" + UID.encode() + (7).to_bytes(8, "big") + (1_700_000_000_123_456_789).to_bytes(8, "big")
+    assert probes.decode(datagram) == Probe(UID, 7, pytest.approx(1_700_000_000.123456789))
+
+
+@pytest.mark.parametrize(
+    "datagram",
+    [
+        b"",
+        b"USP1",
+        b"USP2" + bytes(52),
+        b"USP1" + b"\xff" * 52,
+        probes.encode(UID, 1, 1)[:-1],
+        probes.encode(UID, 1, 1) + b"x",
+    ],
+)
+def test_other_datagrams_are_none(datagram):
+    assert probes.decode(datagram) is None
+
+
+def test_a_uid_is_36_long():
+    with pytest.raises(ValueError, match="pod UID 'abc' has 3 bytes"):
+        ProbeSender("abc")
+
+
+async def test_arrivals_are_noted_by_pod(receiver, send):
+    begun = time.time()
+    for _ in range(3):
+        send(probes.encode(UID, 1, 1))
+    send(probes.encode(OTHER, 1, 1))
+    send(b"nonsense")
+    first = await receiver.wait(UID, begun, 1)
+    await receiver.wait(OTHER, begun, 1)
+    assert begun <= first <= time.time()
+    assert receiver.count_since(UID, begun) == 3
+    assert receiver.count_since(UID, time.time()) == 0
+    assert begun <= receiver.last(OTHER) <= time.time()
+    assert sorted(receiver.pods()) == [UID, OTHER]
+    assert receiver.last("nobody") is None
+    assert receiver.count_since("nobody", 0) == 0
+
+
+async def test_wait_goes_by_the_time_given(receiver, send):
+    send(probes.encode(UID, 1, 1))
+    first = await receiver.wait(UID, 0, 1)
+    await asyncio.sleep(0.01)
+    later = time.time()
+    waiting = asyncio.create_task(receiver.wait(UID, later, 1))
+    send(probes.encode(OTHER, 1, 1))
+    await asyncio.sleep(0.05)
+    assert not waiting.done()
+    send(probes.encode(UID, 2, 1))
+    assert await waiting > later > first
+    assert await receiver.wait(UID, 0) == first
+    with pytest.raises(TimeoutError):
+        await receiver.wait(UID, time.time() + 60, 0.05)
+
+
+async def test_arrival_is_when_it_came_and_not_when_it_was_looked_at(receiver, send):
+    send(probes.encode(OTHER, 1, 1))  # the kernel begins to stamp with the first socket that wants it
+    await receiver.wait(OTHER, 0, 1)
+    sent = time.time()
+    send(probes.encode(UID, 1, 1))
+    time.sleep(0.2)  # noqa: ASYNC251 (a busy event loop)
+    assert await receiver.wait(UID, 0, 1) - sent < 0.1
+
+
+async def test_memory_is_bounded(receiver):
+    for i in range(ProbeReceiver.PODS + 10):
+        receiver._note(f"{i:036}", float(i))
+    receiver._note(f"{10:036}", 1000.0)
+    receiver._note("new", 1000.0)
+    assert len(receiver.pods()) == ProbeReceiver.PODS
+    assert receiver.last(f"{10:036}") == 1000.0
+    assert receiver.last(f"{11:036}") is None
+    for i in range(2 * ProbeReceiver.ARRIVALS):
+        receiver._note(UID, float(i))
+    assert receiver.count_since(UID, 0) == ProbeReceiver.ARRIVALS
+
+
+async def test_a_clock_that_goes_back_is_followed(receiver):
+    for arrival in (100.0, 101.0, 100.999, 50.0, 51.0):
+        receiver._note(UID, arrival)
+        assert receiver.last(UID) == max(arrival, 101.0 if arrival > 60 and arrival != 100.0 else 0)
+    assert receiver.count_since(UID, 0) == 2
+
+
+async def test_one_a_second_once_aimed(receiver, sender):
+    sender.run()
+    await asyncio.sleep(0.05)
+    sender.aim("127.0.0.1", receiver.port)
+    first = await receiver.wait(UID, 0, 1.5)
+    second = await receiver.wait(UID, first + 0.001, 1.5)
+    assert second - first == pytest.approx(probes.PERIOD, abs=0.2)
+    sender.rest()
+    with pytest.raises(TimeoutError):
+        await receiver.wait(UID, second + 0.001, 1.3)
+
+
+async def test_a_burst_is_as_long_as_asked_and_gets_coarser(receiver, sender):
+    sender.aim("127.0.0.1", receiver.port)
+    begun, cpu = time.time(), time.process_time()
+    sender.burst(0.002, 1.0)
+    await asyncio.sleep(1.2)
+    spent = time.process_time() - cpu
+    assert receiver.count_since(UID, 0)
+    arrivals = list(receiver._arrivals[UID])
+    # Wide bounds: the machine may have more to do. A quiet one gives 97.
+    assert 50 <= len(arrivals) <= 105
+    assert arrivals[-1] - begun < 1.15
+    gaps = [b - a for a, b in itertools.pairwise(arrivals)]
+    assert 0.0015 < statistics.median(gaps[:18]) < 0.004
+    assert 0.018 < statistics.median(gaps[-20:]) < 0.03
+    assert spent < 0.2
+    await asyncio.sleep(0.1)
+    assert receiver.count_since(UID, 0) == len(arrivals)
+
+
+async def test_a_burst_that_nobody_waits_for_wakes_the_process_seldom(receiver, sender):
+    sender.aim("127.0.0.1", receiver.port)
+    taken = 0
+    take = receiver._take
+
+    def counted():
+        nonlocal taken
+        taken += 1
+        take()
+
+    receiver._take = counted
+    sender.burst(0.001, 0.2)
+    await asyncio.sleep(0.3)
+    assert taken <= 0.3 / probes.REST + 2
+    assert receiver.count_since(UID, 0) > 30
+
+
+async def test_one_that_waits_is_told_at_once_though_nobody_did(receiver, send, monkeypatch):
+    monkeypatch.setattr(probes, "REST", 30.0)
+    send(probes.encode(OTHER, 1, 1))
+    await asyncio.sleep(0.05)
+    waiting = asyncio.create_task(receiver.wait(UID, 0, 10))
+    await asyncio.sleep(0.05)
+    send(probes.encode(UID, 1, 1))
+    assert await waiting
+
+
+async def test_a_burst_does_not_wait_for_the_event_loop(receiver, sender):
+    sender.aim("127.0.0.1", receiver.port)
+    sender.burst(0.005, 2.0)
+    await receiver.wait(UID, 0, 1)
+    begun = time.time()
+    time.sleep(0.2)  # noqa: ASYNC251 (a busy event loop)
+    ended = time.time()
+    await asyncio.sleep(0.05)
+    assert receiver.count_since(UID, begun) - receiver.count_since(UID, ended) > 15
+
+
+async def test_a_second_burst_prolongs_the_first(receiver, sender):
+    sender.aim("127.0.0.1", receiver.port)
+    begun = time.time()
+    sender.burst(0.01, 0.2)
+    sender.burst(0.01, 0.5)
+    await asyncio.sleep(0.8)
+    assert 0.4 < receiver.last(UID) - begun < 0.6
+    assert receiver.count_since(UID, 0) <= 52
+    sender.burst(0.01, 0.1)
+    assert await receiver.wait(UID, begun + 0.7, 1)
+
+
+@pytest.mark.parametrize(("interval", "duration"), [(0.0, 1), (0.0001, 1), (2, 1), (0.001, 0), (0.001, 1e6)])
+def test_bursts_are_bounded(sender, interval, duration):
+    sender.aim("127.0.0.1")
+    with pytest.raises(ValueError, match="out of bounds"):
+        sender.burst(interval, duration)
+
+
+def test_an_aim_is_an_address(sender):
+    with pytest.raises(RuntimeError, match="no address"):
+        sender.burst(0.001, 1)
+    with pytest.raises(ValueError, match=r"robot\.example"):
+        sender.aim("robot.example")
+    with pytest.raises(ValueError, match="port 70000"):
+        sender.aim("127.0.0.1", 70000)
+    assert sender.target is None
+
+
+async def test_what_cannot_be_sent_is_lost_and_nothing_else(sender):
+    sender.aim("127.0.0.1", 1)  # answers with "connection refused"
+    sender.burst(0.001, 0.1)
+    sender.aim("ff02::1", 1)  # needs a scope
+    sender.run()
+    await asyncio.sleep(0.2)

@@ -1,0 +1,94 @@
+"""A monitor's connections stay open while it has nothing to ask, over real HTTP."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import ssl
+from collections.abc import AsyncIterator
+
+import pytest
+from aiohttp import web
+
+from understudy.kube.client import PODS, Access, ApiError, Client
+from understudy.kube.warm_connections import keep_warm
+
+IDLE = 0.3  # seconds
+
+
+class Server:
+    """Closes connections that are idle, as an API server does, and knows by which it was asked for pods."""
+
+    def __init__(self) -> None:
+        self.seen: set[object] = set()
+        self.asked: list[bool] = []
+        """Whether each question for pods came by a connection that had been used before."""
+        self.versions = 0
+        self.status = 200
+        self.address = ""
+
+    async def pods(self, request: web.Request) -> web.Response:
+        self.asked.append(request.transport in self.seen)
+        self.seen.add(request.transport)
+        await asyncio.sleep(0.05)
+        return web.json_response({"metadata": {}, "items": []})
+
+    async def version(self, request: web.Request) -> web.Response:
+        self.seen.add(request.transport)
+        self.versions += 1
+        await asyncio.sleep(0.02)
+        return web.json_response({"major": "1"}, status=self.status)
+
+
+@pytest.fixture
+async def server() -> AsyncIterator[Server]:
+    found = Server()
+    app = web.Application()
+    app.router.add_get("/api/v1/namespaces/fleet/pods", found.pods)
+    app.router.add_get("/version", found.version)
+    runner = web.AppRunner(app, keepalive_timeout=IDLE)
+    await runner.setup()
+    await web.TCPSite(runner, "127.0.0.1", 0).start()
+    found.address = f"http://127.0.0.1:{runner.addresses[0][1]}"
+    yield found
+    await runner.cleanup()
+
+
+@contextlib.asynccontextmanager
+async def warmed(client: Client) -> AsyncIterator[None]:
+    task = asyncio.create_task(keep_warm(client, 2, every=IDLE / 3))
+    try:
+        yield
+    finally:
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+
+
+async def test_after_a_rest_two_requests_at_once_need_no_new_connection(server: Server) -> None:
+    async with Client(Access(server.address, ssl.create_default_context())) as client:
+        async with warmed(client):
+            await asyncio.sleep(3 * IDLE)
+            await asyncio.gather(client.list(PODS, "fleet"), client.list(PODS, "fleet"))
+        assert server.asked == [True, True]
+
+        await asyncio.sleep(3 * IDLE)
+        await client.list(PODS, "fleet")
+        assert server.asked[-1] is False, "without it the server has closed them"
+
+
+async def test_a_refusal_serves_as_well(server: Server) -> None:
+    server.status = 403
+    async with Client(Access(server.address, ssl.create_default_context())) as client, warmed(client):
+        await asyncio.sleep(3 * IDLE)
+        with pytest.raises(ApiError):
+            await client.read("/version")
+        await client.list(PODS, "fleet")
+    assert server.asked == [True]
+
+
+async def test_it_goes_on_while_the_api_server_is_away() -> None:
+    async with Client(Access("http://127.0.0.2:1", ssl.create_default_context())) as client:
+        task = asyncio.create_task(keep_warm(client, 2, every=0.01))
+        await asyncio.sleep(0.1)
+        assert not task.done()
+        task.cancel()
