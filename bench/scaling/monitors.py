@@ -34,7 +34,7 @@ from understudy.kube.events import Recorder
 from understudy.kube.warm_connections import keep_warm
 from understudy.kube.watched_collection import Reflector
 from understudy.monitor import loop
-from understudy.monitor.act.gate_control import PolicyGate
+from understudy.monitor.act.gate_control import GateControl
 from understudy.monitor.act.pod_control import Fleet
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.loop import Parts, Supervisor
@@ -84,7 +84,7 @@ class Monitor:
         self.application = Application()
         self.supervisor: Supervisor | None = None
         self.fleet: Fleet | None = None
-        self.gate: PolicyGate | None = None
+        self.gate: GateControl | None = None
         self.reporter: Recording | None = None
         self._claiming = False
 
@@ -98,7 +98,7 @@ class Monitor:
             crash_points = CrashPoints(self._state)
             self.fleet = Fleet(client, view, crash_points)
             probes = Probes(self.application)
-            self.gate = probes.gate = PolicyGate(client, view, self.fleet, cast(Any, probes), crash_points)
+            self.gate = probes.gate = GateControl(client, view, self.fleet, cast(Any, probes), crash_points)
             recorder = Recorder(client, "understudy-monitor", "bench")
             self.reporter = Recording(client, namespace, self.robot.name, recorder)
             self.reporter.robot = self.robot.key

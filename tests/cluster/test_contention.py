@@ -31,7 +31,7 @@ from understudy.api import names
 from understudy.api.base import API_VERSION
 from understudy.failover.interfaces import ClaimLost
 from understudy.kube.client import Access, Client
-from understudy.monitor.act.gate_control import PolicyGate
+from understudy.monitor.act.gate_control import GateControl
 from understudy.monitor.act.pod_control import Fleet as Instances
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.observe.cluster_view import View
@@ -275,7 +275,7 @@ async def failing_again_and_again(
             view = View(client, namespace, robot, on_pod=lambda: None)
             await view.run(group)
             instances = Instances(client, view, steps)
-            control = PolicyGate(client, view, instances, cast(Any, None), steps)
+            control = GateControl(client, view, instances, cast(Any, None), steps)
             while time.monotonic() < until:
                 await instances.look("spare")
                 for candidate in instances.unclaimed("spare"):

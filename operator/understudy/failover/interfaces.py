@@ -103,8 +103,12 @@ class Gate(Protocol):
     """The commit point."""
 
     @property
+    def exists(self) -> bool:
+        """Whether it is there: the operator has created it, and nobody has deleted it."""
+
+    @property
     def state(self) -> GateState:
-        """As last seen or committed."""
+        """Its state as last seen or committed."""
 
     async def commit(self, target: Instance | None, progress: Progress | None) -> GateState:
         """Open it for one instance, or close it: one atomic write at the next epoch. Retries while the API is away.

@@ -22,7 +22,7 @@ from understudy.failover.switchover import Prepared
 from understudy.kube.gates.probes import ProbeReceiver
 from understudy.monitor.act.abandonment import GivingUp
 from understudy.monitor.act.garbage_collection import Leftovers
-from understudy.monitor.act.gate_control import PolicyGate
+from understudy.monitor.act.gate_control import GateControl
 from understudy.monitor.act.held_recovery import Holding
 from understudy.monitor.act.planned_switchover import Switching
 from understudy.monitor.act.pod_control import Fleet
@@ -71,7 +71,7 @@ class Parts:
 
     view: View
     fleet: Fleet
-    gate: PolicyGate
+    gate: GateControl
     sidecars: Sidecars
     sight: Sight
     probes: ProbeReceiver

@@ -23,7 +23,7 @@ from understudy.kube.events import Recorder
 from understudy.kube.gates.probes import ProbeReceiver
 from understudy.kube.warm_connections import keep_warm
 from understudy.monitor.act.action_proxy_link import TaskLink
-from understudy.monitor.act.gate_control import PolicyGate
+from understudy.monitor.act.gate_control import GateControl
 from understudy.monitor.act.permits import Leases
 from understudy.monitor.act.pod_control import Fleet
 from understudy.monitor.act.state_keeping import StateKeeping
@@ -96,7 +96,7 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
         await view.run(group)
         crash_points = CrashPoints(state)
         fleet = Fleet(client, view, crash_points)
-        gate = PolicyGate(client, view, fleet, probes, crash_points)
+        gate = GateControl(client, view, fleet, probes, crash_points)
         recorder = Recorder(client, "understudy-monitor", os.environ.get("HOSTNAME", "monitor"))
         reporter = Reporter(client, namespace, workload, recorder)
         item = view.object

@@ -36,7 +36,7 @@ from understudy.kube.client import NETWORK_POLICIES, NODES, PODS, ApiError, Clie
 from understudy.kube.events import Recorder
 from understudy.kube.gates import network_policy
 from understudy.kube.leader_election import LeadershipLost, Lease, Timing
-from understudy.monitor.act.gate_control import PolicyGate
+from understudy.monitor.act.gate_control import GateControl
 from understudy.monitor.act.pod_control import Fleet
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.loop import Parts, Supervisor
@@ -127,7 +127,7 @@ class Monitor:
             await view.run(group)
             fleet = Fleet(client, view, self.fuse)
             probes: Any = self._make_probes()
-            gate = PolicyGate(client, view, fleet, probes, self.fuse)
+            gate = GateControl(client, view, fleet, probes, self.fuse)
             reporter = self._reporter = Reporter(client, NAMESPACE, self.workload, Silent())
             if (item := view.object) is not None:
                 reporter.adopt(item)

@@ -10,12 +10,12 @@ from tests.unit.kube.memory import MemoryClient
 from understudy.api import names
 from understudy.failover.interfaces import Instance
 from understudy.kube.client import NETWORK_POLICIES, Object
-from understudy.monitor.act.gate_control import PolicyGate
+from understudy.monitor.act.gate_control import GateControl
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.observe.cluster_view import View
 
 
-async def gate(client: MemoryClient, found: View, tmp_path: Path, active: Instance | None = None) -> PolicyGate:
+async def gate(client: MemoryClient, found: View, tmp_path: Path, active: Instance | None = None) -> GateControl:
     """One at epoch 4, which says that it is open for a pod where one is given."""
     annotations = {names.EPOCH: "4"}
     if active is not None:
@@ -31,4 +31,4 @@ async def gate(client: MemoryClient, found: View, tmp_path: Path, active: Instan
 
     fleet: Any = SimpleNamespace(label=label)
     nobody: Any = None
-    return PolicyGate(client, found, fleet, nobody, CrashPoints(tmp_path))
+    return GateControl(client, found, fleet, nobody, CrashPoints(tmp_path))

@@ -30,7 +30,7 @@ from understudy.kube.client import NETWORK_POLICIES, ApiError, Object
 from understudy.kube.gates import network_policy
 from understudy.monitor.act import abandonment
 from understudy.monitor.act.abandonment import GivingUp
-from understudy.monitor.act.gate_control import PolicyGate
+from understudy.monitor.act.gate_control import GateControl
 from understudy.monitor.act.recovery_runner import Recoveries
 from understudy.monitor.observe import interrupted_recovery
 from understudy.monitor.observe.cluster_view import View
@@ -66,7 +66,7 @@ class Does(Strategy):
 class Monitor:
     """What one monitor has for its recoveries: a client, a view and a gate of its own, and a folder that outlasts it."""
 
-    def __init__(self, client: MemoryClient, view: View, gate: PolicyGate, folder: Path) -> None:
+    def __init__(self, client: MemoryClient, view: View, gate: GateControl, folder: Path) -> None:
         self.client, self.view, self.gate = client, view, gate
         self.journal = Journal(folder / "recovery.json")
         self.recoveries: list[Recovery] = []
@@ -178,7 +178,7 @@ async def successor(before: Monitor, folder: Path) -> Monitor:
     fleet: Any = before.gate._fleet
     nobody: Any = None
     return Monitor(
-        before.client, view, PolicyGate(before.client, view, fleet, nobody, before.gate._crash_points), folder
+        before.client, view, GateControl(before.client, view, fleet, nobody, before.gate._crash_points), folder
     )
 
 

@@ -26,7 +26,7 @@ from understudy.failover.strategies import Means, UninitializedFallback
 from understudy.kube import claims
 from understudy.kube.client import NETWORK_POLICIES, PODS, Object, Resource
 from understudy.kube.watched_collection import Reflector
-from understudy.monitor.act.gate_control import PolicyGate
+from understudy.monitor.act.gate_control import GateControl
 from understudy.monitor.act.pod_control import Fleet
 from understudy.monitor.act.pool_waiting import REASON, Line
 from understudy.monitor.crash_points import CrashPoints
@@ -183,7 +183,7 @@ class Monitor:
         self.reporter = Told(nobody, "fleet", workload, nobody)
         steps = CrashPoints(state)
         self.fleet = Fleet(cluster, self.view, steps)
-        self.gate = PolicyGate(cluster, self.view, self.fleet, self, steps)  # type: ignore[arg-type]
+        self.gate = GateControl(cluster, self.view, self.fleet, self, steps)  # type: ignore[arg-type]
         cluster.monitors.append(self)
 
     def hear(self, resource: Resource, item: Object) -> None:

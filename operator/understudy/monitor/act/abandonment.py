@@ -18,7 +18,7 @@ import time
 from understudy.failover.abandoned import GivenUp
 from understudy.failover.journal import Journal
 from understudy.failover.progress import LASTS, Committed, Progress, beside, under_way
-from understudy.monitor.act.gate_control import PolicyGate
+from understudy.monitor.act.gate_control import GateControl
 from understudy.monitor.report.reporter import Reporter
 
 _logger = logging.getLogger(__name__)
@@ -27,7 +27,7 @@ _logger = logging.getLogger(__name__)
 class GivingUp:
     """The recoveries of one workload that were given up, for as long as its gate may tell of them."""
 
-    def __init__(self, gate: PolicyGate, journal: Journal, reporter: Reporter) -> None:
+    def __init__(self, gate: GateControl, journal: Journal, reporter: Reporter) -> None:
         self._gate, self._journal, self._reporter = gate, journal, reporter
         self._kept: list[GivenUp] | None = None
         """None until what an earlier monitor had given up was taken over."""

@@ -19,8 +19,7 @@ from understudy.api import names
 from understudy.api.base import seconds
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.api.kinds.task_spec import TaskStatus
-from understudy.failover.interfaces import GateState, Instance
-from understudy.monitor.act.gate_control import PolicyGate
+from understudy.failover.interfaces import Gate, GateState, Instance
 from understudy.monitor.act.pod_control import Fleet
 from understudy.monitor.observe.agent_connections import Sidecars
 from understudy.monitor.observe.cluster_view import View
@@ -47,7 +46,7 @@ class TaskLink:
     """Keeps the proxy informed until cancelled."""
 
     def __init__(
-        self, socket: Path, view: View, fleet: Fleet, gate: PolicyGate, sidecars: Sidecars, reporter: Reporter
+        self, socket: Path, view: View, fleet: Fleet, gate: Gate, sidecars: Sidecars, reporter: Reporter
     ) -> None:
         """``socket`` is the proxy's."""
         self._socket = socket

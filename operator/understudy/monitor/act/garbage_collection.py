@@ -17,7 +17,7 @@ import aiohttp
 from understudy.failover.interfaces import Instance
 from understudy.failover.progress import PodIdentity
 from understudy.kube.client import ApiError
-from understudy.monitor.act.gate_control import PolicyGate
+from understudy.monitor.act.gate_control import GateControl
 from understudy.monitor.act.pod_control import Fleet
 from understudy.monitor.report.reporter import Reporter
 
@@ -36,7 +36,7 @@ FAILED_FOR = 2.0
 class Leftovers:
     """Pods of one workload that aren't in control, and of no use."""
 
-    def __init__(self, fleet: Fleet, gate: PolicyGate, reporter: Reporter) -> None:
+    def __init__(self, fleet: Fleet, gate: GateControl, reporter: Reporter) -> None:
         self._fleet, self._gate, self._reporter = fleet, gate, reporter
         self._since: dict[str, float] = {}
         self._failed: dict[str, PodIdentity] = {}

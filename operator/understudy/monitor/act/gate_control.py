@@ -31,7 +31,7 @@ WAKING = 15.0
 """Seconds after its return for which a refusal of an API server isn't final: it may not know the roles again yet."""
 
 
-class PolicyGate:
+class GateControl:
     """Implements :class:`understudy.failover.interfaces.Gate` with the workload's NetworkPolicy."""
 
     def __init__(

@@ -10,9 +10,8 @@ import time
 from collections.abc import Callable
 
 from understudy.api.kinds.robot_workload import GateStatus
-from understudy.failover.interfaces import Superseded
+from understudy.failover.interfaces import Gate, Superseded
 from understudy.failover.progress import Progress
-from understudy.monitor.act.gate_control import PolicyGate
 from understudy.monitor.act.recovery_in_progress import UnderWay
 from understudy.monitor.decide.limits import Limits
 from understudy.monitor.observe.cluster_view import View
@@ -29,7 +28,7 @@ class Holding:
     def __init__(
         self,
         view: View,
-        gate: PolicyGate,
+        gate: Gate,
         reporter: Reporter,
         black_box: BlackBox,
         limits: Limits,

@@ -20,11 +20,10 @@ import aiohttp
 
 from understudy.api import names
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
-from understudy.failover.interfaces import GateState, Instance
+from understudy.failover.interfaces import Gate, GateState, Instance
 from understudy.failover.progress import Progress
 from understudy.kube.agent_client import AgentGone, AgentRefused
 from understudy.kube.client import PODS, ApiError, Client, Object
-from understudy.monitor.act.gate_control import PolicyGate
 from understudy.monitor.act.pod_control import Fleet
 from understudy.monitor.observe.agent_connections import Sidecars
 from understudy.monitor.observe.cluster_view import View
@@ -123,7 +122,7 @@ class Leases:
         client: Client,
         view: View,
         fleet: Fleet,
-        gate: PolicyGate,
+        gate: Gate,
         sidecars: Sidecars,
         sight: Sight,
         reporter: Reporter,

@@ -18,13 +18,12 @@ from understudy.api.conditions import now as moment
 from understudy.api.kinds.switchover_spec import ENDED, Drain, Kind, Phase, Request, SwitchoverStatus, parse
 from understudy.failover import switchover
 from understudy.failover.bring_up import BringUp
-from understudy.failover.interfaces import Instance
+from understudy.failover.interfaces import Gate, Instance
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.failover.protocol import Choice
 from understudy.failover.strategies import Means, Restart
 from understudy.failover.switchover import Prepared
 from understudy.monitor.act.garbage_collection import Leftovers
-from understudy.monitor.act.gate_control import PolicyGate
 from understudy.monitor.act.pod_control import Fleet
 from understudy.monitor.observe.cluster_view import View
 from understudy.monitor.report.reporter import Reporter
@@ -73,7 +72,7 @@ class Wanted:
 class Switching:
     """The planned switchovers of one workload."""
 
-    def __init__(self, view: View, fleet: Fleet, gate: PolicyGate, reporter: Reporter, leftovers: Leftovers) -> None:
+    def __init__(self, view: View, fleet: Fleet, gate: Gate, reporter: Reporter, leftovers: Leftovers) -> None:
         self._view, self._fleet, self._gate = view, fleet, gate
         self._reporter, self._leftovers = reporter, leftovers
         self._task: asyncio.Task[Prepared] | None = None

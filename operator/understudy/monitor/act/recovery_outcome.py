@@ -8,10 +8,9 @@ import time
 from understudy.api.base import seconds
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.robot_workload import GateStatus, Recovery
-from understudy.failover.interfaces import Superseded
+from understudy.failover.interfaces import Gate, Superseded
 from understudy.failover.progress import Progress
 from understudy.monitor.act.garbage_collection import Leftovers
-from understudy.monitor.act.gate_control import PolicyGate
 from understudy.monitor.act.planned_switchover import Switching
 from understudy.monitor.act.safe_commands import Unattended
 from understudy.monitor.act.state_keeping import StateKeeping
@@ -30,7 +29,7 @@ class Aftermath:
 
     def __init__(
         self,
-        gate: PolicyGate,
+        gate: Gate,
         reporter: Reporter,
         keeping: StateKeeping,
         detector: Detector,

@@ -23,7 +23,7 @@ from understudy.failover.progress import PodIdentity
 from understudy.failover.reflex import TakenOver, longest_gap, measured, switched
 from understudy.kube.client import ApiError
 from understudy.kube.gates.probes import ProbeReceiver
-from understudy.monitor.act.gate_control import PolicyGate
+from understudy.monitor.act.gate_control import GateControl
 from understudy.monitor.act.pod_control import Fleet
 from understudy.monitor.judge.gate_enforcement import SETTLE, SILENT
 from understudy.monitor.observe.agent_connections import Sidecars
@@ -58,7 +58,7 @@ class Reflexes:
         self,
         view: View,
         fleet: Fleet,
-        gate: PolicyGate,
+        gate: GateControl,
         sidecars: Sidecars,
         sight: Sight,
         probes: ProbeReceiver,

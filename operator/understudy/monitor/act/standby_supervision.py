@@ -9,9 +9,8 @@ from typing import Any
 from understudy.api.base import seconds
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.protocol.monitor_settings import WorkloadSettings
-from understudy.failover.interfaces import Instance
+from understudy.failover.interfaces import Gate, Instance
 from understudy.monitor.act.garbage_collection import Leftovers
-from understudy.monitor.act.gate_control import PolicyGate
 from understudy.monitor.act.pod_control import Fleet
 from understudy.monitor.act.recovery_in_progress import UnderWay
 from understudy.monitor.act.standby_lifecycle import Bringing, expected, managed
@@ -28,7 +27,7 @@ class Standbys:
         self,
         view: View,
         fleet: Fleet,
-        gate: PolicyGate,
+        gate: Gate,
         sidecars: Sidecars,
         keeping: StateKeeping,
         reporter: Reporter,

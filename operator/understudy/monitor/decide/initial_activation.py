@@ -12,9 +12,8 @@ from understudy.api.base import seconds
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.robot_workload import GateStatus
 from understudy.failover.abandoned import ended
-from understudy.failover.interfaces import Superseded
+from understudy.failover.interfaces import Gate, Superseded
 from understudy.kube.client import ApiError
-from understudy.monitor.act.gate_control import PolicyGate
 from understudy.monitor.act.pod_control import Fleet
 from understudy.monitor.decide.pause_state import Pauses
 from understudy.monitor.observe.agent_connections import Sidecars
@@ -29,7 +28,7 @@ ASK_AGAIN = 2.0
 class Opening:
     """Opens the gate of one workload while it is closed. Times are unix seconds."""
 
-    def __init__(self, fleet: Fleet, gate: PolicyGate, sidecars: Sidecars, reporter: Reporter, pauses: Pauses) -> None:
+    def __init__(self, fleet: Fleet, gate: Gate, sidecars: Sidecars, reporter: Reporter, pauses: Pauses) -> None:
         self._fleet, self._gate, self._sidecars = fleet, gate, sidecars
         self._reporter, self._pauses = reporter, pauses
         self._started = time.time()

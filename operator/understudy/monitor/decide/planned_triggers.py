@@ -6,9 +6,8 @@ from __future__ import annotations
 
 import time
 
-from understudy.failover.interfaces import Instance
+from understudy.failover.interfaces import Gate, Instance
 from understudy.failover.switchover import Prepared
-from understudy.monitor.act.gate_control import PolicyGate
 from understudy.monitor.act.planned_switchover import Switching
 from understudy.monitor.decide.limits import Limits
 from understudy.monitor.decide.strategy_options import Repertoire
@@ -27,7 +26,7 @@ class Occasions:
     def __init__(
         self,
         view: View,
-        gate: PolicyGate,
+        gate: Gate,
         detector: Detector,
         levels: Levels,
         switching: Switching,

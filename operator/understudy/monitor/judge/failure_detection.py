@@ -9,10 +9,9 @@ from dataclasses import dataclass
 from understudy.api.base import seconds
 from understudy.api.kinds.failure_policy import Monitoring
 from understudy.api.kinds.robot_workload import DependencyRecovery
-from understudy.failover.interfaces import Instance
+from understudy.failover.interfaces import Gate, Instance
 from understudy.failover.reflex import TakenOver
 from understudy.failover.switchover import Prepared
-from understudy.monitor.act.gate_control import PolicyGate
 from understudy.monitor.act.pod_control import Fleet
 from understudy.monitor.observe.agent_connections import Sidecars
 from understudy.monitor.observe.health_observer import Sight
@@ -46,7 +45,7 @@ class Failure:
 class Detector:
     """Judges the instance in control. Times are unix seconds."""
 
-    def __init__(self, fleet: Fleet, gate: PolicyGate, sidecars: Sidecars, sight: Sight) -> None:
+    def __init__(self, fleet: Fleet, gate: Gate, sidecars: Sidecars, sight: Sight) -> None:
         self._fleet, self._gate = fleet, gate
         self._sidecars, self._sight = sidecars, sight
         self._debounce = Debounce()

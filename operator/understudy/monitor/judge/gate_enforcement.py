@@ -8,9 +8,8 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Literal
 
-from understudy.failover.interfaces import Instance
+from understudy.failover.interfaces import Gate, Instance
 from understudy.kube.gates.probes import ProbeReceiver
-from understudy.monitor.act.gate_control import PolicyGate
 from understudy.monitor.report.reporter import Reporter
 
 SETTLE = 3.0
@@ -83,9 +82,7 @@ def judge(
 class Enforcement:
     """Whether the gate of one workload is enforced. Times are unix seconds."""
 
-    def __init__(
-        self, gate: PolicyGate, probes: ProbeReceiver, reporter: Reporter, ungated: Callable[[], str] = str
-    ) -> None:
+    def __init__(self, gate: Gate, probes: ProbeReceiver, reporter: Reporter, ungated: Callable[[], str] = str) -> None:
         """``ungated`` tells of readers of the robot that the gate doesn't reach; empty for none."""
         self._gate, self._probes, self._reporter, self._ungated = gate, probes, reporter, ungated
         self._changed = time.time()

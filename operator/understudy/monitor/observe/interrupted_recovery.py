@@ -8,15 +8,13 @@ from __future__ import annotations
 from collections.abc import Collection
 from datetime import datetime
 
+from understudy.failover.interfaces import Gate
 from understudy.failover.journal import Journal
 from understudy.failover.progress import Progress
-from understudy.monitor.act.gate_control import PolicyGate
 from understudy.monitor.report.reporter import Reporter
 
 
-def interrupted(
-    journal: Journal, gate: PolicyGate, reporter: Reporter, given_up: Collection[str] = ()
-) -> Progress | None:
+def interrupted(journal: Journal, gate: Gate, reporter: Reporter, given_up: Collection[str] = ()) -> Progress | None:
     """The recovery that an earlier monitor had begun and not recorded, if there is one.
 
     ``given_up`` are the ids of those that it had given up: whoever failed may be well again since, or somebody else drive.
@@ -36,7 +34,7 @@ def interrupted(
     return progress.model_copy(update={"resumed": True}, deep=True)
 
 
-def concluded(gate: PolicyGate, reporter: Reporter) -> Progress | None:
+def concluded(gate: Gate, reporter: Reporter) -> Progress | None:
     """The last recovery, of which the gate still tells and the status that it recovered: an earlier monitor's."""
     left, last = gate.state.recovery, reporter.last
     if left is None or last is None or (last.id, last.result) != (left.id, "Recovered"):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from understudy.api.kinds.robot_workload import GateStatus
-from understudy.monitor.act.gate_control import PolicyGate
+from understudy.failover.interfaces import Gate
 from understudy.monitor.act.safe_commands import SafeCommands
 from understudy.monitor.decide.strategy_options import Repertoire
 from understudy.monitor.observe.cluster_view import View
@@ -18,7 +18,7 @@ class Saying:
     def __init__(
         self,
         view: View,
-        gate: PolicyGate,
+        gate: Gate,
         sight: Sight,
         safety: SafeCommands,
         repertoire: Repertoire,
