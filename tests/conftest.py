@@ -104,10 +104,15 @@ def _suitable_provider() -> str | None:
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """Says how long all of scripts/test took, and again what failed before the tests began."""
+    """Reports how long scripts/test took, why a test failed that was run again, and what failed before the tests began."""
     if started := os.environ.get("UNDERSTUDY_STARTED"):
         terminalreporter.line("")
         terminalreporter.line(f"scripts/test took {time.time() - float(started):.0f} s in all")
+    if again := terminalreporter.stats.get("rerun"):
+        terminalreporter.section("why a test failed that was run again")
+        for report in again:
+            terminalreporter.line(f"{report.nodeid} ({report.when})", bold=True)
+            terminalreporter.line(report.longreprtext[-4000:])
     failed = [name for name in os.environ.get("UNDERSTUDY_FAILED", "").split(";") if name]
     if failed:
         terminalreporter.section("failed before the tests", red=True)

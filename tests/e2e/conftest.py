@@ -12,7 +12,7 @@ import pytest
 
 from tests.e2e.faults import Stage, cluster
 from tests.e2e.kubectl import Failed, Kubectl, helm
-from tests.e2e.scenario import Robot, eventually, manifest
+from tests.e2e.scenario import Late, Robot, eventually, manifest
 
 SYSTEM = "understudy-system"
 CHART = Path(__file__).parents[2] / "charts" / "understudy"
@@ -74,34 +74,71 @@ def namespaces(release: Kubectl) -> Iterator[list[str]]:
 @pytest.fixture
 def kubectl(release: Kubectl, namespaces: list[str]) -> Iterator[Kubectl]:
     """kubectl in a namespace of the test's own."""
+    mine = _namespace(release, namespaces)
+    yield mine
+    _leave(mine)
+
+
+def _namespace(release: Kubectl, namespaces: list[str]) -> Kubectl:
     name = f"e2e-{uuid.uuid4().hex[:6]}"
     namespaces.append(name)
     release("create", "namespace", name)
-    mine = release.in_namespace(name)
-    yield mine
+    return release.in_namespace(name)
+
+
+def _leave(kubectl: Kubectl) -> None:
+    """Let a namespace end, while whatever comes next begins."""
     if not os.environ.get("UNDERSTUDY_KEEP"):
-        mine("delete", "namespace", name, "--wait=false", "--ignore-not-found")
+        kubectl("delete", "namespace", kubectl.namespace, "--wait=false", "--ignore-not-found")
+
+
+@pytest.fixture(scope="module")
+def shared(release: Kubectl, namespaces: list[str]) -> Iterator[dict[str, Robot]]:
+    """The robots that the tests of a file marked ``shared_robots`` use one after the other, by strategy."""
+    robots: dict[str, Robot] = {}
+    yield robots
+    for robot in robots.values():
+        _leave(robot.kubectl)
 
 
 @pytest.fixture
-def executing(kubectl: Kubectl) -> Robot:
+def executing(request: pytest.FixtureRequest) -> Robot:
     """A robot whose application has an executing standby."""
-    return _robot(kubectl, "executing")
+    return _robot(request, "executing")
 
 
 @pytest.fixture
-def uninitialized(kubectl: Kubectl) -> Robot:
+def uninitialized(request: pytest.FixtureRequest) -> Robot:
     """A robot whose application is protected by a pool of held pods."""
-    return _robot(kubectl, "uninitialized")
+    return _robot(request, "uninitialized")
 
 
 @pytest.fixture
-def restarting(kubectl: Kubectl) -> Robot:
+def restarting(request: pytest.FixtureRequest) -> Robot:
     """A robot whose application is only restarted."""
-    return _robot(kubectl, "restart")
+    return _robot(request, "restart")
 
 
-def _robot(kubectl: Kubectl, strategy: str) -> Robot:
+def _robot(request: pytest.FixtureRequest, strategy: str) -> Robot:
+    """The test's own robot, or the one that the tests of its file share, as long as that one is well."""
+    if request.node.get_closest_marker("shared_robots") is None or request.node.get_closest_marker("own_robot"):
+        return _started(request.getfixturevalue("kubectl"), strategy)
+    robots: dict[str, Robot] = request.getfixturevalue("shared")
+    if (robot := robots.pop(strategy, None)) is not None:
+        try:
+            robot.wait_protected(within=30)
+        except Late:
+            _leave(robot.kubectl)
+            robot = None
+    if robot is None:
+        release, namespaces = request.getfixturevalue("release"), request.getfixturevalue("namespaces")
+        robot = _started(_namespace(release, namespaces), strategy)
+    robot.begin()
+    request.addfinalizer(lambda: robots.setdefault(strategy, robot))
+    return robot
+
+
+def _started(kubectl: Kubectl, strategy: str) -> Robot:
     robot = Robot(kubectl)
     kubectl.apply(manifest(f"strategies/{strategy}.yaml"))
     kubectl.apply(robot.objects(policy=f"quickstart-{strategy}"))

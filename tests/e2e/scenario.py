@@ -6,9 +6,11 @@ Everything is applied with kubectl from the quickstart's manifests, and what hap
 from __future__ import annotations
 
 import copy
+import math
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -87,6 +89,7 @@ class Robot:
     def __init__(self, kubectl: Kubectl, name: str = "robot-1") -> None:
         self.kubectl, self.name = kubectl, name
         self.workload = f"{name}-drive"
+        self._begun, self._recovered_before = 0.0, 0
 
     # -- setting up -------------------------------------------------------------------------------------------------
 
@@ -150,6 +153,14 @@ class Robot:
         eventually(standing_by, within=within, what=f"{self.name} has an understudy", note=self.describe)
         time.sleep(2.5)  # the monitor looks at its means once a second
 
+    def begin(self) -> None:
+        """Forget what happened so far: the log begins now, and the next recovery is number 1 of this test.
+
+        For tests of one file that share a robot.
+        """
+        self._begun = time.time()
+        self._recovered_before = self.status().get("recoveryCount", 0)
+
     # -- looking ----------------------------------------------------------------------------------------------------
 
     def get(self) -> Object:
@@ -168,7 +179,9 @@ class Robot:
 
     def recoveries(self) -> list[Recovered]:
         """Its recoveries, oldest first."""
-        return [Recovered.read(entry) for entry in reversed(self.status().get("recoveries") or [])]
+        found = [Recovered.read(entry) for entry in reversed(self.status().get("recoveries") or [])]
+        before = self._recovered_before
+        return [replace(one, number=one.number - before) for one in found if one.number > before]
 
     def wait_unobserved(self, number: int, within: float, *, first: float = 1.0) -> Recovered:
         """Wait for its n-th recovery, and ask nothing for the first seconds and then only once.
@@ -176,7 +189,7 @@ class Robot:
         For measurements: each kubectl takes a processor for a tenth of a second, and the nodes may share it.
         """
         time.sleep(first)
-        awaited = f"--for=jsonpath={{.status.recoveryCount}}={number}"
+        awaited = f"--for=jsonpath={{.status.recoveryCount}}={self._recovered_before + number}"
         with suppress(Failed):  # what is so after it counts
             self.kubectl("wait", f"robotworkload/{self.name}", awaited, f"--timeout={within:g}s", timeout=2 * within)
         return self.wait_recovered(number, within)
@@ -231,7 +244,7 @@ class Robot:
     def log(self, tail: int = 0) -> RobotLog:
         """What the robot wrote down of every command."""
         script = f"tail -n {tail} /var/log/robot/robot.jsonl" if tail else "cat /var/log/robot/robot.jsonl"
-        return robotview.parse(self.kubectl.shell(self.robot_pod(), "robot", script))
+        return robotview.parse(self.kubectl.shell(self.robot_pod(), "robot", script)).between(self._begun, math.inf)
 
     def describe(self) -> str:
         """What a person would look at next, for failure messages."""

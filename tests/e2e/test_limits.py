@@ -12,6 +12,8 @@ from tests.e2e.scenario import Robot, eventually, manifest, never, patient
 from tests.e2e.test_shared_pool import fail_at_once
 from tests.e2e.test_strategies import assert_handed_over
 
+pytestmark = pytest.mark.shared_robots
+
 SAFE = "safe"
 WATCHED = 8.0
 """Seconds for which it is looked whether nothing is done."""
@@ -26,10 +28,10 @@ def executing_with(kubectl: Kubectl, **spec: object) -> Robot:
     return robot
 
 
-def assert_nothing_is_done(robot: Robot, *, recoveries: int) -> None:
+def assert_nothing_is_done(robot: Robot) -> None:
     """Whatever there was stays, and nobody of it drives."""
     pods = {pod["metadata"]["uid"] for pod in robot.pods()}
-    begun = time.time()
+    begun, recoveries = time.time(), robot.status().get("recoveryCount", 0)
     time.sleep(WATCHED)
     assert robot.status().get("recoveryCount", 0) == recoveries
     assert {pod["metadata"]["uid"] for pod in robot.pods()} == pods, "nothing was claimed, started or deleted"
@@ -68,14 +70,14 @@ def test_once_the_budget_is_spent_the_robot_is_told_the_safe_command_and_nothing
     )
     assert f"understudy resume -n {kubectl.namespace} {robot.workload}" in held["message"]
     time.sleep(1)
-    assert_nothing_is_done(robot, recoveries=1)
+    assert_nothing_is_done(robot)
     assert robot.log().of(SAFE), "the robot is told to stand still"
     explained = understudy(kubectl, "explain", robot.workload)
     assert explained.returncode == 1
     assert "(BudgetSpent" in explained.stdout
 
     robot.replace_monitor()
-    assert_nothing_is_done(robot, recoveries=1)
+    assert_nothing_is_done(robot)
 
     assert understudy(kubectl, "resume", robot.workload).returncode == 0
     again = robot.wait_recovered(2)
@@ -116,7 +118,7 @@ def test_while_it_is_paused_nothing_is_done_and_afterwards_what_failed_is_recove
         note=executing.describe,
     )
     assert executing.status()["health"] == "Failed"
-    assert_nothing_is_done(executing, recoveries=0)
+    assert_nothing_is_done(executing)
     assert executing.status()["active"] == active
 
     assert understudy(kubectl, "resume", name).returncode == 0
