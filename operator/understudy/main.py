@@ -1,17 +1,4 @@
-"""One command: for the parts that run in pods, ``understudy operator | monitor | agent | tasks | prepare | verify``, and
-for people.
-
-``understudy check`` validates manifests without a cluster, ``understudy status`` shows the robots of one, ``understudy
-timeline`` their recoveries, ``understudy explain`` why one is as it is, ``understudy tree`` a workload's live health tree,
-``understudy pause`` has one left alone and ``understudy resume`` no longer,
-``understudy failover`` and ``understudy failback`` have a robot driven by another instance as planned,
-``understudy fence`` shuts everybody out of one, ``understudy inject`` makes one fail, ``understudy robot-profile`` gives out
-what a robot outside the cluster needs, ``understudy doctor`` finds out whether a cluster does what is needed, ``understudy
-report`` writes what a period's recoveries came to, ``understudy completion`` has a shell complete all that, ``understudy
-tracker`` watches robots by a camera, ``understudy size`` says how many fallbacks a fleet needs, ``understudy recommend`` which
-strategies, ``understudy blackbox`` fetches what was recorded of a failure. What tries a policy without a cluster is in
-``understudy.cli.simulate``.
-"""
+"""The ``understudy`` command: finds the module of a verb in :data:`VERBS` and runs its ``main``."""
 
 from __future__ import annotations
 
@@ -20,74 +7,73 @@ import importlib
 import os
 import sys
 from types import ModuleType
+from typing import NamedTuple
 
 from understudy import __version__
 
-PARTS = {
-    "operator": "understudy.controller.runtime.process",
-    "monitor": "understudy.monitor.process",
-    "agent": "understudy.agent.process",
-    "tasks": "understudy.action_proxy.process",
-    "prepare": "understudy.agent.prepare",
-    "verify": "understudy.controller.runtime.installation_test",
-    "simulate": "understudy.cli.simulate.simulate",
-    "watch": "understudy.cli.simulate.watch",
-    "learn": "understudy.cli.simulate.learn",
-    "check": "understudy.cli.check.command",
-    "tree": "understudy.cli.inspect.tree",
-    "status": "understudy.cli.inspect.status",
-    "timeline": "understudy.cli.inspect.timeline",
-    "explain": "understudy.cli.inspect.explain",
-    "pause": "understudy.cli.control.pause",
-    "resume": "understudy.cli.control.resume",
-    "failover": "understudy.cli.control.failover",
-    "failback": "understudy.cli.control.failback",
-    "fence": "understudy.cli.control.fence",
-    "inject": "understudy.cli.inject.command",
-    "robot-profile": "understudy.cli.control.robot_profile",
-    "doctor": "understudy.cli.doctor.command",
-    "completion": "understudy.cli.completion.command",
-    "blackbox": "understudy.cli.inspect.blackbox",
-    "tracker": "understudy.tracker.process",
-    "size": "understudy.cli.plan.size",
-    "recommend": "understudy.cli.plan.recommend",
-    "report": "understudy.cli.report.command",
-}
-"""The module of each verb, whose ``main`` is given the arguments behind it."""
 
-_IN_PODS = ("operator", "monitor", "agent", "tasks", "prepare")
-"""What nobody types."""
+class Verb(NamedTuple):
+    """A verb of the command."""
 
-_SAYS = {
-    "check": "validate manifests, without a cluster",
-    "status": "all robots: who is in control, what is ready, what is wrong",
-    "explain": "why a robot is as it is, and what would happen if it failed now",
-    "timeline": "a robot's last recoveries",
-    "tree": "a robot's live health tree",
-    "doctor": "does the cluster do what is needed?",
-    "report": "what a period's recoveries came to, as a page",
-    "blackbox": "what was recorded around a robot's failures",
-    "pause": "leave a robot alone",
-    "resume": "end a pause",
-    "failover": "have an understudy take over, as planned",
-    "failback": "give the robot back to the workload's own pod",
-    "fence": "shut everybody out of a robot",
-    "inject": "make the instance in control fail, where that is allowed",
-    "robot-profile": "what a robot outside the cluster needs",
-    "simulate": "a policy over a recorded bag",
-    "watch": "a policy beside a live ROS graph",
-    "learn": "gaps and rates from a recorded bag",
-    "size": "how many fallbacks a fleet needs",
-    "recommend": "which strategies the requirements come to",
-    "tracker": "watch robots by a camera",
-    "verify": "does the installation work? (helm test)",
-    "completion": "have a shell complete all this at Tab",
-}
-"""For people, in the order in which they need it."""
+    name: str
+    module: str
+    """Its ``main`` receives the arguments after the verb and returns the exit status."""
+    summary: str
+    """One line for ``understudy --help`` and the reference page."""
+    in_pods: bool = False
+    """Whether only containers that Understudy creates run it. The help and shell completion leave it out."""
+    has_options: bool = True
+    """False if the environment configures it, so that it parses no arguments."""
+
+
+# In the order in which people need them.
+VERBS = (
+    Verb("check", "understudy.cli.check.command", "validate manifests without a cluster"),
+    Verb("status", "understudy.cli.inspect.status", "show all robots: active instance, standbys, problems"),
+    Verb("explain", "understudy.cli.inspect.explain", "explain a robot's state and what a failure would trigger now"),
+    Verb("timeline", "understudy.cli.inspect.timeline", "show the last recoveries of a robot"),
+    Verb("tree", "understudy.cli.inspect.tree", "show the live health tree of a robot"),
+    Verb("doctor", "understudy.cli.doctor.command", "check that the cluster provides what Understudy needs"),
+    Verb("report", "understudy.cli.report.command", "write a report about the recoveries of a period"),
+    Verb("blackbox", "understudy.cli.inspect.blackbox", "list or fetch recordings of a robot's failures"),
+    Verb("pause", "understudy.cli.control.pause", "suspend automatic recovery of a robot"),
+    Verb("resume", "understudy.cli.control.resume", "end a pause and reset the recovery limits"),
+    Verb("failover", "understudy.cli.control.failover", "switch a robot over to an understudy, as planned"),
+    Verb("failback", "understudy.cli.control.failback", "switch a robot back to a pod of its own workload"),
+    Verb("fence", "understudy.cli.control.fence", "deny all instances access to a robot"),
+    Verb("inject", "understudy.cli.inject.command", "make the active instance fail, if the namespace allows it"),
+    Verb(
+        "robot-profile",
+        "understudy.cli.control.robot_profile",
+        "write the DDS profiles for a robot outside the cluster",
+    ),
+    Verb("simulate", "understudy.cli.simulate.simulate", "evaluate a policy on a recorded bag"),
+    Verb("watch", "understudy.cli.simulate.watch", "evaluate a policy on a live ROS graph"),
+    Verb("learn", "understudy.cli.simulate.learn", "measure gaps and rates in a recorded bag"),
+    Verb("size", "understudy.cli.plan.size", "calculate how many fallbacks a fleet needs"),
+    Verb("recommend", "understudy.cli.plan.recommend", "recommend strategies for a policy's requirements"),
+    Verb("tracker", "understudy.tracker.process", "track robots with a camera"),
+    Verb("verify", "understudy.controller.runtime.installation_test", "test the installation (used by helm test)"),
+    Verb("completion", "understudy.cli.completion.command", "print the completion script of a shell"),
+    Verb("operator", "understudy.controller.runtime.process", "reconcile the objects of the cluster", in_pods=True),
+    Verb("monitor", "understudy.monitor.process", "watch one workload and recover it", in_pods=True, has_options=False),
+    Verb("agent", "understudy.agent.process", "the sidecar of an instance", in_pods=True, has_options=False),
+    Verb("tasks", "understudy.action_proxy.process", "the action proxy of a workload", in_pods=True, has_options=False),
+    Verb(
+        "prepare",
+        "understudy.agent.prepare",
+        "the init container that writes the DDS profiles of an instance",
+        in_pods=True,
+        has_options=False,
+    ),
+)
+
+_BY_NAME = {verb.name: verb for verb in VERBS}
+_FOR_PEOPLE = [verb for verb in VERBS if not verb.in_pods]
 
 
 def main() -> int:
-    """Run the part named by the first argument; imports only that one, since each must stay small."""
+    """Run the verb that the first argument names. Imports only the module of that verb, which keeps pods small."""
     arguments = sys.argv[1:]
     if "_ARGCOMPLETE" in os.environ:
         return _complete()
@@ -97,46 +83,49 @@ def main() -> int:
     if arguments[0] == "--version":
         print(f"understudy {__version__}")
         return 0
-    if arguments[0] not in PARTS:
-        print(f"understudy: there is no verb {arguments[0]!r}{_meant(arguments[0])}", file=sys.stderr)
+    verb = _BY_NAME.get(arguments[0])
+    if verb is None:
+        print(f"understudy: unknown verb {arguments[0]!r}{_suggestion(arguments[0])}", file=sys.stderr)
         return 2
-    result: int = _imported(PARTS[arguments[0]]).main(arguments[1:])
+    result: int = _import(verb.module).main(arguments[1:])
     return result
 
 
-def _imported(name: str) -> ModuleType:
-    """The module of a part, with all that it imports.
+def _import(module: str) -> ModuleType:
+    """Import a module without garbage collection, and exempt what it loads from later collections.
 
-    To look for garbage again and again among what is there to stay took a tenth of a monitor's start, so it is exempted at once.
+    Scanning objects that stay for the life of the process took a tenth of the start of a monitor.
     """
     gc.disable()
     try:
-        return importlib.import_module(name)
+        return importlib.import_module(module)
     finally:
         gc.freeze()
         gc.enable()
 
 
 def _help() -> str:
-    width = max(map(len, _SAYS)) + 2
-    listed = "\n".join(f"  {verb:{width}}{says}" for verb, says in _SAYS.items())
-    return f"usage: understudy VERB ...\n\n{listed}\n\nunderstudy VERB --help says more of one, understudy --version which this is."
+    width = max(len(verb.name) for verb in _FOR_PEOPLE) + 2
+    listed = "\n".join(f"  {verb.name:{width}}{verb.summary}" for verb in _FOR_PEOPLE)
+    return (
+        f"usage: understudy VERB ...\n\n{listed}\n\n"
+        "Use understudy VERB --help for the options of a verb, and understudy --version for the version."
+    )
 
 
-def _meant(found: str) -> str:
-    import difflib  # here, since the parts that run in pods must stay small
+def _suggestion(found: str) -> str:
+    import difflib  # not at the top, because pods do not need it
 
-    close = difflib.get_close_matches(found, _SAYS, n=1)
-    return f"; did you mean {close[0]!r}?" if close else "; understudy --help lists them"
+    close = difflib.get_close_matches(found, [verb.name for verb in _FOR_PEOPLE], n=1)
+    return f"; did you mean {close[0]!r}?" if close else "; understudy --help lists all verbs"
 
 
 def _complete() -> int:
-    """Answer a shell that asks how the line may go on."""
-    completing = importlib.import_module("understudy.cli.completion.answers")
-    typed = [part for part in PARTS if part not in _IN_PODS]
-    found = completing.verb(typed)
-    if found in typed:
-        completing.answer_by(importlib.import_module(PARTS[found]).main)
+    """Answer the completion request of a shell."""
+    shell_completion = importlib.import_module("understudy.cli.common.shell_completion")
+    verb = _BY_NAME.get(shell_completion.complete_verb([verb.name for verb in _FOR_PEOPLE]))
+    if verb is not None and not verb.in_pods:
+        shell_completion.complete_arguments(importlib.import_module(verb.module).main)
     return 1
 
 

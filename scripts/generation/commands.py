@@ -9,26 +9,20 @@ from typing import Any, NoReturn
 from unittest import mock
 
 from understudy.cli.common import kubectl
-from understudy.main import PARTS
-
-WITHOUT_OPTIONS = {
-    "monitor": "watches one workload, and recovers it. Exit status: 0 where it was told to end, 2 where it isn't told of which workload",
-    "agent": "the sidecar of an instance. Exit status: 0 where it was told to end, 2 where it isn't told of which pod",
-    "tasks": "the task proxy of a workload. Exit status: 0 where it was told to end, 2 where it isn't told of which workload",
-    "prepare": "the init container that writes an instance's DDS profiles. Exit status: 0 where they are written, 1 where they can't be",
-}
-"""What only pods run, where the environment says what to do."""
+from understudy.main import VERBS
 
 _INTRODUCTION = """\
 # Command line
 
 <!-- Written by scripts/generate from the parsers of the verbs: change those. -->
 
-`understudy VERB`, and where [`kubectl-understudy` is on the PATH](../console.md) `kubectl understudy VERB`. `-h` of each verb says the
-same as this page, and `understudy --version` which version it is. With options that a verb doesn't have, each ends with 2."""
+Run `understudy VERB`, or `kubectl understudy VERB` if [`kubectl-understudy` is on the PATH](../console.md). `-h` of each verb prints
+the same text as this page, and `understudy --version` prints the version. A verb exits with 2 if it is given an unknown option."""
 
 _IN_PODS = """\
-Nobody types these: they have no options, and the environment that the operator gives them says what they do."""
+The containers of Understudy run these. They have no options: the operator configures them through the environment. They exit with 0
+after a termination signal and with 2 if the environment does not name their workload or pod; `prepare` exits with 0 once the profiles
+are written and with 1 if they cannot be written."""
 
 
 def page() -> str:
@@ -48,13 +42,13 @@ def page() -> str:
             lines += ["", "And those that say [which cluster](#which-cluster)."]
         lines += ["", _text(parser, parser.epilog)]
     lines += ["", "## In pods", "", _IN_PODS, ""]
-    lines += [f"- `understudy {verb}`: {what}" for verb, what in WITHOUT_OPTIONS.items()]
+    lines += [f"- `understudy {verb.name}`: {verb.summary}" for verb in VERBS if not verb.has_options]
     return "\n".join(lines) + "\n"
 
 
 def parsers() -> dict[str, argparse.ArgumentParser]:
     """The parser of each verb that has one, by the verb."""
-    return {verb: _parser(PARTS[verb]) for verb in sorted(PARTS) if verb not in WITHOUT_OPTIONS}
+    return {verb.name: _parser(verb.module) for verb in sorted(VERBS) if verb.has_options}
 
 
 class _Asked(BaseException):

@@ -22,7 +22,7 @@ from tests.e2e.kubectl import Kubectl, Object
 from tests.e2e.past import EVERY, Monitor, Operator, Recovery, every, openmetrics
 from tests.e2e.scenario import Robot, eventually
 from tests.support.prometheus import SOURCE, asked, built, fill, promtool, serving
-from understudy.cli.common.kubectl import Unusable
+from understudy.cli.common.errors import CommandError
 from understudy.cli.report.prometheus_client import Prometheus
 from understudy.cli.report.prometheus_figures import measured
 from understudy.cli.report.promql import came_to, selector
@@ -134,7 +134,7 @@ def test_a_report_counts_every_recovery_of_its_period_whatever_became_of_the_mon
         assert one.counted("Recovery") == one.recovered == 3
         assert measured(asked_of, period, namespace=None).counted("Recovery") == 14
         assert not measured(asked_of, period, namespace="nowhere").seen
-        with pytest.raises(Unusable, match=r"can't tell: .*parse error"):
+        with pytest.raises(CommandError, match=r"can't tell: .*parse error"):
             asked_of.query("sum(", end)
 
 

@@ -22,7 +22,7 @@ def test_help_has_a_line_for_each_verb_that_people_type(
 ) -> None:
     assert _run(monkeypatch, asked) == 0
     listed = [line.split()[0] for line in capsys.readouterr().out.splitlines() if line.startswith("  ")]
-    assert sorted(listed) == sorted(set(command.PARTS) - set(command._IN_PODS))
+    assert sorted(listed) == sorted(verb.name for verb in command.VERBS if not verb.in_pods)
 
 
 def test_without_a_verb_the_same_is_an_error(
@@ -37,8 +37,8 @@ def test_without_a_verb_the_same_is_an_error(
 @pytest.mark.parametrize(
     ("typed", "said"),
     [
-        ("explan", "there is no verb 'explan'; did you mean 'explain'?"),
-        ("frobnicate", "there is no verb 'frobnicate'; understudy --help lists them"),
+        ("explan", "unknown verb 'explan'; did you mean 'explain'?"),
+        ("frobnicate", "unknown verb 'frobnicate'; understudy --help lists all verbs"),
     ],
 )
 def test_a_verb_that_is_not_there_is_told_by_its_name(
@@ -57,7 +57,7 @@ def test_what_a_part_is_made_of_is_not_looked_through_for_garbage() -> None:
     code = (
         "import gc\n"
         "from understudy import main\n"
-        "main._imported('understudy.agent.process')\n"
+        "main._import('understudy.agent.process')\n"
         "made = [value for value in vars(main).values() if gc.is_tracked(value)]\n"
         "looked_at = set(map(id, gc.get_objects()))\n"
         "print(gc.isenabled(), bool(made), any(id(value) in looked_at for value in made))\n"

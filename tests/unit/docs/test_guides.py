@@ -13,7 +13,7 @@ import yaml
 from tests.support.manifests import MODELS, covers
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.cli.check import command as running
-from understudy.main import PARTS
+from understudy.main import VERBS
 from understudy.trees.languages.notations import load_monitoring
 from understudy.trees.languages.short.health_loader import load
 from understudy.trees.languages.short.procedure_loader import load_procedure
@@ -95,7 +95,7 @@ def test_commands_name_what_is_there(page: str, monkeypatch: pytest.MonkeyPatch)
         words = shlex.split(line)
         assert all(Path(word).exists() for word in words if word.startswith("examples/"))
         if words[0] == "understudy":
-            assert words[1] in PARTS
+            assert words[1] in {verb.name for verb in VERBS}
         if words[:2] == ["understudy", "check"]:
             checked = True
             assert running.main(["--strict", *words[2:]]) == 0

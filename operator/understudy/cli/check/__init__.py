@@ -1,4 +1,1 @@
-"""The verb `check`: validates manifests without a cluster.
-
-It asks the same models and rules as the operator and the monitor.
-"""
+"""The verb `check`: validates manifests without a cluster, each object alone and what the objects say about each other."""

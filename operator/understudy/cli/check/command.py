@@ -11,16 +11,14 @@ import os
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 from understudy.api.output_formats import structured
-from understudy.cli.check import config_map_trees, manifest_reader, object_check, reference_check
-from understudy.cli.check.check_findings import Finding
-from understudy.cli.check.manifest_reader import Manifest
-
-SUFFIXES = (".yaml", ".yml")
-STANDARD_INPUT = "-"
+from understudy.cli.check import reference_check
+from understudy.cli.common.errors import CommandError
+from understudy.cli.manifests import config_map_trees, manifest_reader, object_check
+from understudy.cli.manifests.check_findings import Finding
+from understudy.cli.manifests.manifest_reader import Manifest
 
 
 @dataclass
@@ -100,34 +98,6 @@ def _count(number: int, what: str) -> str:
     return f"{number} {what}{'' if number == 1 else 's'}"
 
 
-class Unusable(Exception):
-    """Something that was asked for can't be read."""
-
-
-def contents(argument: str) -> Iterator[tuple[str, bytes]]:
-    """The files that an argument stands for. Raises Unusable."""
-    if argument == STANDARD_INPUT:
-        yield "<stdin>", sys.stdin.buffer.read()
-        return
-    path = Path(argument)
-    try:
-        if not path.is_dir():
-            yield argument, path.read_bytes()
-            return
-        found = sorted(one for one in path.iterdir() if one.suffix in SUFFIXES and one.is_file())
-        for one in found:
-            yield str(one), one.read_bytes()
-    except (OSError, ValueError) as error:  # a ValueError: a name that no file can have
-        why = error.strerror if isinstance(error, OSError) else str(error)
-        raise Unusable(
-            f"{argument}: {why}; give a file, a folder with *.yaml or *.yml, or - for standard input"
-        ) from error
-    if not found:
-        folders = ", ".join(str(one) for one in sorted(path.iterdir()) if one.is_dir())
-        inner = f"; folders in it are not looked into, give them too: {folders}" if folders else ""
-        raise Unusable(f"{argument}: no *.yaml and no *.yml in this folder{inner}")
-
-
 def _lines(result: Result, form: str) -> Iterator[str]:
     if form == "text":
         yield from map(str, result.findings)
@@ -157,8 +127,8 @@ def main(arguments: list[str]) -> int:
     given = parser.parse_args(arguments)
     try:
         # What is named twice, as by a folder and a pattern, is read once.
-        files = dict(entry for argument in dict.fromkeys(given.files) for entry in contents(argument))
-    except Unusable as error:
+        files = dict(entry for argument in dict.fromkeys(given.files) for entry in manifest_reader.contents(argument))
+    except CommandError as error:
         print(f"understudy check: {error}", file=sys.stderr)
         return 2
     result = check(list(files.items()))

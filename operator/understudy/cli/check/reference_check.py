@@ -10,8 +10,8 @@ from pydantic import ValidationError
 from understudy.advice import order_explanation
 from understudy.api.kinds.failure_policy import Monitoring
 from understudy.cli.check import situation_check
-from understudy.cli.check.check_findings import Finding
-from understudy.cli.check.manifest_reader import Manifest
+from understudy.cli.manifests.check_findings import Finding
+from understudy.cli.manifests.manifest_reader import Manifest
 from understudy.controller.desired import strategy_selection
 from understudy.controller.observed import dependency_graph, kube_objects, selectors
 from understudy.controller.status.policy_status import shared, unshared

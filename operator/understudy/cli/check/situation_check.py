@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from understudy.cli.check.check_findings import Finding
-from understudy.cli.check.manifest_reader import Manifest
+from understudy.cli.manifests.check_findings import Finding
+from understudy.cli.manifests.manifest_reader import Manifest
 
 
 def paths(policy: Manifest) -> Iterator[tuple[str, Any]]:

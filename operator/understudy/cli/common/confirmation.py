@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 
-from understudy.cli.common.kubectl import Unusable
+from understudy.cli.common.errors import CommandError
 
 
 def add_option(parser: argparse.ArgumentParser) -> None:
@@ -14,11 +14,11 @@ def add_option(parser: argparse.ArgumentParser) -> None:
 
 
 def confirm(question: str, *, yes: bool) -> None:
-    """Ask in a terminal. Raises Unusable where the answer is no, or where nobody can be asked."""
+    """Ask in a terminal. Raises CommandError where the answer is no, or where nobody can be asked."""
     if yes:
         return
     if not sys.stdin.isatty():
-        raise Unusable(f"{question} There is no terminal to ask in: say that it is meant with --yes")
+        raise CommandError(f"{question} There is no terminal to ask in: say that it is meant with --yes")
     print(f"{question} [y/N] ", end="", file=sys.stderr, flush=True)
     if sys.stdin.readline().strip().lower() not in ("y", "yes"):
-        raise Unusable("nothing was done")
+        raise CommandError("nothing was done")

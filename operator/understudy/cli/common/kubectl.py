@@ -14,8 +14,9 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
+from understudy.cli.common import shell_completion
+from understudy.cli.common.errors import CommandError, Forbidden
 from understudy.cli.common.kubectl_watch import Watch, waiting
-from understudy.cli.completion import answers
 
 TIMEOUT = 15.0
 """Seconds that the API server has to answer, and a forwarding to begin."""
@@ -52,14 +53,6 @@ _NOBODY = "the kubeconfig has no credentials for this cluster, so kubectl asked 
 _FORWARDING = re.compile(r"Forwarding from 127\.0\.0\.1:(\d+) ")
 
 
-class Unusable(Exception):
-    """What was asked for can't be done; the text says why, and what to do."""
-
-
-class Forbidden(Unusable):
-    """Whoever asks hasn't the right to it."""
-
-
 def add_options(parser: argparse.ArgumentParser, *, all_namespaces: bool = False) -> None:
     """Let a command be told which cluster and which namespace is meant. The last thing that its parser is given."""
     where = parser.add_mutually_exclusive_group()
@@ -68,7 +61,7 @@ def add_options(parser: argparse.ArgumentParser, *, all_namespaces: bool = False
         where.add_argument("-A", "--all-namespaces", action="store_true", help="every namespace")
     parser.add_argument("--context", help="the kubeconfig's context")
     parser.add_argument("--kubeconfig", help="the kubeconfig")
-    answers.offer(parser, {"NAME": _robots, "NAMESPACE": _namespaces, "CONTEXT": _contexts})
+    shell_completion.offer(parser, {"NAME": _robots, "NAMESPACE": _namespaces, "CONTEXT": _contexts})
 
 
 def _robots(parsed_args: argparse.Namespace, **_: object) -> list[str]:
@@ -84,7 +77,7 @@ def _namespaces(parsed_args: argparse.Namespace, **_: object) -> list[str]:
 def _named(given: argparse.Namespace, kind: str) -> list[str]:
     try:
         return [item["metadata"]["name"] for item in Kubectl(given).get(kind)["items"]]
-    except Unusable:
+    except CommandError:
         return []
 
 
@@ -92,7 +85,7 @@ def _contexts(parsed_args: argparse.Namespace, **_: object) -> list[str]:
     """The contexts of the kubeconfig, for a shell."""
     try:
         return Kubectl(parsed_args).contexts()
-    except Unusable:
+    except CommandError:
         return []
 
 
@@ -100,9 +93,9 @@ class Kubectl:
     """kubectl with the options that say which cluster and which namespace."""
 
     def __init__(self, given: argparse.Namespace) -> None:
-        """``given`` are the options of :func:`add_options`. Raises Unusable where there is no kubectl."""
+        """``given`` are the options of :func:`add_options`. Raises CommandError where there is no kubectl."""
         if shutil.which("kubectl") is None:
-            raise Unusable("kubectl isn't on the PATH; install it, since the cluster is asked through it")
+            raise CommandError("kubectl isn't on the PATH; install it, since the cluster is asked through it")
         where = {"namespace": given.namespace, "context": given.context, "kubeconfig": given.kubeconfig}
         self._options = [f"--{key}={value}" for key, value in where.items() if value]
         self._given: str | None = given.namespace
@@ -111,14 +104,14 @@ class Kubectl:
 
     @property
     def namespace(self) -> str:
-        """The namespace that is meant: the one given, or the context's. Raises Unusable with what kubectl said."""
+        """The namespace that is meant: the one given, or the context's. Raises CommandError with what kubectl said."""
         if not self._given:
             contexts = json.loads(self._run("config", "view", "--minify", "-o", "json")).get("contexts") or [{}]
             self._given = (contexts[0].get("context") or {}).get("namespace") or "default"
         return self._given
 
     def contexts(self) -> list[str]:
-        """The names of the kubeconfig's contexts. Raises Unusable with what kubectl said."""
+        """The names of the kubeconfig's contexts. Raises CommandError with what kubectl said."""
         return [one["name"] for one in json.loads(self._run("config", "view", "-o", "json")).get("contexts") or []]
 
     def command(self, *arguments: str) -> list[str]:
@@ -126,38 +119,38 @@ class Kubectl:
         return ["kubectl", *self._options, *arguments]
 
     def get(self, kind: str, *arguments: str) -> Any:
-        """An object, or a list of them. Raises Unusable with what kubectl said."""
+        """An object, or a list of them. Raises CommandError with what kubectl said."""
         return json.loads(self._got(kind, *arguments))
 
     def find(self, kind: str, name: str, *arguments: str) -> Any:
-        """An object, or None where it isn't there; of several names a list of those that are. Raises Unusable with what kubectl said."""
+        """An object, or None where it isn't there; of several names a list of those that are. Raises CommandError."""
         text = self._got(kind, name, *arguments, "--ignore-not-found")
         return json.loads(text) if text.strip() else None
 
     def patch(self, kind: str, name: str, body: Any) -> Any:
-        """Change an object by a merge patch; the object as it is then. Raises Unusable with what kubectl said."""
+        """Change an object by a merge patch; the object as it is then. Raises CommandError with what kubectl said."""
         return json.loads(self._run("patch", kind, name, "--type=merge", "-p", json.dumps(body), "-o", "json"))
 
     def annotate(self, kind: str, name: str, note: str, value: str) -> None:
-        """Write an annotation of an object, over what it was. Raises Unusable with what kubectl said."""
+        """Write an annotation of an object, over what it was. Raises CommandError with what kubectl said."""
         self._run("annotate", kind, name, "--overwrite", f"{note}={value}")
 
     def execute(self, pod: str, container: str, *program: str) -> str:
-        """Run a program in a container; what it wrote. Raises Unusable with what it, or kubectl, said."""
+        """Run a program in a container; what it wrote. Raises CommandError with what it, or kubectl, said."""
         command = self.command("exec", pod, "-c", container, "--", *program)
         try:
             done = subprocess.run(
                 command, stdin=self._stdin, capture_output=True, text=True, timeout=2 * TIMEOUT, check=False
             )
         except subprocess.TimeoutExpired as error:
-            raise Unusable(f"{program[0]} in pod {pod} had not ended after {error.timeout:g} s") from error
+            raise CommandError(f"{program[0]} in pod {pod} had not ended after {error.timeout:g} s") from error
         if done.returncode:
             lines = [line for line in done.stderr.strip().splitlines() if not line.startswith("command terminated")]
-            raise Unusable(lines[-1] if lines else f"{program[0]} in pod {pod} ended with {done.returncode}")
+            raise CommandError(lines[-1] if lines else f"{program[0]} in pod {pod} ended with {done.returncode}")
         return done.stdout
 
     def delete(self, kinds: str, *arguments: str) -> None:
-        """Delete objects, without waiting until they are gone. Raises Unusable with what kubectl said."""
+        """Delete objects, without waiting until they are gone. Raises CommandError with what kubectl said."""
         self._run("delete", kinds, *arguments, "--ignore-not-found", "--wait=false")
 
     def _got(self, kind: str, *arguments: str) -> str:
@@ -170,7 +163,7 @@ class Kubectl:
             self._stdin = None
             status, output, told = _done(command, self._stdin)
         if status:
-            refused = Forbidden if "Error from server (Forbidden)" in told else Unusable
+            refused = Forbidden if "Error from server (Forbidden)" in told else CommandError
             raise refused(said(told) or f"kubectl ended with {status}")
         return output
 
@@ -193,7 +186,7 @@ class Kubectl:
 
     @contextlib.contextmanager
     def forwarded(self, pod: str, port: int) -> Iterator[int]:
-        """A port on this machine that leads to one of a pod, while the context lasts. Raises Unusable."""
+        """A port on this machine that leads to one of a pod, while the context lasts. Raises CommandError."""
         command = self.command("port-forward", f"pod/{pod}", f":{port}", "--address=127.0.0.1")
         with subprocess.Popen(
             command, stdin=self._stdin, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -207,7 +200,7 @@ class Kubectl:
 def _somebody_answers() -> bool:
     """Whether there is somebody who could be asked: not where a shell wants to know how a line may go on."""
     # There is none at all where it was closed, as by `<&-`.
-    return sys.stdin is not None and sys.stdin.isatty() and not answers.is_asked()
+    return sys.stdin is not None and sys.stdin.isatty() and not shell_completion.is_asked()
 
 
 def _done(command: Sequence[str], stdin: int | None) -> tuple[int, str, str]:
@@ -256,7 +249,7 @@ def _port(running: subprocess.Popen[str]) -> int:
         if found := _FORWARDING.match(line):
             return int(found[1])
         if not line:
-            raise Unusable(
+            raise CommandError(
                 f"the monitor can't be reached: {said(running.stderr.read()) or 'kubectl port-forward ended'}"
             )
-    raise Unusable(f"the monitor can't be reached: kubectl port-forward had not begun after {TIMEOUT:g} s")
+    raise CommandError(f"the monitor can't be reached: kubectl port-forward had not begun after {TIMEOUT:g} s")

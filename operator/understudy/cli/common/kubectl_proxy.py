@@ -14,11 +14,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from understudy.cli.common.kubectl import TIMEOUT, Kubectl, Unusable, said
+from understudy.cli.common.errors import CommandError
+from understudy.cli.common.kubectl import TIMEOUT, Kubectl, said
 from understudy.kube.client import Object
 
 
-class Refused(Unusable):
+class Refused(CommandError):
     """The API server refused, with its words."""
 
     def __init__(self, status: int, message: str) -> None:
@@ -47,11 +48,11 @@ class Api:
         self._path = path
 
     def get(self, path: str) -> Object:
-        """An object, or a list of them. Raises Refused and Unusable."""
+        """An object, or a list of them. Raises Refused and CommandError."""
         return self.request("GET", path).body
 
     def request(self, method: str, path: str, body: Any = None, *, kind: str = "application/json") -> Answer:
-        """One request; ``kind`` is the content type of its body. Raises Refused and Unusable."""
+        """One request; ``kind`` is the content type of its body. Raises Refused and CommandError."""
         connection = _Connection(self._path)
         asked = time.time()
         try:
@@ -60,7 +61,7 @@ class Api:
             response = connection.getresponse()
             text = response.read()
         except (OSError, http.client.HTTPException) as error:
-            raise Unusable(f"the API server doesn't answer: {error}") from error
+            raise CommandError(f"the API server doesn't answer: {error}") from error
         finally:
             connection.close()
         answered = time.time()
@@ -86,7 +87,7 @@ class _Connection(http.client.HTTPConnection):
 
 @contextlib.contextmanager
 def proxied(kubectl: Kubectl) -> Iterator[Api]:
-    """The API server, while the context lasts. Raises Unusable.
+    """The API server, while the context lasts. Raises CommandError.
 
     Its socket is a file in a folder that is this user's alone: a port would let everybody on this machine in.
     """
@@ -110,4 +111,4 @@ def _wait(running: subprocess.Popen[str]) -> None:
     if select.select([running.stdout], [], [], TIMEOUT)[0] and "Starting to serve" in running.stdout.readline():
         return
     running.terminate()
-    raise Unusable(f"kubectl proxy did not begin: {said(running.stderr.read()) or f'nothing after {TIMEOUT:g} s'}")
+    raise CommandError(f"kubectl proxy did not begin: {said(running.stderr.read()) or f'nothing after {TIMEOUT:g} s'}")

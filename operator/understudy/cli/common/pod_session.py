@@ -9,7 +9,8 @@ import subprocess
 from collections.abc import Iterator
 from typing import Any
 
-from understudy.cli.common.kubectl import Kubectl, Unusable
+from understudy.cli.common.errors import CommandError
+from understudy.cli.common.kubectl import Kubectl
 
 PATIENCE = 30.0
 """Seconds that an answer may take beyond what it was asked to take."""
@@ -22,7 +23,7 @@ class Session:
         self._pod, self._running = pod, running
 
     def ask(self, what: str, *, takes: float = 0.0, **given: Any) -> Any:
-        """An answer; ``takes`` is how long it may take by itself, in seconds. Raises Unusable."""
+        """An answer; ``takes`` is how long it may take by itself, in seconds. Raises CommandError."""
         source, sink = self._running.stdout, self._running.stdin
         assert source is not None, "it is a pipe"
         assert sink is not None, "it is a pipe"
@@ -30,13 +31,13 @@ class Session:
             sink.write(json.dumps([what, given]).encode() + b"\n")
             sink.flush()
         if not select.select([source], [], [], takes + PATIENCE)[0]:
-            raise Unusable(f"pod {self._pod} doesn't answer")
+            raise CommandError(f"pod {self._pod} doesn't answer")
         line = source.readline()
         if not line:
-            raise Unusable(f"the program in pod {self._pod} has ended: {self._last_words()}")
+            raise CommandError(f"the program in pod {self._pod} has ended: {self._last_words()}")
         answer = json.loads(line)
         if "error" in answer:
-            raise Unusable(f"pod {self._pod}: {answer['error']}")
+            raise CommandError(f"pod {self._pod}: {answer['error']}")
         return answer["answer"]
 
     def _last_words(self) -> str:

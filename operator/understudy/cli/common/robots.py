@@ -5,7 +5,8 @@ Everything is taken from what operator and monitor have said in the objects' sta
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from pydantic import Field, ValidationError
@@ -15,8 +16,9 @@ from understudy.api.conditions import Condition
 from understudy.api.health_reasons import PAST
 from understudy.api.kinds.fallback_pool import FallbackPoolStatus
 from understudy.api.kinds.robot_workload import Recovery, RobotWorkloadStatus
-from understudy.cli.common.kubectl import Unusable
+from understudy.cli.common.errors import CommandError
 from understudy.cli.common.recovery_under_way import UnderWay, under_way
+from understudy.cli.common.wording import counted, listed
 from understudy.controller.status.protection import LIMITED
 from understudy.kube.gates import network_policy
 
@@ -153,16 +155,25 @@ class Pool(Model):
         return self.ready + (self.claimed if self.readiness != "Uninitialized" else 0) < self.desired
 
 
+def summary(robots: Sequence[Robot]) -> str:
+    """Them all in one line."""
+    unprotected = sum(not robot.protected for robot in robots)
+    healths = Counter(robot.health for robot in robots)
+    told = listed(f"{healths[health]} {health.lower()}" for health in sorted(healths))
+    protected = f"{unprotected} not protected" if unprotected else "all protected"
+    return f"{counted(len(robots), 'robot')}: {protected}; {told}"
+
+
 def status_of(item: Object) -> RobotWorkloadStatus:
-    """A RobotWorkload's status. Raises Unusable where this command doesn't know what it says."""
+    """A RobotWorkload's status. Raises CommandError where this command doesn't know what it says."""
     try:
         return RobotWorkloadStatus.model_validate(item.get("status") or {})
     except ValidationError as error:
-        raise Unusable(_unknown("RobotWorkload", item, error)) from error
+        raise CommandError(_unknown("RobotWorkload", item, error)) from error
 
 
 def robot(item: Object, gate: dict[str, Any] | None = None, now: float = 0.0) -> Robot:
-    """A RobotWorkload as the API server gives it, with its ``gate`` where that may be read, at ``now`` (unix seconds). Raises Unusable."""
+    """A RobotWorkload as the API server gives it, with its ``gate`` if known, at ``now`` (unix seconds). Raises CommandError."""
     status, metadata, spec = status_of(item), item["metadata"], item.get("spec") or {}
     said = {condition.type: condition for condition in status.conditions or []}
     protected = said.get("Protected")
@@ -193,11 +204,11 @@ def robot(item: Object, gate: dict[str, Any] | None = None, now: float = 0.0) ->
 
 
 def pool(item: Object) -> Pool:
-    """A FallbackPool as the API server gives it. Raises Unusable."""
+    """A FallbackPool as the API server gives it. Raises CommandError."""
     try:
         status = FallbackPoolStatus.model_validate(item.get("status") or {})
     except ValidationError as error:
-        raise Unusable(_unknown("FallbackPool", item, error)) from error
+        raise CommandError(_unknown("FallbackPool", item, error)) from error
     return Pool(
         namespace=item["metadata"]["namespace"],
         name=item["metadata"]["name"],

@@ -1,1 +1,1 @@
-"""Shell completion: the verb `completion`, and the answers that it makes a shell ask for."""
+"""The verb `completion`. The answers to a shell are in `cli/common/shell_completion.py`, which every parser uses."""

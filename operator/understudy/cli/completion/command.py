@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 import sys
 
-from understudy.cli.completion import answers
-from understudy.cli.completion.answers import NotInstalled
+from understudy.cli.common import shell_completion
+from understudy.cli.common.shell_completion import NotInstalled
 
 DONE, CANT = 0, 2
 """Exit statuses."""
@@ -17,10 +17,10 @@ _COMMANDS = ("understudy", "kubectl-understudy")
 def main(arguments: list[str]) -> int:
     """Run the command."""
     parser = _parser()
-    answers.offer(parser, {})
+    shell_completion.offer(parser, {})
     given = parser.parse_args(arguments)
     try:
-        print(answers.argcomplete().shellcode(_COMMANDS, shell=given.shell))
+        print(shell_completion.argcomplete().shellcode(_COMMANDS, shell=given.shell))
     except NotInstalled as error:
         print(f"understudy completion: {error}", file=sys.stderr)
         return CANT

@@ -9,7 +9,8 @@ import time
 from understudy.api import names
 from understudy.api.kinds.pause_spec import Pause
 from understudy.cli.common import confirmation, terminal
-from understudy.cli.common.kubectl import WORKLOADS, Kubectl, Unusable, add_options
+from understudy.cli.common.errors import CommandError
+from understudy.cli.common.kubectl import WORKLOADS, Kubectl, add_options
 from understudy.cli.common.robots import UNWATCHED, robot, status_of
 from understudy.cli.common.wording import wrapped
 from understudy.cli.control import signature
@@ -44,7 +45,7 @@ def main(arguments: list[str]) -> int:
             f"{given.name} drives a robot, which will be told nothing from then on. Close its gate?", yes=given.yes
         )
         return _fence(kubectl, item, pause)
-    except Unusable as error:
+    except CommandError as error:
         print(f"understudy fence: {error}", file=sys.stderr)
         return CANT
 
@@ -77,11 +78,11 @@ def _say(text: str) -> None:
 
 
 def _close(kubectl: Kubectl, name: str) -> tuple[tuple[str, ...], int]:
-    """Close the gate where it isn't; who was let through, and its epoch then. Raises Unusable."""
+    """Close the gate where it isn't; who was let through, and its epoch then. Raises CommandError."""
     for _ in range(TRIES):
         policy = kubectl.find(_POLICIES, names.gate(name))
         if policy is None:
-            raise Unusable(
+            raise CommandError(
                 f"NetworkPolicy {names.gate(name)} isn't there, so nobody is let through: understudy explain {name}"
             )
         record, let_in = network_policy.read(policy), network_policy.selected(policy)
@@ -89,13 +90,15 @@ def _close(kubectl: Kubectl, name: str) -> tuple[tuple[str, ...], int]:
             return (), record.epoch
         try:
             kubectl.patch(_POLICIES, names.gate(name), network_policy.commitment(name, over=record))
-        except Unusable:
+        except CommandError:
             found = kubectl.find(_POLICIES, names.gate(name))
             if found is None or network_policy.read(found).version == record.version:
                 raise
             continue  # another writer was first
         return let_in, record.epoch + 1
-    raise Unusable(f"NetworkPolicy {names.gate(name)} is written to by others all the time: delete the pod that drives")
+    raise CommandError(
+        f"NetworkPolicy {names.gate(name)} is written to by others all the time: delete the pod that drives"
+    )
 
 
 def _heard(kubectl: Kubectl, name: str) -> bool:

@@ -10,7 +10,8 @@ from datetime import UTC, datetime
 
 from understudy.api.base import DURATION_MESSAGE, seconds
 from understudy.api.kinds.pause_spec import MOMENT_MESSAGE, MOMENT_PATTERN, Pause, unix
-from understudy.cli.common.kubectl import WORKLOADS, Kubectl, Unusable, add_options
+from understudy.cli.common.errors import CommandError
+from understudy.cli.common.kubectl import WORKLOADS, Kubectl, add_options
 from understudy.cli.control import signature
 
 DONE, CANT = 0, 2
@@ -23,7 +24,7 @@ def main(arguments: list[str]) -> int:
     try:
         pause = _pause(given, time.time())
         item = Kubectl(given).patch(WORKLOADS, given.name, {"spec": {"pause": pause.to_wire() | _no_end(pause)}})
-    except Unusable as error:
+    except CommandError as error:
         print(f"understudy pause: {error}", file=sys.stderr)
         return CANT
     where = f"{item['metadata']['namespace']}/{item['metadata']['name']}"
@@ -32,19 +33,19 @@ def main(arguments: list[str]) -> int:
 
 
 def _pause(given: argparse.Namespace, now: float) -> Pause:
-    """What is asked for. Raises Unusable."""
+    """What is asked for. Raises CommandError."""
     until: str | None = given.until
     if given.length is not None:
         try:
             until = datetime.fromtimestamp(now + seconds(given.length), UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
         except ValueError as error:
-            raise Unusable(f'--for "{given.length}": {DURATION_MESSAGE}') from error
+            raise CommandError(f'--for "{given.length}": {DURATION_MESSAGE}') from error
     if until is not None:
         end = unix(until) if re.match(MOMENT_PATTERN, until) else None
         if end is None:
-            raise Unusable(f'--until "{until}": {MOMENT_MESSAGE}')
+            raise CommandError(f'--until "{until}": {MOMENT_MESSAGE}')
         if end <= now:
-            raise Unusable(f"--until {until} is over already")
+            raise CommandError(f"--until {until} is over already")
     return signature.signed(given, "paused", until=until)
 
 

@@ -7,7 +7,8 @@ import sys
 import time
 
 from understudy.api import names
-from understudy.cli.common.kubectl import WORKLOADS, Kubectl, Unusable, add_options
+from understudy.cli.common.errors import CommandError
+from understudy.cli.common.kubectl import WORKLOADS, Kubectl, add_options
 from understudy.cli.control import signature
 from understudy.failover.progress import rfc3339
 
@@ -25,7 +26,7 @@ def main(arguments: list[str]) -> int:
         # Without a reason that of an earlier time goes: it isn't this one's.
         word = {"metadata": {"annotations": {names.RESUMED: rfc3339(time.time()), names.RESUMED_FOR: why}}}
         item = kubectl.patch(WORKLOADS, given.name, word | {"spec": {"pause": None}})
-    except Unusable as error:
+    except CommandError as error:
         print(f"understudy resume: {error}", file=sys.stderr)
         return CANT
     where = f"{item['metadata']['namespace']}/{item['metadata']['name']}"
@@ -36,7 +37,7 @@ def main(arguments: list[str]) -> int:
 
 
 def _why(given: argparse.Namespace) -> str | None:
-    """Who resumes it and why, in words; None where that isn't told. Raises Unusable where it is empty."""
+    """Who resumes it and why, in words; None where that isn't told. Raises CommandError where it is empty."""
     if given.reason is None:
         return None
     signature.refuse_empty(given, "resumed")

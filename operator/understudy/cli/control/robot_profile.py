@@ -11,7 +11,8 @@ from pydantic import ValidationError
 from understudy.api import names
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.api.output_formats import structured
-from understudy.cli.common.kubectl import WORKLOADS, Kubectl, Unusable, add_options
+from understudy.cli.common.errors import CommandError
+from understudy.cli.common.kubectl import WORKLOADS, Kubectl, add_options
 from understudy.cli.control.profile_files import Profile
 from understudy.controller.desired.ros_environment import PROFILES_DIR
 from understudy.kube.client import Object
@@ -36,26 +37,26 @@ def main(arguments: list[str]) -> int:
         else:
             print(found.env_file if given.output == "env" else found.profiles, end="")
         return DONE
-    except Unusable as error:
+    except CommandError as error:
         print(f"understudy robot-profile: {error}", file=sys.stderr)
         return CANT
 
 
 def _profile(kubectl: Kubectl, item: Object, folder: str) -> Profile:
-    """What the operator has written down for the robot's side. Raises Unusable."""
+    """What the operator has written down for the robot's side. Raises CommandError."""
     name = item["metadata"]["name"]
     environment, profiles = (_data(kubectl, name, one) for one in (names.robot_env(name), names.robot_profiles(name)))
     try:
         spec = RobotWorkloadSpec.model_validate(item["spec"])
     except ValidationError as error:
-        raise Unusable(f"{name} is of another version: understudy doctor says of which") from error
+        raise CommandError(f"{name} is of another version: understudy doctor says of which") from error
     return Profile(name, item["metadata"]["namespace"], spec, environment, profiles[names.PROFILES_KEY], folder)
 
 
 def _data(kubectl: Kubectl, workload: str, name: str) -> dict[str, str]:
     found = kubectl.find("configmaps", name)
     if found is None:
-        raise Unusable(
+        raise CommandError(
             f"ConfigMap {name} isn't there yet; what {workload} waits for says understudy explain {workload}"
         )
     data: dict[str, str] = found["data"]
@@ -68,7 +69,7 @@ def _write(found: Profile, folder: Path) -> None:
         for name, text in found.files.items():
             (folder / name).write_text(text)
     except OSError as error:
-        raise Unusable(f"{folder} can't be written: {error}") from error
+        raise CommandError(f"{folder} can't be written: {error}") from error
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -6,7 +6,7 @@ import argparse
 import getpass
 
 from understudy.api.kinds.pause_spec import Pause
-from understudy.cli.common.kubectl import Unusable
+from understudy.cli.common.errors import CommandError
 
 
 def add_options(parser: argparse.ArgumentParser, *, reason: str, required: bool = True) -> None:
@@ -23,14 +23,14 @@ def add_options(parser: argparse.ArgumentParser, *, reason: str, required: bool 
 def signed(given: argparse.Namespace, found: str, *, before: str = "", until: str | None = None) -> Pause:
     """The pause that comes of them, cut to what the API takes, with a word ``before`` the reason.
 
-    Raises Unusable where one is empty; ``found`` is how whoever wants to know will find the robot.
+    Raises CommandError where one is empty; ``found`` is how whoever wants to know will find the robot.
     """
     refuse_empty(given, found)
     return Pause(reason=f"{before}{given.reason}"[:256], owner=given.owner[:128], until=until)
 
 
 def refuse_empty(given: argparse.Namespace, found: str) -> None:
-    """Raise Unusable where who or why is empty; ``found`` is how whoever wants to know will find the robot."""
+    """Raise CommandError where who or why is empty; ``found`` is how whoever wants to know will find the robot."""
     for option, text in (("--reason", given.reason), ("--owner", given.owner)):
         if not text.strip():
-            raise Unusable(f"{option} is empty: whoever finds it {found} will want to know")
+            raise CommandError(f"{option} is empty: whoever finds it {found} will want to know")

@@ -12,7 +12,8 @@ from understudy.api import names
 from understudy.api.kinds.robot_workload import Recovery, RobotWorkloadStatus
 from understudy.api.kinds.switchover_spec import ENDED, SwitchoverStatus, Verb, request
 from understudy.cli.common import option_rules, terminal
-from understudy.cli.common.kubectl import Kubectl, Unusable, add_options
+from understudy.cli.common.errors import CommandError
+from understudy.cli.common.kubectl import Kubectl, add_options
 from understudy.cli.common.robots import UNWATCHED, robot, status_of
 from understudy.cli.common.time_bars import length, short
 from understudy.cli.common.wording import unix, wrapped
@@ -42,7 +43,7 @@ def run(verb: Verb, arguments: list[str]) -> int:
     given = _parser(verb).parse_args(arguments)
     try:
         return _switch(verb, Kubectl(given), given.name, given.within)
-    except Unusable as error:
+    except CommandError as error:
         print(f"understudy {verb}: {error}", file=sys.stderr)
         return CANT
 
@@ -71,27 +72,29 @@ def _switch(verb: Verb, kubectl: Kubectl, name: str, within: float) -> int:
                             flush=True,
                         )
                 elif found is not None and found.handled == asked:
-                    raise Unusable(
+                    raise CommandError(
                         f"it has come to its end, and another one has begun since: understudy timeline {name}"
                     )
                 changed(LOOK)
     except KeyboardInterrupt:
         print("", file=sys.stderr)
     how_far = told[0].lower() or "its monitor has not taken it up"
-    raise Unusable(
+    raise CommandError(
         f"it has not come to its end ({how_far}), and goes on without this command. To take it back: "
         f"kubectl annotate robotworkload {name} {names.SWITCHOVER}-"
     )
 
 
 def _refuse(item: Mapping[str, Any]) -> None:
-    """Raise Unusable where nobody would do it, or where it would get in the way of another one."""
+    """Raise CommandError where nobody would do it, or where it would get in the way of another one."""
     name, status = item["metadata"]["name"], status_of(item)
     if robot(item).health == UNWATCHED:
-        raise Unusable(f"the monitor of {name} doesn't run, so nobody would carry it out: understudy explain {name}")
+        raise CommandError(
+            f"the monitor of {name} doesn't run, so nobody would carry it out: understudy explain {name}"
+        )
     found = status.switchover
     if found is not None and found.request and found.phase not in ENDED:
-        raise Unusable(f'"{found.request}" is under way ({found.phase.lower()}: {found.message})')
+        raise CommandError(f'"{found.request}" is under way ({found.phase.lower()}: {found.message})')
 
 
 def _end(found: SwitchoverStatus, status: RobotWorkloadStatus, columns: int | None) -> Iterator[str]:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from email.utils import parsedate_to_datetime
 from typing import Any
 
-from understudy.cli.common.kubectl import Unusable
+from understudy.cli.common.errors import CommandError
 from understudy.cli.common.kubectl_proxy import Api
 from understudy.cli.common.pod_session import Session
 from understudy.cli.common.tree_text import rough
@@ -102,7 +102,7 @@ class OfNodes:
         while not self._ended.is_set():
             try:
                 answer = self._api.request("GET", _NODE_LEASES)
-            except Unusable:
+            except CommandError:
                 return
             written = {lease["metadata"]["name"]: lease["spec"].get("renewTime", "") for lease in answer.body["items"]}
             now = {name: unix(moment) for name, moment in written.items() if moment}

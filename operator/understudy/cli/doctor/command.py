@@ -11,7 +11,8 @@ from typing import Any
 from understudy import __version__
 from understudy.api.output_formats import structured
 from understudy.cli.common import option_rules, terminal
-from understudy.cli.common.kubectl import Kubectl, Unusable, add_options
+from understudy.cli.common.errors import CommandError
+from understudy.cli.common.kubectl import Kubectl, add_options
 from understudy.cli.common.kubectl_proxy import Api, Refused, proxied
 from understudy.cli.common.tree_text import plain
 from understudy.cli.doctor import (
@@ -55,7 +56,7 @@ def main(arguments: list[str]) -> int:
             told = {"version": __version__, "namespace": kubectl.namespace, **findings.to_wire(found)}
             print(structured(told | examination.measured, given.output))
         return WELL if findings.is_well(found) else NOT_WELL
-    except Unusable as error:
+    except CommandError as error:
         print(f"understudy doctor: {error}", file=sys.stderr)
         return CANT
     except KeyboardInterrupt:
@@ -90,7 +91,7 @@ class _Examination:
         self.measured: dict[str, Any] = {}
 
     def run(self) -> None:
-        """Find out. Raises Unusable where nothing can be told."""
+        """Find out. Raises CommandError where nothing can be told."""
         namespace = self._kubectl.namespace
         self._progress("asking the API server")
         self.found.append(installation_check.kubernetes(self._api))
@@ -111,12 +112,12 @@ class _Examination:
                 self._try(
                     self._images(operator), [one for one in workloads if discovery_check.check(one) not in failed]
                 )
-            except Unusable as error:
+            except CommandError as error:
                 cure = "choose with -n a namespace in which you may make pods, or leave them out with --no-pods"
                 self.found.append(Finding("pods", "FAIL", str(error), cure))
 
     def _workloads(self, namespace: str) -> Sequence[Object]:
-        """Those named, or all. Raises Unusable where one isn't there."""
+        """Those named, or all. Raises CommandError where one isn't there."""
         try:
             if self._given.names:
                 return [self._api.get(WORKLOADS.path(namespace, name)) for name in self._given.names]
@@ -129,16 +130,16 @@ class _Examination:
         return sorted(items, key=kube_objects.name)
 
     def _images(self, operator: Installed | None) -> Images:
-        """What the pods are made of. Raises Unusable."""
+        """What the pods are made of. Raises CommandError."""
         known = operator.images if operator is not None else None
         if self._given.image:
             return replace(known, monitor=self._given.image) if known is not None else Images(self._given.image)
         if known is None:
-            raise Unusable("the monitor's image isn't known, since no operator is found; give it with --image")
+            raise CommandError("the monitor's image isn't known, since no operator is found; give it with --image")
         return known
 
     def _try(self, images: Images, workloads: Sequence[Object]) -> None:
-        """What takes pods. Raises Unusable."""
+        """What takes pods. Raises CommandError."""
         with (
             clock_check.OfNodes(self._api) as nodes,
             test_pods.pair(self._kubectl, self._api, images, self._progress) as pods,

@@ -51,7 +51,7 @@ def servers(api: Api, namespace: str, workloads: Sequence[Object]) -> Iterator[F
 
 
 def joined(pods: Pods, workloads: Sequence[Object], progress: Callable[[str], None]) -> Iterator[Finding]:
-    """Join each workload's graph and see who is there. Raises Unusable."""
+    """Join each workload's graph and see who is there. Raises CommandError."""
     if not workloads:
         return
     end, silent = time.monotonic() + ALTOGETHER, 0

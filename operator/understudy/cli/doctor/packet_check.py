@@ -68,7 +68,7 @@ class Seen:
 
 
 def measure(pods: Pods, progress: Callable[[str], None]) -> Seen:
-    """Send through a gate that closes and opens. Raises Unusable."""
+    """Send through a gate that closes and opens. Raises CommandError."""
     nodes = (pods.sender["spec"]["nodeName"], pods.receiver["spec"]["nodeName"])
     with pods.talking(pods.sender) as sender, pods.talking(pods.receiver) as receiver:
         seen = Seen(nodes)

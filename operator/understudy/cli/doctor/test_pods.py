@@ -18,7 +18,8 @@ from pathlib import Path
 from typing import Any
 
 from understudy.api import names
-from understudy.cli.common.kubectl import Kubectl, Unusable
+from understudy.cli.common.errors import CommandError
+from understudy.cli.common.kubectl import Kubectl
 from understudy.cli.common.kubectl_proxy import Answer, Api
 from understudy.cli.common.pod_session import Session, session
 from understudy.cli.common.wording import unix
@@ -97,7 +98,7 @@ class Pods:
 
 @contextlib.contextmanager
 def pair(kubectl: Kubectl, api: Api, images: Images, progress: Callable[[str], None]) -> Iterator[Pods]:
-    """Two running pods on two nodes where there are two, gone when the context ends. Raises Unusable and Refused."""
+    """Two running pods on two nodes where there are two, gone when the context ends. Raises CommandError and Refused."""
     run = f"understudy-doctor-{uuid.uuid4().hex[:6]}"
     _sweep(kubectl)
     try:
@@ -156,7 +157,7 @@ def _started(api: Api, namespace: str, run: str) -> tuple[Object, Object]:
             return items[0], items[1]
         troubles = [found.message for found in map(trouble, items) if found is not None]
         if troubles or time.monotonic() > end:
-            raise Unusable(troubles[0] if troubles else f"its pods had not started after {START_WITHIN:g} s")
+            raise CommandError(troubles[0] if troubles else f"its pods had not started after {START_WITHIN:g} s")
         time.sleep(LOOK)
 
 
@@ -178,8 +179,8 @@ def _sweep(kubectl: Kubectl) -> None:
 def _clear(kubectl: Kubectl, run: str) -> None:
     try:
         kubectl.delete(_KINDS, "-l", f"{LABEL}={run}")
-    except Unusable as error:
-        raise Unusable(
+    except CommandError as error:
+        raise CommandError(
             f"its pods and policies are still there ({error}): kubectl delete {_KINDS} -n {kubectl.namespace} -l {LABEL}={run}"
         ) from error
 

@@ -10,7 +10,8 @@ from typing import Any
 from understudy.api import names
 from understudy.api.base import DURATION_MESSAGE, seconds
 from understudy.cli.common import confirmation, option_rules
-from understudy.cli.common.kubectl import WORKLOADS, Kubectl, Unusable, add_options
+from understudy.cli.common.errors import CommandError
+from understudy.cli.common.kubectl import WORKLOADS, Kubectl, add_options
 from understudy.cli.common.robots import status_of
 from understudy.cli.inject import fault_commands, partition
 
@@ -64,7 +65,7 @@ def main(arguments: list[str]) -> int:
             _stop(kubectl, pod, given.container or _container(kubectl, pod), length, percent)
         print(f"What became of it: understudy timeline -n {kubectl.namespace} {given.name}")
         return DONE
-    except Unusable as error:
+    except CommandError as error:
         print(f"understudy inject: {error}", file=sys.stderr)
         return CANT
 
@@ -73,17 +74,17 @@ def _length(given: str) -> float:
     try:
         length = seconds(given)
     except ValueError as error:
-        raise Unusable(f'--for "{given}": {DURATION_MESSAGE}') from error
+        raise CommandError(f'--for "{given}": {DURATION_MESSAGE}') from error
     if not 0 < length <= LONGEST:
-        raise Unusable(f"--for {given}: a fault lasts longer than nothing, and {LONGEST:g} s at most")
+        raise CommandError(f"--for {given}: a fault lasts longer than nothing, and {LONGEST:g} s at most")
     return length
 
 
 def _allowed(kubectl: Kubectl) -> None:
-    """Raise Unusable where the namespace's owner hasn't said that failures may be made."""
+    """Raise CommandError where the namespace's owner hasn't said that failures may be made."""
     labels = kubectl.get("namespaces", kubectl.namespace)["metadata"].get("labels") or {}
     if labels.get(ALLOWED) != "true":
-        raise Unusable(
+        raise CommandError(
             f"namespace {kubectl.namespace} isn't for rehearsals, since it hasn't the label {ALLOWED}=true. Where no robot in it can do "
             f"harm: kubectl label namespace {kubectl.namespace} {ALLOWED}=true"
         )
@@ -92,7 +93,9 @@ def _allowed(kubectl: Kubectl) -> None:
 def _pod(kubectl: Kubectl, name: str) -> str:
     pod = status_of(kubectl.get(WORKLOADS, name)).active
     if not pod:
-        raise Unusable(f"no instance of {name} is in control, so there is nothing to fail: understudy explain {name}")
+        raise CommandError(
+            f"no instance of {name} is in control, so there is nothing to fail: understudy explain {name}"
+        )
     return pod
 
 
@@ -104,7 +107,7 @@ def _container(kubectl: Kubectl, pod: str) -> str:
 
 
 def _stop(kubectl: Kubectl, pod: str, container: str, length: float, percent: int) -> None:
-    """Stop its processes, all or a part of the time, and wait until that is over. Raises Unusable."""
+    """Stop its processes, all or a part of the time, and wait until that is over. Raises CommandError."""
     given = [f"{value:g}" for value in fault_commands.cycles(length, percent)]
     said = kubectl.execute(pod, container, "sh", "-c", fault_commands.FREEZE_AND_SLOW, "sh", *given).split()
     share = "" if percent >= 100 else f" for {percent} % of the time"

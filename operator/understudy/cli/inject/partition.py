@@ -18,7 +18,8 @@ from email.utils import parsedate_to_datetime
 from pathlib import Path
 from typing import Any
 
-from understudy.cli.common.kubectl import Kubectl, Unusable
+from understudy.cli.common.errors import CommandError
+from understudy.cli.common.kubectl import Kubectl
 from understudy.cli.common.kubectl_proxy import Api, Refused, proxied
 from understudy.cli.inject import network_cut
 from understudy.controller.desired import monitor_deployment
@@ -54,11 +55,11 @@ class Means:
 
 
 def means(kubectl: Kubectl, name: str, whom: Sequence[str]) -> Means:
-    """Find them for the instances of a workload: the image is that of its monitor. Raises Unusable."""
+    """Find them for the instances of a workload: the image is that of its monitor. Raises CommandError."""
     selector = ",".join(f"{key}={value}" for key, value in monitor_deployment.labels(name).items())
     items: list[Object] = kubectl.get("pods", "-l", selector)["items"]
     if not items:
-        raise Unusable(f"the monitor of {name} isn't there, and its image is needed: understudy explain {name}")
+        raise CommandError(f"the monitor of {name} isn't there, and its image is needed: understudy explain {name}")
     monitor = max(items, key=kube_objects.sort_key)
     made_of = monitor["spec"]["containers"][0]
     peers = tuple(peer for one in whom for peer in _addresses(one, monitor))
@@ -69,19 +70,19 @@ def _addresses(whom: str, monitor: Object) -> list[str]:
     if whom == MONITOR:
         own = [entry["ip"] for entry in (monitor.get("status") or {}).get("podIPs") or []]
         if not own:
-            raise Unusable(f"--from {MONITOR}: pod {kube_objects.name(monitor)} has no address yet")
+            raise CommandError(f"--from {MONITOR}: pod {kube_objects.name(monitor)} has no address yet")
         return own
     try:
         ipaddress.ip_network(whom)
     except ValueError as error:
-        raise Unusable(
+        raise CommandError(
             f'--from "{whom}": write {MONITOR}, an address, or a network such as 10.0.7.0/24 ({error})'
         ) from error
     return [whom]
 
 
 def cut_off(kubectl: Kubectl, pod: str, given: Means, length: float) -> None:
-    """Cut a pod off, and wait until that is over. Raises Unusable."""
+    """Cut a pod off, and wait until that is over. Raises CommandError."""
     name = f"partition-{uuid.uuid4().hex[:6]}"
     try:
         with proxied(kubectl) as api:
@@ -89,7 +90,7 @@ def cut_off(kubectl: Kubectl, pod: str, given: Means, length: float) -> None:
             _wait_started(api, kubectl.namespace, pod, name)
         _follow(kubectl, pod, name, length, ", ".join(given.peers) or "the network")
     except KeyboardInterrupt:
-        raise Unusable(f"container {name} of pod {pod} may still cut it off, for {length:g} s") from None
+        raise CommandError(f"container {name} of pod {pod} may still cut it off, for {length:g} s") from None
 
 
 def container(name: str, given: Means, length: float) -> Object:
@@ -114,30 +115,30 @@ def container(name: str, given: Means, length: float) -> Object:
 
 
 def _put_in(api: Api, namespace: str, pod: str, made: Object) -> None:
-    """Put the container into a pod. Raises Unusable, also where it would cut off more than the pod."""
+    """Put the container into a pod. Raises CommandError, also where it would cut off more than the pod."""
     found = api.request("GET", PODS.path(namespace, pod))
     if found.body["spec"].get("hostNetwork"):
-        raise Unusable(f"pod {pod} is in its node's network (hostNetwork): all of the node would be cut off")
+        raise CommandError(f"pod {pod} is in its node's network (hostNetwork): all of the node would be cut off")
     latest = parsedate_to_datetime(found.date).timestamp() + START_WITHIN
     body = {"spec": {"ephemeralContainers": [made | {"env": [{"name": network_cut.LATEST, "value": f"{latest:.0f}"}]}]}}
     try:
         api.request("PATCH", PODS.path(namespace, pod, "ephemeralcontainers"), body, kind=STRATEGIC)
     except Refused as refused:
         if "violates PodSecurity" in str(refused):
-            raise Unusable(
+            raise CommandError(
                 f"the Pod Security Standard of namespace {namespace} lets no container have NET_ADMIN, by which a pod is cut off. "
                 f"Where it is for rehearsals: kubectl label --overwrite namespace {namespace} "
                 f"pod-security.kubernetes.io/enforce=privileged ({refused})"
             ) from refused
         if refused.status == 403:
-            raise Unusable(
+            raise CommandError(
                 f"{refused}. To cut a pod off takes the right to patch pods/ephemeralcontainers, which the ClusterRole edit hasn't"
             ) from refused
         raise
 
 
 def _wait_started(api: Api, namespace: str, pod: str, name: str) -> None:
-    """Wait until the container runs, or has run. Raises Unusable."""
+    """Wait until the container runs, or has run. Raises CommandError."""
     end = time.monotonic() + START_WITHIN
     while True:
         status = api.get(PODS.path(namespace, pod)).get("status") or {}
@@ -147,12 +148,12 @@ def _wait_started(api: Api, namespace: str, pod: str, name: str) -> None:
             return
         if ended := state.get("terminated"):
             if ended.get("exitCode"):
-                raise Unusable(_last_words(pod, ended.get("message") or ended.get("reason") or ""))
+                raise CommandError(_last_words(pod, ended.get("message") or ended.get("reason") or ""))
             return
         if time.monotonic() > end:
             waiting = state.get("waiting") or {}
             said = ": ".join(filter(None, (waiting.get("reason"), waiting.get("message")))) or "nothing is said of it"
-            raise Unusable(
+            raise CommandError(
                 f"container {name} of pod {pod} hasn't started within {START_WITHIN:g} s ({said}), and does nothing now"
             )
         time.sleep(LOOK)
@@ -163,7 +164,7 @@ def _last_words(pod: str, said: str) -> str:
 
 
 def _follow(kubectl: Kubectl, pod: str, name: str, length: float, where: str) -> None:
-    """Say when it is cut off and when it is back, as the container says. Raises Unusable."""
+    """Say when it is cut off and when it is back, as the container says. Raises CommandError."""
     command = kubectl.command("logs", "--follow", pod, "-c", name)
     # Ctrl-C is for this process only, which then still has to undo it.
     with subprocess.Popen(command, stdout=subprocess.PIPE, start_new_session=True) as running:
@@ -171,7 +172,7 @@ def _follow(kubectl: Kubectl, pod: str, name: str, length: float, where: str) ->
         try:
             begun = _told(pod, running, PATIENCE) or {}
             if not begun:
-                raise Unusable(_last_words(pod, ""))
+                raise CommandError(_last_words(pod, ""))
             print(f"{pod}: container {name} has cut it off from {where}, for {length:g} s", flush=True)
             ended = _told(pod, running, length + PATIENCE)
         except KeyboardInterrupt:
@@ -194,7 +195,7 @@ def _follow(kubectl: Kubectl, pod: str, name: str, length: float, where: str) ->
 
 
 def _told(pod: str, running: subprocess.Popen[bytes], within: float) -> dict[str, Any] | None:
-    """What the container says next; None where it says nothing more. Raises Unusable with other words than those of a success."""
+    """What the container says next; None where it says nothing more. Raises CommandError with other words than those of a success."""
     assert running.stdout is not None, "it is a pipe"
     if not select.select([running.stdout], [], [], within)[0]:
         return None
@@ -204,5 +205,5 @@ def _told(pod: str, running: subprocess.Popen[bytes], within: float) -> dict[str
     try:
         found: dict[str, Any] = json.loads(line)
     except ValueError as error:
-        raise Unusable(_last_words(pod, line)) from error
+        raise CommandError(_last_words(pod, line)) from error
     return found

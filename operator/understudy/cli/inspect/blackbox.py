@@ -17,7 +17,8 @@ from understudy.api import names
 from understudy.api.kinds.recording_spec import Recording, Recordings
 from understudy.api.output_formats import structured
 from understudy.cli.common import option_rules, terminal
-from understudy.cli.common.kubectl import Kubectl, Unusable, add_options
+from understudy.cli.common.errors import CommandError
+from understudy.cli.common.kubectl import Kubectl, add_options
 from understudy.cli.common.text_tables import Cell, drawn
 from understudy.cli.common.tree_text import plain
 from understudy.cli.common.wording import age, clock, counted, wrapped
@@ -50,7 +51,7 @@ def main(arguments: list[str]) -> int:
             recording = _wanted(found, given.fetch)
             path = Path(given.to or f"{given.name}-{recording.number}.mcap")
             _fetch(port, recording, path)
-    except Unusable as error:
+    except CommandError as error:
         print(f"understudy blackbox: {error}", file=sys.stderr)
         return CANT
     except KeyboardInterrupt:
@@ -63,7 +64,7 @@ def _listed(port: int) -> Recordings:
     try:
         return Recordings.model_validate(asked(port, "/", what="a black box"))
     except ValidationError as error:
-        raise Unusable(
+        raise CommandError(
             f"the monitor answers otherwise than expected; is this command of its version? {error}"
         ) from error
 
@@ -126,9 +127,9 @@ def _what(one: Recording) -> str:
 
 
 def _wanted(found: Recordings, wanted: str) -> Recording:
-    """The recording that is meant: by its number, or its id or the beginning of it. Raises Unusable."""
+    """The recording that is meant: by its number, or its id or the beginning of it. Raises CommandError."""
     if not found.recordings:
-        raise Unusable(f"there is no recording of {found.workload}")
+        raise CommandError(f"there is no recording of {found.workload}")
     if wanted == LATEST:
         return found.recordings[0]
     # An id may begin with any digit.
@@ -140,12 +141,12 @@ def _wanted(found: Recordings, wanted: str) -> Recording:
         return begun[0]
     there = ", ".join(f"{one.id} (failure {one.number})" for one in begun or found.recordings)
     if begun:
-        raise Unusable(f"several recordings of {found.workload} begin with {wanted}: {there}")
-    raise Unusable(f"there is no recording {wanted} of {found.workload}, but {there}")
+        raise CommandError(f"several recordings of {found.workload} begin with {wanted}: {there}")
+    raise CommandError(f"there is no recording {wanted} of {found.workload}, but {there}")
 
 
 def _fetch(port: int, recording: Recording, path: Path) -> None:
-    """Have a recording in a file, whole or not at all. Raises Unusable."""
+    """Have a recording in a file, whole or not at all. Raises CommandError."""
     fresh = path.with_name(f"{path.name}.part")
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=_PATIENCE)
     checksum = hashlib.sha256()
@@ -153,20 +154,20 @@ def _fetch(port: int, recording: Recording, path: Path) -> None:
         connection.request("GET", f"/{recording.id}.mcap")
         answer = connection.getresponse()
         if answer.status != 200:
-            raise Unusable(f"recording {recording.id} is gone: a newer one has taken its place")
+            raise CommandError(f"recording {recording.id} is gone: a newer one has taken its place")
         with fresh.open("wb") as file:
             while piece := answer.read(_PIECE):
                 checksum.update(piece)
                 file.write(piece)
         if checksum.hexdigest() != recording.sha256:
-            raise Unusable(
+            raise CommandError(
                 f"recording {recording.id} is damaged, on the monitor's disk or on its way: its checksum is another"
             )
         os.replace(fresh, path)
     except http.client.HTTPException as error:
-        raise Unusable(f"recording {recording.id} didn't come whole: {error!r}") from error
+        raise CommandError(f"recording {recording.id} didn't come whole: {error!r}") from error
     except OSError as error:
-        raise Unusable(f"recording {recording.id} can't be fetched into {path}: {error}") from error
+        raise CommandError(f"recording {recording.id} can't be fetched into {path}: {error}") from error
     finally:
         connection.close()
         fresh.unlink(missing_ok=True)

@@ -41,7 +41,7 @@ class Around:
 
 
 def around(kubectl: Kubectl, name: str) -> Around:
-    """What is so around a workload now. Raises Unusable."""
+    """What is so around a workload now. Raises CommandError."""
     item = kubectl.get(_word(WORKLOADS), name)
     kinds = (POLICIES, POOLS, WORKLOADS, PODS, NETWORK_POLICIES)
     items = kubectl.get(",".join(map(_word, kinds)))["items"]

@@ -7,7 +7,8 @@ import sys
 
 from understudy.api.output_formats import structured
 from understudy.cli.common import terminal
-from understudy.cli.common.kubectl import Kubectl, Unusable, add_options
+from understudy.cli.common.errors import CommandError
+from understudy.cli.common.kubectl import Kubectl, add_options
 from understudy.cli.inspect import explanation
 from understudy.cli.inspect.cluster_observation import around
 from understudy.cli.inspect.explanation import Known
@@ -27,7 +28,7 @@ def main(arguments: list[str]) -> int:
         else:
             print(structured(explanation.for_scripts(known), given.output))
         return WELL if known.is_well else NOT_WELL
-    except Unusable as error:
+    except CommandError as error:
         print(f"understudy explain: {error}", file=sys.stderr)
         return CANT
 

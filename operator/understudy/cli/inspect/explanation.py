@@ -62,7 +62,7 @@ class Known:
 
     @classmethod
     def of(cls, around: Around) -> Known:
-        """From what is so around a workload. Raises Unusable where its status can't be read."""
+        """From what is so around a workload. Raises CommandError where its status can't be read."""
         observed = around.observed
         understanding = understand(observed, Images(monitor=""))
         protected = protection.protected(observed, understanding)

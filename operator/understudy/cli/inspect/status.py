@@ -14,7 +14,8 @@ from typing import TextIO
 from understudy.api import names
 from understudy.api.output_formats import structured
 from understudy.cli.common import terminal
-from understudy.cli.common.kubectl import Forbidden, Kubectl, Unusable, add_options
+from understudy.cli.common.errors import CommandError, Forbidden
+from understudy.cli.common.kubectl import Kubectl, add_options
 from understudy.cli.common.robots import Pool, Robot, pool, robot
 from understudy.cli.inspect import status_screen
 from understudy.cli.inspect.status_screen import Look
@@ -57,7 +58,7 @@ def main(arguments: list[str]) -> int:
         if given.watch:
             return _watch(asking, wide=given.output == "wide")
         return _once(asking, given.output)
-    except Unusable as error:
+    except CommandError as error:
         print(f"understudy status: {error}", file=sys.stderr)
         return CANT
     except (KeyboardInterrupt, BrokenPipeError):
@@ -73,7 +74,7 @@ class _Asking:
         self._refused = -math.inf
 
     def __call__(self) -> tuple[list[Robot], list[Pool]]:
-        """How they are now. Raises Unusable, also where there is none."""
+        """How they are now. Raises CommandError, also where there is none."""
         # The gates first: what one tells of, a status that is read after it may tell of by then, and what is over isn't under way.
         gates = self._gates()
         kinds = WORKLOADS if self._names else f"{WORKLOADS},{POOLS}"
@@ -85,7 +86,7 @@ class _Asking:
         robots = [robot(item, gates.get(_gate_of(item)), now) for item in items if item["kind"] == "RobotWorkload"]
         if not robots:
             where = "the cluster" if self.everywhere else "this namespace (-n NAMESPACE and -A ask elsewhere)"
-            raise Unusable(f"there is no RobotWorkload in {where}")
+            raise CommandError(f"there is no RobotWorkload in {where}")
         return robots, [pool(item) for item in items if item["kind"] == "FallbackPool"]
 
     def _gates(self) -> Mapping[tuple[str, str], Object]:
@@ -137,7 +138,7 @@ def _watch(asking: _Asking, *, wide: bool) -> int:
                     robots, pools = asking()
                     answered = asked
                     shown.show(robots, pools)
-                except Unusable as error:
+                except CommandError as error:
                     if not robots or asked - answered > PATIENCE:
                         raise
                     shown.trouble(f"{error}; asking again")

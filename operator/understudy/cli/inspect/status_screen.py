@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import get_args
 
 from understudy.api.kinds.robot_workload import Health
 from understudy.cli.common import text_tables
-from understudy.cli.common.robots import UNWATCHED, LastRecovery, Pool, Problem, Robot, is_told
+from understudy.cli.common.robots import UNWATCHED, LastRecovery, Pool, Problem, Robot, is_told, summary
 from understudy.cli.common.text_tables import Cell
 from understudy.cli.common.time_bars import length, short
 from understudy.cli.common.tree_text import coloured, plain
@@ -62,15 +61,6 @@ def _body(robots: Sequence[Robot], pools: Sequence[Pool], look: Look) -> Iterato
         yield ""
         known = [problem.message for robot in robots for problem in robot.problems]
         yield from _pools(pools, known, look)
-
-
-def summary(robots: Sequence[Robot]) -> str:
-    """Them all in one line."""
-    unprotected = sum(not robot.protected for robot in robots)
-    healths = Counter(robot.health for robot in robots)
-    told = listed(f"{healths[health]} {health.lower()}" for health in sorted(healths))
-    protected = f"{unprotected} not protected" if unprotected else "all protected"
-    return f"{counted(len(robots), 'robot')}: {protected}; {told}"
 
 
 def in_a_line(robot: Robot) -> str:

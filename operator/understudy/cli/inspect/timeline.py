@@ -7,10 +7,10 @@ import sys
 import time
 
 from understudy.api.output_formats import structured
-from understudy.cli.common import option_rules, terminal
-from understudy.cli.common.kubectl import Kubectl, Unusable, add_options
+from understudy.cli.common import option_rules, recovery_text, terminal
+from understudy.cli.common.errors import CommandError
+from understudy.cli.common.kubectl import Kubectl, add_options
 from understudy.cli.common.robots import status_of
-from understudy.cli.inspect import recovery_text
 
 SHOWN, CANT = 0, 2
 """Exit statuses."""
@@ -27,7 +27,7 @@ def main(arguments: list[str]) -> int:
     try:
         item = Kubectl(given).get("robotworkloads.understudy.dev", given.name)
         status = status_of(item)
-    except Unusable as error:
+    except CommandError as error:
         print(f"understudy timeline: {error}", file=sys.stderr)
         return CANT
     found, count = status.recoveries or [], status.recovery_count or 0

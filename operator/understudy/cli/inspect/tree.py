@@ -14,7 +14,8 @@ from typing import Any
 from understudy.api import names
 from understudy.api.output_formats import structured
 from understudy.cli.common import terminal
-from understudy.cli.common.kubectl import Kubectl, Unusable, add_options
+from understudy.cli.common.errors import CommandError
+from understudy.cli.common.kubectl import Kubectl, add_options
 from understudy.cli.common.tree_text import Rates, lines
 
 HEALTHY, NOT_HEALTHY, CANT = 0, 1, 2
@@ -37,7 +38,7 @@ def main(arguments: list[str]) -> int:
         if given.watch:
             return _watch(kubectl, given.name)
         return _once(kubectl, given.name, given.output)
-    except Unusable as error:
+    except CommandError as error:
         print(f"understudy tree: {error}", file=sys.stderr)
         return CANT
     except KeyboardInterrupt:
@@ -45,7 +46,7 @@ def main(arguments: list[str]) -> int:
 
 
 def monitor_pod(kubectl: Kubectl, workload: str) -> str:
-    """The pod of a workload's monitor. Raises Unusable."""
+    """The pod of a workload's monitor. Raises CommandError."""
     kubectl.get("robotworkload", workload)  # says so where there is none of that name
     selector = f"{names.MONITORED}={workload},{names.COMPONENT}=monitor"
     pods = kubectl.get("pods", "-l", selector)["items"]
@@ -53,11 +54,11 @@ def monitor_pod(kubectl: Kubectl, workload: str) -> str:
     if running:
         return str(running[0]["metadata"]["name"])
     if not pods:
-        raise Unusable(
+        raise CommandError(
             f"RobotWorkload {workload} has no monitor; see why: kubectl describe robotworkload {workload}, condition Accepted"
         )
     name, phase = pods[0]["metadata"]["name"], pods[0].get("status", {}).get("phase", "Unknown")
-    raise Unusable(f"the monitor of {workload} isn't ready ({phase}); see why: kubectl describe pod {name}")
+    raise CommandError(f"the monitor of {workload} isn't ready ({phase}); see why: kubectl describe pod {name}")
 
 
 def _is_ready(pod: Mapping[str, Any]) -> bool:
@@ -68,18 +69,18 @@ def _is_ready(pod: Mapping[str, Any]) -> bool:
 
 
 def asked(port: int, path: str = "/tree", *, what: str = "a live tree") -> dict[str, Any]:
-    """What the monitor says now. Raises Unusable, also where it is too old to have ``what``."""
+    """What the monitor says now. Raises CommandError, also where it is too old to have ``what``."""
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=5)
     try:
         connection.request("GET", path)
         answer = connection.getresponse()
         text = answer.read()
         if answer.status == 404:
-            raise Unusable(f"the monitor is of a version without {what}; upgrade the operator, which replaces it")
+            raise CommandError(f"the monitor is of a version without {what}; upgrade the operator, which replaces it")
         found: dict[str, Any] = json.loads(text)
         return found
     except (OSError, http.client.HTTPException, ValueError) as error:
-        raise Unusable(f"the monitor doesn't answer: {error}") from error
+        raise CommandError(f"the monitor doesn't answer: {error}") from error
     finally:
         connection.close()
 
@@ -117,7 +118,7 @@ def _watch(kubectl: Kubectl, workload: str) -> int:
                             health = state["health"]
                             _draw(list(lines(state, rates, colours=colours)), screen)
                             time.sleep(PERIOD)
-                except Unusable as error:
+                except CommandError as error:
                     if time.monotonic() - answered > PATIENCE:
                         raise
                     _draw([f"{error}; asking again"], screen)

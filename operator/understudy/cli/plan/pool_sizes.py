@@ -8,7 +8,7 @@ from typing import Any
 
 from understudy.advice import monte_carlo, paper_model, shortage_risk
 from understudy.advice.demand import Demand
-from understudy.cli.simulate.unusable import Unusable
+from understudy.cli.common.errors import CommandError
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ def outcome(question: Question, fallbacks: int) -> Outcome:
 def sized(question: Question, fallbacks: int | None, risk: float | None, risk_of: str) -> Size:
     """The answer for a number of fallbacks, or for the fewest that are enough for a risk.
 
-    Raises Unusable where no number is.
+    Raises CommandError where no number is.
     """
     needed = {}
     if fallbacks is None:
@@ -113,7 +113,7 @@ def sized(question: Question, fallbacks: int | None, risk: float | None, risk_of
                 for measure in shortage_risk.MEASURES
             }
         except ValueError as error:
-            raise Unusable(f"--risk: {error}") from error
+            raise CommandError(f"--risk: {error}") from error
         fallbacks = needed[risk_of]
     demand = question.demand
     return Size(

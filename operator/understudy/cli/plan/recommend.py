@@ -15,16 +15,14 @@ from understudy.advice.strategy_figures import Figure, Way
 from understudy.api.kinds.fallback_pool import Readiness
 from understudy.api.kinds.requirements_spec import Level
 from understudy.api.output_formats import structured
-from understudy.cli.check import command as running
-from understudy.cli.check import manifest_reader, object_check
-from understudy.cli.check.manifest_reader import Manifest
-from understudy.cli.common import kubectl, option_rules, terminal
+from understudy.cli.common import kubectl, option_rules, plot_files, terminal
+from understudy.cli.common.errors import CommandError
+from understudy.cli.manifests import manifest_reader, object_check
+from understudy.cli.manifests.manifest_reader import Manifest
 from understudy.cli.plan import strategy_table
 from understudy.cli.plan.recommendation import recommended
 from understudy.cli.plan.size import share
 from understudy.cli.plan.text_wrap import fitted
-from understudy.cli.simulate import picture_files
-from understudy.cli.simulate.unusable import Unusable
 from understudy.kube.client import Object
 
 DONE, NOT_MET, CANT = 0, 1, 2
@@ -43,13 +41,13 @@ def main(arguments: list[str]) -> int:
         )
     try:
         if given.plot is not None:
-            picture_files.usable(given.plot)
+            plot_files.usable(given.plot)
         manifests = _read(given.files)
         levels = {_camel(name): level for name in _REQUIREMENTS if (level := getattr(given, name.replace("-", "_")))}
         found = recommended(manifests, given.workload, levels, dict(given.cpu), _recorded(given, manifests))
         if given.plot is not None and len(found) > 1:
             names = ", ".join(one.workload.name for one in found)
-            raise Unusable(f"--plot: one workload is drawn, and there are {names}: choose one by --workload")
+            raise CommandError(f"--plot: one workload is drawn, and there are {names}: choose one by --workload")
         if given.output == "text":
             print(fitted("\n\n".join(strategy_table.told(one) for one in found), terminal.columns(sys.stdout)))
         else:
@@ -58,19 +56,19 @@ def main(arguments: list[str]) -> int:
             from understudy.cli.plan import tradeoff_plot
 
             tradeoff_plot.draw(given.plot, found[0])
-    except (Unusable, running.Unusable, kubectl.Unusable) as error:
+    except CommandError as error:
         print(f"understudy recommend: {error}", file=sys.stderr)
         return CANT
     return NOT_MET if any(order_explanation.unmet(one.order) for one in found) else DONE
 
 
 def _read(files: Sequence[str]) -> list[Manifest]:
-    """The objects of our kinds in some files. Raises Unusable."""
+    """The objects of our kinds in some files. Raises CommandError."""
     manifests: list[Manifest] = []
-    for file, content in dict(entry for one in dict.fromkeys(files) for entry in running.contents(one)).items():
+    for file, content in dict(entry for one in dict.fromkeys(files) for entry in manifest_reader.contents(one)).items():
         read, findings = manifest_reader.read(file, content)
         if wrong := [str(finding) for finding in findings if finding.severity == "error"]:
-            raise Unusable("the files can't be read\n" + "\n".join(wrong))
+            raise CommandError("the files can't be read\n" + "\n".join(wrong))
         manifests += (one for one in read if object_check.is_ours(one))
     return manifests
 
@@ -78,7 +76,7 @@ def _read(files: Sequence[str]) -> list[Manifest]:
 def _recorded(given: argparse.Namespace, manifests: Sequence[Manifest]) -> dict[tuple[str, str], Object]:
     """The workloads as a cluster has them, by the namespace that their files give and their name; none where no cluster is known.
 
-    Raises kubectl's Unusable where one was asked for and doesn't answer.
+    Raises kubectl's CommandError where one was asked for and doesn't answer.
     """
     asked = any((given.context, given.kubeconfig, given.namespace))
     known = os.environ.get("KUBECONFIG") or (Path.home() / ".kube" / "config").is_file()
@@ -90,7 +88,7 @@ def _recorded(given: argparse.Namespace, manifests: Sequence[Manifest]) -> dict[
             asking = kubectl.Kubectl(argparse.Namespace(**{**vars(given), "namespace": namespace or given.namespace}))
             for item in asking.get("robotworkloads")["items"]:
                 found[(namespace, item["metadata"]["name"])] = item
-    except kubectl.Unusable as error:
+    except CommandError as error:
         if asked:
             raise
         print(

@@ -11,9 +11,9 @@ from understudy.advice.strategy_figures import Figure, Way
 from understudy.advice.strategy_order import Judged, Order
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.requirements_spec import Requirements
-from understudy.cli.check import object_check
-from understudy.cli.check.manifest_reader import Manifest
-from understudy.cli.simulate.unusable import Unusable
+from understudy.cli.common.errors import CommandError
+from understudy.cli.manifests import object_check
+from understudy.cli.manifests.manifest_reader import Manifest
 from understudy.controller.desired import strategy_selection
 from understudy.controller.observed.kube_objects import hint
 from understudy.controller.pods import pool_pods
@@ -62,17 +62,17 @@ def recommended(
     """The recommendation for each workload, or for the one of a name.
 
     ``levels`` are requirements that count instead of the policy's, ``cpu`` is what waiting instances were measured to use, and
-    ``recorded`` are workloads as they are in a cluster, by namespace and name. Raises Unusable.
+    ``recorded`` are workloads as they are in a cluster, by namespace and name. Raises CommandError.
     """
     wrong = [str(found) for one in manifests for found in object_check.check(one) if found.severity == "error"]
     if wrong:
-        raise Unusable("the manifests can't be followed\n" + "\n".join(wrong))
+        raise CommandError("the manifests can't be followed\n" + "\n".join(wrong))
     workloads = [one for one in manifests if one.kind == "RobotWorkload" and name in (None, one.name)]
     if not workloads:
         known = [one.name for one in manifests if one.kind == "RobotWorkload"]
         if name is not None and known:
-            raise Unusable(f"--workload: there is no RobotWorkload {name!r:.80} in the files ({hint(name, known)})")
-        raise Unusable(
+            raise CommandError(f"--workload: there is no RobotWorkload {name!r:.80} in the files ({hint(name, known)})")
+        raise CommandError(
             "there is no RobotWorkload in the files: give the file of one, with those of its policy and its pools"
         )
     return [_recommended(one, manifests, levels, cpu, recorded) for one in workloads]
@@ -90,7 +90,7 @@ def _recommended(
     given = {one.name: one for one in near if one.kind == "FailurePolicy"}
     if wanted not in given:
         told = f" ({hint(wanted, given)})" if given else ""
-        raise Unusable(
+        raise CommandError(
             f"RobotWorkload {workload.name}: its FailurePolicy {wanted} isn't in the files{told}; give its file too"
         )
     policy = given[wanted]

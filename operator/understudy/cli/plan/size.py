@@ -9,12 +9,11 @@ from collections.abc import Callable
 
 from understudy.advice.shortage_risk import MEASURES, MOST
 from understudy.api.output_formats import structured
-from understudy.cli.common import option_rules, terminal
+from understudy.cli.common import option_rules, plot_files, terminal
+from understudy.cli.common.errors import CommandError
 from understudy.cli.plan.pool_sizes import Question, sized
 from understudy.cli.plan.size_text import told
 from understudy.cli.plan.text_wrap import fitted
-from understudy.cli.simulate import picture_files
-from understudy.cli.simulate.unusable import Unusable
 
 DONE, CANT = 0, 2
 """Exit statuses."""
@@ -44,7 +43,7 @@ def main(arguments: list[str]) -> int:
     )
     try:
         if given.plot is not None:
-            picture_files.usable(given.plot)
+            plot_files.usable(given.plot)
         size = sized(question, given.fallbacks, given.risk, given.risk_of or RISK_OF)
         if given.output == "text":
             print(fitted(told(size), terminal.columns(sys.stdout)))
@@ -54,7 +53,7 @@ def main(arguments: list[str]) -> int:
             from understudy.cli.plan import size_plot
 
             size_plot.draw(given.plot, size)
-    except Unusable as error:
+    except CommandError as error:
         print(f"understudy size: {error}", file=sys.stderr)
         return CANT
     return DONE

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from understudy.cli.common.errors import CommandError
 from understudy.cli.plan.pool_sizes import Size, outcome
 from understudy.cli.plan.size_text import percent
-from understudy.cli.simulate.unusable import Unusable
 
 _LEAST = 1e-4
 """The lowest risk that is drawn."""
@@ -21,7 +21,7 @@ _WORDS = {
 
 
 def draw(file: str, size: Size) -> None:
-    """Draw it into a file. Raises Unusable where it can't be written."""
+    """Draw it into a file. Raises CommandError where it can't be written."""
     from matplotlib.figure import Figure
     from matplotlib.ticker import FuncFormatter
 
@@ -64,7 +64,7 @@ def draw(file: str, size: Size) -> None:
     try:
         figure.savefig(file)
     except OSError as error:
-        raise Unusable(f"--plot: {file} can't be written: {error.strerror}; give another file") from error
+        raise CommandError(f"--plot: {file} can't be written: {error.strerror}; give another file") from error
 
 
 def _last(size: Size) -> int:

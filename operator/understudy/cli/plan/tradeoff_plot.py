@@ -7,8 +7,8 @@ from typing import Any
 
 from understudy.advice import order_explanation
 from understudy.advice.strategy_order import Judged, Order, soon, spent
+from understudy.cli.common.errors import CommandError
 from understudy.cli.plan.recommendation import Recommendation
-from understudy.cli.simulate.unusable import Unusable
 from understudy.trees.core.leaf import duration
 
 _LEAST = 0.005
@@ -21,7 +21,7 @@ _CHOSEN, _LEFT_OUT, _ALLOWED = "#1f5fa8", "#999999", "#5c8a3a"
 
 
 def draw(file: str, found: Recommendation) -> None:
-    """Draw it into a file. Raises Unusable where it can't be written."""
+    """Draw it into a file. Raises CommandError where it can't be written."""
     from matplotlib.figure import Figure
     from matplotlib.ticker import FuncFormatter
 
@@ -58,7 +58,7 @@ def draw(file: str, found: Recommendation) -> None:
     try:
         figure.savefig(file)
     except OSError as error:
-        raise Unusable(f"--plot: {file} can't be written: {error.strerror}; give another file") from error
+        raise CommandError(f"--plot: {file} can't be written: {error.strerror}; give another file") from error
 
 
 def _mark(axes: Any, order: Order, one: Judged, *, below: bool, left: bool) -> None:

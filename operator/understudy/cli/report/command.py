@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from understudy.api import base, names
-from understudy.cli.common.kubectl import WORKLOADS, Kubectl, Unusable, add_options
+from understudy.cli.common.errors import CommandError
+from understudy.cli.common.kubectl import WORKLOADS, Kubectl, add_options
 from understudy.cli.common.wording import clock, counted
 from understudy.cli.report.csv_sheets import sheets
 from understudy.cli.report.page import page
@@ -40,7 +41,7 @@ def main(arguments: list[str]) -> int:
         if given.csv is not None:
             for name, text in data.items():
                 _write(Path(given.csv, name), text)
-    except Unusable as error:
+    except CommandError as error:
         print(f"understudy report: {error}", file=sys.stderr)
         return CANT
     print(_told(found, given, told))
@@ -48,22 +49,22 @@ def main(arguments: list[str]) -> int:
 
 
 def _robots(kubectl: Kubectl, given: argparse.Namespace) -> Sequence[Mapping[str, Any]]:
-    """The RobotWorkloads that were asked for. Raises Unusable, also where there is none."""
+    """The RobotWorkloads that were asked for. Raises CommandError, also where there is none."""
     answer = kubectl.get(WORKLOADS, *given.names, *(["-A"] if given.all_namespaces else []))
     items: list[Mapping[str, Any]] = answer.get("items", [answer])
     if items:
         return items
     if given.namespace and not _may_be_there(kubectl, given.namespace):
-        raise Unusable(f"there is no namespace {given.namespace}")
+        raise CommandError(f"there is no namespace {given.namespace}")
     where = "the cluster" if given.all_namespaces else "this namespace (-n NAMESPACE and -A ask elsewhere)"
-    raise Unusable(f"there is no RobotWorkload in {where}")
+    raise CommandError(f"there is no RobotWorkload in {where}")
 
 
 def _may_be_there(kubectl: Kubectl, namespace: str) -> bool:
     """Whether there is such a namespace, or nobody knows: who may look into it may not be allowed to look at it."""
     try:
         return kubectl.find("namespaces", namespace) is not None
-    except Unusable:
+    except CommandError:
         return True
 
 
@@ -74,17 +75,17 @@ def _pods(kubectl: Kubectl, given: argparse.Namespace) -> tuple[Sequence[Mapping
         for label in (names.WORKLOAD, names.MONITORED, names.POOL):  # of a cluster's pods they may be few
             for pod in kubectl.get("pods", *where, "-l", label)["items"]:
                 found[pod["metadata"]["uid"]] = pod
-    except Unusable as error:
+    except CommandError as error:
         return [], str(error)
     return list(found.values()), ""
 
 
 def _measured(found: Findings, given: argparse.Namespace) -> Measured | None:
-    """What a Prometheus has of the same robots and the same period; None where none was named. Raises Unusable."""
+    """What a Prometheus has of the same robots and the same period; None where none was named. Raises CommandError."""
     if given.prometheus is None:
         for option in ("prometheus_token_file", "prometheus_ca_file"):
             if getattr(given, option) is not None:
-                raise Unusable(f"--{option.replace('_', '-')} is for --prometheus URL, which isn't given")
+                raise CommandError(f"--{option.replace('_', '-')} is for --prometheus URL, which isn't given")
         return None
     prometheus = Prometheus(given.prometheus, token_file=given.prometheus_token_file, ca_file=given.prometheus_ca_file)
     namespace = None if given.all_namespaces else found.courses[0].robot.namespace
@@ -100,9 +101,9 @@ def _period(given: argparse.Namespace, now: float) -> Span:
             begin = end - base.seconds(given.since)
             datetime.fromtimestamp(begin, UTC)
         except (ValueError, OverflowError, OSError) as error:  # also of what reaches back beyond the calendar
-            raise Unusable(f"--since: {error}") from error
+            raise CommandError(f"--since: {error}") from error
     if begin >= end:
-        raise Unusable(
+        raise CommandError(
             f"the period would begin at {clock(begin)} and end at {clock(end)}: give one that has passed, at least in part"
         )
     return Span(begin, end)
@@ -113,7 +114,7 @@ def _moment(option: str, text: str) -> float:
     try:
         found = datetime.fromisoformat(text)
     except ValueError:
-        raise Unusable(
+        raise CommandError(
             f"{option}: found {text!r:.60}; write a date or a moment, such as 2026-11-20 or 2026-11-20T14:00:00Z"
         ) from None
     return (found if found.tzinfo else found.replace(tzinfo=UTC)).timestamp()
@@ -131,7 +132,7 @@ def _write(path: Path, text: str) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8", newline="")
     except OSError as error:
-        raise Unusable(f"{path} can't be written: {error.strerror}; give another place") from error
+        raise CommandError(f"{path} can't be written: {error.strerror}; give another place") from error
 
 
 def _told(found: Findings, given: argparse.Namespace, told_of: Measured | None) -> str:

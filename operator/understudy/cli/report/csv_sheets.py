@@ -9,9 +9,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, fields
 
 from understudy.api.kinds.robot_workload import Moments
+from understudy.cli.common.recovery_text import parts_of
 from understudy.cli.common.robots import Robot
 from understudy.cli.common.time_bars import NAMES
-from understudy.cli.inspect.recovery_text import parts_of
 from understudy.cli.report.prometheus_figures import Count, Measured, Pool, Time
 from understudy.cli.report.recovery_records import Course, Entry, Findings, Group, Span
 from understudy.cli.report.reserved_resources import ROLES, Share

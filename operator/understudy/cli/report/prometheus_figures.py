@@ -117,7 +117,7 @@ class Measured:
 
 
 def measured(prometheus: Prometheus, period: Span, *, namespace: str | None, names: Sequence[str] = ()) -> Measured:
-    """Ask for it, of all namespaces and all robots where none are named. Raises Unusable."""
+    """Ask for it, of all namespaces and all robots where none are named. Raises CommandError."""
     where, end = promql.selector(namespace, names), period.end
 
     def query(expression: str) -> Sequence[Series]:

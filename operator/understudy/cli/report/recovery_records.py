@@ -13,10 +13,10 @@ from statistics import fmean
 from typing import Any
 
 from understudy.api.kinds.robot_workload import Recovery, RobotWorkloadStatus
+from understudy.cli.common.recovery_text import parts_of, start_of
 from understudy.cli.common.robots import Robot, robot, status_of
 from understudy.cli.common.time_bars import NAMES
 from understudy.cli.common.wording import unix
-from understudy.cli.inspect.recovery_text import parts_of, start_of
 from understudy.cli.report.reserved_resources import Share, shares
 from understudy.cli.report.sample_statistics import Spread
 
@@ -233,7 +233,7 @@ def findings(
 ) -> Findings:
     """What RobotWorkloads and pods as the API server gives them say of a period; ``pods_unknown`` says why there are no pods.
 
-    Raises Unusable where a status isn't understood.
+    Raises CommandError where a status isn't understood.
     """
     courses = sorted((course(item, period) for item in items), key=lambda one: (one.robot.namespace, one.robot.name))
     found = [] if pods_unknown else shares([one.robot for one in courses], pods)
@@ -241,7 +241,7 @@ def findings(
 
 
 def course(item: Mapping[str, Any], period: Span) -> Course:
-    """One RobotWorkload over a period. Raises Unusable."""
+    """One RobotWorkload over a period. Raises CommandError."""
     shown, status = robot(item), status_of(item)
     records = [
         Entry(shown.namespace, shown.name, recovery, unix(start))

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 
+from understudy.cli.common.recovery_text import outcome, parts_of, tried
+from understudy.cli.common.robots import summary
 from understudy.cli.common.time_bars import NAMES, short
 from understudy.cli.common.wording import clock, counted, listed, unix
-from understudy.cli.inspect.recovery_text import outcome, parts_of, tried
-from understudy.cli.inspect.status_screen import summary
 from understudy.cli.report import charts, html_tables
 from understudy.cli.report.html_markup import Markup, element
 from understudy.cli.report.html_tables import Cell, moment, number, seconds, span

@@ -8,7 +8,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, NamedTuple, Self
 
-from understudy.cli.simulate.unusable import Unusable
+from understudy.cli.common.errors import CommandError
 from understudy.ros.observe.message_contents import Received
 from understudy.trees.core.observations import Unreadable
 from understudy.trees.leaves.age import HEADER
@@ -91,28 +91,28 @@ class Bag:
 
     @classmethod
     def open(cls, path: str) -> Self:
-        """Open a bag. Raises Unusable."""
+        """Open a bag. Raises CommandError."""
         try:
             from rosbags.rosbag2 import Reader
 
             from understudy.cli.simulate.bag_types import Definitions
         except ImportError as error:
-            raise Unusable(
+            raise CommandError(
                 f"bags are read with the Python package rosbags, which isn't here ({error}): install understudy with its "
                 "extra bags: pip install '.[bags]' in its repository"
             ) from error
         if not Path(path).exists():
-            raise Unusable(f"{path}: there is no such file or folder; {_FORMS}")
+            raise CommandError(f"{path}: there is no such file or folder; {_FORMS}")
         try:
             reader = Reader(path)
             reader.open()
         except Exception as error:  # whatever a file that is no bag makes of a reader
             told = str(error) or type(error).__name__
             way_out = next((way for found, way in _WAYS_OUT.items() if found in told), _FORMS)
-            raise Unusable(f"{path}: this can't be read as a bag: {told.rstrip('.')}; {way_out}") from error
+            raise CommandError(f"{path}: this can't be read as a bag: {told.rstrip('.')}; {way_out}") from error
         if not reader.message_count:
             reader.close()
-            raise Unusable(f"{path}: there is no message in it; give a bag in which something was recorded")
+            raise CommandError(f"{path}: there is no message in it; give a bag in which something was recorded")
         return cls(path, reader, Definitions(reader.connections))
 
     def __enter__(self) -> Self:
@@ -122,7 +122,7 @@ class Bag:
         self._reader.close()
 
     def messages(self, wanted: Mapping[str, str]) -> Iterator[Taken]:
-        """The messages of topics of these types (by name), oldest first. Raises Unusable where the bag is damaged."""
+        """The messages of topics of these types (by name), oldest first. Raises CommandError where the bag is damaged."""
         connections: list[Connection] = [
             one for one in self._reader.connections if wanted.get(one.topic) == one.msgtype
         ]
@@ -136,6 +136,6 @@ class Bag:
                 yield Taken(connection.topic, latest, data)
         except Exception as error:
             told = str(error) or type(error).__name__
-            raise Unusable(
+            raise CommandError(
                 f"{self.path}: the bag is damaged: {told}; record it again, or repair an MCAP file by `mcap recover`"
             ) from error

@@ -12,13 +12,13 @@ from array import array
 from collections.abc import Iterator
 from typing import Any
 
+from understudy.cli.common.errors import CommandError
 from understudy.cli.common.tree_text import plain
 from understudy.cli.simulate.bags import Bag
 from understudy.cli.simulate.clock_text import wall
 from understudy.cli.simulate.leaf_history import Failure
 from understudy.cli.simulate.learned_bounds import FACTOR, FEWEST, MARGIN, Bounds, Measures, measured, proposed
 from understudy.cli.simulate.replay import replay
-from understudy.cli.simulate.unusable import Unusable
 from understudy.trees.core.leaf import duration
 from understudy.trees.core.rate_window import hertz
 from understudy.trees.languages.short.health_loader import load
@@ -43,7 +43,7 @@ def main(arguments: list[str]) -> int:
                     f"{plain(failure.reason)}; was it healthy then? If it was, give a greater --factor or --margin",
                     file=sys.stderr,
                 )
-    except Unusable as error:
+    except CommandError as error:
         print(f"understudy learn: {error}", file=sys.stderr)
         return CANT
     return CONTRADICTED if failures else FINE
@@ -53,15 +53,17 @@ Learnt = tuple[dict[str, Any], Measures, Bounds]
 
 
 def _learn(bag: Bag, name: str, factor: float, margin: float) -> Learnt:
-    """A topic's leaf. Raises Unusable."""
+    """A topic's leaf. Raises CommandError."""
     topic = bag.topics.get(name)
     if topic is None:
-        raise Unusable(f"{bag.path}: the bag has no topic {name!r:.80}{did_you_mean(name, bag.topics)}")
+        raise CommandError(f"{bag.path}: the bag has no topic {name!r:.80}{did_you_mean(name, bag.topics)}")
     if len(topic.types) > 1:
-        raise Unusable(f"{bag.path}: {name} was recorded as {' and as '.join(topic.types)}; a topic must have one type")
+        raise CommandError(
+            f"{bag.path}: {name} was recorded as {' and as '.join(topic.types)}; a topic must have one type"
+        )
     arrivals = array("d", (taken.received for taken in bag.messages({name: topic.types[0]})))
     if len(arrivals) < FEWEST or arrivals[-1] <= arrivals[0]:
-        raise Unusable(
+        raise CommandError(
             f"{bag.path}: the bag has {len(arrivals)} messages of {name}; at least {FEWEST} are needed to learn from, better "
             "thousands: give a longer recording"
         )
@@ -78,7 +80,7 @@ def _tried(leaves: list[dict[str, Any]], bag: Bag) -> list[Failure]:
     try:
         tree = load({"parallel": [{"topic": leaf} for leaf in leaves]}, path="learnt", grace=bag.end - bag.start)
     except TreeError as error:  # such as for a name that ROS doesn't have
-        raise Unusable(f"{bag.path}: no leaf can be made of this: {error.in_short()}") from error
+        raise CommandError(f"{bag.path}: no leaf can be made of this: {error.in_short()}") from error
     return replay(tree, 0.0, bag).course.failures
 
 

@@ -7,9 +7,9 @@ from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import Any
 
+from understudy.cli.common.errors import CommandError
 from understudy.cli.simulate.leaf_history import Failure, Span
 from understudy.cli.simulate.replay import Replay
-from understudy.cli.simulate.unusable import Unusable
 from understudy.trees.core.leaf import duration
 
 WIDTH, LANE, REST, DOTS = 12.0, 0.55, 1.75, 150
@@ -29,7 +29,7 @@ _LONGEST = 34
 
 
 def draw(file: str, title: str, replay: Replay, start: float, end: float, onsets: Sequence[float] = ()) -> None:
-    """Draw it into a file. Times are Unix seconds. Raises Unusable where it can't be written."""
+    """Draw it into a file. Times are Unix seconds. Raises CommandError where it can't be written."""
     from matplotlib.figure import Figure
 
     course = replay.course
@@ -63,7 +63,7 @@ def draw(file: str, title: str, replay: Replay, start: float, end: float, onsets
     try:
         figure.savefig(file)
     except OSError as error:
-        raise Unusable(f"--plot: {file} can't be written: {error.strerror}; give another file") from error
+        raise CommandError(f"--plot: {file} can't be written: {error.strerror}; give another file") from error
 
 
 def _bands(axes: Any, row: int, spans: Sequence[Span], start: float, height: float) -> None:

@@ -11,9 +11,9 @@ from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from understudy.cli.common.errors import CommandError
 from understudy.cli.simulate.bags import Bag, Recorded, Taken
 from understudy.cli.simulate.leaf_history import Course
-from understudy.cli.simulate.unusable import Unusable
 from understudy.ros.observe.message_contents import ours
 from understudy.trees.core.health_tree import HealthTree, WatchedTopic
 from understudy.trees.core.observations import Recorded as Observed
@@ -48,11 +48,11 @@ class Replay:
 
 
 def replay(tree: HealthTree, debounce: float, bag: Bag) -> Replay:
-    """Judge a bag by a policy's tree and its debounce (seconds). Raises Unusable."""
+    """Judge a bag by a policy's tree and its debounce (seconds). Raises CommandError."""
     left_out = _leave_out(tree, bag)
     if tree.root is None:
         told = "\n".join(f"{', '.join(one.leaves)}: {one.why}" for one in left_out)
-        raise Unusable(f"{bag.path}: nothing of the policy's tree can be judged by this bag\n{told}")
+        raise CommandError(f"{bag.path}: nothing of the policy's tree can be judged by this bag\n{told}")
     # A topic that only leaves need that are left out isn't read.
     out = {path for one in left_out for path in one.leaves}
     heard = [topic for topic in tree.topics if topic.heard and topic.name in bag.topics]
@@ -144,20 +144,20 @@ def _without(tree: HealthTree, left_out: Collection[str], topic: str) -> set[str
 
 
 def _type(topic: WatchedTopic, bag: Bag) -> str:
-    """The type by which a topic's messages are read. Raises Unusable."""
+    """The type by which a topic's messages are read. Raises CommandError."""
     recorded = bag.topics[topic.name].types
     if topic.type is None and len(recorded) > 1:
-        raise Unusable(
+        raise CommandError(
             f"{bag.path}: the bag has {topic.name} as {' and as '.join(recorded)}: give the type in the policy's tree"
         )
     wanted = topic.type or recorded[0]
     if wanted not in recorded:
-        raise Unusable(
+        raise CommandError(
             f"{bag.path}: the policy's tree says {wanted} of {topic.name}, but it was recorded as {' and as '.join(recorded)}; "
             "a monitor would receive nothing: correct the type in the tree"
         )
     if (topic.contents or topic.task) and bag.definitions.fields(wanted) is None:
-        raise Unusable(
+        raise CommandError(
             f"{bag.path}: the type {wanted} of {topic.name} is not known, and the tree looks into its messages: the bag has no "
             "definition of it that can be read; record it as MCAP or with ROS 2 Iron or newer, which write the definitions too"
         )

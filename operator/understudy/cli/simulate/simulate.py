@@ -9,11 +9,12 @@ import sys
 from pathlib import Path
 
 from understudy.api.output_formats import structured
-from understudy.cli.simulate import fault_times, picture_files, policy_file
+from understudy.cli.common import plot_files
+from understudy.cli.common.errors import CommandError
+from understudy.cli.simulate import fault_times, policy_file
 from understudy.cli.simulate.bags import Bag
 from understudy.cli.simulate.replay import replay
 from understudy.cli.simulate.simulation_report import Report
-from understudy.cli.simulate.unusable import Unusable
 
 NOTHING, DETECTED, CANT = 0, 1, 2
 """Exit statuses."""
@@ -26,7 +27,7 @@ def main(arguments: list[str]) -> int:
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
         report, detected = _simulated(given)
-    except Unusable as error:
+    except CommandError as error:
         print(f"understudy simulate: {error}", file=sys.stderr)
         return CANT
     try:
@@ -38,15 +39,15 @@ def main(arguments: list[str]) -> int:
 
 
 def _simulated(given: argparse.Namespace) -> tuple[str, bool]:
-    """What is printed, and whether anything was detected. Raises Unusable."""
+    """What is printed, and whether anything was detected. Raises CommandError."""
     if given.plot is not None:
-        picture_files.usable(given.plot)
+        plot_files.usable(given.plot)
     policy = policy_file.read(given.policy_file, given.policy, given.grace)
     with Bag.open(given.bag) as bag:
         try:
             times = [fault_times.parse(text, bag.start, bag.end) for text in given.onset]
         except ValueError as error:
-            raise Unusable(f"--onset: {error}") from error
+            raise CommandError(f"--onset: {error}") from error
         found = replay(policy.tree(bag.definitions.fields), policy.debounce, bag)
         report = Report(policy, bag, found, times)
         told = report.text() if given.output == "text" else structured(report.data(), given.output)

@@ -12,12 +12,12 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from understudy.api.base import seconds
+from understudy.cli.common.errors import CommandError
 from understudy.cli.common.tree_text import plain
 from understudy.cli.simulate import policy_file
 from understudy.cli.simulate.leaf_history import Course
 from understudy.cli.simulate.live_screen import Display, Lines, Screen, told
 from understudy.cli.simulate.policy_file import Policy
-from understudy.cli.simulate.unusable import Unusable
 
 if TYPE_CHECKING:
     from understudy.ros.observe.topic_watch import Watching
@@ -38,7 +38,7 @@ def main(arguments: list[str]) -> int:
         policy = policy_file.read(given.policy_file, given.policy, given.grace)
         with _joined() as watching:
             course = _watch(policy, watching, given.length)
-    except Unusable as error:
+    except CommandError as error:
         print(f"understudy watch: {error}", file=sys.stderr)
         return CANT
     return _end(course)
@@ -61,7 +61,7 @@ def _end(course: Course) -> int:
 
 @contextlib.contextmanager
 def _joined() -> Iterator[Watching]:
-    """The ROS graph that the environment names, of which only the topics of trees are received. Raises Unusable."""
+    """The ROS graph that the environment names, of which only the topics of trees are received. Raises CommandError."""
     try:
         from understudy.ros.runtime.lean_imports import import_rclpy
 
@@ -69,14 +69,14 @@ def _joined() -> Iterator[Watching]:
         from understudy.ros.observe.topic_watch import Watching
         from understudy.ros.runtime.graph_node import Graph
     except ImportError as error:
-        raise Unusable(
+        raise CommandError(
             f"ROS 2 isn't here ({error}): source a ROS 2 installation, or install understudy with its extra ros: "
             "pip install '.[ros]' in its repository"
         ) from error
     try:
         graph = Graph(f"understudy_watch_{os.getpid()}")
     except Exception as error:  # whatever the middleware raises
-        raise Unusable(
+        raise CommandError(
             f"the ROS graph can't be joined: {error}; look at RMW_IMPLEMENTATION and ROS_DOMAIN_ID"
         ) from error
     watching = Watching(graph)
@@ -88,14 +88,14 @@ def _joined() -> Iterator[Watching]:
 
 
 def _watch(policy: Policy, watching: Watching, length: float | None) -> Course:
-    """Look until the time is over or somebody ends it. Raises Unusable."""
+    """Look until the time is over or somebody ends it. Raises CommandError."""
     from understudy.ros.runtime.interface_types import message_fields
 
     tree = policy.tree(message_fields)
     unseen = {leaf.name for leaf in tree.leaves if leaf.of_cluster}
     tree.leave_out(unseen)
     if tree.root is None:
-        raise Unusable(f"nothing of the policy's tree can be judged here: {', '.join(sorted(unseen))} {OF_CLUSTER}")
+        raise CommandError(f"nothing of the policy's tree can be judged here: {', '.join(sorted(unseen))} {OF_CLUSTER}")
     watching.follow(tree.topics)
     begun = time.time()
     tree.begin(begun)

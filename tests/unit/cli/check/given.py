@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import textwrap
 
-from understudy.cli.check.check_findings import Finding
 from understudy.cli.check.command import Result, check
+from understudy.cli.manifests.check_findings import Finding
 
 POLICY = """\
 apiVersion: understudy.dev/v1alpha1

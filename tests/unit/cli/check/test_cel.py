@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from understudy.api.schema.definitions import VALIDATIONS, definitions
-from understudy.cli.check import cel
+from understudy.cli.manifests import cel
 
 
 def _rules(schema: dict[str, Any]) -> Iterator[dict[str, str]]:

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from tests.support.manifests import WITH_A_LEAF_OF_ITS_OWN
-from understudy.cli.check.check_findings import Finding
 from understudy.cli.check.command import check
+from understudy.cli.manifests.check_findings import Finding
 
 REPOSITORY = Path(__file__).resolve().parents[4]
 MANIFESTS = REPOSITORY / "tests" / "cluster" / "manifests"

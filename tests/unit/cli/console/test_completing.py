@@ -13,7 +13,7 @@ import pytest
 from scripts.generation import commands
 from tests.unit.cli.console import fleet
 from tests.unit.cli.console.kubectl import Stand
-from understudy.cli.completion import answers
+from understudy.cli.common import shell_completion
 from understudy.cli.completion import command as completion
 from understudy.main import main
 
@@ -39,7 +39,11 @@ def completed(line: str, folder: Path) -> list[str]:
 
 def answered_to_kubectl(*words: str) -> list[str]:
     """What kubectl reads of the program that it asks."""
-    command = [sys.executable, "-c", "from understudy.cli.completion.answers import for_kubectl; for_kubectl()"]
+    command = [
+        sys.executable,
+        "-c",
+        "from understudy.cli.common.shell_completion import complete_for_kubectl; complete_for_kubectl()",
+    ]
     done = subprocess.run([*command, *words], capture_output=True, text=True, timeout=60, check=True)
     return done.stdout.splitlines()
 
@@ -72,7 +76,7 @@ def test_every_verb_is_answered_by_its_own_parser(monkeypatch: pytest.MonkeyPatc
         answered.append(parser)
         sys.exit()
 
-    monkeypatch.setattr(answers, "_answer", answer)
+    monkeypatch.setattr(shell_completion, "_answer", answer)
     monkeypatch.setattr(argparse.ArgumentParser, "parse_args", argparse.ArgumentParser.parse_args)  # is put back then
     monkeypatch.setattr(sys, "argv", ["understudy"])
     monkeypatch.setenv("_ARGCOMPLETE", "1")

@@ -13,7 +13,8 @@ import pytest
 
 from tests.unit.cli.console import fleet
 from tests.unit.cli.console.kubectl import Stand
-from understudy.cli.common.kubectl import Kubectl, Unusable
+from understudy.cli.common.errors import CommandError
+from understudy.cli.common.kubectl import Kubectl
 from understudy.cli.inspect import timeline
 
 NAME = "robot-17-navigation"
@@ -150,7 +151,7 @@ def test_where_nobody_could_answer_nobody_is_asked(stand: Stand, monkeypatch: py
         monkeypatch.setenv("_ARGCOMPLETE", "2")
     given = argparse.Namespace(namespace="fleet", context=None, kubeconfig=None)
     begun = time.monotonic()
-    with pytest.raises(Unusable, match="not a terminal: log in as the kubeconfig's plugin has it"):
+    with pytest.raises(CommandError, match="not a terminal: log in as the kubeconfig's plugin has it"):
         Kubectl(given).get("robotworkloads.understudy.dev", NAME)
     assert time.monotonic() - begun < 10
 
@@ -158,5 +159,5 @@ def test_where_nobody_could_answer_nobody_is_asked(stand: Stand, monkeypatch: py
 def test_where_there_is_no_standard_input_nobody_is_asked(stand: Stand, monkeypatch: pytest.MonkeyPatch) -> None:
     with_plugin(stand, ASKS)
     monkeypatch.setattr(sys, "stdin", None)  # as Python has it after `<&-`
-    with pytest.raises(Unusable, match="not a terminal: log in as the kubeconfig's plugin has it"):
+    with pytest.raises(CommandError, match="not a terminal: log in as the kubeconfig's plugin has it"):
         Kubectl(argparse.Namespace(namespace="fleet", context=None, kubeconfig=None)).get("pods")

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from understudy.api import names
-from understudy.cli.common.kubectl import Unusable
+from understudy.cli.common.errors import CommandError
 from understudy.cli.common.kubectl_proxy import Answer
 from understudy.cli.common.pod_session import Session
 from understudy.cli.doctor import packet_check, pod_program
@@ -88,8 +88,8 @@ def test_a_clock_is_told_as_exactly_as_it_can_be_asked() -> None:
 
 def test_what_goes_wrong_in_a_pod_is_told() -> None:
     with talking() as talk:
-        with pytest.raises(Unusable, match="pod here: ValueError: pod UID 'short' has 5 bytes"):
+        with pytest.raises(CommandError, match="pod here: ValueError: pod UID 'short' has 5 bytes"):
             talk.ask("send", uid="short", host="127.0.0.1", port=1, seconds=1.0)
-        with pytest.raises(Unusable, match="AttributeError"):
+        with pytest.raises(CommandError, match="AttributeError"):
             talk.ask("dance")
         assert talk.ask("clock") > 0, "it goes on"

@@ -8,7 +8,7 @@ import pytest
 
 from tests.unit.cli.console import fleet
 from tests.unit.cli.console.fleet import said
-from understudy.cli.common.kubectl import Unusable
+from understudy.cli.common.errors import CommandError
 from understudy.cli.common.robots import UNWATCHED, pool, robot
 
 
@@ -85,7 +85,7 @@ def test_a_spec_that_the_operator_has_not_seen() -> None:
 def test_a_status_of_a_later_version_is_refused_with_what_to_do() -> None:
     item = fleet.well()
     item["status"]["health"] = "Splendid"
-    with pytest.raises(Unusable, match=r"fleet/robot-17-navigation: status.health: .*as new as the operator"):
+    with pytest.raises(CommandError, match=r"fleet/robot-17-navigation: status.health: .*as new as the operator"):
         robot(item)
 
 

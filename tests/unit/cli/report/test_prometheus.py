@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from understudy.cli.common.kubectl import Unusable
+from understudy.cli.common.errors import CommandError
 from understudy.cli.report.prometheus_client import Prometheus, Series
 
 ANSWER = {"status": "success", "data": {"result": [{"metric": {"a": "b"}, "value": [12.5, "3"]}]}}
@@ -101,7 +101,7 @@ def test_a_token_is_for_the_one_that_was_named_alone(server: Server, other: Serv
 )  # fmt: skip
 def test_what_it_can_not_tell(server: Server, status: int, text: str, words: str) -> None:
     server.status, server.text = status, text
-    with pytest.raises(Unusable) as raised:
+    with pytest.raises(CommandError) as raised:
         Prometheus(server.url).query("up", 0.0)
     assert server.url in str(raised.value)
     assert words in str(raised.value)
@@ -109,7 +109,7 @@ def test_what_it_can_not_tell(server: Server, status: int, text: str, words: str
 
 def test_nobody_answers(server: Server) -> None:
     url = server.url.replace("127.0.0.1", "127.0.0.2")
-    with pytest.raises(Unusable) as raised:
+    with pytest.raises(CommandError) as raised:
         Prometheus(url).query("up", 0.0)
     assert str(raised.value).startswith(
         f"Prometheus at {url} can't be reached: Connection refused; one in the cluster is "
@@ -120,15 +120,15 @@ def test_nobody_answers(server: Server) -> None:
     "url", ["localhost:9090", "file:///etc/passwd", "http://", "http://u:p@here", "http://here?a=b"]
 )
 def test_an_address_that_is_none(url: str) -> None:
-    with pytest.raises(Unusable, match=r"^--prometheus: found .*; write where it is served") as raised:
+    with pytest.raises(CommandError, match=r"^--prometheus: found .*; write where it is served") as raised:
         Prometheus(url)
     assert "u:p" not in str(raised.value)
 
 
 def test_files_that_can_not_be_used(tmp_path: Path) -> None:
     (tmp_path / "text").write_text("no certificate")
-    with pytest.raises(Unusable, match=r"^--prometheus-token-file: .*/none can't be read: No such file"):
+    with pytest.raises(CommandError, match=r"^--prometheus-token-file: .*/none can't be read: No such file"):
         Prometheus("http://here", token_file=str(tmp_path / "none"))
     for name in ("none", "text"):
-        with pytest.raises(Unusable, match=rf"^--prometheus-ca-file: .*/{name} can't be used: "):
+        with pytest.raises(CommandError, match=rf"^--prometheus-ca-file: .*/{name} can't be used: "):
             Prometheus("http://here", ca_file=str(tmp_path / name))

@@ -10,7 +10,7 @@ from tests.unit.cli.console.fleet import NOW, ago, recovery, said
 from tests.unit.cli.report import fleet
 from tests.unit.cli.report.fleet import DAY
 from understudy.api.kinds.robot_workload import DependencyRecovery
-from understudy.cli.common.kubectl import Unusable
+from understudy.cli.common.errors import CommandError
 from understudy.cli.report.recovery_records import Span, course, findings
 from understudy.cli.report.sample_statistics import quantile
 
@@ -126,5 +126,5 @@ def test_quantiles_are_those_of_the_standard_library() -> None:
 def test_a_status_that_is_not_understood_is_not_guessed_at() -> None:
     item = fleet.whole()
     item["status"]["recoveries"][0]["result"] = "Sideways"
-    with pytest.raises(Unusable, match="Is this command as new as the operator"):
+    with pytest.raises(CommandError, match="Is this command as new as the operator"):
         findings([item], DAY)

@@ -10,11 +10,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tests.unit.cli.simulate.recording import Said, Storage, every, policy, unix, write
+from understudy.cli.common.errors import CommandError
 from understudy.cli.simulate import policy_file
 from understudy.cli.simulate.bags import Bag
 from understudy.cli.simulate.leaf_history import Failure
 from understudy.cli.simulate.replay import Replay, replay
-from understudy.cli.simulate.unusable import Unusable
 
 TWIST, SCAN, BATTERY = "geometry_msgs/msg/Twist", "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/BatteryState"
 STATUS, STATUSES = "/go/_action/status", "action_msgs/msg/GoalStatusArray"
@@ -215,7 +215,7 @@ def test_what_a_bag_cannot_tell_is_left_out_and_said(tmp_path: Path) -> None:
 
 def test_with_nothing_to_judge_there_is_no_verdict(tmp_path: Path) -> None:
     with pytest.raises(
-        Unusable, match="nothing of the policy's tree can be judged by this bag\nimu: the bag lacks /imu"
+        CommandError, match="nothing of the policy's tree can be judged by this bag\nimu: the bag lacks /imu"
     ):
         Tried(tmp_path, clock(2), "{topic: {name: /imu, gap: 1s}}")
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from understudy.api.schema.definitions import PRESERVE, VALIDATIONS, Schema
-from understudy.cli.check import cel
+from understudy.cli.manifests import cel
 from understudy.trees.source.problems import Problem, did_you_mean
 from understudy.trees.source.value_reader import found_text
 

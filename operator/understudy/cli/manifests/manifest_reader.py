@@ -7,17 +7,23 @@ from __future__ import annotations
 
 import math
 import re
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import yaml
 from yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
-from understudy.cli.check.check_findings import Finding, Place
-from understudy.cli.check.schema_validation import join
+from understudy.cli.common.errors import CommandError
+from understudy.cli.manifests.check_findings import Finding, Place
+from understudy.cli.manifests.schema_validation import join
 from understudy.trees.source.positions import Beginning
 from understudy.trees.source.yaml_scalars import TAG, plain
+
+SUFFIXES = (".yaml", ".yml")
+STANDARD_INPUT = "-"
 
 DEEPEST = 200
 """Levels that a manifest may have: pods and trees have a few dozen."""
@@ -113,6 +119,30 @@ class TooMuch(Exception):
     def __init__(self, node: Node, message: str) -> None:
         super().__init__(message)
         self.node, self.message = node, message
+
+
+def contents(argument: str) -> Iterator[tuple[str, bytes]]:
+    """The files that an argument stands for. Raises CommandError."""
+    if argument == STANDARD_INPUT:
+        yield "<stdin>", sys.stdin.buffer.read()
+        return
+    path = Path(argument)
+    try:
+        if not path.is_dir():
+            yield argument, path.read_bytes()
+            return
+        found = sorted(one for one in path.iterdir() if one.suffix in SUFFIXES and one.is_file())
+        for one in found:
+            yield str(one), one.read_bytes()
+    except (OSError, ValueError) as error:  # a ValueError: a name that no file can have
+        why = error.strerror if isinstance(error, OSError) else str(error)
+        raise CommandError(
+            f"{argument}: {why}; give a file, a folder with *.yaml or *.yml, or - for standard input"
+        ) from error
+    if not found:
+        folders = ", ".join(str(one) for one in sorted(path.iterdir()) if one.is_dir())
+        inner = f"; folders in it are not looked into, give them too: {folders}" if folders else ""
+        raise CommandError(f"{argument}: no *.yaml and no *.yml in this folder{inner}")
 
 
 def read(file: str, content: bytes) -> tuple[list[Manifest], list[Finding]]:

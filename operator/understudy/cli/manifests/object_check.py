@@ -14,9 +14,9 @@ from understudy.api.kinds.fallback_pool import FallbackPoolSpec
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.api.schema.definitions import PRESERVE, VALIDATIONS, Schema, definition
 from understudy.api.schema.printed_kinds import KINDS, Kind
-from understudy.cli.check.check_findings import Finding, Place
-from understudy.cli.check.manifest_reader import Manifest
-from understudy.cli.check.schema_validation import validate
+from understudy.cli.manifests.check_findings import Finding, Place
+from understudy.cli.manifests.manifest_reader import Manifest
+from understudy.cli.manifests.schema_validation import validate
 from understudy.controller.desired import reflex_validation
 from understudy.controller.pods import instance_pod
 from understudy.trees.languages.notations import FORMS, TEXTS, load_health

@@ -44,7 +44,7 @@ def argcomplete() -> ModuleType:
     return package
 
 
-def verb(verbs: Sequence[str]) -> str | None:
+def complete_verb(verbs: Sequence[str]) -> str | None:
     """The verb of the line, whose parser then answers (:func:`offer`); None where the verb itself was asked for, which is answered."""
     line = os.environ.get("COMP_LINE", "")[: int(os.environ.get("COMP_POINT", "0"))]
     words = line.split()
@@ -69,7 +69,7 @@ def offer(parser: argparse.ArgumentParser, completers: Mapping[str, Completer]) 
     _answer(parser)
 
 
-def answer_by(main: Callable[[list[str]], int]) -> None:
+def complete_arguments(main: Callable[[list[str]], int]) -> None:
     """Answer by the parser of a verb, which ends this process. One that asks a cluster offers the names in it (:func:`offer`); of any
     other the parser is whole, at the latest, when it is asked to parse. Values for which there is no other word are files.
     """
@@ -89,7 +89,7 @@ def _answer(parser: argparse.ArgumentParser) -> None:
         sys.exit(1)
 
 
-def for_kubectl() -> int:
+def complete_for_kubectl() -> int:
     """``kubectl_complete-understudy``: kubectl asks a program of this name, gives it the words, and reads lines."""
     words = sys.argv[1:]
     line = " ".join(["understudy", *words])

@@ -9,10 +9,10 @@ from pydantic import ValidationError
 from understudy.api import names
 from understudy.api.base import seconds
 from understudy.api.kinds.failure_policy import Monitoring
-from understudy.cli.check.check_findings import Finding
-from understudy.cli.check.manifest_reader import Manifest
-from understudy.cli.check.object_check import placed
-from understudy.cli.check.schema_validation import join
+from understudy.cli.manifests.check_findings import Finding
+from understudy.cli.manifests.manifest_reader import Manifest
+from understudy.cli.manifests.object_check import placed
+from understudy.cli.manifests.schema_validation import join
 from understudy.controller.observed import kube_objects
 from understudy.trees.languages.text_files import load_text
 from understudy.trees.source.positions import ALONE
