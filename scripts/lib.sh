@@ -131,7 +131,8 @@ python_environment() {
     exec 9>&-
 }
 
-# go_program NAME SOURCE PACKAGE: builds a program from the Go module in a folder, unless that was done before, into $CACHE/tools.
+# go_program NAME SOURCE PACKAGE [VARIABLE=VALUE...]: builds a program from the Go module in a folder into $CACHE/tools, unless it was
+# built before. The variables are set for `go build`.
 go_program() {
     (cd "$REPOSITORY" && "$PYTHON" - "$CACHE/tools" "$@") <<'PYTHON'
 import sys
@@ -140,8 +141,9 @@ from pathlib import Path
 from testcluster import golang
 from testcluster.progress import Progress
 
-tools, name, source, package = Path(sys.argv[1]), *sys.argv[2:]
-built = golang.build(name, Path(source).resolve(), [package], ["-ldflags=-s -w"], Progress(), "one to five minutes, once")
+tools, name, source, package, *variables = Path(sys.argv[1]), *sys.argv[2:]
+env = dict(variable.split("=", 1) for variable in variables)
+built = golang.build(name, Path(source).resolve(), [package], ["-ldflags=-s -w"], Progress(), "one to five minutes, once", env)
 tools.mkdir(exist_ok=True)
 (tools / name).unlink(missing_ok=True)
 (tools / name).symlink_to(built / name)
@@ -163,4 +165,10 @@ chart_programs() {
     go_program helm-unittest "$source" github.com/helm-unittest/helm-unittest/cmd/helm-unittest &&
         go_program kubeconform "$source" github.com/yannh/kubeconform/cmd/kubeconform &&
         (cd "$REPOSITORY" && "$PYTHON" -m tests.support.schemas)
+}
+
+# vale_program: the prose linter. It has parts in C; where the machine's Go is older than Vale needs, Go fetches a newer one.
+vale_program() {
+    debian_programs gcc=gcc g++=g++
+    go_program vale scripts/vale github.com/vale-cli/vale/v3/cmd/vale CGO_ENABLED=1 GOTOOLCHAIN=auto
 }

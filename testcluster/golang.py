@@ -9,7 +9,7 @@ import re
 import shutil
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from testcluster import atomic, locks, packages
@@ -91,7 +91,13 @@ def ready_compiler(progress: Progress) -> str:
 
 
 def build(
-    name: str, source: Path, targets: Sequence[str], flags: Sequence[str], progress: Progress, estimate: str
+    name: str,
+    source: Path,
+    targets: Sequence[str],
+    flags: Sequence[str],
+    progress: Progress,
+    estimate: str,
+    env: Mapping[str, str] | None = None,
 ) -> Path:
     """Builds packages of the module in a folder, unless that was done before, and returns the folder with the programs.
 
@@ -100,14 +106,17 @@ def build(
         targets: packages, as `go build` takes them.
         flags: further flags of `go build`.
         estimate: how long it takes without a warm cache, for the message.
+        env: further environment of `go build`, such as CGO_ENABLED=1 for a program with parts in C.
 
     Raises:
         CommandFailed: with the compiler's last lines.
     """
-    destination = cache() / "bin" / f"{name}-{fingerprint(source, *targets, *flags)}"
+    further = dict(env or {})
+    decides = [*targets, *flags, *(f"{key}={value}" for key, value in sorted(further.items()))]
+    destination = cache() / "bin" / f"{name}-{fingerprint(source, *decides)}"
     with locks.held(f"build-{name}", progress):
         if not destination.exists():
-            _build(name, source, targets, flags, destination, progress, estimate)
+            _build(name, source, targets, flags, further, destination, progress, estimate)
         _forget_unused(destination, name)
     return destination
 
@@ -125,6 +134,7 @@ def _build(
     source: Path,
     targets: Sequence[str],
     flags: Sequence[str],
+    further: Mapping[str, str],
     destination: Path,
     progress: Progress,
     estimate: str,
@@ -137,5 +147,5 @@ def _build(
             cwd=source,
             # Without cgo no C compiler is needed and the programs run in images that hold nothing else. With -mod=mod
             # or a vendor folder asked for by the environment, go.sum would not be the last word.
-            env={"CGO_ENABLED": "0", "GOFLAGS": "-mod=readonly", "GOWORK": "off"},
+            env={"CGO_ENABLED": "0", "GOFLAGS": "-mod=readonly", "GOWORK": "off", **further},
         )
