@@ -34,11 +34,15 @@ from understudy.kube.events import Recorder
 from understudy.kube.warm_connections import keep_warm
 from understudy.kube.watched_collection import Reflector
 from understudy.monitor import loop
+from understudy.monitor.act.cluster import Cluster
 from understudy.monitor.act.gate_control import GateControl
 from understudy.monitor.act.pod_control import Fleet
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.loop import Parts, Supervisor
 from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.current_recovery import CurrentRecovery
+from understudy.monitor.observe.instance_roles import InstanceRoles
+from understudy.monitor.observe.wakeups import Wakeups
 from understudy.monitor.report.reporter import Reporter
 
 TICK = 10.0
@@ -75,6 +79,16 @@ class Recording(Reporter):
         return super().record(progress)
 
 
+class PodWakeups(Wakeups):
+    """Wakes a monitor, but not for a pod that it merely claims: to a recovery that is no surprise."""
+
+    claiming = False
+
+    def pod_changed(self) -> None:
+        if not self.claiming:
+            super().pod_changed()
+
+
 class Monitor:
     """One robot's monitor."""
 
@@ -82,17 +96,17 @@ class Monitor:
         """``waiting`` is a copy of the gates of its namespace that wait for pods: all monitors of it watch them alike."""
         self.robot, self._client, self._waiting, self._state = robot, client, waiting, state
         self.application = Application()
+        self.wakeups, self.current = PodWakeups(), CurrentRecovery()
         self.supervisor: Supervisor | None = None
         self.fleet: Fleet | None = None
         self.gate: GateControl | None = None
         self.reporter: Recording | None = None
-        self._claiming = False
 
     async def run(self, watching: asyncio.Event) -> None:
         """As ``understudy.monitor.process`` puts it together; ``watching`` is set once its copies are there."""
         client, namespace = self._client, self.robot.namespace
         async with asyncio.TaskGroup() as group:
-            view = View(client, namespace, self.robot.name, on_pod=self.wake)
+            view = View(client, namespace, self.robot.name, self.wakeups)
             view.waiting_gates = Borrowed(self._waiting, client, NETWORK_POLICIES, namespace, labels=names.WAITS_FOR)
             await view.run(group)
             crash_points = CrashPoints(self._state)
@@ -105,9 +119,10 @@ class Monitor:
             if (item := view.object) is not None:
                 self.reporter.adopt(item)
             parts = Parts(
-                view=view,
-                fleet=self.fleet,
-                gate=self.gate,
+                wakeups=self.wakeups,
+                cluster=Cluster(view, self.fleet, self.gate),
+                current=self.current,
+                roles=InstanceRoles(view, self.gate, self.current),
                 sidecars=cast(Any, Sidecars(self.application)),
                 sight=cast(Any, Sight(self.application)),
                 probes=cast(Any, probes),
@@ -124,14 +139,13 @@ class Monitor:
             await self.supervisor.run()
 
     def wake(self) -> None:
-        """Have it look at once, but not at a pod that it merely claims: to a recovery that is no surprise."""
-        if self.supervisor is not None and not self._claiming:
-            self.supervisor.wake.set()
+        """Have it look at once."""
+        self.wakeups.pod_changed()
 
     @property
     def drives(self) -> str:
         """UID of the instance in control if its outputs flow and nothing is being recovered, else nothing."""
-        if self.gate is None or self.supervisor is None or self.supervisor.recovering is not None:
+        if self.gate is None or self.supervisor is None or self.current.progress is not None:
             return ""
         uid = self.gate.state.active_uid
         return uid if self.application.well(uid) else ""
@@ -149,7 +163,7 @@ class Monitor:
     async def claim(self, intended: float) -> None:
         """Claim a pod of the pool as a recovery does, and nothing else of it."""
         assert self.supervisor is not None
-        self._claiming = True
+        self.wakeups.claiming = True
         begun = time.time()
         strategy = UninitializedFallback(POOL)
         progress = Progress.begin("claim", last_healthy=begun, detected=begun)
@@ -165,7 +179,7 @@ class Monitor:
                 break
             if found is None:
                 await asyncio.sleep(LOOK)
-        self._claiming = False
+        self.wakeups.claiming = False
         tell(
             "claimed",
             robot=self.robot.key,

@@ -128,7 +128,6 @@ class Sidecars:
 
     def __init__(self, application: Application) -> None:
         self._application = application
-        self.role: Any = None
 
     def follow(self, instances: Sequence[Instance]) -> None:
         for instance in instances:

@@ -35,6 +35,7 @@ from understudy.monitor.act.gate_control import GateControl
 from understudy.monitor.act.pod_control import Fleet as Instances
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.wakeups import Wakeups
 
 pytestmark = pytest.mark.cluster
 
@@ -272,7 +273,7 @@ async def failing_again_and_again(
     steps = CrashPoints(folder)
     try:
         async with Client(access) as client, asyncio.TaskGroup() as group:
-            view = View(client, namespace, robot, on_pod=lambda: None)
+            view = View(client, namespace, robot, Wakeups())
             await view.run(group)
             instances = Instances(client, view, steps)
             control = GateControl(client, view, instances, cast(Any, None), steps)

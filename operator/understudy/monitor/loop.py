@@ -21,14 +21,12 @@ from understudy.failover.strategies import Means
 from understudy.failover.switchover import Prepared
 from understudy.kube.gates.probes import ProbeReceiver
 from understudy.monitor.act.abandonment import GivingUp
+from understudy.monitor.act.cluster import Cluster
 from understudy.monitor.act.garbage_collection import Leftovers
-from understudy.monitor.act.gate_control import GateControl
 from understudy.monitor.act.held_recovery import Holding
 from understudy.monitor.act.planned_switchover import Switching
-from understudy.monitor.act.pod_control import Fleet
 from understudy.monitor.act.pod_labels import Labels
 from understudy.monitor.act.pool_waiting import Line
-from understudy.monitor.act.recovery_in_progress import UnderWay
 from understudy.monitor.act.recovery_outcome import Aftermath
 from understudy.monitor.act.recovery_runner import Recoveries
 from understudy.monitor.act.reflex_guard import Reflexes
@@ -47,10 +45,11 @@ from understudy.monitor.judge.gate_enforcement import Enforcement
 from understudy.monitor.judge.situation_tracking import Situations
 from understudy.monitor.observe import interrupted_recovery
 from understudy.monitor.observe.agent_connections import Sidecars
-from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.current_recovery import CurrentRecovery
 from understudy.monitor.observe.dependencies import Dependencies
 from understudy.monitor.observe.health_observer import Sight
-from understudy.monitor.observe.wakeups import TICK, WAKE_LATE, Looks
+from understudy.monitor.observe.instance_roles import InstanceRoles
+from understudy.monitor.observe.wakeups import TICK, WAKE_LATE, Looks, Wakeups
 from understudy.monitor.report import monitor_metrics
 from understudy.monitor.report.black_box import BlackBox
 from understudy.monitor.report.reporter import Reporter
@@ -69,9 +68,10 @@ SLOW = 1.0
 class Parts:
     """What the supervisor works with."""
 
-    view: View
-    fleet: Fleet
-    gate: GateControl
+    wakeups: Wakeups
+    cluster: Cluster
+    current: CurrentRecovery
+    roles: InstanceRoles
     sidecars: Sidecars
     sight: Sight
     probes: ProbeReceiver
@@ -88,24 +88,23 @@ class Supervisor:
     """Protects one workload."""
 
     def __init__(self, parts: Parts) -> None:
-        self._view, self._fleet, self._gate = view, fleet, gate = parts.view, parts.fleet, parts.gate
+        cluster, roles = parts.cluster, parts.roles
+        self._view, self._fleet, self._gate = view, fleet, gate = cluster.view, cluster.pods, cluster.gate
         self._sidecars, self._sight = sidecars, sight = parts.sidecars, parts.sight
         self._reporter, self._keeping = reporter, keeping = parts.reporter, parts.keeping
         self._journal, self._crash_points = parts.journal, parts.crash_points
         self._next_slow = 0.0
         self._new_until = -math.inf
         """Until when (monotonic seconds) an understudy that nobody has heard of yet may well be there."""
-        self._looks = Looks(sight.coming)
-        self.wake = self._looks.wake
-        """Set to have it look at once, such as when a pod of the workload changed."""
+        self._looks = Looks(parts.wakeups, sight.coming)
         self._detector = detector = Detector(fleet, gate, sidecars, sight)
-        self._under_way = under_way = UnderWay()
+        self._current = current = parts.current
         self._unattended = unattended = Unattended()
         self._limits = limits = Limits(view, reporter)
         self._line = Line(view, reporter)
         self._repertoire = repertoire = Repertoire(view, limits.storms, self._means)
         self._postponing = postponing = Postponing(reporter, limits, repertoire)
-        self._dependencies = dependencies = Dependencies(view, reporter, self.wake.set)
+        self._dependencies = dependencies = Dependencies(view, reporter, parts.wakeups)
         self._leftovers = leftovers = Leftovers(fleet, gate, reporter)
         self._switching = switching = Switching(view, fleet, gate, reporter, leftovers)
         self._levels = levels = Levels(sight, reporter)
@@ -115,12 +114,11 @@ class Supervisor:
         self._saying = Saying(view, gate, sight, self._safety, repertoire, reporter)
         self._opening = Opening(fleet, gate, sidecars, reporter, limits.pauses)
         self._labels = Labels(fleet)
-        self._standbys = Standbys(view, fleet, gate, sidecars, keeping, reporter, leftovers, under_way)
-        sidecars.role = self._standbys.role
+        self._standbys = Standbys(cluster, sidecars, roles, current, keeping, reporter)
         self._giving_up = GivingUp(gate, parts.journal, reporter)
         self._enforcement = Enforcement(gate, parts.probes, reporter, parts.ungated)
         self._reflexes = Reflexes(view, fleet, gate, sidecars, sight, parts.probes, reporter)
-        holding = Holding(view, gate, reporter, parts.black_box, limits, under_way, self._save, self._meanwhile)
+        holding = Holding(view, gate, reporter, parts.black_box, limits, current, self._save, self._meanwhile)
         aftermath = Aftermath(
             gate, reporter, keeping, detector, limits, postponing, unattended, dependencies, leftovers, switching
         )
@@ -132,17 +130,12 @@ class Supervisor:
             parts.crash_points,
             repertoire,
             switching,
-            under_way,
+            current,
             holding,
             aftermath,
             self._get_ready,
             self._give_up,
         )
-
-    @property
-    def recovering(self) -> Progress | None:
-        """The recovery under way."""
-        return self._under_way.progress
 
     async def run(self) -> None:
         """Watch and recover until cancelled."""
@@ -255,7 +248,7 @@ class Supervisor:
 
     def _waited_since(self) -> float | None:
         """Since when no instance has been verified to be in control; None while one is."""
-        progress, held = self._under_way.progress, self._under_way.held
+        progress, held = self._current.progress, self._current.held
         if self._view.retired or (self._limits.pauses.on is not None and (held or progress is None)):
             return None
         return self._unattended.recovering(progress) if progress is not None else self._unattended.since
@@ -337,6 +330,8 @@ class Supervisor:
         paused = self._limits.pauses.on is not None
         instances = [i for i in instances if i.uid != self._switching.preparing]
         self._standbys.housekeeping(instances, policy, settings, paused=paused)
+        if not paused:
+            self._leftovers.housekeeping(instances, time.monotonic())
         judged = self._enforcement.judge(instances)
         self._reflexes.keep(time.time(), enforced=judged[0] == "True", paused=paused)
         self._enforcement.say(judged)

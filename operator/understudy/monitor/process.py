@@ -23,17 +23,21 @@ from understudy.kube.events import Recorder
 from understudy.kube.gates.probes import ProbeReceiver
 from understudy.kube.warm_connections import keep_warm
 from understudy.monitor.act.action_proxy_link import TaskLink
+from understudy.monitor.act.cluster import Cluster
 from understudy.monitor.act.gate_control import GateControl
-from understudy.monitor.act.permits import Leases
+from understudy.monitor.act.permits import Permits
 from understudy.monitor.act.pod_control import Fleet
 from understudy.monitor.act.state_keeping import StateKeeping
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.loop import Parts, Supervisor
 from understudy.monitor.observe.agent_connections import Sidecars
 from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.current_recovery import CurrentRecovery
 from understudy.monitor.observe.health_observer import Sight
+from understudy.monitor.observe.instance_roles import InstanceRoles
 from understudy.monitor.observe.resource_meter import Meter
 from understudy.monitor.observe.robot_readers import Readership
+from understudy.monitor.observe.wakeups import Wakeups
 from understudy.monitor.report import monitor_metrics
 from understudy.monitor.report.black_box import BlackBox
 from understudy.monitor.report.diagnostics_publisher import Telling
@@ -78,13 +82,8 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
     alive = {"ready": 0.0}
     async with Client(Access.default()) as client, asyncio.TaskGroup() as group:
         client.listener = monitor_metrics.TRAFFIC
-        watchers: list[Supervisor] = []
-
-        def on_pod() -> None:
-            for watcher in watchers:
-                watcher.wake.set()
-
-        view = View(client, namespace, workload, on_pod=on_pod)
+        wakeups = Wakeups()
+        view = View(client, namespace, workload, wakeups)
         pages: dict[str, Page] = {
             "/healthz": lambda: (200, "ok\n"),
             "/ready": lambda: (200, "ok\n") if alive["ready"] else (503, "starting\n"),
@@ -104,17 +103,20 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
             reporter.adopt(item)
         reporter.sign(MonitorStatus(version=__version__, image=os.environ.get(names.MONITOR_IMAGE_VARIABLE, "")))
         address = os.environ.get("UNDERSTUDY_POD_IP", "127.0.0.1")
-        sidecars = Sidecars(client, view, address, crash_points)
-        sight = Sight()
-        sight.meter = Meter(client, namespace, workload)
+        cluster, current = Cluster(view, fleet, gate), CurrentRecovery()
+        roles = InstanceRoles(view, gate, current)
+        sidecars = Sidecars(client, view, address, crash_points, roles, wakeups)
+        meter = Meter(client, namespace, workload)
+        sight = Sight(meter)
         REGISTRY.register(TopicMetrics(lambda: sight.heard))
         black_box = BlackBox(view, sight, reporter, Archive(state / "kept" / "recordings"))
         await serve(black_box.pages, names.RECORDINGS_PORT, host="127.0.0.1")
         readership = Readership(view, sight, reporter, address)
         parts = Parts(
-            view=view,
-            fleet=fleet,
-            gate=gate,
+            wakeups=wakeups,
+            cluster=cluster,
+            current=current,
+            roles=roles,
             sidecars=sidecars,
             sight=sight,
             probes=probes,
@@ -129,19 +131,11 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
         showing = Showing(view, sight, reporter, lambda: telling.problems)
         pages |= {"/": showing.page, "/tree": showing.tree}
         supervisor = Supervisor(parts)
-        watchers.append(supervisor)
-        leases = Leases(client, view, fleet, gate, sidecars, sight, reporter)
-        leases.recovering = lambda: supervisor.recovering
-
-        def on_status() -> None:
-            supervisor.wake.set()
-            leases.wake.set()
-
-        sidecars.on_status = on_status
+        permits = Permits(cluster, sidecars, sight.graph, current, wakeups, reporter)
         group.create_task(keep_warm(client))
-        group.create_task(leases.run())
+        group.create_task(permits.run())
         group.create_task(reporter.run())
-        group.create_task(sight.meter.run())
+        group.create_task(meter.run())
         group.create_task(telling.run())
         group.create_task(black_box.run())
         group.create_task(readership.run())

@@ -21,6 +21,7 @@ from understudy.failover.interfaces import Instance
 from understudy.kube.agent_client import AgentGone, AgentLink
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.observe.agent_connections import Sidecars
+from understudy.monitor.observe.wakeups import Wakeups
 
 pytestmark = pytest.mark.ros
 
@@ -30,7 +31,8 @@ INSTANCE = Instance("robot-1", "uid-1", ip="127.0.0.1", running=True)
 
 def sidecars(link: AgentLink | None, tmp_path: Any) -> Sidecars:
     """The monitor's side, with one agent."""
-    made = Sidecars(None, None, "127.0.0.1", CrashPoints(tmp_path))  # type: ignore[arg-type]
+    none: Any = None
+    made = Sidecars(none, none, "127.0.0.1", CrashPoints(tmp_path), none, Wakeups())
     if link is not None:
         made._links[INSTANCE.uid] = link
     return made

@@ -32,15 +32,19 @@ from understudy.controller.runtime.object_store import Sight as Seen
 from understudy.controller.runtime.object_store import Store
 from understudy.controller.runtime.workers import Operator
 from understudy.failover.journal import Journal
-from understudy.kube.client import NETWORK_POLICIES, NODES, PODS, ApiError, Client, Expired, Object, Resource
+from understudy.kube.client import NETWORK_POLICIES, NODES, PODS, ApiError, Expired, Object, Resource
 from understudy.kube.events import Recorder
 from understudy.kube.gates import network_policy
 from understudy.kube.leader_election import LeadershipLost, Lease, Timing
+from understudy.monitor.act.cluster import Cluster
 from understudy.monitor.act.gate_control import GateControl
 from understudy.monitor.act.pod_control import Fleet
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.loop import Parts, Supervisor
 from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.current_recovery import CurrentRecovery
+from understudy.monitor.observe.instance_roles import InstanceRoles
+from understudy.monitor.observe.wakeups import Wakeups
 from understudy.monitor.report.reporter import Reporter
 
 NAMESPACE = "fleet"
@@ -101,9 +105,10 @@ class Monitor:
         self._broken, self._gate = broken, cast("Object | None", None)
         self._network, self._robots, self._journal = network, robots, journal
         self.fuse = Fuse(process, kill)
-        self.supervisor: Supervisor | None = None
+        self.wakeups = Wakeups()
+        self.current = CurrentRecovery()
         self._view: View | None = None
-        self._reporter: Reporter | None = None
+        self.reporter: Reporter | None = None
         self.sidecars = self._make_sidecars(initializes=initializes)
 
     def _make_sidecars(self, *, initializes: bool) -> Sidecars:
@@ -115,7 +120,7 @@ class Monitor:
     def _make_probes(self) -> Probes:
         return Probes(self._robots, self.workload)
 
-    def _beside(self, client: Client, parts: Parts, group: asyncio.TaskGroup) -> None:
+    def _beside(self, parts: Parts, group: asyncio.TaskGroup) -> None:
         """Have run beside the supervisor what else there is."""
         return
 
@@ -123,18 +128,19 @@ class Monitor:
         """As ``understudy.monitor.process`` puts it together."""
         client = self._network.client(self.process)
         async with asyncio.TaskGroup() as group:
-            view = self._view = View(client, NAMESPACE, self.workload, on_pod=self.wake)
+            view = self._view = View(client, NAMESPACE, self.workload, self.wakeups)
             await view.run(group)
             fleet = Fleet(client, view, self.fuse)
             probes: Any = self._make_probes()
             gate = GateControl(client, view, fleet, probes, self.fuse)
-            reporter = self._reporter = Reporter(client, NAMESPACE, self.workload, Silent())
+            reporter = self.reporter = Reporter(client, NAMESPACE, self.workload, Silent())
             if (item := view.object) is not None:
                 reporter.adopt(item)
             parts = Parts(
-                view=view,
-                fleet=fleet,
-                gate=gate,
+                wakeups=self.wakeups,
+                cluster=Cluster(view, fleet, gate),
+                current=self.current,
+                roles=InstanceRoles(view, gate, self.current),
                 sidecars=cast(Any, self.sidecars),
                 sight=cast(Any, self._make_sight()),
                 probes=probes,
@@ -144,10 +150,9 @@ class Monitor:
                 keeping=cast(Any, Keeping()),
                 black_box=cast(Any, BlackBox()),
             )
-            self.supervisor = Supervisor(parts)
-            self._beside(client, parts, group)
+            self._beside(parts, group)
             group.create_task(reporter.run())
-            await self.supervisor.run()
+            await Supervisor(parts).run()
 
     def _look_at_gate(self) -> None:
         if self._view is not None:
@@ -168,9 +173,9 @@ class Monitor:
         view = self._view
         if view is None:
             return
-        if self._reporter is not None:
+        if self.reporter is not None:
             status = server.items["robotworkloads"][(NAMESPACE, self.workload)].get("status") or {}
-            said = self._reporter._body()["status"]
+            said = self.reporter._body()["status"]
             for key in [key for key in said if key != "conditions" and said[key] != status.get(key)]:
                 yield f"{self.process} says another {key} than the status"
             for condition in said["conditions"]:
@@ -189,8 +194,7 @@ class Monitor:
 
     def wake(self) -> None:
         """Have it look at once."""
-        if self.supervisor is not None:
-            self.supervisor.wake.set()
+        self.wakeups.look.set()
 
 
 def _differences(who: str, known: Mapping[str, Object], found: Mapping[str, Object]) -> Iterator[str]:

@@ -110,7 +110,7 @@ class Reflexive(Simulation):
     def _told(self, robot: str) -> None:
         for monitor in self.monitors:
             if monitor.workload == robot and monitor.process.alive:
-                self.loop.call_soon(monitor.sidecars.on_status, context=monitor.process.context)
+                self.loop.call_soon(monitor.wakeups.agent_reported, context=monitor.process.context)
 
     def _follow(self, process: Process, work: object) -> None:
         if self._away:

@@ -18,8 +18,7 @@ from understudy.agent.control_channel import Peer
 from understudy.api.protocol.agent_messages import SILENCE, AgentStatus
 from understudy.failover.interfaces import Instance
 from understudy.kube.agent_client import AgentGone
-from understudy.kube.client import Client
-from understudy.monitor.act.permits import Leases
+from understudy.monitor.act.permits import Permits
 from understudy.monitor.loop import Parts
 from understudy.monitor.observe.agent_connections import ANSWER_LATE
 
@@ -158,27 +157,20 @@ class ReflexMonitor(Monitor):
     def _make_probes(self) -> Probes:
         return ReflexProbes(self._robots, self.workload)
 
-    def _beside(self, client: Client, parts: Parts, group: asyncio.TaskGroup) -> None:
-        graph = SimpleNamespace(subscribers=lambda topic: ())  # the robot is told of by its address
-        sight = cast(Any, SimpleNamespace(graph=graph))
-        leases = Leases(client, parts.view, parts.fleet, parts.gate, parts.sidecars, sight, parts.reporter)
-        leases.recovering = lambda: self.supervisor.recovering if self.supervisor is not None else None
+    def _beside(self, parts: Parts, group: asyncio.TaskGroup) -> None:
+        graph: Any = SimpleNamespace(subscribers=lambda topic: ())  # the robot is known by its address
+        permits = Permits(parts.cluster, parts.sidecars, graph, self.current, self.wakeups, parts.reporter)
 
         def believed(uid: str) -> bool:
-            state, recovering = parts.gate.state, leases.recovering()
+            state, recovering = parts.cluster.gate.state, self.current.progress
             lost = recovering is not None and recovering.taken_over is not None and recovering.has_failed(uid)
             return uid in (state.active_uid, state.admitted_uid) and not lost
 
         cast(ReflexSidecars, self.sidecars).believed = believed
 
-        def on_status() -> None:
-            self.wake()
-            leases.wake.set()
-
-        self.sidecars.on_status = on_status
-        group.create_task(leases.run())
+        group.create_task(permits.run())
 
     def says(self, condition: str) -> str:
         """Why it says that a condition is as it is."""
-        said = self._reporter._body()["status"]["conditions"] if self._reporter is not None else []
+        said = self.reporter._body()["status"]["conditions"] if self.reporter is not None else []
         return next((f"{c['reason']}: {c['message']}" for c in said if c["type"] == condition), "")

@@ -129,8 +129,6 @@ class Sidecars:
         """``initializes``: a standby is ready once a procedure has brought it there."""
         self._robots, self._workload, self._step = robots, workload, step
         self._initializes = initializes
-        self.role: Any = None
-        self.on_status: Callable[[], None] = lambda: None
         self._known: set[str] = set()
         self.started: Callable[[Instance], None] = lambda instance: None
         """Called when the processes of a claimed instance are started."""

@@ -18,9 +18,11 @@ from understudy.api.protocol.monitor_settings import PoolChoice, WorkloadSetting
 from understudy.failover.interfaces import Instance, NotVerified
 from understudy.failover.strategies import ExecutingFallback, InitializedFallback, Restart
 from understudy.monitor.act import standby_lifecycle
-from understudy.monitor.act.standby_lifecycle import Bringing, expected, managed
+from understudy.monitor.act.standby_lifecycle import Bringing
 from understudy.monitor.decide.strategy_list import choices
 from understudy.monitor.observe import agent_connections
+from understudy.monitor.observe.current_recovery import CurrentRecovery
+from understudy.monitor.observe.instance_roles import InstanceRoles, Role, managed, role_of
 
 UP = {"yaml": {"set_lifecycle": {"node": "/nav", "state": "active"}}}
 INIT = Procedure(yaml={"set_lifecycle": {"node": "/nav", "state": "inactive"}}, within="7s")
@@ -62,11 +64,11 @@ HOT = PoolChoice(name="hot", readiness="Executing")
 
 def test_without_procedures_the_health_tree_alone_counts() -> None:
     for instance in (ACTIVE, SOURCE, replace(STANDBY, pool="hot")):
-        assert expected(instance, workload(), settings(HOT), active_uid="uid-1") == standby_lifecycle.Expected()
+        assert role_of(instance, workload(), settings(HOT), active_uid="uid-1") == Role()
 
 
 def test_a_standby_of_an_initialized_pool_is_initialized_and_checked() -> None:
-    found = expected(STANDBY, workload(bringUp=UP), settings(WARM), active_uid="uid-1")
+    found = role_of(STANDBY, workload(bringUp=UP), settings(WARM), active_uid="uid-1")
     assert found.procedure is not None
     assert (found.procedure.name, found.procedure.within) == ("initialization", 7.0)
     assert found.brought.startswith("init:")
@@ -75,7 +77,7 @@ def test_a_standby_of_an_initialized_pool_is_initialized_and_checked() -> None:
 
 def test_a_container_that_was_started_again_is_to_be_initialized_again() -> None:
     first, again = (
-        expected(replace(STANDBY, restarts=restarts), workload(), settings(WARM), active_uid="uid-1").brought
+        role_of(replace(STANDBY, restarts=restarts), workload(), settings(WARM), active_uid="uid-1").brought
         for restarts in (0, 1)
     )
     assert first != again
@@ -83,12 +85,12 @@ def test_a_container_that_was_started_again_is_to_be_initialized_again() -> None
 
 def test_what_the_controller_makes_beside_the_one_in_control_waits_as_the_first_pools() -> None:
     pools = settings(PoolChoice(name="spare", readiness="Uninitialized"), WARM, HOT)
-    assert expected(SOURCE, workload(bringUp=UP), pools, active_uid="uid-1").procedure.name == "initialization"
+    assert role_of(SOURCE, workload(bringUp=UP), pools, active_uid="uid-1").procedure.name == "initialization"
 
 
 def test_the_first_instance_is_brought_up_before_it_is_ready() -> None:
     for pools in (settings(), settings(WARM)):
-        found = expected(SOURCE, workload(bringUp=UP), pools, active_uid="")
+        found = role_of(SOURCE, workload(bringUp=UP), pools, active_uid="")
         assert found.procedure is not None
         assert found.procedure.name == "bringUp"
         assert found.brought.startswith("up:")
@@ -97,7 +99,7 @@ def test_the_first_instance_is_brought_up_before_it_is_ready() -> None:
 
 def test_an_executing_standby_is_initialized_by_the_bring_up_and_judged_by_its_health_tree() -> None:
     standby = replace(STANDBY, pool="hot")
-    found = expected(standby, workload(bringUp=UP), settings(HOT), active_uid="uid-1")
+    found = role_of(standby, workload(bringUp=UP), settings(HOT), active_uid="uid-1")
     assert found.procedure is not None
     assert found.procedure.name == "bringUp"
     assert found.standby == {"brought": found.brought, "tree": True}
@@ -105,19 +107,19 @@ def test_an_executing_standby_is_initialized_by_the_bring_up_and_judged_by_its_h
 
 def test_the_one_in_control_is_brought_up_where_that_was_not_done() -> None:
     spec = workload(bringUp=UP)
-    assert expected(ACTIVE, spec, settings(WARM), active_uid="uid-1").procedure is not None
-    assert expected(ACTIVE, spec, settings(WARM), active_uid="uid-1", brought="up:x:0").procedure is None
+    assert role_of(ACTIVE, spec, settings(WARM), active_uid="uid-1").procedure is not None
+    assert role_of(ACTIVE, spec, settings(WARM), active_uid="uid-1", brought="up:x:0").procedure is None
     took_over = replace(STANDBY, uid="uid-1")
-    assert expected(took_over, spec, settings(WARM), active_uid="uid-1", brought="init:x:0").procedure is not None
+    assert role_of(took_over, spec, settings(WARM), active_uid="uid-1", brought="init:x:0").procedure is not None
     executing = replace(took_over, pool="hot")
-    assert expected(executing, spec, settings(HOT), active_uid="uid-1", brought="init:x:0").procedure is None
-    assert expected(ACTIVE, spec, settings(WARM), active_uid="uid-1").standby is None
+    assert role_of(executing, spec, settings(HOT), active_uid="uid-1", brought="init:x:0").procedure is None
+    assert role_of(ACTIVE, spec, settings(WARM), active_uid="uid-1").standby is None
 
 
 def test_a_claimed_pod_is_left_to_the_strategy_that_claimed_it() -> None:
     claimed = Instance("s-1", "uid-4", pool="spare", claim="u/1", running=True)
     pools = settings(PoolChoice(name="spare", readiness="Uninitialized"))
-    assert expected(claimed, workload(bringUp=UP), pools, active_uid="") == standby_lifecycle.Expected()
+    assert role_of(claimed, workload(bringUp=UP), pools, active_uid="") == Role()
 
 
 def test_procedures_make_a_workload_managed() -> None:
@@ -196,7 +198,8 @@ class Fleet:
 @pytest.fixture
 def world(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     found = SimpleNamespace(fleet=Fleet(), sidecars=Sidecars(), reporter=Reporter(), clock=1000.0)
-    found.bringing = Bringing(found.fleet, found.sidecars, found.reporter)  # type: ignore[arg-type]
+    found.roles = InstanceRoles(None, None, CurrentRecovery())  # type: ignore[arg-type]
+    found.bringing = Bringing(found.fleet, found.sidecars, found.roles, found.reporter)  # type: ignore[arg-type]
     monkeypatch.setattr(standby_lifecycle, "time", SimpleNamespace(monotonic=lambda: found.clock))
     found.sidecars.brought["uid-1"] = "up:x:0"
 
@@ -275,21 +278,21 @@ async def test_a_standby_that_is_not_ready_for_a_moment_is_not_given_another_pro
     world.sidecars.ready["uid-3"] = False
     await world.look(pool=WARM.model_copy(update={"initialization": OTHER}))
     assert world.sidecars.ran == [("w-3", "initialization")]
-    assert world.bringing.was_ready(STANDBY)
+    assert world.roles.was_ready(STANDBY)
 
 
 @pytest.mark.parametrize("before", ["init:other:0", ""])
 def test_a_standby_that_is_ready_as_it_is_waits_so(before: str) -> None:
-    found = expected(STANDBY, workload(), settings(WARM), active_uid="uid-1", brought=before, ready=True)
+    found = role_of(STANDBY, workload(), settings(WARM), active_uid="uid-1", brought=before, ready=True)
     assert (found.brought, found.outdated) == (before, True)
     assert found.standby is not None
     assert found.standby["brought"] == before
-    assert not expected(STANDBY, workload(), settings(WARM), active_uid="uid-1", brought=before).outdated
+    assert not role_of(STANDBY, workload(), settings(WARM), active_uid="uid-1", brought=before).outdated
 
 
 @pytest.mark.parametrize("before", ["up:other:0", "init:other:1"])
 def test_what_was_brought_elsewhere_or_was_started_again_since_is_initialized(before: str) -> None:
-    found = expected(STANDBY, workload(), settings(WARM), active_uid="uid-1", brought=before, ready=True)
+    found = role_of(STANDBY, workload(), settings(WARM), active_uid="uid-1", brought=before, ready=True)
     assert found.brought.startswith("init:")
     assert (found.brought == before, found.outdated) == (False, False)
 
@@ -377,7 +380,7 @@ XML_CHECK = """<root BTCPP_format="4">
 
 def test_agents_are_told_in_the_short_form_whatever_a_check_is_written_in() -> None:
     pool = WARM.model_copy(update={"readiness_check": Check(xml=XML_CHECK, period="2s")})
-    found = expected(STANDBY, workload(), settings(pool), active_uid="uid-1")
+    found = role_of(STANDBY, workload(), settings(pool), active_uid="uid-1")
     assert found.standby == {
         "brought": found.brought,
         "tree": False,
@@ -389,7 +392,7 @@ def test_agents_are_told_in_the_short_form_whatever_a_check_is_written_in() -> N
 
 def test_a_check_that_can_not_be_read_is_left_to_the_agent_to_refuse() -> None:
     pool = WARM.model_copy(update={"readiness_check": Check(xml="<root/>")})
-    found = expected(STANDBY, workload(), settings(pool), active_uid="uid-1")
+    found = role_of(STANDBY, workload(), settings(pool), active_uid="uid-1")
     assert found.standby is not None
     assert found.standby["check"] == "<root/>"
 

@@ -12,6 +12,7 @@ from typing import Any, cast
 import pytest
 
 from tests.unit.kube.memory import MemoryClient
+from tests.unit.monitor.blank_parts import blank_parts
 from tests.unit.monitor.gates import gate
 from tests.unit.monitor.test_waiting import Said, view
 from understudy.api import names
@@ -23,8 +24,9 @@ from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.progress import PodIdentity, Progress, rfc3339
 from understudy.kube.client import NETWORK_POLICIES, Object
 from understudy.monitor.decide.strategy_list import choices
-from understudy.monitor.loop import Parts, Supervisor
+from understudy.monitor.loop import Supervisor
 from understudy.monitor.observe.dependencies import Dependencies, following
+from understudy.monitor.observe.wakeups import Wakeups
 from understudy.monitor.report.reporter import QUIET, Reporter, describe
 from understudy.trees.core.health_tree import Verdict
 
@@ -83,17 +85,14 @@ class Watching:
     """A monitor's view of localization."""
 
     def __init__(self, *depends_on: Object, adopted: str | None = None) -> None:
-        self.reporter, self.woken, self._version = Said(), 0, 0
+        self.reporter, self.wakeups, self._version = Said(), Wakeups(), 0
         if adopted is not None:
             self.reporter.followed = [DependencyRecovery(name="localization", recovery=adopted)]
         self.spec = spec(*(depends_on or ({"name": "localization", "onRecovery": "Reinitialize"},)))
         view: Any = SimpleNamespace(client=Silent(), namespace="fleet", spec=self.spec)
-        self.dependencies = Dependencies(view, self.reporter, self.wake)
+        self.dependencies = Dependencies(view, self.reporter, self.wakeups)
         self.given = settings("localization")
         self.dependencies.follow(self.given)
-
-    def wake(self) -> None:
-        self.woken += 1
 
     def _put(self, reflector: Any, name: str, item: Object) -> None:
         self._version += 1
@@ -144,9 +143,9 @@ async def test_a_failure_that_is_noticed_before_the_one_it_follows_from_is_held_
     world.said("Healthy")
     world.dependencies.notice(NOW - 0.5, NOW)
     assert world.dependencies.hold("no /plan for 500 ms", NOW - 0.5, NOW) is not None
-    woken = world.woken
+    world.wakeups.look.clear()
     world.committed(recovery("r1", onset=NOW - 0.52, result="Running"), NOW + 0.05)
-    assert world.woken > woken, "and it is looked at once"
+    assert world.wakeups.look.is_set(), "and it is looked at once"
     assert world.dependencies.hold("no /plan for 500 ms", NOW - 0.5, NOW + 0.05) == pytest.approx(NOW + 120)
     status, reason, message = world.condition()
     assert (status, reason) == ("True", "Held")
@@ -251,7 +250,7 @@ class TestAfterARecovery:
 
     async def test_a_recovery_that_a_new_monitor_finishes_first_is_not_done_again(self) -> None:
         world = Watching(adopted="r0")
-        fresh = Dependencies(cast(Any, world.dependencies._view), world.reporter, world.wake)
+        fresh = Dependencies(cast(Any, world.dependencies._view), world.reporter, world.wakeups)
         fresh.note([DependencyRecovery(name="localization", recovery="r1")])
         assert world.reporter.followed == [DependencyRecovery(name="localization", recovery="r1")]
 
@@ -377,20 +376,14 @@ def supervising(dependencies: Held, state: str = "Failed", pod: Instance | None 
         last_from=lambda pod: None,
         last_well=lambda pod: None,
     )
-    parts: dict[str, Any] = {
-        "view": SimpleNamespace(policy=POLICY, settings=settings(), spec=spec(), object=None),
-        "fleet": SimpleNamespace(find=lambda uid: pod),
-        "gate": SimpleNamespace(state=GateState(epoch=3, active="planning-1", active_uid="uid-1"), exists=True),
-        "sidecars": SimpleNamespace(status=lambda instance: None),
-        "sight": sight,
-        "probes": SimpleNamespace(),
-        "reporter": Said(),
-        "journal": SimpleNamespace(),
-        "crash_points": SimpleNamespace(),
-        "keeping": SimpleNamespace(judge=lambda state, now: None),
-        "black_box": SimpleNamespace(),
-    }
-    watching = Supervisor(Parts(**parts))
+    parts = blank_parts(
+        view=SimpleNamespace(policy=POLICY, settings=settings(), spec=spec(), object=None),
+        pods=SimpleNamespace(find=lambda uid: pod),
+        gate=SimpleNamespace(state=GateState(epoch=3, active="planning-1", active_uid="uid-1"), exists=True),
+        sight=sight,
+        reporter=Said(),
+    )
+    watching = Supervisor(parts)
     watching._reflexes = cast(Any, SimpleNamespace(taken_over=lambda now: None))
     watching._dependencies = watching._occasions._dependencies = cast(Any, dependencies)
     watching._detector._debounce = cast(Any, SimpleNamespace(failed=lambda at, debounce: at, clear=lambda: None))

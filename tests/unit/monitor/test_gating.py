@@ -14,6 +14,7 @@ from understudy.failover.progress import PodIdentity, Progress
 from understudy.kube.client import NETWORK_POLICIES, Object
 from understudy.kube.gates import network_policy
 from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.wakeups import Wakeups
 
 FAILED = Instance(name="w-1", uid="u1")
 STANDBY = Instance(name="w-2", uid="u2")
@@ -48,7 +49,7 @@ def client() -> MemoryClient:
 
 @pytest.fixture
 def found(client: MemoryClient) -> View:
-    return View(client, "fleet", "w", on_pod=lambda: None)
+    return View(client, "fleet", "w", Wakeups())
 
 
 async def test_a_recovery_commits_over_its_own_closing(client: MemoryClient, found: View, tmp_path: Path) -> None:

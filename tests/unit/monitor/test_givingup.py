@@ -34,6 +34,7 @@ from understudy.monitor.act.gate_control import GateControl
 from understudy.monitor.act.recovery_runner import Recoveries
 from understudy.monitor.observe import interrupted_recovery
 from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.wakeups import Wakeups
 
 FAILED = Instance(name="w-1", uid="u1")
 STANDBY = Instance(name="w-2", uid="u2")
@@ -167,13 +168,13 @@ def client() -> MemoryClient:
 
 @pytest.fixture
 async def monitor(client: MemoryClient, tmp_path: Path) -> Monitor:
-    view = View(client, "fleet", "w", on_pod=lambda: None)
+    view = View(client, "fleet", "w", Wakeups())
     return Monitor(client, view, await open_gate(client, view, tmp_path, FAILED), tmp_path)
 
 
 async def successor(before: Monitor, folder: Path) -> Monitor:
     """The next monitor of the same workload, which knows what the API server says and what is in a folder."""
-    view = View(before.client, "fleet", "w", on_pod=lambda: None)
+    view = View(before.client, "fleet", "w", Wakeups())
     view.gates.put(await before.client.get(NETWORK_POLICIES, "fleet", "w-gate"))
     fleet: Any = before.gate._fleet
     nobody: Any = None

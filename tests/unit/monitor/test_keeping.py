@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import pytest
 
@@ -19,20 +19,21 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
 
 from tests.unit.dds import keep_to_itself
+from tests.unit.monitor.blank_parts import blank_parts
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.robot_workload import Recovery
 from understudy.api.kinds.state_spec import KeptStatus, RestoredState, State
 from understudy.api.protocol.kept_state import KeptState, NotRestored, Restored, RestoreReport
 from understudy.api.protocol.monitor_settings import PoolChoice, WorkloadSettings
-from understudy.failover.interfaces import GateState, Instance, Superseded
+from understudy.failover.interfaces import Instance, Superseded
 from understudy.failover.progress import Progress
 from understudy.kube.agent_client import AgentGone
 from understudy.monitor.act import state_keeping as module
 from understudy.monitor.act.recovery_runner import Recoveries
-from understudy.monitor.act.standby_supervision import Standbys
+from understudy.monitor.act.standby_supervision import receivers
 from understudy.monitor.act.state_keeping import StateKeeping
 from understudy.monitor.decide import strategy_options
-from understudy.monitor.loop import Parts, Supervisor
+from understudy.monitor.loop import Supervisor
 from understudy.ros.runtime.graph_node import Graph
 from understudy.state import state_capture as pure
 from understudy.state.state_store import Shelf
@@ -216,32 +217,8 @@ async def test_it_is_there_for_a_recovery_that_an_earlier_monitor_had_begun(
     onset = time.time()
     later = Monitor(graph, tmp_path)
     view = SimpleNamespace(policy=policy_of(STATE), settings=SimpleNamespace(), spec=None, retired=False)
-    quiet: Any = SimpleNamespace(
-        clear=lambda: None,
-        left_by=lambda _: None,
-        graph=None,
-        coming=None,
-        follow=lambda *_: None,
-        of_workload=list,
-        begin=lambda _: None,
-        end=lambda _: None,
-    )
     later.told.set = lambda **_: None  # type: ignore[attr-defined]
-    supervisor = Supervisor(
-        Parts(
-            view=cast(Any, view),
-            fleet=quiet,
-            gate=quiet,
-            sidecars=quiet,
-            sight=quiet,
-            probes=quiet,
-            reporter=cast(Any, later.told),
-            journal=quiet,
-            crash_points=quiet,
-            keeping=later.keeping,
-            black_box=quiet,
-        )
-    )
+    supervisor = Supervisor(blank_parts(view=view, reporter=later.told, keeping=later.keeping))
     found: list[KeptState] = []
 
     async def recovered(self: Recoveries, *_: object) -> None:
@@ -440,11 +417,8 @@ def test_only_ready_standbys_of_pools_that_say_so_are_kept_up() -> None:
         Instance("w-6", "uid-6", running=True, pool="warm", has_agent=False),
         Instance("w-7", "uid-7", running=True, pool="warm"),
     ]
-    standbys = SimpleNamespace(
-        _gate=SimpleNamespace(state=GateState(active_uid=ACTIVE.uid)),
-        _sidecars=SimpleNamespace(is_ready=lambda instance: (instance.name != "w-7", "starting")),
-    )
-    kept_up = Standbys._kept_up(standbys, [ACTIVE, STANDBY, of_source, *others], settings)  # type: ignore[arg-type]
-    assert kept_up == [(STANDBY, 2.0), (of_source, 2.0)]
+    agents: Any = SimpleNamespace(is_ready=lambda instance: (instance.name != "w-7", "starting"))
+    given = receivers([ACTIVE, STANDBY, of_source, *others], settings, agents, active_uid=ACTIVE.uid)
+    assert given == [(STANDBY, 2.0), (of_source, 2.0)]
     settings.pools.pop(0)
-    assert Standbys._kept_up(standbys, [STANDBY], settings) == []  # type: ignore[arg-type]
+    assert receivers([STANDBY], settings, agents, active_uid=ACTIVE.uid) == []

@@ -5,9 +5,9 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
@@ -18,7 +18,9 @@ from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.kube.client import Object
 from understudy.monitor.act import permits as module
-from understudy.monitor.act.permits import Leases, Word, witnesses, word
+from understudy.monitor.act.permits import Permits, Word, witnesses, word
+from understudy.monitor.observe.current_recovery import CurrentRecovery
+from understudy.monitor.observe.wakeups import Wakeups
 from understudy.ros.dds.sample_sources import VENDOR, host_id
 
 ACTIVE, STANDBY = Instance("a", "uid-a", running=True), Instance("s", "uid-s", running=True)
@@ -153,7 +155,20 @@ class Cluster:
         return {"items": PODS}
 
 
-def monitored(agents: Agents, cluster: Cluster, events: list[str], *, reflex: bool = True) -> Leases:
+@dataclass
+class World:
+    """The permits of one workload, and what they depend on."""
+
+    cluster: Any
+    current: CurrentRecovery
+    wakeups: Wakeups
+    permits: Permits
+
+    def commit(self, state: GateState) -> None:
+        self.cluster.gate.state = state
+
+
+def monitored(agents: Agents, cluster: Cluster, events: list[str], *, reflex: bool = True) -> World:
     spec = RobotWorkloadSpec.model_validate(
         {
             "template": {"spec": {"containers": [{"name": "c", "image": "i"}]}},
@@ -163,16 +178,15 @@ def monitored(agents: Agents, cluster: Cluster, events: list[str], *, reflex: bo
         }
     )
     robot = SimpleNamespace(gid=VENDOR + host_id("10.1.1.2") + bytes(12))
-    parts: dict[str, Any] = {
-        "client": cluster,
-        "view": SimpleNamespace(spec=spec, namespace="fleet", workload="w"),
-        "fleet": SimpleNamespace(of_workload=lambda: [ACTIVE, STANDBY]),
-        "gate": SimpleNamespace(state=BEFORE, exists=True),
-        "sidecars": agents,
-        "sight": SimpleNamespace(graph=SimpleNamespace(subscribers=lambda topic: [robot])),
-        "reporter": SimpleNamespace(event=lambda kind, reason, text: events.append(f"{reason}: {text}")),
-    }
-    return Leases(**parts)
+    objects: Any = SimpleNamespace(
+        view=SimpleNamespace(client=cluster, spec=spec, namespace="fleet", workload="w"),
+        pods=SimpleNamespace(of_workload=lambda: [ACTIVE, STANDBY]),
+        gate=SimpleNamespace(state=BEFORE, exists=True),
+    )
+    graph: Any = SimpleNamespace(subscribers=lambda topic: [robot])
+    reporter: Any = SimpleNamespace(event=lambda kind, reason, text: events.append(f"{reason}: {text}"))
+    current, wakeups, sidecars = CurrentRecovery(), Wakeups(), cast(Any, agents)
+    return World(objects, current, wakeups, Permits(objects, sidecars, graph, current, wakeups, reporter))
 
 
 async def eventually(check: Callable[[], object]) -> None:
@@ -191,15 +205,15 @@ def cut_off() -> AgentStatus:
 
 async def test_every_agent_learns_who_may_answer_it_and_learns_it_anew_in_a_new_session() -> None:
     agents = Agents({"uid-a": running(), "uid-s": running()})
-    leases = monitored(agents, Cluster(), [])
-    task = asyncio.create_task(leases.run())
+    world = monitored(agents, Cluster(), [])
+    task = asyncio.create_task(world.permits.run())
     await eventually(
         lambda: {uid for uid, body in agents.told if "10.1.1.2" in body["witnesses"]} == {"uid-a", "uid-s"}
     )
     assert not agents.words("uid-a"), "who isn't held needs no word"
     before = len(agents.told)
     agents.sessions["uid-a"] = 2
-    leases.wake.set()
+    world.wakeups.permits.set()
     await eventually(lambda: len(agents.told) > before)
     assert agents.told[-1][0] == "uid-a"
     task.cancel()
@@ -208,11 +222,11 @@ async def test_every_agent_learns_who_may_answer_it_and_learns_it_anew_in_a_new_
 async def test_a_word_is_held_up_neither_by_an_api_server_that_is_away_nor_by_another_agent() -> None:
     events: list[str] = []
     agents = Agents({"uid-a": running(), "uid-s": running()}, deaf="uid-a")
-    leases = monitored(agents, Cluster(away=True), events)
-    task = asyncio.create_task(leases.run())
+    world = monitored(agents, Cluster(away=True), events)
+    task = asyncio.create_task(world.permits.run())
     await eventually(lambda: agents.told)
     agents.statuses["uid-s"] = cut_off()
-    leases.wake.set()
+    world.wakeups.permits.set()
     await eventually(lambda: agents.words("uid-s") == ["Go"])
     await eventually(lambda: len(agents.words("uid-s")) > 1)  # again, until it is followed
     agents.statuses["uid-s"] = running()
@@ -225,12 +239,12 @@ async def test_who_is_not_in_control_goes_on_only_once_its_node_has_had_time_to_
 ) -> None:
     monkeypatch.setattr(module, "CATCH_UP", 0.3)
     agents = Agents({"uid-a": running(), "uid-s": running()})
-    leases = monitored(agents, Cluster(), [])
-    task = asyncio.create_task(leases.run())
+    world = monitored(agents, Cluster(), [])
+    task = asyncio.create_task(world.permits.run())
     await eventually(lambda: agents.told)
     agents.statuses |= {"uid-a": cut_off(), "uid-s": cut_off()}
     begun = time.monotonic()
-    leases.wake.set()
+    world.wakeups.permits.set()
     await eventually(lambda: agents.words("uid-a"))
     assert agents.words("uid-s") == []
     assert time.monotonic() - begun < 0.3
@@ -238,10 +252,10 @@ async def test_who_is_not_in_control_goes_on_only_once_its_node_has_had_time_to_
     assert time.monotonic() - begun >= 0.3
 
     agents.statuses["uid-s"] = running()
-    await eventually(lambda: not leases._back.get("uid-s"))
+    await eventually(lambda: not world.permits._back.get("uid-s"))
     agents.statuses["uid-s"] = cut_off()
     told = len(agents.words("uid-s"))
-    leases.wake.set()
+    world.wakeups.permits.set()
     await asyncio.sleep(0.15)
     assert len(agents.words("uid-s")) == told, "each time anew"
     task.cancel()
@@ -249,14 +263,13 @@ async def test_who_is_not_in_control_goes_on_only_once_its_node_has_had_time_to_
 
 async def test_one_that_was_replaced_is_told_so_as_long_as_it_is_there() -> None:
     agents = Agents({"uid-a": cut_off(), "uid-s": running()})
-    leases = monitored(agents, Cluster(), [])
-    current: list[Progress | None] = [recovery(ACTIVE, reflex=True)]
-    leases.recovering = lambda: current[0]
-    task = asyncio.create_task(leases.run())
+    world = monitored(agents, Cluster(), [])
+    world.current.progress = recovery(ACTIVE, reflex=True)
+    task = asyncio.create_task(world.permits.run())
     await eventually(lambda: agents.words("uid-a"))
-    committed, current[0] = current[0], None
+    committed, world.current.progress = world.current.progress, None
     for told in (committed, recovery(Instance("p", "uid-p"))):  # by the gate, which tells of the last one only
-        leases._gate = SimpleNamespace(state=replace(AFTER, recovery=told), exists=True)  # type: ignore[assignment]
+        world.commit(replace(AFTER, recovery=told))
         count = len(agents.words("uid-a"))
         await eventually(lambda count=count: len(agents.words("uid-a")) > count + 1)  # type: ignore[misc]
     assert set(agents.words("uid-a")) == {"Stay"}
@@ -269,21 +282,21 @@ async def test_one_whose_recovery_was_stopped_before_it_had_committed_was_replac
     """As where somebody deletes the gate: whoever is put in control then, it stands by, and was held for good."""
     monkeypatch.setattr(module, "CATCH_UP", 0.1)
     agents = Agents({"uid-a": cut_off(), "uid-s": running()})
-    leases = monitored(agents, Cluster(), [])
-    leases.recovering = lambda: recovery(ACTIVE, reflex=True)
-    task = asyncio.create_task(leases.run())
+    world = monitored(agents, Cluster(), [])
+    world.current.progress = recovery(ACTIVE, reflex=True)
+    task = asyncio.create_task(world.permits.run())
     await eventually(lambda: agents.words("uid-a"))
     assert set(agents.words("uid-a")) == {"Stay"}
-    leases.recovering = lambda: None
-    leases._gate = SimpleNamespace(state=AFTER, exists=True)  # type: ignore[assignment]
+    world.current.progress = None
+    world.commit(AFTER)
     await eventually(lambda: agents.words("uid-a")[-1] == "Go")
     task.cancel()
 
 
 async def test_without_a_reflex_nobody_is_told_anything() -> None:
     agents = Agents({"uid-a": running()})
-    leases = monitored(agents, Cluster(), [], reflex=False)
-    task = asyncio.create_task(leases.run())
+    world = monitored(agents, Cluster(), [], reflex=False)
+    task = asyncio.create_task(world.permits.run())
     await asyncio.sleep(0.1)
     assert not agents.told
     task.cancel()
@@ -292,19 +305,18 @@ async def test_without_a_reflex_nobody_is_told_anything() -> None:
 async def test_what_is_known_of_pods_that_were_replaced_does_not_grow_without_end() -> None:
     gone = Instance("g", "uid-g", running=True)
     agents = Agents({"uid-a": running(), "uid-g": cut_off()})
-    leases, spec = monitored(agents, Cluster(), []), None
-    fleet: Any = SimpleNamespace(of_workload=lambda: [ACTIVE, gone])
-    leases._fleet, spec = fleet, leases._view.spec
-    assert spec is not None
-    leases._say(gone, 1700000000.0, "Stay")
+    world = monitored(agents, Cluster(), [])
+    world.cluster.pods.of_workload = lambda: [ACTIVE, gone]
+    permits, spec = world.permits, world.cluster.view.spec
+    permits._say(gone, 1700000000.0, "Stay")
     for number in range(module.REMEMBERED + 10):
         done = recovery(Instance(f"p-{number}", f"uid-{number}"))
-        leases._gate = SimpleNamespace(state=replace(AFTER, recovery=done), exists=True)  # type: ignore[assignment]
-        leases._tell(spec)
-    assert len(leases._replaced) == module.REMEMBERED
-    assert f"uid-{module.REMEMBERED + 9}" in leases._replaced
-    assert "uid-9" not in leases._replaced
-    assert len(leases._told) == 1
-    fleet.of_workload = lambda: [ACTIVE]
-    leases._tell(spec)
-    assert not leases._told
+        world.commit(replace(AFTER, recovery=done))
+        permits._tell(spec)
+    assert len(permits._replaced) == module.REMEMBERED
+    assert f"uid-{module.REMEMBERED + 9}" in permits._replaced
+    assert "uid-9" not in permits._replaced
+    assert len(permits._told) == 1
+    world.cluster.pods.of_workload = lambda: [ACTIVE]
+    permits._tell(spec)
+    assert not permits._told

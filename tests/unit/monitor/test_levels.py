@@ -11,6 +11,7 @@ from typing import Any, cast
 import pytest
 from prometheus_client import REGISTRY
 
+from tests.unit.monitor.blank_parts import blank_parts
 from understudy.api.conditions import Condition, condition
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.pause_spec import Pause
@@ -20,7 +21,7 @@ from understudy.monitor.decide.planned_triggers import Occasions
 from understudy.monitor.judge import degradation_level
 from understudy.monitor.judge.degradation_level import AGAIN, LOOK, Levels
 from understudy.monitor.judge.degraded_tree import Busy
-from understudy.monitor.loop import Parts, Supervisor
+from understudy.monitor.loop import Supervisor
 from understudy.trees.core.health_tree import Verdict
 
 ACTIVE = Instance(name="w-1", uid="uid-1", ip="10.0.0.1", running=True, ready=True)
@@ -246,20 +247,15 @@ async def test_the_level_of_a_workload_and_that_it_neither_causes_nor_delays_a_f
         last_well=lambda pod: None,
     )
     at_once = policy(monitoring={**WELL, "debounce": "0s"})
-    parts: dict[str, Any] = {
-        "view": SimpleNamespace(policy=at_once, settings=SimpleNamespace(drain=None), spec=None, object=None),
-        "fleet": SimpleNamespace(find=lambda uid: ACTIVE),
-        "gate": SimpleNamespace(state=GateState(epoch=3, active="w-1", active_uid="uid-1"), exists=True),
-        "sidecars": SimpleNamespace(status=lambda instance: None),
-        "sight": sight,
-        "probes": SimpleNamespace(),
-        "reporter": reporter,
-        "journal": SimpleNamespace(),
-        "crash_points": SimpleNamespace(),
-        "keeping": SimpleNamespace(judge=lambda state, now: kept.append(state)),
-        "black_box": SimpleNamespace(),
-    }
-    watching = Supervisor(Parts(**parts))
+    parts = blank_parts(
+        view=SimpleNamespace(policy=at_once, settings=SimpleNamespace(drain=None), spec=None, object=None),
+        pods=SimpleNamespace(find=lambda uid: ACTIVE),
+        gate=SimpleNamespace(state=GateState(epoch=3, active="w-1", active_uid="uid-1"), exists=True),
+        sight=sight,
+        reporter=reporter,
+        keeping=SimpleNamespace(judge=lambda state, now: kept.append(state)),
+    )
+    watching = Supervisor(parts)
     watching._reflexes = SimpleNamespace(taken_over=lambda now: None)  # type: ignore[assignment]
     failure, _ = await watching._look(at_once, time.time())
     assert (failure is not None) == (health is FAILED)

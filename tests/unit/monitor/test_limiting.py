@@ -12,6 +12,7 @@ from typing import Any, cast
 
 import pytest
 
+from tests.unit.monitor.blank_parts import blank_parts
 from tests.unit.monitor.test_trying_again import Told
 from understudy.api import names
 from understudy.api.kinds.failure_policy import FailurePolicySpec
@@ -23,7 +24,7 @@ from understudy.kube.client import ApiError
 from understudy.monitor import loop
 from understudy.monitor.act import held_recovery as holding
 from understudy.monitor.judge.failure_detection import Failure
-from understudy.monitor.loop import Parts, Supervisor
+from understudy.monitor.loop import Supervisor
 
 ACTIVE = Instance(name="w-1", uid="uid-1", ip="10.0.0.1", running=True, ready=True)
 PAUSE = Pause(reason="a new gripper", owner="ann")
@@ -96,23 +97,12 @@ class World:
             namespace="fleet",
             workload="w",
         )
-        sight = SimpleNamespace(graph=None, coming=None, drain=lambda *_: None, last_well=lambda pod: None)
-        parts: dict[str, Any] = {
-            "view": self.view,
-            "fleet": SimpleNamespace(of_workload=lambda: [ACTIVE]),
-            "gate": self.gate,
-            "sidecars": SimpleNamespace(),
-            "sight": sight,
-            "probes": SimpleNamespace(),
-            "reporter": self.told,
-            "journal": SimpleNamespace(
-                save=lambda progress: self.kept.append(progress.model_copy(deep=True)), clear=lambda: None
-            ),
-            "crash_points": SimpleNamespace(step=lambda name: None),
-            "keeping": SimpleNamespace(judge=lambda *_: None),
-            "black_box": SimpleNamespace(begin=lambda _: None, end=lambda _: None),
-        }
-        self.watching = Supervisor(Parts(**parts))
+        journal = SimpleNamespace(
+            save=lambda progress: self.kept.append(progress.model_copy(deep=True)), clear=lambda: None
+        )
+        pods = SimpleNamespace(of_workload=lambda: [ACTIVE])
+        self.parts = blank_parts(view=self.view, pods=pods, gate=self.gate, reporter=self.told, journal=journal)
+        self.watching = Supervisor(self.parts)
         self.watching._housekeeping = lambda: None  # type: ignore[method-assign]
         self.watching._follow_safety = lambda policy: None  # type: ignore[method-assign]
         self.carried_out: list[Progress] = []
@@ -175,21 +165,21 @@ async def test_once_it_is_spent_what_failed_is_fenced_and_the_robot_is_told_safe
         assert await holding
     assert progress.cursor == progress.moments["released"] > progress.moments["held"]
     assert ("Normal", "RecoveryReleased") in [event[:2] for event in world.told.events]
-    assert world.watching.recovering is None
+    assert world.parts.current.progress is None
 
 
 async def test_while_it_is_held_the_others_are_its_standbys_still_and_it_is_left_alone(world: World) -> None:
     world.spend()
-    assert world.watching._standbys.driver == "uid-1"
+    assert world.parts.roles.driver == "uid-1"
     holding = asyncio.create_task(world.allowed(failure()))
     await world.until(lambda: world.told.events)
     assert world.gate.state.active_uid == ""
-    assert world.watching._standbys.driver == "uid-1", "or a pod of its own controller would be brought up to drive"
+    assert world.parts.roles.driver == "uid-1", "or a pod of its own controller would be brought up to drive"
     assert world.told.conditions["Healthy"] == ("False", "Failed", "no /cmd_vel")
     world.resume()
     async with asyncio.timeout(5):
         await holding
-    assert world.watching._standbys.driver == ""
+    assert world.parts.roles.driver == ""
 
 
 async def test_it_goes_on_by_itself_when_the_window_has_moved_on(world: World) -> None:

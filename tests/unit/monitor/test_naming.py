@@ -24,6 +24,7 @@ from understudy.kube.client import (
 )
 from understudy.monitor.observe import cluster_view as viewing
 from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.wakeups import Wakeups
 
 Watch = tuple[str, str | None, str | None]
 """Resource, labels and fields of a watch."""
@@ -134,7 +135,7 @@ async def viewed(server: Server) -> AsyncIterator[View]:
     with contextlib.suppress(Over):
         try:
             async with asyncio.TaskGroup() as group:
-                view = View(server, "fleet", "w", on_pod=lambda: None)
+                view = View(server, "fleet", "w", Wakeups())
                 await view.run(group)
                 await settled()
                 yield view

@@ -21,6 +21,7 @@ from understudy.kube.client import SECRETS
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.observe import agent_connections as module
 from understudy.monitor.observe.agent_connections import Sidecars
+from understudy.monitor.observe.wakeups import Wakeups
 
 INSTANCE = Instance("w-1", "uid-1", ip="127.0.0.1", running=True, has_agent=True)
 SECRET = names.agent_secret("w")
@@ -82,8 +83,9 @@ async def test_a_secret_that_was_made_anew_is_read_again_when_an_agent_refuses_i
 ) -> None:
     monkeypatch.setattr(module, "READ_AGAIN", 2.5, raising=False)
     client = MemoryClient()
-    view: Any = SimpleNamespace(workload="w", namespace="fleet", policy=None, spec=None)
-    sidecars = Sidecars(client, view, "127.0.0.1", CrashPoints(tmp_path))
+    view: Any = SimpleNamespace(workload="w", namespace="fleet", policy=None, spec=None, settings=None)
+    roles: Any = None
+    sidecars = Sidecars(client, view, "127.0.0.1", CrashPoints(tmp_path), roles, Wakeups())
     await keep(client, b"first")
     sidecars.follow([INSTANCE])
     await eventually(lambda: agent.refused >= 2)

@@ -337,7 +337,8 @@ def test_what_is_known_of_the_pod_is_said_anew_and_only_where_the_tree_asks_for_
 
 
 def test_what_the_pod_takes_is_asked_for_where_the_tree_needs_it_and_judged(sight) -> None:
-    meter = sight.meter = Meter(None, "fleet", "w")  # type: ignore[arg-type]
+    meter = Meter(None, "fleet", "w")  # type: ignore[arg-type]
+    sight = type(sight)(meter)
     instances = [_instance("w-1", "True"), _instance("w-2", "True")]
     sight.follow(_policy({"pod": {"condition": "Ready"}}), None)
     sight.drain(instances, "w-1")

@@ -11,6 +11,7 @@ import pytest
 from understudy.api import names
 from understudy.api.protocol.monitor_settings import WorkloadSettings
 from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.wakeups import Wakeups
 
 GOOD = {"yaml": {"set_lifecycle": {"node": "/nav", "state": "active"}}}
 BROKEN = {"yaml": {"set_lifecycle": {"node": "/nav", "state": "on"}}}
@@ -18,7 +19,7 @@ BROKEN = {"yaml": {"set_lifecycle": {"node": "/nav", "state": "on"}}}
 
 @pytest.fixture
 def view() -> View:
-    found = View(None, "n", "w", on_pod=lambda: None)  # type: ignore[arg-type]
+    found = View(None, "n", "w", Wakeups())  # type: ignore[arg-type]
     found.workloads = SimpleNamespace(revision=0, items={})  # type: ignore[assignment]
     found.policies = SimpleNamespace(items={})  # type: ignore[assignment]
     return found

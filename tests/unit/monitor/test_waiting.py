@@ -22,6 +22,7 @@ from understudy.kube.client import NETWORK_POLICIES, ApiError, Object
 from understudy.monitor.act.pool_waiting import Line
 from understudy.monitor.decide.strategy_list import choices
 from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.wakeups import Wakeups
 from understudy.monitor.report.reporter import Reporter, describe
 
 NOW = time.time()
@@ -38,7 +39,7 @@ def waits(me: Waiter) -> Progress:
 
 
 def view(client: MemoryClient, workload: str) -> View:
-    return View(client, "fleet", workload, on_pod=lambda: None)
+    return View(client, "fleet", workload, Wakeups())
 
 
 class Said(Reporter):

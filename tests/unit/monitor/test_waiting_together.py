@@ -31,6 +31,7 @@ from understudy.monitor.act.pod_control import Fleet
 from understudy.monitor.act.pool_waiting import REASON, Line
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.wakeups import Wakeups
 from understudy.monitor.report.reporter import Reporter
 
 POOL = "spare"
@@ -159,7 +160,7 @@ class Monitor:
     def __init__(self, cluster: Cluster, workload: str, priority: int, state: Path) -> None:
         self.cluster, self.workload = cluster, workload
         self.heard = 0.0
-        self.view = View(cluster, "fleet", workload, on_pod=lambda: None)
+        self.view = View(cluster, "fleet", workload, Wakeups())
         self.settings = WorkloadSettings(
             workload=workload,
             namespace="fleet",

@@ -12,9 +12,9 @@ from collections.abc import Callable
 from understudy.api.kinds.robot_workload import GateStatus
 from understudy.failover.interfaces import Gate, Superseded
 from understudy.failover.progress import Progress
-from understudy.monitor.act.recovery_in_progress import UnderWay
 from understudy.monitor.decide.limits import Limits
 from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.current_recovery import CurrentRecovery
 from understudy.monitor.report.black_box import BlackBox
 from understudy.monitor.report.reporter import Reporter
 
@@ -32,13 +32,13 @@ class Holding:
         reporter: Reporter,
         black_box: BlackBox,
         limits: Limits,
-        under_way: UnderWay,
+        current: CurrentRecovery,
         save: Callable[[Progress], None],
         meanwhile: Callable[[], None],
     ) -> None:
         """``save`` writes a recovery down; ``meanwhile`` does with each look what isn't to stand still."""
         self._view, self._gate, self._reporter, self._black_box = view, gate, reporter, black_box
-        self._limits, self._under_way = limits, under_way
+        self._limits, self._current = limits, current
         self._save, self._meanwhile = save, meanwhile
 
     async def until_allowed(self, progress: Progress) -> None:
@@ -66,7 +66,7 @@ class Holding:
         progress.moments.setdefault("held", time.time())
         self._save(progress)
         self._black_box.begin(progress)
-        with self._under_way.during(progress, held=True):
+        with self._current.during(progress, held=True):
             if not self._gate.state.closed:
                 await self._gate.commit(None, progress)
             progress.moments.setdefault("fenced", time.time())

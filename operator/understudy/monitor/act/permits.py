@@ -11,7 +11,7 @@ import contextlib
 import ipaddress
 import logging
 import time
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from datetime import UTC, datetime
 from functools import partial
 from typing import Any, Literal
@@ -20,16 +20,17 @@ import aiohttp
 
 from understudy.api import names
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
-from understudy.failover.interfaces import Gate, GateState, Instance
+from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.progress import Progress
 from understudy.kube.agent_client import AgentGone, AgentRefused
-from understudy.kube.client import PODS, ApiError, Client, Object
-from understudy.monitor.act.pod_control import Fleet
+from understudy.kube.client import PODS, ApiError, Object
+from understudy.monitor.act.cluster import Cluster
 from understudy.monitor.observe.agent_connections import Sidecars
-from understudy.monitor.observe.cluster_view import View
-from understudy.monitor.observe.health_observer import Sight
+from understudy.monitor.observe.current_recovery import CurrentRecovery
+from understudy.monitor.observe.wakeups import Wakeups
 from understudy.monitor.report.reporter import Reporter
 from understudy.ros.dds.sample_sources import HOST, VENDOR, host_id
+from understudy.ros.runtime.graph_node import Graph
 
 _logger = logging.getLogger(__name__)
 
@@ -114,25 +115,21 @@ def _host(ip: str) -> bytes:
         return b""
 
 
-class Leases:
-    """Those of one workload; idle where its agents needn't hold anything."""
+class Permits:
+    """The permits of one workload's instances. Idle unless the workload has a reflex, whose agents can hold instances."""
 
     def __init__(
         self,
-        client: Client,
-        view: View,
-        fleet: Fleet,
-        gate: Gate,
+        cluster: Cluster,
         sidecars: Sidecars,
-        sight: Sight,
+        graph: Graph,
+        current: CurrentRecovery,
+        wakeups: Wakeups,
         reporter: Reporter,
     ) -> None:
-        self._client, self._view, self._fleet, self._gate = client, view, fleet, gate
-        self._sidecars, self._sight, self._reporter = sidecars, sight, reporter
-        self.wake = asyncio.Event()
-        """Set when an agent has said something."""
-        self.recovering: Callable[[], Progress | None] = lambda: None
-        """The recovery under way."""
+        """``graph`` is the robot's: whoever reads the outputs there may answer an instance."""
+        self._cluster, self._sidecars, self._graph = cluster, sidecars, graph
+        self._current, self._wake, self._reporter = current, wakeups.permits, reporter
         self._pods: list[Object] = []
         self._readers: frozenset[bytes] = frozenset()
         self._witnesses: dict[str, list[str]] = {}
@@ -148,14 +145,14 @@ class Leases:
     async def run(self) -> None:
         """Keep them until cancelled."""
         while True:
-            self.wake.clear()
-            spec = self._view.spec
-            if spec is not None and spec.gate.reflex is not None and self._gate.exists:
+            self._wake.clear()
+            spec = self._cluster.view.spec
+            if spec is not None and spec.gate.reflex is not None and self._cluster.gate.exists:
                 self._refresh(spec)
                 self._tell(spec)
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(SAY_AGAIN if self._back else PERIOD):
-                    await self.wake.wait()
+                    await self._wake.wait()
 
     def _refresh(self, spec: RobotWorkloadSpec) -> None:
         """Look now and then who is there, in the background: an API server that is away mustn't hold up a word."""
@@ -164,21 +161,21 @@ class Leases:
 
         async def refresh() -> None:
             try:
-                self._pods = (await self._client.list(PODS, self._view.namespace))["items"]
+                self._pods = (await self._cluster.view.client.list(PODS, self._cluster.view.namespace))["items"]
             except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
                 _logger.debug("who could answer an instance that is cut off: %r", error)
                 self._refresh_at = time.monotonic() + PERIOD
                 return
             self._refresh_at = time.monotonic() + REFRESH
             topics = [output.topic for output in spec.outputs if output.topic]
-            found = [endpoint for topic in topics for endpoint in self._sight.graph.subscribers(topic)]
+            found = [endpoint for topic in topics for endpoint in self._graph.subscribers(topic)]
             self._readers = frozenset(endpoint.gid[HOST] for endpoint in found)
             self._witnesses.clear()
 
         self._refreshing = asyncio.create_task(refresh())
 
     def _tell(self, spec: RobotWorkloadSpec) -> None:
-        state, recovering = self._gate.state, self.recovering()
+        state, recovering = self._cluster.gate.state, self._current.progress
         committed = state.recovery
         # One that is stopped before it has committed has replaced nobody.
         under_way = recovering if committed and recovering and committed.id == recovering.id else None
@@ -189,7 +186,7 @@ class Leases:
                 self._replaced[pod.uid] = None
         while len(self._replaced) > REMEMBERED:
             del self._replaced[next(iter(self._replaced))]
-        instances = {i.uid: i for i in self._fleet.of_workload() if i.has_agent and not i.held}
+        instances = {i.uid: i for i in self._cluster.pods.of_workload() if i.has_agent and not i.held}
         self._sent = {uid: sent for uid, sent in self._sent.items() if uid in instances}
         self._back = {uid: since for uid, since in self._back.items() if uid in instances}
         self._told = {told for told in self._told if told[0] in instances}
@@ -222,12 +219,16 @@ class Leases:
 
     def _done(self, uid: str, task: asyncio.Task[None]) -> None:
         self._telling.pop(uid, None)
-        self.wake.set()
+        self._wake.set()
 
     def _witnesses_of(self, instance: Instance, spec: RobotWorkloadSpec) -> list[str]:
         if instance.uid not in self._witnesses:
             self._witnesses[instance.uid] = witnesses(
-                instance, self._pods, workload=self._view.workload, readers=self._readers, robots=spec.gate.robots
+                instance,
+                self._pods,
+                workload=self._cluster.view.workload,
+                readers=self._readers,
+                robots=spec.gate.robots,
             )
         return self._witnesses[instance.uid]
 

@@ -16,12 +16,12 @@ from understudy.failover.switchover import Prepared
 from understudy.kube.client import ApiError
 from understudy.monitor.act.held_recovery import Holding
 from understudy.monitor.act.planned_switchover import Switching
-from understudy.monitor.act.recovery_in_progress import UnderWay
 from understudy.monitor.act.recovery_outcome import Aftermath
 from understudy.monitor.act.state_keeping import StateKeeping
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.decide.strategy_options import Repertoire
 from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.current_recovery import CurrentRecovery
 from understudy.monitor.observe.dependencies import following
 from understudy.monitor.report.black_box import BlackBox
 from understudy.monitor.report.reporter import Reporter
@@ -44,7 +44,7 @@ class Recoveries:
         crash_points: CrashPoints,
         repertoire: Repertoire,
         switching: Switching,
-        under_way: UnderWay,
+        current: CurrentRecovery,
         holding: Holding,
         aftermath: Aftermath,
         get_ready: Callable[[FailurePolicySpec], None],
@@ -56,7 +56,7 @@ class Recoveries:
         self._view, self._reporter, self._keeping = view, reporter, keeping
         self._black_box, self._crash_points = black_box, crash_points
         self._repertoire, self._switching = repertoire, switching
-        self._under_way, self._holding, self._aftermath = under_way, holding, aftermath
+        self._current, self._holding, self._aftermath = current, holding, aftermath
         self._get_ready, self._give_up = get_ready, give_up
 
     async def recover(self, progress: Progress) -> None:
@@ -111,7 +111,7 @@ class Recoveries:
         means = self._repertoire.means()
         self._black_box.begin(progress)
         try:
-            with self._under_way.during(progress):
+            with self._current.during(progress):
                 if progress.taken_over is not None:
                     await reflex.commit(progress, means)
                     choices = [Choice(reflex.ReflexFallback(), REFLEX_WITHIN), *choices]
@@ -127,7 +127,7 @@ class Recoveries:
         self._switching.switching(progress)
         _logger.warning("switchover (%s): %s", progress.switchover, progress.reason)
         try:
-            with self._under_way.during(progress):
+            with self._current.during(progress):
                 async with self._keeping.recovering():
                     if progress.former is None:
                         await switchover.switch(prepared, means)

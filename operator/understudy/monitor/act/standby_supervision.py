@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 from understudy.api.base import seconds
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.protocol.monitor_settings import WorkloadSettings
-from understudy.failover.interfaces import Gate, Instance
-from understudy.monitor.act.garbage_collection import Leftovers
-from understudy.monitor.act.pod_control import Fleet
-from understudy.monitor.act.recovery_in_progress import UnderWay
-from understudy.monitor.act.standby_lifecycle import Bringing, expected, managed
+from understudy.failover.interfaces import Agents, Instance
+from understudy.monitor.act.cluster import Cluster
+from understudy.monitor.act.standby_lifecycle import Bringing
 from understudy.monitor.act.state_keeping import StateKeeping
 from understudy.monitor.observe.agent_connections import Sidecars
-from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.current_recovery import CurrentRecovery
+from understudy.monitor.observe.instance_roles import InstanceRoles
 from understudy.monitor.report.reporter import Reporter
 
 
@@ -25,34 +23,16 @@ class Standbys:
 
     def __init__(
         self,
-        view: View,
-        fleet: Fleet,
-        gate: Gate,
+        cluster: Cluster,
         sidecars: Sidecars,
+        roles: InstanceRoles,
+        current: CurrentRecovery,
         keeping: StateKeeping,
         reporter: Reporter,
-        leftovers: Leftovers,
-        under_way: UnderWay,
     ) -> None:
-        self._view, self._fleet, self._gate = view, fleet, gate
-        self._sidecars, self._keeping = sidecars, keeping
-        self._leftovers, self._under_way = leftovers, under_way
-        self._bringing = Bringing(fleet, sidecars, reporter)
-
-    @property
-    def driver(self) -> str:
-        """The UID of the pod by which the others are standbys: while a failure is held nobody is to take its place."""
-        held = self._under_way.held
-        return held.failed[0].uid if held is not None and held.failed else self._gate.state.active_uid
-
-    def role(self, instance: Instance, brought: str) -> tuple[Mapping[str, Any] | None, bool]:
-        """What an instance must be to be ready while it waits, and whether procedures bring its nodes up."""
-        policy, spec, settings = self._view.policy, self._view.spec, self._view.settings
-        if policy is None or spec is None or settings is None:
-            return None, False
-        ready = self._bringing.was_ready(instance) or self._sidecars.is_ready(instance)[0]
-        found = expected(instance, spec, settings, active_uid=self.driver, brought=brought, ready=ready)
-        return found.standby, managed(spec, settings, policy)
+        self._cluster, self._sidecars, self._roles, self._current = cluster, sidecars, roles, current
+        self._keeping = keeping
+        self._bringing = Bringing(cluster.pods, sidecars, roles, reporter)
 
     def housekeeping(
         self, instances: Sequence[Instance], policy: FailurePolicySpec, settings: WorkloadSettings, *, paused: bool
@@ -60,29 +40,31 @@ class Standbys:
         """Look at every instance that is nobody else's; in a pause nothing is done to any of them. Returns at once."""
         if not paused:
             self._bring(instances, policy, settings)
-            self._leftovers.housekeeping(instances, time.monotonic())
-        kept_up = self._kept_up(instances, settings) if not paused else []
-        self._keeping.housekeeping(self._fleet.find(self._gate.state.active_uid), kept_up)
+        active_uid = self._cluster.gate.state.active_uid
+        given = receivers(instances, settings, self._sidecars, active_uid=active_uid) if not paused else []
+        self._keeping.housekeeping(self._cluster.pods.find(active_uid), given)
 
     def _bring(self, instances: Sequence[Instance], policy: FailurePolicySpec, settings: WorkloadSettings) -> None:
-        if (spec := self._view.spec) is None:
+        if (spec := self._cluster.view.spec) is None:
             return
-        held = self._under_way.held
+        held = self._current.held
         cared = [i for i in instances if held is None or not held.has_failed(i.uid)]
         self._bringing.housekeeping(
-            cared, policy, spec, settings, self.driver, lambda: self._keeping.select(time.time())
+            cared, policy, spec, settings, self._roles.driver, lambda: self._keeping.select(time.time())
         )
 
-    def _kept_up(self, instances: Sequence[Instance], settings: WorkloadSettings) -> list[tuple[Instance, float]]:
-        """The standbys that are given state while they wait, each with its period in seconds."""
-        periods = {pool.name: seconds(pool.keep_up) for pool in settings.pools if pool.keep_up}
-        if not periods:
-            return []
-        active = self._gate.state.active_uid
-        # One that the workload's own controller made is a standby like the pool's.
-        return [
-            (instance, periods.get(instance.pool, min(periods.values())))
-            for instance in instances
-            if instance.uid != active and instance.usable and instance.has_agent and not instance.held
-            if (not instance.pool or instance.pool in periods) and self._sidecars.is_ready(instance)[0]
-        ]
+
+def receivers(
+    instances: Sequence[Instance], settings: WorkloadSettings, agents: Agents, *, active_uid: str
+) -> list[tuple[Instance, float]]:
+    """Return the standbys that are given state while they wait (``keepUp`` of their pool), each with its period in seconds."""
+    periods = {pool.name: seconds(pool.keep_up) for pool in settings.pools if pool.keep_up}
+    if not periods:
+        return []
+    # A pod of the workload's own controller is a standby like the pools' pods.
+    return [
+        (instance, periods.get(instance.pool, min(periods.values())))
+        for instance in instances
+        if instance.uid != active_uid and instance.usable and instance.has_agent and not instance.held
+        if (not instance.pool or instance.pool in periods) and agents.is_ready(instance)[0]
+    ]

@@ -6,7 +6,7 @@ import asyncio
 import base64
 import logging
 import time
-from collections.abc import Callable, Coroutine, Mapping, Sequence
+from collections.abc import Coroutine, Mapping, Sequence
 from typing import Any
 
 import aiohttp
@@ -21,6 +21,8 @@ from understudy.kube.agent_client import AgentGone, AgentLink, AgentRefused
 from understudy.kube.client import SECRETS, ApiError, Client
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.instance_roles import InstanceRoles
+from understudy.monitor.observe.wakeups import Wakeups
 
 _logger = logging.getLogger(__name__)
 
@@ -43,10 +45,18 @@ SLOWEST = 2 * 1024 * 1024
 class Sidecars:
     """Implements :class:`understudy.failover.interfaces.Agents` over :class:`AgentLink`."""
 
-    def __init__(self, client: Client, view: View, address: str, crash_points: CrashPoints) -> None:
+    def __init__(
+        self,
+        client: Client,
+        view: View,
+        address: str,
+        crash_points: CrashPoints,
+        roles: InstanceRoles,
+        wakeups: Wakeups,
+    ) -> None:
         """``address`` is where the agents' probes go: this pod's IP."""
         self._client, self._view, self._address = client, view, address
-        self._crash_points = crash_points
+        self._crash_points, self._roles, self._wakeups = crash_points, roles, wakeups
         self._links: dict[str, AgentLink] = {}
         self._connecting: dict[str, asyncio.Task[AgentLink | None]] = {}
         self._tokens: dict[str, bytes] = {}
@@ -55,14 +65,6 @@ class Sidecars:
         self._instances: dict[str, Instance] = {}
         self._driving: dict[str, str] = {}
         self._tasks: set[asyncio.Task[Any]] = set()
-        self.on_status: Callable[[], None] = lambda: None
-        self.role: Callable[[Instance, str], tuple[Mapping[str, Any] | None, bool]] = lambda instance, brought: (
-            None,
-            False,
-        )
-        """What an instance that was brought so far must be to be ready (agent/readiness.py; None where its health tree alone
-        counts), and whether procedures bring its nodes up.
-        """
 
     def follow(self, instances: Sequence[Instance]) -> None:
         """Have a connection to each instance that has an agent, and to no other."""
@@ -143,7 +145,7 @@ class Sidecars:
             self._configured.pop(uid, None)
             if link.refused and (instance := self._instances.get(uid)) is not None:
                 self._spawn(self._renew(instance, link))
-        self.on_status()
+        self._wakeups.agent_reported()
 
     async def _renew(self, instance: Instance, link: AgentLink) -> None:
         """The agent refuses the token, or another claim. The Secret may have been made anew: its agents have that one's token."""
@@ -176,7 +178,9 @@ class Sidecars:
         if instance is not None:
             link = self._links.get(uid)
             status = link.status if link else None
-            standby, managed = self.role(instance, status.initialized if status else "")
+            standby, managed = self._roles.readiness(
+                instance, status.initialized if status else "", ready=self.is_ready(instance)[0]
+            )
         if uid in self._driving:
             standby = None
         return policy.monitoring, spec.outputs, standby, managed

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from pydantic import ValidationError
 
@@ -16,6 +16,7 @@ from understudy.api.protocol.monitor_settings import WorkloadSettings
 from understudy.kube.client import CONFIG_MAPS, NETWORK_POLICIES, PODS, POLICIES, WORKLOADS, Client, Object
 from understudy.kube.watched_collection import Reflector, any_changed
 from understudy.monitor.observe.unclaimed_pods import Unclaimed
+from understudy.monitor.observe.wakeups import Wakeups
 from understudy.trees.languages.procedure_notations import composed
 from understudy.trees.source.problems import TreeError
 
@@ -45,10 +46,9 @@ def _only(name: str) -> str:
 class View:
     """Local copies of everything the monitor decides by."""
 
-    def __init__(self, client: Client, namespace: str, workload: str, *, on_pod: Callable[[], None]) -> None:
-        """``on_pod`` is called whenever a pod of the workload changes."""
+    def __init__(self, client: Client, namespace: str, workload: str, wakeups: Wakeups) -> None:
         self.client, self.namespace, self.workload = client, namespace, workload
-        self._on_pod = on_pod
+        self._wakeups = wakeups
 
         self.workloads = Reflector(client, WORKLOADS, namespace, fields=_only(workload), on_change=self._refer)
         self.policies = self._watching_policy("")
@@ -57,7 +57,9 @@ class View:
             client, CONFIG_MAPS, namespace, fields=_only(names.settings(workload)), on_change=self._queue
         )
         self.gates = Reflector(client, NETWORK_POLICIES, namespace, fields=_only(names.gate(workload)))
-        self.pods = Reflector(client, PODS, namespace, labels=f"{names.WORKLOAD}={workload}", on_change=on_pod)
+        self.pods = Reflector(
+            client, PODS, namespace, labels=f"{names.WORKLOAD}={workload}", on_change=wakeups.pod_changed
+        )
         self._unclaimed: dict[str, Unclaimed] = {}
         self.waiting_gates = Reflector(client, NETWORK_POLICIES, namespace, labels=names.WAITS_FOR)
         """The gates whose workloads wait for a pod of a shared pool: mostly none. Watched where this one could wait for one too."""
@@ -91,7 +93,9 @@ class View:
             await self.settings_maps.changed()
         if self.settings.source_selector:
             labels = ",".join(f"{key}={value}" for key, value in self.settings.source_selector.items())
-            self.source_pods = Reflector(self.client, PODS, self.namespace, labels=labels, on_change=self._on_pod)
+            self.source_pods = Reflector(
+                self.client, PODS, self.namespace, labels=labels, on_change=self._wakeups.pod_changed
+            )
             group.create_task(self.source_pods.run())
             await self.source_pods.synced.wait()
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from datetime import UTC, datetime
 
 from pydantic import ValidationError
@@ -26,6 +26,7 @@ from understudy.kube.client import NETWORK_POLICIES, WORKLOADS, Resource
 from understudy.kube.gates import network_policy
 from understudy.kube.watched_collection import Reflector
 from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.wakeups import Wakeups
 from understudy.monitor.report.reporter import Reporter
 
 _logger = logging.getLogger(__name__)
@@ -43,12 +44,12 @@ RESTARTED_WITHIN = 60.0
 class _Watched:
     """The status and the gate of one workload, each by a watch."""
 
-    def __init__(self, view: View, name: str, on_change: Callable[[], None]) -> None:
+    def __init__(self, view: View, name: str, wakeups: Wakeups) -> None:
         self._name = name
 
         def reflector(resource: Resource, item: str) -> Reflector:
             only = f"metadata.name={item}"
-            return Reflector(view.client, resource, view.namespace, fields=only, on_change=on_change)
+            return Reflector(view.client, resource, view.namespace, fields=only, on_change=wakeups.dependency_changed)
 
         self.statuses = reflector(WORKLOADS, name)
         self.gates = reflector(NETWORK_POLICIES, names.gate(name))
@@ -94,9 +95,8 @@ class _Watched:
 class Dependencies:
     """The workloads that one workload depends on."""
 
-    def __init__(self, view: View, reporter: Reporter, wake: Callable[[], None]) -> None:
-        """``wake`` is called when one of them has said something new."""
-        self._view, self._reporter, self._wake = view, reporter, wake
+    def __init__(self, view: View, reporter: Reporter, wakeups: Wakeups) -> None:
+        self._view, self._reporter, self._wakeups = view, reporter, wakeups
         self._given: WorkloadSettings | None = None
         self._watched: dict[str, _Watched] = {}
         self._outages: dict[str, Outage] = {}
@@ -120,7 +120,7 @@ class Dependencies:
             self._outages.pop(name, None)
         for name in wanted:
             if name not in self._watched:
-                self._watched[name] = _Watched(self._view, name, self._wake)
+                self._watched[name] = _Watched(self._view, name, self._wakeups)
                 self._watched[name].begin()
         if not wanted:
             followed.clear()

@@ -42,7 +42,8 @@ POD_LOOK = 0.1
 class Sight:
     """The health tree over drained subscriptions."""
 
-    def __init__(self) -> None:
+    def __init__(self, meter: Meter | None = None) -> None:
+        """``meter`` measures what the pod in control uses of its node; without one, no leaf can judge that."""
         self.graph = Graph("understudy_monitor")
         self.coming = Arrivals()
         """Tell of messages that are to be looked at as they come."""
@@ -59,8 +60,7 @@ class Sight:
         self._pod: Instance | None = None
         self._asked: WatchedTopic | None = None
         """What is asked of the pod in control."""
-        self.meter: Meter | None = None
-        """What tells what the pod in control takes of its node."""
+        self._meter = meter
         self.addresses: dict[str, str] = {}
         """The instances that there are, and were a moment ago: IP by pod name."""
 
@@ -127,7 +127,7 @@ class Sight:
     @property
     def problems(self) -> list[str]:
         """What isn't watched and why, with what to do."""
-        unmetered = self.meter.problems if self.meter is not None else []
+        unmetered = self._meter.problems if self._meter is not None else []
         watched = [*self._watching.problems, *self._watching.sources.problems()]
         blind = [f"{one}." for one in self._tree.blind] if self._tree is not None else []
         return [*self._problems, *self._wellness.problems, *self._situating.problems, *watched, *unmetered, *blind]
@@ -198,14 +198,14 @@ class Sight:
         """Have said of the pod in control what its object says, where a tree asks for it."""
         watching, before, wanted = self._watching, self._pod, self._asked
         self._pod = next((i for i in instances if i.name == active), None) if wanted is not None else None
-        if self.meter is not None:
-            self.meter.want(active if wanted is not None and wanted.usage else "")
+        if self._meter is not None:
+            self._meter.want(active if wanted is not None and wanted.usage else "")
         if self._pod is None:
             watching.pod_state = None
             return
         now, last = time.time(), watching.pod_state
         if last is None or self._pod is not before or abs(now - last.received) >= POD_LOOK:
-            usage = self.meter.usage if self.meter is not None else None
+            usage = self._meter.usage if self._meter is not None else None
             watching.pod_state = PodState(now, self._pod.conditions, self._pod.restarts, usage)
 
     def verdict(self, *, now: float, since: float) -> Verdict:

@@ -29,13 +29,35 @@ STALL_MOST = 0.25
 """Most seconds that a verdict is put off for a stall: a node that is starved for longer can't be waited for."""
 
 
+class Wakeups:
+    """Ends the waits of the monitor's loops early. Anybody in the monitor may call these."""
+
+    def __init__(self) -> None:
+        self.look = asyncio.Event()
+        """Set to have the monitor's loop look at once."""
+        self.permits = asyncio.Event()
+        """Set to have the permits of instances looked at again at once."""
+
+    def pod_changed(self) -> None:
+        """Report that a pod of the workload changed."""
+        self.look.set()
+
+    def dependency_changed(self) -> None:
+        """Report that a workload that this one depends on has a new status or gate."""
+        self.look.set()
+
+    def agent_reported(self) -> None:
+        """Report that an agent sent its status, or that its connection began or ended."""
+        self.look.set()
+        self.permits.set()
+
+
 class Looks:
     """One look after the other. Times are Unix seconds."""
 
-    def __init__(self, arrivals: Arrivals | None) -> None:
-        """``arrivals`` tell of messages that are to be looked at as they come."""
-        self.wake = asyncio.Event()
-        """Set to have it look at once, such as when a pod of the workload changed."""
+    def __init__(self, wakeups: Wakeups, arrivals: Arrivals | None) -> None:
+        """``arrivals`` report messages that are looked at as they come."""
+        self._wake = wakeups.look
         self.late = 0.0
         """By how many seconds the present look is late."""
         self.trusted_from = 0.0
@@ -50,7 +72,7 @@ class Looks:
 
     def begin(self) -> float:
         """Begin a look; the time by which it judges. What has arrived until now is seen by it."""
-        self.wake.clear()
+        self._wake.clear()
         if self._arrivals is not None and self._arrivals.asked:
             self._arrivals.clear()
         now = self._begun = time.time()
@@ -69,7 +91,7 @@ class Looks:
                 self._listen(self._arrivals.descriptor, stack)
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(max(0.0, moment - time.time())):
-                    await self.wake.wait()
+                    await self._wake.wait()
 
     def _listen(self, descriptor: int, stack: contextlib.ExitStack) -> None:
         loop = asyncio.get_running_loop()
@@ -78,9 +100,9 @@ class Looks:
             loop.remove_reader(descriptor)  # until the next look, which clears it
             rest = self._begun + APART - time.time()
             if rest <= 0:
-                self.wake.set()
+                self._wake.set()
             else:
-                stack.callback(loop.call_later(rest, self.wake.set).cancel)
+                stack.callback(loop.call_later(rest, self._wake.set).cancel)
 
         loop.add_reader(descriptor, arrived)
         stack.callback(loop.remove_reader, descriptor)

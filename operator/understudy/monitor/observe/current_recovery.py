@@ -1,4 +1,4 @@
-"""The recovery under way, if there is one: what others do meanwhile goes by it."""
+"""The recovery in progress, if there is one. What runs beside it depends on that."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from collections.abc import Iterator
 from understudy.failover.progress import Progress
 
 
-class UnderWay:
+class CurrentRecovery:
     """At most one recovery of one workload."""
 
     def __init__(self) -> None:
         self.progress: Progress | None = None
         self.held: Progress | None = None
-        """The same where what failed is fenced, and nothing else is done about it yet."""
+        """The same recovery while it is deferred: the failed pod is fenced, and nothing else is done about it yet."""
 
     @contextlib.contextmanager
     def during(self, progress: Progress, *, held: bool = False) -> Iterator[None]:
-        """This one is under way."""
+        """Mark a recovery as in progress."""
         self.progress, self.held = progress, progress if held else None
         try:
             yield

@@ -1,0 +1,18 @@
+"""What the act stage reads and changes in the cluster, as one value."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from understudy.monitor.act.gate_control import GateControl
+from understudy.monitor.act.pod_control import Fleet
+from understudy.monitor.observe.cluster_view import View
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """The objects of one workload."""
+
+    view: View
+    pods: Fleet
+    gate: GateControl

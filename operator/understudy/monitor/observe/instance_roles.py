@@ -1,0 +1,161 @@
+"""What each instance should be brought to, and when it counts as ready: the one in control drives, standbys have their pool's readiness."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from understudy.api.base import seconds
+from understudy.api.kinds.failure_policy import FailurePolicySpec
+from understudy.api.kinds.procedure_spec import Check
+from understudy.api.kinds.robot_workload import RobotWorkloadSpec
+from understudy.api.protocol.monitor_settings import PoolChoice, WorkloadSettings
+from understudy.failover.bring_up import BringUp
+from understudy.failover.interfaces import Gate, Instance
+from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.current_recovery import CurrentRecovery
+from understudy.trees.languages.procedure_notations import composed
+from understudy.trees.source.problems import TreeError
+
+DRIVING = "up:"
+"""Prefix of what an instance was brought to if it was brought up to drive."""
+
+
+@dataclass(frozen=True)
+class Role:
+    """What an instance should be brought to, and when it counts as ready."""
+
+    procedure: BringUp | None = None
+    brought: str = ""
+    """The agent remembers the procedure's success by this; empty if there is none to run."""
+    standby: Mapping[str, Any] | None = None
+    """For its agent (agent/readiness.py); None if its health tree alone counts."""
+    origin: str = ""
+    """The field that has the procedure, for messages."""
+    outdated: bool = False
+    """Whether an earlier version of the procedure brought it there."""
+
+
+BRING_UP = "spec.bringUp of this RobotWorkload"
+
+
+def role_of(
+    instance: Instance,
+    spec: RobotWorkloadSpec,
+    settings: WorkloadSettings,
+    *,
+    active_uid: str,
+    brought: str = "",
+    ready: bool = False,
+) -> Role:
+    """Return what an instance should be. ``brought`` is what it was brought to, as far as is known; ``ready`` is whether it
+    met its role until now.
+
+    A standby that an earlier procedure made ready keeps that role: the present procedure may fail, so it runs on the pod that
+    the operator creates as its replacement.
+    """
+    bring_up = BringUp.of("bringUp", spec.bring_up)
+    if instance.uid == active_uid:
+        pool = pool_of(instance, settings)
+        drives = brought.startswith(DRIVING) or (brought and pool is not None and pool.readiness == "Executing")
+        if bring_up is None or drives:
+            return Role()
+        return Role(bring_up, _token(DRIVING, bring_up, instance), origin=BRING_UP)
+    choice = pool_of(instance, settings)
+    if choice is None or (instance.from_source and not active_uid):
+        if bring_up is None or instance.claim:
+            return Role()  # nothing to do, or a strategy of the policy does it
+        token = _token(DRIVING, bring_up, instance)
+        return Role(bring_up, token, {"brought": token}, BRING_UP)
+    initialization = BringUp.of("initialization", choice.initialization)
+    procedure = initialization or (bring_up if choice.readiness == "Executing" else None)
+    token = _token("init:" if initialization else DRIVING, procedure, instance) if procedure else ""
+    if outdated := ready and brought != token and (not brought or _alike(brought, token)):
+        token = brought
+    check = choice.readiness_check
+    if procedure is None and check is None:
+        return Role()
+    standby: dict[str, Any] = {"brought": token, "tree": choice.readiness == "Executing"}
+    if check is not None:
+        standby |= {**_on_the_wire(check), "period": seconds(check.period)}
+    origin = f"spec.initialization of FallbackPool {choice.name}" if initialization else BRING_UP
+    return Role(procedure, token, standby, origin, outdated)
+
+
+def _on_the_wire(check: Check) -> dict[str, Any]:
+    """Return a check in the short form, the only one that agents read."""
+    try:
+        found = composed(check, path="readinessCheck")
+    except TreeError:
+        return {"check": check.tree}  # the agent refuses it
+    return {"check": found.node, **({"places": found.places} if found.places else {})}
+
+
+def managed(spec: RobotWorkloadSpec, settings: WorkloadSettings, policy: FailurePolicySpec) -> bool:
+    """Return whether procedures bring instances up: then outputs may begin long after the processes."""
+    return (
+        spec.bring_up is not None
+        or any(pool.initialization for pool in settings.pools)
+        or any(strategy.recovery for strategy in policy.strategies)
+    )
+
+
+def pool_of(instance: Instance, settings: WorkloadSettings) -> PoolChoice | None:
+    """Return the pool whose standby an instance is. A pod of the workload's own controller counts as one of the first pool."""
+    waiting = [pool for pool in settings.pools if pool.readiness != "Uninitialized"]
+    if instance.from_source:
+        return waiting[0] if waiting else None
+    return next((pool for pool in waiting if pool.name == instance.pool), None)
+
+
+def _token(kind: str, procedure: BringUp, instance: Instance) -> str:
+    """Name a procedure's success. A restarted container must be brought up again, so the restarts are part of it."""
+    return f"{kind}{procedure.digest}:{instance.restarts}"
+
+
+def _alike(brought: str, token: str) -> bool:
+    """Return whether two tokens name the same kind of procedure on the same processes, perhaps by different trees."""
+    one, other = brought.split(":"), token.split(":")
+    return len(one) == len(other) == 3 and (one[0], one[2]) == (other[0], other[2])
+
+
+class InstanceRoles:
+    """The roles of one workload's instances, and which standbys were ready before."""
+
+    def __init__(self, view: View, gate: Gate, current: CurrentRecovery) -> None:
+        self._view, self._gate, self._current = view, gate, current
+        self._were_ready: set[str] = set()
+
+    @property
+    def driver(self) -> str:
+        """UID of the pod whose standbys the others are. While a recovery is deferred, nobody takes the failed pod's place."""
+        held = self._current.held
+        return held.failed[0].uid if held is not None and held.failed else self._gate.state.active_uid
+
+    def was_ready(self, instance: Instance) -> bool:
+        """Return whether it is a standby that was ready. If it no longer is, it is about to be replaced."""
+        return instance.uid in self._were_ready
+
+    def mark_ready(self, instance: Instance, *, ready: bool = True) -> None:
+        """Remember that a standby was ready, or forget it."""
+        if ready:
+            self._were_ready.add(instance.uid)
+        else:
+            self._were_ready.discard(instance.uid)
+
+    def keep_only(self, uids: Collection[str]) -> None:
+        """Forget every other instance."""
+        self._were_ready &= set(uids)
+
+    def readiness(self, instance: Instance, brought: str, *, ready: bool) -> tuple[Mapping[str, Any] | None, bool]:
+        """Return what the agent of an instance must check (see :attr:`Role.standby`), and whether procedures bring nodes up.
+
+        ``brought`` is what the instance was brought to; ``ready`` is whether its agent reports it ready now.
+        """
+        policy, spec, settings = self._view.policy, self._view.spec, self._view.settings
+        if policy is None or spec is None or settings is None:
+            return None, False
+        ready = ready or self.was_ready(instance)
+        role = role_of(instance, spec, settings, active_uid=self.driver, brought=brought, ready=ready)
+        return role.standby, managed(spec, settings, policy)
