@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 import yaml
 
-from tests.unit.cli.simulate.recording import every, write
+from tests.support.bag_recording import every, write
 
 REPOSITORY = Path(__file__).parents[3]
 PAGE = (REPOSITORY / "docs" / "how-to" / "writing-a-leaf.md").read_text()

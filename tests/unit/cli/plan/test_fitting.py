@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from tests.unit.cli.plan.test_size import PAPER
 from understudy.cli.plan.size import main
 from understudy.cli.plan.text_wrap import fitted
+
+PAPER = ["--robots", "1000", "--failures-per-robot-hour", "1", "--recovery-seconds", "6"]
 
 
 def test_without_a_width_it_stays_as_it_is():

@@ -6,8 +6,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from tests.unit.cli.console import fleet
-from tests.unit.cli.console.fleet import NOW, ago, said
+from tests.support import fleet
+from tests.support.fleet import NOW, ago, said
 from tests.unit.controller import world
 from understudy.api import names
 from understudy.api.kinds.robot_workload import Attempt, Moments, Recovery

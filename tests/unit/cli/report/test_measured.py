@@ -9,9 +9,9 @@ from math import inf
 
 import pytest
 
+from tests.support.html_pages import Read, value
 from tests.unit.cli.report import fleet
 from tests.unit.cli.report.fleet import DAY, HOSTILE, NOW
-from tests.unit.cli.report.test_page import Read, value
 from understudy.cli.report.csv_sheets import sheets
 from understudy.cli.report.histograms import Histogram
 from understudy.cli.report.page import page

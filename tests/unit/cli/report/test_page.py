@@ -5,70 +5,16 @@ from __future__ import annotations
 import base64
 import hashlib
 import re
-from html.parser import HTMLParser
 
 import pytest
 
+from tests.support.html_pages import Read, value
 from tests.unit.cli.report import fleet
 from tests.unit.cli.report.fleet import DAY, NOW
 from understudy.cli.report.csv_sheets import sheets
 from understudy.cli.report.page import page
 from understudy.cli.report.recovery_records import Findings, Span, findings
 from understudy.cli.report.sections import availability
-
-VOID = ("meta", "link", "br")
-
-
-class Read(HTMLParser):
-    """A page as a browser reads it."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__(convert_charrefs=True)
-        self.elements: list[tuple[str, dict[str, str | None]]] = []
-        self.tables: dict[str, list[list[tuple[str, str | None]]]] = {}
-        """By caption, the rows of cells: what is shown, and the value."""
-        self.texts: list[str] = []
-        self._open: list[str] = []
-        self._caption = ""
-        self.feed(text)
-        self.close()
-        assert self._open == [], "every element is closed"
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.elements.append((tag, dict(attrs)))
-        if tag not in VOID:
-            self._open.append(tag)
-        if tag == "caption":
-            self._caption = ""
-        if tag == "tr" and "tbody" in self._open:
-            self.tables.setdefault(self._caption, []).append([])
-        if tag in ("td", "th") and "tbody" in self._open:
-            self.tables[self._caption][-1].append(("", dict(attrs).get("data-value")))
-
-    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.elements.append((tag, dict(attrs)))
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self._open.pop() == tag
-
-    def handle_data(self, data: str) -> None:
-        self.texts.append(data)
-        if self._open and self._open[-1] == "caption":
-            self._caption += data
-        if "tbody" in self._open and self._open[-1] in ("td", "th"):
-            shown, value = self.tables[self._caption][-1][-1]
-            self.tables[self._caption][-1][-1] = (shown + data, value)
-
-    def all(self, tag: str) -> list[dict[str, str | None]]:
-        return [attributes for name, attributes in self.elements if name == tag]
-
-    def table(self, beginning: str) -> list[list[tuple[str, str | None]]]:
-        (found,) = (rows for caption, rows in self.tables.items() if caption.startswith(beginning))
-        return found
-
-    @property
-    def text(self) -> str:
-        return " ".join(self.texts)
 
 
 def written(found: Findings) -> str:
@@ -77,11 +23,6 @@ def written(found: Findings) -> str:
 
 def read(*robots: fleet.Object, period: Span = DAY) -> Read:
     return Read(written(findings(robots, period)))
-
-
-def value(cell: tuple[str, str | None]) -> float:
-    assert cell[1] is not None, cell
-    return float(cell[1])
 
 
 def test_the_figures_are_those_of_the_records() -> None:

@@ -6,7 +6,7 @@ import statistics
 
 import pytest
 
-from tests.unit.cli.console.fleet import NOW, ago, recovery, said
+from tests.support.fleet import NOW, ago, recovery, said
 from tests.unit.cli.report import fleet
 from tests.unit.cli.report.fleet import DAY
 from understudy.api.kinds.robot_workload import DependencyRecovery

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.unit.cli.console import fleet as others
-from tests.unit.cli.console.kubectl import Stand
+from tests.support import fleet as others
+from tests.support.fake_kubectl import FakeKubectl
 from tests.unit.cli.report import fleet
 from understudy.cli.report.command import main
 
@@ -20,13 +20,13 @@ pytestmark = pytest.mark.usefixtures("in_the_present")
 
 
 @pytest.fixture
-def written(stand: Stand, tmp_path: Path) -> Path:
+def written(stand: FakeKubectl, tmp_path: Path) -> Path:
     """Where the page goes."""
     stand.tell(fleet.robots())
     return tmp_path / "report.html"
 
 
-def test_a_page_and_the_data(stand: Stand, written: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_page_and_the_data(stand: FakeKubectl, written: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["-n", "fleet", "-o", str(written), "--csv", str(written.parent / "data")]) == 0
     assert capsys.readouterr().out == (
         f"{written}: 5 robots, 18 recoveries from 2026-11-21 14:06:24Z to 2026-11-22 14:06:24Z; of 1 robot not the whole "
@@ -44,7 +44,7 @@ def test_a_page_and_the_data(stand: Stand, written: Path, capsys: pytest.Capture
 
 
 def test_the_documentation_shows_what_it_says(
-    stand: Stand, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    stand: FakeKubectl, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
     stand.tell(fleet.robots())
@@ -74,7 +74,7 @@ def test_one_robot(written: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "<h1>Recoveries of robot-3-drive</h1>" in written.read_text()
 
 
-def test_every_namespace(stand: Stand, written: Path) -> None:
+def test_every_namespace(stand: FakeKubectl, written: Path) -> None:
     assert main(["-A", "-o", str(written)]) == 0
     assert " -A -o json" in stand.asked[0]
     assert "<h1>Recoveries of all namespaces</h1>" in written.read_text()
@@ -96,7 +96,7 @@ def test_every_namespace(stand: Stand, written: Path) -> None:
     ],
 )
 def test_what_can_not_be_told(
-    stand: Stand,
+    stand: FakeKubectl,
     written: Path,
     capsys: pytest.CaptureFixture[str],
     arguments: list[str],

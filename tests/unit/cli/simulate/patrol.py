@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 from pathlib import Path
 
-from tests.unit.cli.simulate.recording import Said, write
+from tests.support.bag_recording import Said, write
 
 
 def record(folder: Path) -> Path:

@@ -13,7 +13,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.unit.cli.simulate.recording import Said, every, write
+from tests.support.bag_recording import Said, every, write
 from tests.unit.trees.world import World
 from understudy.cli.simulate.bags import Bag
 from understudy.cli.simulate.learn import main

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from tests.unit.cli.simulate.recording import Said, Storage, every, policy, unix, write
+from tests.support.bag_recording import Said, Storage, every, policy, unix, write
 from understudy.cli.common.errors import CommandError
 from understudy.cli.simulate import policy_file
 from understudy.cli.simulate.bags import Bag

@@ -14,7 +14,7 @@ import yaml
 from PIL import Image
 from rosbags.rosbag2 import Writer
 
-from tests.unit.cli.simulate.recording import Said, every, ns, policy, write
+from tests.support.bag_recording import Said, every, ns, policy, write
 from understudy.cli.simulate.simulate import main
 
 TWIST = "geometry_msgs/msg/Twist"

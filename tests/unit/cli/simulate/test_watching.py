@@ -19,7 +19,7 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from tests.unit.cli.simulate.recording import policy
+from tests.support.bag_recording import policy
 from understudy.cli.simulate.watch import main
 
 pytestmark = pytest.mark.ros

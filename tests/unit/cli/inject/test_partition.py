@@ -14,8 +14,8 @@ from typing import Any
 
 import pytest
 
-from tests.unit.cli.console import fleet
-from tests.unit.cli.console.kubectl import Stand
+from tests.support import fleet
+from tests.support.fake_kubectl import FakeKubectl
 from tests.unit.ros.network import network
 from understudy.cli.inject import command as inject
 from understudy.cli.inject import partition
@@ -111,7 +111,7 @@ class Cluster:
 
 
 @pytest.fixture
-def cluster(stand: Stand, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Cluster:
+def cluster(stand: FakeKubectl, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Cluster:
     item = fleet.well()
     monitor = next(one for one in fleet.around(item) if one["metadata"]["name"] == f"{ROBOT}-monitor-1")
     monitor |= {
@@ -243,7 +243,7 @@ def test_from_whom_must_be_said_by_addresses(cluster: Cluster, capsys: pytest.Ca
     assert f'--from "{whom}": write monitor, an address, or a network' in capsys.readouterr().err
 
 
-def test_without_a_monitor_there_is_no_image(stand: Stand, capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_a_monitor_there_is_no_image(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
     stand.tell([fleet.well(), ALLOWED])
     assert inject.main([ROBOT, "partition", "--yes"]) == 2
     assert f"the monitor of {ROBOT} isn't there" in capsys.readouterr().err

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 import yaml
 
-from tests.unit.cli.console.test_tree import KUBECTL, READY
+from tests.support.fake_monitor import KUBECTL, READY
 from understudy.api.kinds.recording_spec import Recording, Recordings
 from understudy.cli.inspect.blackbox import lines, main
 from understudy.process.http_pages import JSON, Page, serve

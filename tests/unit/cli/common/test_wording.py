@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.unit.cli.console.fleet import NOW, ago
+from tests.support.fleet import NOW, ago
 from understudy.cli.common.wording import age, clock, wrapped
 
 

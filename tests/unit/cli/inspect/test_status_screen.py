@@ -7,7 +7,7 @@ import re
 
 import pytest
 
-from tests.unit.cli.console import fleet
+from tests.support import fleet
 from understudy.cli.common.robots import pool, robot
 from understudy.cli.inspect.status_screen import Look, in_a_line, lines, screenful, summary
 

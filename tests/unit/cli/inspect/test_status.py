@@ -20,8 +20,8 @@ from typing import Any
 import pytest
 import yaml
 
-from tests.unit.cli.console import fleet
-from tests.unit.cli.console.kubectl import Stand
+from tests.support import fleet
+from tests.support.fake_kubectl import FakeKubectl
 from understudy.cli.common.terminal import BEGIN, END
 from understudy.cli.inspect.status import AGAIN, main
 
@@ -30,7 +30,7 @@ LONG = 60.0
 """Seconds that are waited for anything."""
 
 
-def test_the_fleet_on_one_screen(stand: Stand, capsys: pytest.CaptureFixture[str], in_the_present: None) -> None:
+def test_the_fleet_on_one_screen(stand: FakeKubectl, capsys: pytest.CaptureFixture[str], in_the_present: None) -> None:
     assert main(["-n", "fleet", "--context", "lab"]) == 1, "one of them isn't protected"
     told = capsys.readouterr().out
     assert told.startswith("ROBOT ")
@@ -46,7 +46,7 @@ def test_the_fleet_on_one_screen(stand: Stand, capsys: pytest.CaptureFixture[str
     )
 
 
-def test_some_of_them_by_name(stand: Stand, capsys: pytest.CaptureFixture[str]) -> None:
+def test_some_of_them_by_name(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["robot-17-navigation"]) == 0
     assert capsys.readouterr().out.endswith("1 robot: all protected; 1 healthy\n")
     assert main(["robot-17-navigation", "robot-18-navigation"]) == 0
@@ -54,14 +54,16 @@ def test_some_of_them_by_name(stand: Stand, capsys: pytest.CaptureFixture[str]) 
     assert "POOL" not in capsys.readouterr().out
 
 
-def test_every_namespace(stand: Stand, capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_namespace(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
     main(["-A"])
     assert capsys.readouterr().out.startswith("NAMESPACE  ROBOT ")
     assert all(" -A -o json" in asked for asked in stand.asked)
 
 
 @pytest.mark.parametrize(("output", "read"), [("json", json.loads), ("yaml", yaml.safe_load)])
-def test_everything_for_scripts(stand: Stand, capsys: pytest.CaptureFixture[str], output: str, read: type) -> None:
+def test_everything_for_scripts(
+    stand: FakeKubectl, capsys: pytest.CaptureFixture[str], output: str, read: type
+) -> None:
     assert main(["-o", output]) == 1
     told = read(capsys.readouterr().out)
     first, _, third = told["robots"]
@@ -77,7 +79,7 @@ def recovering(**changes: Any) -> list[dict[str, Any]]:
 
 
 def test_a_recovery_is_told_by_the_gate_before_the_status_does(
-    stand: Stand, capsys: pytest.CaptureFixture[str], in_the_present: None
+    stand: FakeKubectl, capsys: pytest.CaptureFixture[str], in_the_present: None
 ) -> None:
     stand.tell(recovering())
     assert main([]) == 1
@@ -102,7 +104,7 @@ def test_a_recovery_is_told_by_the_gate_before_the_status_does(
     ("others", "expected"), [([], "Recovering"), (["robot-18-navigation"], "Recovering"), (["robot-2"], "not found")]
 )
 def test_of_some_by_name_the_gates_are_asked_for_by_name(
-    stand: Stand, capsys: pytest.CaptureFixture[str], in_the_present: None, others: list[str], expected: str
+    stand: FakeKubectl, capsys: pytest.CaptureFixture[str], in_the_present: None, others: list[str], expected: str
 ) -> None:
     stand.tell(recovering())
     main(["robot-17-navigation", *others])
@@ -113,7 +115,7 @@ def test_of_some_by_name_the_gates_are_asked_for_by_name(
 
 
 def test_who_may_not_read_gates_sees_what_the_status_says(
-    stand: Stand, capsys: pytest.CaptureFixture[str], in_the_present: None
+    stand: FakeKubectl, capsys: pytest.CaptureFixture[str], in_the_present: None
 ) -> None:
     stand.tell(recovering(), forbidden=["networkpolicies"])
     assert main([]) == 1
@@ -134,7 +136,7 @@ def test_who_may_not_read_gates_sees_what_the_status_says(
     ],
 )
 def test_what_can_not_be_told(
-    stand: Stand, capsys: pytest.CaptureFixture[str], arguments: list[str], error: str, words: str
+    stand: FakeKubectl, capsys: pytest.CaptureFixture[str], arguments: list[str], error: str, words: str
 ) -> None:
     stand.tell(fleet.fleet(), error=error)
     assert main(arguments) == 2
@@ -144,13 +146,13 @@ def test_what_can_not_be_told(
     assert words in told.err
 
 
-def test_no_robot_at_all_is_not_all_protected(stand: Stand, capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_robot_at_all_is_not_all_protected(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
     stand.tell([fleet.spare()])
     assert main([]) == 2
     assert "there is no RobotWorkload in this namespace" in capsys.readouterr().err
 
 
-def test_watching_is_not_for_scripts(stand: Stand) -> None:
+def test_watching_is_not_for_scripts(stand: FakeKubectl) -> None:
     with pytest.raises(SystemExit):
         main(["-w", "-o", "json"])
 
@@ -195,13 +197,13 @@ class Watching:
 
 
 @pytest.fixture
-def watching(request: pytest.FixtureRequest, stand: Stand) -> Iterator[Watching]:
+def watching(request: pytest.FixtureRequest, stand: FakeKubectl) -> Iterator[Watching]:
     made = Watching(**request.param)
     yield made
     made.close()
 
 
-def test_who_may_not_watch_sees_changes_all_the_same(stand: Stand) -> None:
+def test_who_may_not_watch_sees_changes_all_the_same(stand: FakeKubectl) -> None:
     stand.tell(fleet.fleet(), watch=False)
     watching = Watching(terminal=False)
     try:
@@ -212,7 +214,7 @@ def test_who_may_not_watch_sees_changes_all_the_same(stand: Stand) -> None:
         watching.close()
 
 
-def test_an_api_server_that_does_not_answer_is_asked_again(stand: Stand) -> None:
+def test_an_api_server_that_does_not_answer_is_asked_again(stand: FakeKubectl) -> None:
     watching = Watching(terminal=False)
     try:
         watching.until("fleet/robot-19-navigation; Healthy")
@@ -226,7 +228,7 @@ def test_an_api_server_that_does_not_answer_is_asked_again(stand: Stand) -> None
 
 
 @pytest.mark.parametrize("watching", [{"terminal": True}], indirect=True)
-def test_a_terminal_s_screen_is_written_anew_when_a_robot_changes(stand: Stand, watching: Watching) -> None:
+def test_a_terminal_s_screen_is_written_anew_when_a_robot_changes(stand: FakeKubectl, watching: Watching) -> None:
     first = watching.until("3 robots: 1 not protected")
     assert first.startswith(BEGIN)
     assert "\x1b[2J" not in first, "a screen that is cleared flickers"
@@ -242,7 +244,7 @@ def test_a_terminal_s_screen_is_written_anew_when_a_robot_changes(stand: Stand, 
 
 @pytest.mark.parametrize("watching", [{"terminal": False}], indirect=True)
 def test_a_change_of_a_gate_alone_is_shown_at_once_and_what_the_status_tells_is_over(
-    stand: Stand, watching: Watching
+    stand: FakeKubectl, watching: Watching
 ) -> None:
     watching.until("fleet/robot-19-navigation; Healthy")
     began = time.time()
@@ -259,7 +261,7 @@ def test_a_change_of_a_gate_alone_is_shown_at_once_and_what_the_status_tells_is_
     assert watching.end() == 1
 
 
-def test_who_may_not_read_gates_can_watch_robots(stand: Stand) -> None:
+def test_who_may_not_read_gates_can_watch_robots(stand: FakeKubectl) -> None:
     stand.tell(recovering(began=time.time()), forbidden=["networkpolicies"])
     watching = Watching(terminal=False)
     try:
@@ -281,7 +283,7 @@ def test_no_colours_where_none_are_wanted(watching: Watching) -> None:
 
 
 @pytest.mark.parametrize("watching", [{"terminal": False}], indirect=True)
-def test_elsewhere_each_change_is_a_line(stand: Stand, watching: Watching) -> None:
+def test_elsewhere_each_change_is_a_line(stand: FakeKubectl, watching: Watching) -> None:
     watching.until("fleet/robot-19-navigation; Healthy; NOT PROTECTED")
     failed = fleet.well()
     failed["status"] |= {"health": "Failed"}

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.unit.cli.console import fleet
-from tests.unit.cli.console.kubectl import Stand
+from tests.support import fleet
+from tests.support.fake_kubectl import FakeKubectl
 from understudy.cli.common.errors import CommandError
 from understudy.cli.common.kubectl import Kubectl
 from understudy.cli.inspect import timeline
@@ -60,7 +60,7 @@ while not os.path.exists(path + ".entered"):
     ],
 )
 def test_what_kubectl_says_is_told_with_the_way_out(
-    stand: Stand, capsys: pytest.CaptureFixture[str], said: str, told: str
+    stand: FakeKubectl, capsys: pytest.CaptureFixture[str], said: str, told: str
 ) -> None:
     stand.tell(fleet.fleet(), error=said)
     assert timeline.main([NAME]) == 2
@@ -70,13 +70,15 @@ def test_what_kubectl_says_is_told_with_the_way_out(
     assert told in error
 
 
-def test_a_kubeconfig_without_credentials_is_told_as_that(stand: Stand, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_kubeconfig_without_credentials_is_told_as_that(
+    stand: FakeKubectl, capsys: pytest.CaptureFixture[str]
+) -> None:
     stand.tell(fleet.fleet(), error="error: EOF")
     assert timeline.main([NAME]) == 2
     assert capsys.readouterr().err.startswith("understudy timeline: the kubeconfig has no credentials for this cluster")
 
 
-def test_what_it_says_itself_is_left_as_it_is(stand: Stand, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_it_says_itself_is_left_as_it_is(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
     stand.tell(fleet.fleet(), error="Unable to connect to the server: net/http: TLS handshake timeout")
     assert timeline.main([NAME]) == 2
     assert capsys.readouterr().err == (
@@ -84,7 +86,7 @@ def test_what_it_says_itself_is_left_as_it_is(stand: Stand, capsys: pytest.Captu
     )
 
 
-def test_kubectl_is_left_nothing_to_read(stand: Stand) -> None:
+def test_kubectl_is_left_nothing_to_read(stand: FakeKubectl) -> None:
     """Or it would wait for a name or a password that nobody knows it asks for, since what it writes is read by the command."""
     program = stand.folder / "kubectl"
     program.write_text(
@@ -93,7 +95,7 @@ def test_kubectl_is_left_nothing_to_read(stand: Stand) -> None:
     assert timeline.main([NAME]) == 0
 
 
-def with_plugin(stand: Stand, plugin: str) -> None:
+def with_plugin(stand: FakeKubectl, plugin: str) -> None:
     program = stand.folder / "kubectl"
     program.write_text(program.read_text().replace("given = sys.argv[1:]", f"{plugin}\ngiven = sys.argv[1:]", 1))
 
@@ -112,7 +114,7 @@ def read_until(running: subprocess.Popen[bytes], words: bytes) -> bytes:
     return found
 
 
-def test_a_plugin_that_asks_is_answered_by_who_sits_at_the_terminal(stand: Stand) -> None:
+def test_a_plugin_that_asks_is_answered_by_who_sits_at_the_terminal(stand: FakeKubectl) -> None:
     with_plugin(stand, ASKS)
     ours, its = os.openpty()
     with started(its) as running:
@@ -123,7 +125,7 @@ def test_a_plugin_that_asks_is_answered_by_who_sits_at_the_terminal(stand: Stand
     assert output.decode().startswith(f"fleet/{NAME}: 3 recoveries\n")
 
 
-def test_what_it_does_not_take_is_told(stand: Stand) -> None:
+def test_what_it_does_not_take_is_told(stand: FakeKubectl) -> None:
     with_plugin(stand, ASKS)
     ours, its = os.openpty()
     with started(its) as running:
@@ -134,7 +136,7 @@ def test_what_it_does_not_take_is_told(stand: Stand) -> None:
     assert "executable login failed with exit code 1: log in as the kubeconfig's plugin has it" in told.decode()
 
 
-def test_a_plugin_that_waits_for_somebody_is_heard(stand: Stand) -> None:
+def test_a_plugin_that_waits_for_somebody_is_heard(stand: FakeKubectl) -> None:
     with_plugin(stand, WAITS)
     with started(subprocess.DEVNULL) as running:
         assert read_until(running, b"ABC\n") == b"To sign in, enter the code ABC\n"
@@ -144,7 +146,9 @@ def test_a_plugin_that_waits_for_somebody_is_heard(stand: Stand) -> None:
 
 
 @pytest.mark.parametrize("place", ["a script", "a shell that completes"])
-def test_where_nobody_could_answer_nobody_is_asked(stand: Stand, monkeypatch: pytest.MonkeyPatch, place: str) -> None:
+def test_where_nobody_could_answer_nobody_is_asked(
+    stand: FakeKubectl, monkeypatch: pytest.MonkeyPatch, place: str
+) -> None:
     with_plugin(stand, ASKS)
     monkeypatch.setattr(sys.stdin, "isatty", lambda: place != "a script", raising=False)
     if place != "a script":
@@ -156,7 +160,7 @@ def test_where_nobody_could_answer_nobody_is_asked(stand: Stand, monkeypatch: py
     assert time.monotonic() - begun < 10
 
 
-def test_where_there_is_no_standard_input_nobody_is_asked(stand: Stand, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_there_is_no_standard_input_nobody_is_asked(stand: FakeKubectl, monkeypatch: pytest.MonkeyPatch) -> None:
     with_plugin(stand, ASKS)
     monkeypatch.setattr(sys, "stdin", None)  # as Python has it after `<&-`
     with pytest.raises(CommandError, match="not a terminal: log in as the kubeconfig's plugin has it"):

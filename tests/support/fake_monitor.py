@@ -1,8 +1,27 @@
-"""What a monitor says, as it says it."""
+"""What a monitor serves on its status port, and a kubectl that forwards a port to it."""
 
 from __future__ import annotations
 
 from typing import Any
+
+READY = {"conditions": [{"type": "Ready", "status": "True"}]}
+KUBECTL = """#!/usr/bin/env python3
+import json, sys, time
+told = json.load(open({told!r}))
+with open({asked!r}, "a") as log:
+    log.write(" ".join(sys.argv[1:]) + "\\n")
+if "port-forward" in sys.argv:
+    if told["port"] is None:
+        sys.exit("error: unable to forward port because pod is not running")
+    print(f"Forwarding from 127.0.0.1:{{told['port']}} -> 9108", flush=True)
+    time.sleep(60)
+elif "robotworkload" in sys.argv:
+    if told["workload"] is None:
+        sys.exit('Error from server (NotFound): robotworkloads.understudy.dev "robot-2" not found')
+    print(json.dumps(told["workload"]))
+else:
+    print(json.dumps({{"items": told["pods"]}}))
+"""
 
 
 def leaf(name: str, state: str = "Healthy", *, received: int | None = 10, age: float | None = 0.05, **more: Any) -> Any:

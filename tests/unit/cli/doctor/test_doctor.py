@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from tests.unit.cli.console import fleet
+from tests.support import fleet
 from understudy import __version__
 from understudy.api import names
 from understudy.api.kinds.robot_workload import MonitorStatus

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from tests.unit.cli.console import fleet
+from tests.support import fleet
 from tests.unit.controller import world
 from understudy.api import names
 from understudy.cli.common.robots import UNWATCHED

@@ -12,28 +12,9 @@ from typing import Any
 import pytest
 import yaml
 
-from tests.unit.cli.console.states import state
+from tests.support.fake_monitor import KUBECTL, READY, state
 from understudy.cli.inspect.tree import main
 from understudy.process.http_pages import JSON, serve
-
-READY = {"conditions": [{"type": "Ready", "status": "True"}]}
-KUBECTL = """#!/usr/bin/env python3
-import json, sys, time
-told = json.load(open({told!r}))
-with open({asked!r}, "a") as log:
-    log.write(" ".join(sys.argv[1:]) + "\\n")
-if "port-forward" in sys.argv:
-    if told["port"] is None:
-        sys.exit("error: unable to forward port because pod is not running")
-    print(f"Forwarding from 127.0.0.1:{{told['port']}} -> 9108", flush=True)
-    time.sleep(60)
-elif "robotworkload" in sys.argv:
-    if told["workload"] is None:
-        sys.exit('Error from server (NotFound): robotworkloads.understudy.dev "robot-2" not found')
-    print(json.dumps(told["workload"]))
-else:
-    print(json.dumps({{"items": told["pods"]}}))
-"""
 
 
 class Cluster:

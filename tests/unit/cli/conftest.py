@@ -5,15 +5,15 @@ from pathlib import Path
 
 import pytest
 
-from tests.unit.cli.console import fleet
-from tests.unit.cli.console.kubectl import Stand
+from tests.support import fleet
+from tests.support.fake_kubectl import FakeKubectl
 
 
 @pytest.fixture
-def stand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Stand:
+def stand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FakeKubectl:
     """kubectl on the PATH, in front of a fleet; and no terminal, whatever the process that runs the tests says of one."""
     monkeypatch.delenv("COLUMNS", raising=False)
-    made = Stand(tmp_path)
+    made = FakeKubectl(tmp_path)
     made.tell(fleet.fleet())
     monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
     return made

@@ -6,8 +6,8 @@ import getpass
 
 import pytest
 
-from tests.unit.cli.console import fleet
-from tests.unit.cli.console.kubectl import Stand
+from tests.support import fleet
+from tests.support.fake_kubectl import FakeKubectl
 from understudy.api import names
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.cli.control import pause, resume
@@ -16,7 +16,7 @@ ROBOT = "robot-17-navigation"
 
 
 def test_it_is_paused_with_reason_owner_and_end(
-    stand: Stand, capsys: pytest.CaptureFixture[str], in_the_present: None
+    stand: FakeKubectl, capsys: pytest.CaptureFixture[str], in_the_present: None
 ) -> None:
     given = [ROBOT, "-n", "fleet", "--reason", "a new gripper", "--owner", "ann", "--for", "1h30m"]
     assert pause.main(given) == 0
@@ -33,7 +33,7 @@ def test_it_is_paused_with_reason_owner_and_end(
     )
 
 
-def test_whoever_asks_for_it_is_its_owner_and_it_may_have_no_end(stand: Stand) -> None:
+def test_whoever_asks_for_it_is_its_owner_and_it_may_have_no_end(stand: FakeKubectl) -> None:
     assert pause.main([ROBOT, "--reason", "a new gripper", "--until", "2099-01-01T00:00:00+01:00"]) == 0
     assert stand.item(ROBOT)["spec"]["pause"]["owner"] == getpass.getuser()
     assert pause.main([ROBOT, "--reason", "and a new arm"]) == 0
@@ -51,7 +51,7 @@ def test_whoever_asks_for_it_is_its_owner_and_it_may_have_no_end(stand: Stand) -
     ],
 )
 def test_what_is_no_end_or_says_nothing_is_refused(
-    stand: Stand, capsys: pytest.CaptureFixture[str], in_the_present: None, more: list[str], words: str
+    stand: FakeKubectl, capsys: pytest.CaptureFixture[str], in_the_present: None, more: list[str], words: str
 ) -> None:
     assert pause.main([ROBOT, "--reason", "a new gripper", *more]) == 2
     assert f"understudy pause: {words}" in capsys.readouterr().err
@@ -59,7 +59,7 @@ def test_what_is_no_end_or_says_nothing_is_refused(
 
 
 def test_resume_ends_it_and_forgets_what_was_spent(
-    stand: Stand, capsys: pytest.CaptureFixture[str], in_the_present: None
+    stand: FakeKubectl, capsys: pytest.CaptureFixture[str], in_the_present: None
 ) -> None:
     assert pause.main([ROBOT, "--reason", "a new gripper", "--owner", "ann"]) == 0
     assert resume.main([ROBOT]) == 0
@@ -71,7 +71,7 @@ def test_resume_ends_it_and_forgets_what_was_spent(
     assert "it wasn't paused." in capsys.readouterr().out
 
 
-def test_resume_says_who_and_why_where_it_is_told(stand: Stand, capsys: pytest.CaptureFixture[str]) -> None:
+def test_resume_says_who_and_why_where_it_is_told(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
     assert resume.main([ROBOT, "--reason", "the gripper grips", "--owner", "bob"]) == 0
     assert stand.item(ROBOT)["metadata"]["annotations"][names.RESUMED_FOR] == "bob: the gripper grips"
     assert resume.main([ROBOT]) == 0

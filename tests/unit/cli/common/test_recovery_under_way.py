@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from tests.unit.cli.console import fleet
+from tests.support import fleet
 from understudy.api import names
 from understudy.api.kinds.robot_workload import Attempt, RobotWorkloadStatus
 from understudy.cli.common.recovery_under_way import UnderWay, under_way

@@ -13,15 +13,15 @@ from typing import Any
 import pytest
 import yaml
 
-from tests.unit.cli.console import fleet
-from tests.unit.cli.console.kubectl import Stand
+from tests.support import fleet
+from tests.support.fake_kubectl import FakeKubectl
 from understudy.cli.completion import command as completion
 from understudy.cli.control import fence, pause, resume, robot_profile
 from understudy.cli.doctor import command as doctor
 from understudy.cli.inject import command as inject
 from understudy.cli.inspect import explain, status, timeline
 
-REPOSITORY = Path(__file__).parents[4]
+REPOSITORY = Path(__file__).parents[3]
 COMMANDS: dict[str, Callable[[list[str]], int]] = {
     "status": status.main,
     "timeline": timeline.main,
@@ -36,7 +36,7 @@ COMMANDS: dict[str, Callable[[list[str]], int]] = {
 }
 
 
-def test_the_last_recoveries(stand: Stand, capsys: pytest.CaptureFixture[str], in_the_present: None) -> None:
+def test_the_last_recoveries(stand: FakeKubectl, capsys: pytest.CaptureFixture[str], in_the_present: None) -> None:
     assert timeline.main(["robot-17-navigation", "-n", "fleet", "--last", "1"]) == 0
     told = capsys.readouterr().out
     assert told.startswith("fleet/robot-17-navigation: 3 recoveries\n")
@@ -52,7 +52,7 @@ def test_how_many_recoveries_is_a_number_from_one_on(capsys: pytest.CaptureFixtu
     assert f"argument --last: found '{given}'; give a whole number from 1 on" in capsys.readouterr().err
 
 
-def test_the_records_for_scripts(stand: Stand, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_records_for_scripts(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
     assert timeline.main(["robot-17-navigation", "-o", "yaml"]) == 0
     written = yaml.safe_load(capsys.readouterr().out)
     assert timeline.main(["robot-17-navigation", "-o", "json"]) == 0
@@ -63,7 +63,7 @@ def test_the_records_for_scripts(stand: Stand, capsys: pytest.CaptureFixture[str
 
 
 def test_a_robot_is_explained_by_what_is_around_it(
-    stand: Stand, capsys: pytest.CaptureFixture[str], in_the_present: None
+    stand: FakeKubectl, capsys: pytest.CaptureFixture[str], in_the_present: None
 ) -> None:
     item = fleet.well()
     stand.tell([*fleet.around(item), fleet.event(9, "GateBlocked", "Packets of w-2")])
@@ -78,7 +78,7 @@ def test_a_robot_is_explained_by_what_is_around_it(
 
 
 def test_right_after_a_failover_it_goes_by_the_pods_that_there_are_not_by_what_was_said_of_them(
-    stand: Stand, capsys: pytest.CaptureFixture[str], in_the_present: None
+    stand: FakeKubectl, capsys: pytest.CaptureFixture[str], in_the_present: None
 ) -> None:
     # Its standby is in control now, and nobody has said yet that there is no other.
     item = fleet.well()
@@ -94,7 +94,11 @@ def test_right_after_a_failover_it_goes_by_the_pods_that_there_are_not_by_what_w
 
 @pytest.mark.parametrize(("output", "read"), [("json", json.loads), ("yaml", yaml.safe_load)])
 def test_what_is_explained_for_scripts(
-    stand: Stand, capsys: pytest.CaptureFixture[str], in_the_present: None, output: str, read: Callable[[str], Any]
+    stand: FakeKubectl,
+    capsys: pytest.CaptureFixture[str],
+    in_the_present: None,
+    output: str,
+    read: Callable[[str], Any],
 ) -> None:
     item = fleet.unprotected()
     stand.tell([*fleet.around(item, standby_waits="ImagePullBackOff"), fleet.event(9, "GateBlocked", "Packets of w-2")])
@@ -113,7 +117,7 @@ def test_what_is_explained_for_scripts(
     assert told["lately"] == [{"text": "9s ago  GateBlocked: Packets of w-2", "state": ""}]
 
 
-def test_what_a_workload_refers_to_is_asked_for(stand: Stand, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_a_workload_refers_to_is_asked_for(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
     item = fleet.well()
     del item["spec"]["template"]
     item["spec"]["workloadRef"] = {"kind": "Deployment", "name": "nav2"}
@@ -123,7 +127,7 @@ def test_what_a_workload_refers_to_is_asked_for(stand: Stand, capsys: pytest.Cap
     assert any("get deployments.apps nav2 --ignore-not-found" in line for line in stand.asked)
 
 
-def test_a_tree_in_a_config_map_is_asked_for(stand: Stand, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_tree_in_a_config_map_is_asked_for(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
     policy = fleet.policy(monitoring={"configMapKeyRef": {"name": "trees", "key": "driving.yaml"}})
     item = fleet.well()
     stand.tell([*(i for i in fleet.around(item) if i["kind"] != "FailurePolicy"), policy])
@@ -132,7 +136,7 @@ def test_a_tree_in_a_config_map_is_asked_for(stand: Stand, capsys: pytest.Captur
     assert any("get configmaps -l understudy.dev/health-tree=true" in line for line in stand.asked)
 
 
-def test_what_the_monitor_was_told_is_asked_for_where_the_policy_has_situations(stand: Stand) -> None:
+def test_what_the_monitor_was_told_is_asked_for_where_the_policy_has_situations(stand: FakeKubectl) -> None:
     raised = {"name": "carrying", "when": {"task": {"action": "/carry"}}, "strategies": [{"type": "Restart"}]}
     item = fleet.well()
     stand.tell([*(i for i in fleet.around(item) if i["kind"] != "FailurePolicy"), fleet.policy(situations=[raised])])
@@ -141,7 +145,7 @@ def test_what_the_monitor_was_told_is_asked_for_where_the_policy_has_situations(
 
 
 @pytest.mark.parametrize("command", ["timeline", "explain", "pause", "resume"])
-def test_one_that_is_not_there(stand: Stand, capsys: pytest.CaptureFixture[str], command: str) -> None:
+def test_one_that_is_not_there(stand: FakeKubectl, capsys: pytest.CaptureFixture[str], command: str) -> None:
     more = ["--reason", "a new gripper"] if command == "pause" else []
     assert COMMANDS[command](["robot-2", *more]) == 2
     assert f'understudy {command}: Error from server (NotFound): robotworkloads.understudy.dev "robot-2" not found' in (
@@ -161,7 +165,9 @@ def test_kubectl_finds_them_as_a_plugin() -> None:
     assert scripts["kubectl-understudy"] == scripts["understudy"] == "understudy.main:main"
 
 
-def test_the_pages_show_what_is_printed(stand: Stand, capsys: pytest.CaptureFixture[str], in_the_present: None) -> None:
+def test_the_pages_show_what_is_printed(
+    stand: FakeKubectl, capsys: pytest.CaptureFixture[str], in_the_present: None
+) -> None:
     pages = "".join((REPOSITORY / page).read_text() for page in ("README.md", "docs/console.md"))
     shown = re.findall(r"```console\n\$ kubectl understudy (\w+) (.*?)\n(.*?)```", pages, re.DOTALL)
     assert [command for command, _, _ in shown] == ["status", "status", "timeline", "explain"]

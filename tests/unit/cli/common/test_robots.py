@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from tests.unit.cli.console import fleet
-from tests.unit.cli.console.fleet import said
+from tests.support import fleet
+from tests.support.fleet import said
 from understudy.cli.common.errors import CommandError
 from understudy.cli.common.robots import UNWATCHED, pool, robot
 

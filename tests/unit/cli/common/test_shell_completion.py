@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from scripts.generation import commands
-from tests.unit.cli.console import fleet
-from tests.unit.cli.console.kubectl import Stand
+from tests.support import fleet
+from tests.support.fake_kubectl import FakeKubectl
 from understudy.cli.common import shell_completion
 from understudy.cli.completion import command as completion
 from understudy.main import main
@@ -64,7 +64,7 @@ def answered_to_kubectl(*words: str) -> list[str]:
         ("understudy monitor --", []),
     ],
 )
-def test_verbs_options_and_names_are_completed(stand: Stand, tmp_path: Path, line: str, words: list[str]) -> None:
+def test_verbs_options_and_names_are_completed(stand: FakeKubectl, tmp_path: Path, line: str, words: list[str]) -> None:
     assert completed(line, tmp_path) == words
 
 
@@ -88,7 +88,7 @@ def test_every_verb_is_answered_by_its_own_parser(monkeypatch: pytest.MonkeyPatc
 
 
 def test_what_a_verb_reads_is_completed_from_the_folder(
-    stand: Stand, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    stand: FakeKubectl, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "policies").mkdir()
     (tmp_path / "policy.yaml").touch()
@@ -98,17 +98,17 @@ def test_what_a_verb_reads_is_completed_from_the_folder(
     assert answered_to_kubectl("simulate", "policy.yaml", "--bag", "polici") == ["policies/", ":6"]
 
 
-def test_names_are_those_of_the_namespace_that_the_line_says(stand: Stand, tmp_path: Path) -> None:
+def test_names_are_those_of_the_namespace_that_the_line_says(stand: FakeKubectl, tmp_path: Path) -> None:
     completed("understudy explain -n hall-2 --context lab robot", tmp_path)
     assert stand.asked[-1].startswith("--namespace=hall-2 --context=lab get robotworkloads.understudy.dev")
 
 
-def test_a_cluster_that_does_not_answer_completes_nothing(stand: Stand, tmp_path: Path) -> None:
+def test_a_cluster_that_does_not_answer_completes_nothing(stand: FakeKubectl, tmp_path: Path) -> None:
     stand.tell(fleet.fleet(), error="Unable to connect to the server")
     assert completed("understudy explain robot", tmp_path) == []
 
 
-def test_kubectl_is_answered_in_its_own_way(stand: Stand) -> None:
+def test_kubectl_is_answered_in_its_own_way(stand: FakeKubectl) -> None:
     assert answered_to_kubectl("explain", "robot-19") == ["robot-19-navigation", ":4"]
     assert answered_to_kubectl("check", "--str") == ["--strict", ":4"]
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from tests.unit.cli.console import fleet
-from tests.unit.cli.console.kubectl import Stand
+from tests.support import fleet
+from tests.support.fake_kubectl import FakeKubectl
 from understudy.api.kinds.robot_workload import Attempt, Moments, Recovery
 from understudy.api.kinds.switchover_spec import SwitchoverStatus, parse
 from understudy.cli.control import failback, failover, switchover_request
@@ -54,7 +54,7 @@ def quickly(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(switchover_request, "LOOK", 0.05)
 
 
-def test_it_asks_waits_and_tells_what_the_robot_saw(stand: Stand, capsys: pytest.CaptureFixture[str]) -> None:
+def test_it_asks_waits_and_tells_what_the_robot_saw(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
     stand.tell(
         [fleet.well()],
         then=[
@@ -79,7 +79,7 @@ def test_it_asks_waits_and_tells_what_the_robot_saw(stand: Stand, capsys: pytest
     assert (found[1], parse(found[2]).kind) == (NAME, "Failover")
 
 
-def test_where_it_comes_to_nothing_the_reason_is_told(stand: Stand, capsys: pytest.CaptureFixture[str]) -> None:
+def test_where_it_comes_to_nothing_the_reason_is_told(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
     reason = "It couldn't begin for 30 s, and nothing was changed: Fallback/Executing: w-2: no /cmd_vel."
     stand.tell([fleet.well()], then=[phase("Waiting", "w-2: no /cmd_vel."), phase("NotDone", reason)])
     assert failback.main([NAME]) == 1
@@ -88,7 +88,7 @@ def test_where_it_comes_to_nothing_the_reason_is_told(stand: Stand, capsys: pyte
 
 
 def test_where_the_robot_is_driven_from_home_already_it_is_done(
-    stand: Stand, capsys: pytest.CaptureFixture[str]
+    stand: FakeKubectl, capsys: pytest.CaptureFixture[str]
 ) -> None:
     stand.tell([fleet.well()], then=[phase("Done", "w-1 of the workload's own controller is in control already.")])
     assert failback.main([NAME]) == 0
@@ -96,7 +96,7 @@ def test_where_the_robot_is_driven_from_home_already_it_is_done(
 
 
 @pytest.mark.parametrize("given", ["0", "0s", "-3", "soon", "nan", "inf", ""])
-def test_how_long_it_waits_is_a_duration(stand: Stand, capsys: pytest.CaptureFixture[str], given: str) -> None:
+def test_how_long_it_waits_is_a_duration(stand: FakeKubectl, capsys: pytest.CaptureFixture[str], given: str) -> None:
     with pytest.raises(SystemExit) as ended:
         failover.main([NAME, f"--within={given}"])
     assert ended.value.code == 2
@@ -105,7 +105,7 @@ def test_how_long_it_waits_is_a_duration(stand: Stand, capsys: pytest.CaptureFix
 
 @pytest.mark.parametrize("given", ["0.3", "300ms"])
 def test_it_does_not_wait_for_ever_and_says_how_to_take_it_back(
-    stand: Stand, capsys: pytest.CaptureFixture[str], given: str
+    stand: FakeKubectl, capsys: pytest.CaptureFixture[str], given: str
 ) -> None:
     stand.tell([fleet.well()])
     assert failover.main([NAME, "--within", given]) == 2
@@ -114,7 +114,7 @@ def test_it_does_not_wait_for_ever_and_says_how_to_take_it_back(
     assert f"kubectl annotate robotworkload {NAME} understudy.dev/switchover-" in told
 
 
-def test_one_at_a_time(stand: Stand, capsys: pytest.CaptureFixture[str]) -> None:
+def test_one_at_a_time(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
     item = fleet.well()
     item["status"] |= phase("Preparing", "An understudy is being brought to where it can drive.")
     stand.tell([item])
@@ -123,7 +123,7 @@ def test_one_at_a_time(stand: Stand, capsys: pytest.CaptureFixture[str]) -> None
     assert not any("annotate" in line for line in stand.asked)
 
 
-def test_where_nobody_would_do_it_nothing_is_asked_for(stand: Stand, capsys: pytest.CaptureFixture[str]) -> None:
+def test_where_nobody_would_do_it_nothing_is_asked_for(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
     item = fleet.well()
     for condition in item["status"]["conditions"]:
         if condition["type"] == "Protected":
@@ -134,6 +134,6 @@ def test_where_nobody_would_do_it_nothing_is_asked_for(stand: Stand, capsys: pyt
     assert not any("annotate" in line for line in stand.asked)
 
 
-def test_one_that_is_not_there(stand: Stand, capsys: pytest.CaptureFixture[str]) -> None:
+def test_one_that_is_not_there(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
     assert failover.main(["robot-2"]) == 2
     assert "understudy failover: Error from server (NotFound)" in capsys.readouterr().err

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.unit.cli.console.kubectl import Stand
+from tests.support.fake_kubectl import FakeKubectl
 from understudy.cli.doctor import command as doctor
 from understudy.cli.inject import command as inject
 from understudy.cli.inspect import blackbox, timeline
@@ -37,7 +37,7 @@ MEANT = {
     ("fault", "option"), [(fault, option) for fault in TAKEN for option in OPTIONS if option not in TAKEN[fault]]
 )
 def test_an_option_of_another_fault_is_refused_even_with_the_value_that_it_has_anyway(
-    stand: Stand, capsys: pytest.CaptureFixture[str], fault: str, option: str
+    stand: FakeKubectl, capsys: pytest.CaptureFixture[str], fault: str, option: str
 ) -> None:
     with pytest.raises(SystemExit, match="2"):
         inject.main([ROBOT, fault, "--yes", option, OPTIONS[option]])
@@ -47,7 +47,7 @@ def test_an_option_of_another_fault_is_refused_even_with_the_value_that_it_has_a
 
 @pytest.mark.parametrize(("fault", "option"), [(fault, option) for fault in TAKEN for option in TAKEN[fault]])
 def test_an_option_of_the_fault_is_none_of_those(
-    stand: Stand, capsys: pytest.CaptureFixture[str], fault: str, option: str
+    stand: FakeKubectl, capsys: pytest.CaptureFixture[str], fault: str, option: str
 ) -> None:
     stand.tell([])
     assert inject.main([ROBOT, fault, "--yes", option, OPTIONS[option]]) == 2
@@ -91,7 +91,7 @@ def test_every_fault_is_among_those_that_were_tried() -> None:
     ],
 )
 def test_options_of_other_commands_that_exclude_each_other(
-    stand: Stand,
+    stand: FakeKubectl,
     capsys: pytest.CaptureFixture[str],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,

@@ -91,7 +91,7 @@ print(json.dumps(named[0] if len(named) == 1 else {{"kind": "List", "items": nam
 """
 
 
-class Stand:
+class FakeKubectl:
     """What it answers, and what it was asked."""
 
     def __init__(self, folder: Path) -> None:

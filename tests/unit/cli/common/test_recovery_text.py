@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.unit.cli.console import fleet
+from tests.support import fleet
 from understudy.api.kinds.robot_workload import Attempt, Moments, Recovery
 from understudy.cli.common.recovery_text import lines
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tests.unit.cli.console.states import leaf, state
+from tests.support.fake_monitor import leaf, state
 from understudy.cli.common.tree_text import Rates, lines
 
 

@@ -1,4 +1,4 @@
-"""``understudy fence``, ``inject`` and ``robot-profile``: what they write, what they refuse, and what they give out."""
+"""``understudy fence`` and ``robot-profile``: what they write, refuse and print."""
 
 from __future__ import annotations
 
@@ -11,13 +11,11 @@ from typing import Any
 import pytest
 import yaml
 
-from tests.unit.cli.console import fleet
-from tests.unit.cli.console.kubectl import Stand
+from tests.support import fleet
+from tests.support.fake_kubectl import FakeKubectl
 from understudy.api import names
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.cli.control import fence, robot_profile
-from understudy.cli.inject import command as inject
-from understudy.cli.inject import fault_commands
 from understudy.controller.desired import ros_environment
 from understudy.kube.gates import network_policy
 
@@ -42,7 +40,7 @@ def quickly(monkeypatch: pytest.MonkeyPatch) -> None:
 # -- fence ------------------------------------------------------------------------------------------------------------
 
 
-def test_the_gate_is_closed_and_kept_so_by_a_pause(stand: Stand, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_gate_is_closed_and_kept_so_by_a_pause(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
     item = heard(fleet.well())
     stand.tell(fleet.around(item))
     before = network_policy.read(stand.item(GATE))
@@ -62,14 +60,14 @@ def test_the_gate_is_closed_and_kept_so_by_a_pause(stand: Stand, capsys: pytest.
     assert "robotworkloads" in written[0], "a monitor that knows of no pause would open it again"
 
 
-def test_a_gate_that_is_closed_already_is_left_as_it_is(stand: Stand, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_gate_that_is_closed_already_is_left_as_it_is(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
     stand.tell(fleet.around(heard(fleet.well())))
     assert fence.main([ROBOT, *REASON, "--yes"]) == 0
     assert fence.main([ROBOT, *REASON, "--yes"]) == 0
     assert "gate closed at epoch 42 (shut out: nobody was in control)." in capsys.readouterr().out.splitlines()[2]
 
 
-def test_where_the_monitor_says_nothing_that_is_told(stand: Stand, capsys: pytest.CaptureFixture[str]) -> None:
+def test_where_the_monitor_says_nothing_that_is_told(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
     stand.tell(fleet.around(fleet.well()))
     assert fence.main([ROBOT, *REASON, "--yes"]) == 1
     assert network_policy.selected(stand.item(GATE)) == (), "it is closed all the same"
@@ -77,7 +75,7 @@ def test_where_the_monitor_says_nothing_that_is_told(stand: Stand, capsys: pytes
 
 
 @pytest.mark.parametrize("option", ["--reason", "--owner"])
-def test_who_fences_it_says_who_and_why(stand: Stand, capsys: pytest.CaptureFixture[str], option: str) -> None:
+def test_who_fences_it_says_who_and_why(stand: FakeKubectl, capsys: pytest.CaptureFixture[str], option: str) -> None:
     stand.tell(fleet.around(fleet.well()))
     assert fence.main([ROBOT, *REASON, option, " ", "--yes"]) == 2
     assert f"{option} is empty: whoever finds it fenced will want to know" in capsys.readouterr().err
@@ -94,7 +92,11 @@ class Terminal(io.StringIO):
     [(None, "say that it is meant with --yes"), ("n\n", "nothing was done"), ("\n", "nothing was done")],
 )
 def test_without_a_yes_nothing_is_written(
-    stand: Stand, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, typed: str | None, words: str
+    stand: FakeKubectl,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    typed: str | None,
+    words: str,
 ) -> None:
     stand.tell(fleet.around(heard(fleet.well())))
     monkeypatch.setattr("sys.stdin", io.StringIO() if typed is None else Terminal(typed))
@@ -103,81 +105,16 @@ def test_without_a_yes_nothing_is_written(
     assert not any(line.startswith("patch ") for line in stand.asked)
 
 
-def test_a_yes_in_a_terminal_is_enough(stand: Stand, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_yes_in_a_terminal_is_enough(stand: FakeKubectl, monkeypatch: pytest.MonkeyPatch) -> None:
     stand.tell(fleet.around(heard(fleet.well())))
     monkeypatch.setattr("sys.stdin", Terminal("yes\n"))
     assert fence.main([ROBOT, *REASON]) == 0
 
 
-def test_where_there_is_no_gate_that_is_told(stand: Stand, capsys: pytest.CaptureFixture[str]) -> None:
+def test_where_there_is_no_gate_that_is_told(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
     stand.tell([fleet.well()])
     assert fence.main([ROBOT, *REASON, "--yes"]) == 2
     assert f"NetworkPolicy {GATE} isn't there, so nobody is let through: understudy explain" in capsys.readouterr().err
-
-
-# -- inject -----------------------------------------------------------------------------------------------------------
-
-
-def namespace(**labels: str) -> dict[str, Any]:
-    return {"kind": "Namespace", "metadata": {"name": "fleet", "labels": labels}}
-
-
-@pytest.mark.parametrize("labels", [{}, {inject.ALLOWED: "false"}])
-def test_failures_are_made_only_where_the_namespace_allows_it(
-    stand: Stand, capsys: pytest.CaptureFixture[str], labels: dict[str, str]
-) -> None:
-    stand.tell([fleet.well(), namespace(**labels)])
-    assert inject.main([ROBOT, "kill", "--yes"]) == 2
-    assert "kubectl label namespace fleet understudy.dev/allow-inject=true" in capsys.readouterr().err
-    assert not any(line.startswith("delete ") for line in stand.asked)
-
-
-def test_the_pod_in_control_is_killed(stand: Stand, capsys: pytest.CaptureFixture[str]) -> None:
-    item = fleet.well()
-    stand.tell([item, namespace(**{inject.ALLOWED: "true"})])
-    assert inject.main([ROBOT, "kill", "--yes"]) == 0
-    assert any(f"delete pod {item['status']['active']} --grace-period=0 --force" in line for line in stand.asked)
-    assert f"understudy timeline -n fleet {ROBOT}" in capsys.readouterr().out
-
-
-def test_a_freeze_is_ended_by_the_container_itself(stand: Stand, capsys: pytest.CaptureFixture[str]) -> None:
-    item = fleet.well()
-    stand.tell([*fleet.around(item), namespace(**{inject.ALLOWED: "true"})])
-    assert inject.main([ROBOT, "freeze", "--for", "50ms", "--yes"]) == 0
-    asked = "\n".join(stand.asked)
-    assert f"exec {item['status']['active']} -c app -- sh -c {fault_commands.FREEZE_AND_SLOW.splitlines()[0]}" in asked
-    assert " sh 1 0.05 0\n" in f"{asked}\n"
-
-
-@pytest.mark.parametrize(
-    ("more", "words"),
-    [
-        (["--for", "soon"], '--for "soon": write a duration'),
-        (["--for", "11m"], "600 s at most"),
-        (["--for", "0s"], "longer than nothing"),
-    ],
-)
-def test_how_long_must_be_said(stand: Stand, capsys: pytest.CaptureFixture[str], more: list[str], words: str) -> None:
-    assert inject.main([ROBOT, "freeze", "--yes", *more]) == 2
-    assert words in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("given", ["0", "100", "-1", "half", "50%"])
-def test_a_share_that_is_none_is_refused_in_a_line(capsys: pytest.CaptureFixture[str], given: str) -> None:
-    with pytest.raises(SystemExit) as ended:
-        inject.main([ROBOT, "slow", "--yes", f"--percent={given}"])
-    assert ended.value.code == 2
-    told = capsys.readouterr().err.splitlines()[-1]
-    assert told.endswith(
-        f"argument --percent: {given!r}: give a whole number from 1 to 99; what stands still all the time is a freeze"
-    )
-
-
-@pytest.mark.parametrize(("length", "percent"), [(10.0, 80), (0.1, 50), (3.0, 99), (2.0, 100)])
-def test_a_slow_application_is_stopped_for_its_share_of_the_time(length: float, percent: int) -> None:
-    count, stopped, running = fault_commands.cycles(length, percent)
-    assert count * (stopped + running) == pytest.approx(length)
-    assert count * stopped == pytest.approx(length * percent / 100)
 
 
 # -- robot-profile ----------------------------------------------------------------------------------------------------
@@ -190,7 +127,7 @@ def given_out(item: dict[str, Any]) -> list[dict[str, Any]]:
     return [item, *maps]
 
 
-def test_both_files_are_given_out_with_where_they_go(stand: Stand, capsys: pytest.CaptureFixture[str]) -> None:
+def test_both_files_are_given_out_with_where_they_go(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
     stand.tell(given_out(fleet.well()))
     assert robot_profile.main([ROBOT, "--at", "/opt/robot/"]) == 0
     told = capsys.readouterr().out
@@ -205,7 +142,7 @@ def test_both_files_are_given_out_with_where_they_go(stand: Stand, capsys: pytes
 
 
 def test_files_can_be_had_one_by_one_or_written(
-    stand: Stand, capsys: pytest.CaptureFixture[str], tmp_path: Path
+    stand: FakeKubectl, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     stand.tell(given_out(fleet.well()))
     assert robot_profile.main([ROBOT, "-o", "env"]) == 0
@@ -223,7 +160,9 @@ def test_files_can_be_had_one_by_one_or_written(
         assert yaml.safe_load(capsys.readouterr().out)["ports"] == {"/cmd_vel": 7950}
 
 
-def test_a_robot_with_an_address_and_a_server_of_its_own(stand: Stand, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_robot_with_an_address_and_a_server_of_its_own(
+    stand: FakeKubectl, capsys: pytest.CaptureFixture[str]
+) -> None:
     item = fleet.well()
     item["spec"] |= {
         "gate": {"robots": ["10.20.17.4/32"]},
@@ -237,7 +176,7 @@ def test_a_robot_with_an_address_and_a_server_of_its_own(stand: Stand, capsys: p
 
 
 def test_before_the_operator_has_written_anything_there_is_nothing(
-    stand: Stand, capsys: pytest.CaptureFixture[str]
+    stand: FakeKubectl, capsys: pytest.CaptureFixture[str]
 ) -> None:
     stand.tell([fleet.well()])
     assert robot_profile.main([ROBOT]) == 2
@@ -247,7 +186,7 @@ def test_before_the_operator_has_written_anything_there_is_nothing(
 
 
 def test_the_page_shows_what_is_said_of_a_robot_outside_the_cluster(
-    stand: Stand, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    stand: FakeKubectl, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     page = (Path(__file__).parents[4] / "docs/how-to/robot-outside-the-cluster.md").read_text()
     (manifest,) = re.findall(r"```yaml\n(.*?)```", page, re.DOTALL)

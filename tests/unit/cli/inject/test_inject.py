@@ -1,0 +1,78 @@
+"""``understudy inject``: where it is allowed, and what it runs for each fault."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from tests.support import fleet
+from tests.support.fake_kubectl import FakeKubectl
+from understudy.cli.inject import command as inject
+from understudy.cli.inject import fault_commands
+
+ROBOT = "robot-17-navigation"
+
+
+def namespace(**labels: str) -> dict[str, Any]:
+    return {"kind": "Namespace", "metadata": {"name": "fleet", "labels": labels}}
+
+
+@pytest.mark.parametrize("labels", [{}, {inject.ALLOWED: "false"}])
+def test_failures_are_made_only_where_the_namespace_allows_it(
+    stand: FakeKubectl, capsys: pytest.CaptureFixture[str], labels: dict[str, str]
+) -> None:
+    stand.tell([fleet.well(), namespace(**labels)])
+    assert inject.main([ROBOT, "kill", "--yes"]) == 2
+    assert "kubectl label namespace fleet understudy.dev/allow-inject=true" in capsys.readouterr().err
+    assert not any(line.startswith("delete ") for line in stand.asked)
+
+
+def test_the_pod_in_control_is_killed(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
+    item = fleet.well()
+    stand.tell([item, namespace(**{inject.ALLOWED: "true"})])
+    assert inject.main([ROBOT, "kill", "--yes"]) == 0
+    assert any(f"delete pod {item['status']['active']} --grace-period=0 --force" in line for line in stand.asked)
+    assert f"understudy timeline -n fleet {ROBOT}" in capsys.readouterr().out
+
+
+def test_a_freeze_is_ended_by_the_container_itself(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
+    item = fleet.well()
+    stand.tell([*fleet.around(item), namespace(**{inject.ALLOWED: "true"})])
+    assert inject.main([ROBOT, "freeze", "--for", "50ms", "--yes"]) == 0
+    asked = "\n".join(stand.asked)
+    assert f"exec {item['status']['active']} -c app -- sh -c {fault_commands.FREEZE_AND_SLOW.splitlines()[0]}" in asked
+    assert " sh 1 0.05 0\n" in f"{asked}\n"
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        (["--for", "soon"], '--for "soon": write a duration'),
+        (["--for", "11m"], "600 s at most"),
+        (["--for", "0s"], "longer than nothing"),
+    ],
+)
+def test_how_long_must_be_said(
+    stand: FakeKubectl, capsys: pytest.CaptureFixture[str], more: list[str], words: str
+) -> None:
+    assert inject.main([ROBOT, "freeze", "--yes", *more]) == 2
+    assert words in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("given", ["0", "100", "-1", "half", "50%"])
+def test_a_share_that_is_none_is_refused_in_a_line(capsys: pytest.CaptureFixture[str], given: str) -> None:
+    with pytest.raises(SystemExit) as ended:
+        inject.main([ROBOT, "slow", "--yes", f"--percent={given}"])
+    assert ended.value.code == 2
+    told = capsys.readouterr().err.splitlines()[-1]
+    assert told.endswith(
+        f"argument --percent: {given!r}: give a whole number from 1 to 99; what stands still all the time is a freeze"
+    )
+
+
+@pytest.mark.parametrize(("length", "percent"), [(10.0, 80), (0.1, 50), (3.0, 99), (2.0, 100)])
+def test_a_slow_application_is_stopped_for_its_share_of_the_time(length: float, percent: int) -> None:
+    count, stopped, running = fault_commands.cycles(length, percent)
+    assert count * (stopped + running) == pytest.approx(length)
+    assert count * stopped == pytest.approx(length * percent / 100)
