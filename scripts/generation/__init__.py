@@ -8,7 +8,7 @@ from typing import Any
 
 import yaml
 
-from scripts.generation import commands, diagrams, leaves, metrics, reference, scenarios, values
+from scripts.generation import commands, diagrams, leaves, metrics, precedence, reference, scenarios, values
 from understudy.api.schema.definitions import definitions
 
 CHART = Path("charts/understudy")
@@ -16,6 +16,7 @@ REFERENCE = Path("docs/reference")
 IMAGES = Path("docs/images")
 SCENARIOS = Path("docs/trees-osc.md")
 PROCEDURES = Path("docs/procedures.md")
+LIMITS = Path("docs/limits.md")
 TREES = Path("docs/trees.md")
 LIBRARY = Path("operator/understudy/trees/languages/osc/lib_osc/understudy.osc")
 
@@ -64,5 +65,8 @@ def outputs(root: Path) -> dict[Path, str]:
     )
     result[PROCEDURES] = values.between_markers(
         (root / PROCEDURES).read_text(), scenarios.languages(), scenarios.PROCEDURES_BEGIN, scenarios.PROCEDURES_END
+    )
+    result[LIMITS] = values.between_markers(
+        (root / LIMITS).read_text(), precedence.table(), precedence.BEGIN, precedence.END
     )
     return result

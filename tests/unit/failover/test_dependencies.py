@@ -15,7 +15,7 @@ from understudy.api.protocol.monitor_settings import Upstream
 from understudy.failover.bring_up import BringUp
 from understudy.failover.dependency import Due, Held, Outage, Recovered, Seen, due, held, outage
 from understudy.failover.interfaces import GateState
-from understudy.failover.limits.escalation import Escalation
+from understudy.failover.limits.escalation import Takeover, first_strategy
 from understudy.failover.progress import PodIdentity, Progress, rfc3339
 from understudy.failover.protocol import Choice, recover
 from understudy.failover.strategies import Reinitialize, Restart, Strategy
@@ -339,9 +339,7 @@ class TestBringingUpAgain:
         done = Progress.begin("localization was recovered", last_healthy=NOW, detected=NOW)
         done.follows, done.result = [DependencyRecovery(name="localization", recovery="r1")], "Recovered"
         done.target, done.moments["verified"] = PodIdentity(name="w-1", uid="uid-w-1"), NOW
-        escalation = Escalation()
-        escalation.note(done)
-        assert escalation.first("uid-w-1", NOW + 0.5, 2, healthy_delay=2.0) == 0
+        assert first_strategy(Takeover.of(done), "uid-w-1", NOW + 0.5, 2, healthy_delay=2.0) == 0
 
 
 def test_it_survives_being_written_down() -> None:

@@ -1,4 +1,4 @@
-"""Applications that end again and again: another strategy's turn comes, early, and after all of them a pause."""
+"""Crash-looping applications: another strategy is tried, early, and after the last one comes a backoff."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 from tests.unit.failover.test_failover import VERIFY_WITHIN, failure, protected
 from tests.unit.failover.world import Store, World
-from understudy.failover.limits.escalation import Escalation
+from understudy.failover.limits.escalation import Takeover, first_strategy
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.failover.protocol import Choice, recover
 from understudy.failover.strategies import Restart, UninitializedFallback
@@ -27,42 +27,40 @@ def recovered(index: int, *, uid: str = "uid-2", at: float = 100.0) -> Progress:
     return progress
 
 
-def test_an_instance_that_fails_as_soon_as_it_is_in_control_has_the_next_strategy_tried() -> None:
-    escalation = Escalation()
-    escalation.note(recovered(0))
-    assert escalation.first("uid-2", 100.0 + DELAY / 2, 2, healthy_delay=DELAY) == 1
-
-
-def test_after_the_last_strategy_comes_a_pause_and_then_the_first() -> None:
-    escalation = Escalation()
-    escalation.note(recovered(1))
-    assert escalation.first("uid-2", 101.0, 2, healthy_delay=DELAY) is None
-    assert escalation.first("uid-2", 103.0, 2, healthy_delay=DELAY) == 0
-
-
-@pytest.mark.parametrize(("uid", "onset"), [("uid-2", 100.0 + DELAY), ("uid-3", 101.0)])
-def test_one_that_has_worked_and_another_one_have_the_first_strategy_tried(uid: str, onset: float) -> None:
-    escalation = Escalation()
-    escalation.note(recovered(0))
-    assert escalation.first(uid, onset, 2, healthy_delay=DELAY) == 0
+@pytest.mark.parametrize(
+    ("index", "uid", "onset", "expected"),
+    [
+        (0, "uid-2", 100.0 + DELAY / 2, 1),
+        (1, "uid-2", 101.0, None),
+        (0, "uid-2", 100.0 + DELAY, 0),
+        (0, "uid-3", 101.0, 0),
+    ],
+    ids=["the next strategy", "none after the last one", "it has worked", "another instance"],
+)
+def test_an_instance_that_fails_as_soon_as_it_is_active_has_the_next_strategy_tried(
+    index: int, uid: str, onset: float, expected: int | None
+) -> None:
+    latest = Takeover.of(recovered(index))
+    assert first_strategy(latest, uid, onset, 2, healthy_delay=DELAY) == expected
 
 
 def test_a_recovery_that_failed_is_no_reason_to_skip_a_strategy() -> None:
-    escalation = Escalation()
-    escalation.note(recovered(0).model_copy(update={"result": "Failed"}))
-    assert escalation.first("uid-2", 101.0, 2, healthy_delay=DELAY) == 0
+    latest = Takeover.of(recovered(0).model_copy(update={"result": "Failed"}))
+    assert latest is None
+    assert first_strategy(latest, "uid-2", 101.0, 2, healthy_delay=DELAY) == 0
 
 
-def test_one_that_flaps_has_every_strategy_tried_in_turn_until_it_was_healthy_for_long_enough() -> None:
-    escalation, delay = Escalation(), 60.0
-    escalation.note(recovered(0, uid="uid-2", at=100.0))
-    assert escalation.lived("uid-2", 130.0) == 30.0
-    assert escalation.lived("uid-3", 130.0) is None
-    assert escalation.first("uid-2", 130.0, 3, healthy_delay=delay) == 1
-    escalation.note(recovered(1, uid="uid-3", at=140.0))
-    assert escalation.first("uid-3", 199.9, 3, healthy_delay=delay) == 2
-    escalation.note(recovered(2, uid="uid-4", at=210.0))
-    assert escalation.first("uid-4", 210.0 + delay, 3, healthy_delay=delay) == 0, "that one has worked"
+def test_a_flapping_application_has_every_strategy_tried_in_turn_until_it_was_healthy_for_long_enough() -> None:
+    delay = 60.0
+    latest = Takeover.of(recovered(0, uid="uid-2", at=100.0))
+    assert latest is not None
+    assert latest.lived("uid-2", 130.0) == 30.0
+    assert latest.lived("uid-3", 130.0) is None
+    assert first_strategy(latest, "uid-2", 130.0, 3, healthy_delay=delay) == 1
+    latest = Takeover.of(recovered(1, uid="uid-3", at=140.0))
+    assert first_strategy(latest, "uid-3", 199.9, 3, healthy_delay=delay) == 2
+    latest = Takeover.of(recovered(2, uid="uid-4", at=210.0))
+    assert first_strategy(latest, "uid-4", 210.0 + delay, 3, healthy_delay=delay) == 0, "that one has worked"
 
 
 def crash_looping(name: str, store: Store) -> None:

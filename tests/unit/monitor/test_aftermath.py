@@ -10,6 +10,7 @@ import pytest
 from tests.unit.monitor.test_trying_again import Told, policy, took_over
 from understudy.api.kinds.robot_workload import Recovery
 from understudy.failover.interfaces import GateState, Superseded
+from understudy.failover.limits.backoff import FIRST as BACKOFF_FIRST
 from understudy.failover.progress import Progress
 from understudy.monitor.act import recovery_outcome
 from understudy.monitor.act.recovery_outcome import Aftermath
@@ -17,7 +18,6 @@ from understudy.monitor.act.safe_commands import Unattended
 from understudy.monitor.decide import retry_backoff
 from understudy.monitor.decide.deferred_failures import Postponing
 from understudy.monitor.decide.limits import Limits
-from understudy.monitor.decide.retry_backoff import BACKOFF_FIRST
 from understudy.monitor.judge import failure_detection
 from understudy.monitor.judge.failure_detection import Detector
 

@@ -425,7 +425,7 @@ class TestInTheMonitorsLoop:
         failure, _ = await supervising(Held(None, due), "Starting", active())._look(POLICY, time.time())
         assert failure is None
         watching = supervising(Held(None, due), "Healthy", active())
-        watching._limits.retries.not_before = time.time() + 10
+        watching._limits.retries.after(10.0)
         failure, _ = await watching._look(POLICY, time.time())
         assert failure is None
 

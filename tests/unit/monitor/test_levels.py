@@ -16,6 +16,8 @@ from understudy.api.conditions import Condition, condition
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.pause_spec import Pause
 from understudy.failover.interfaces import GateState, Instance
+from understudy.failover.limits import pause
+from understudy.failover.limits.state import InForce, LimitsInForce
 from understudy.monitor.decide import strategy_options
 from understudy.monitor.decide.planned_triggers import Occasions
 from understudy.monitor.judge import degradation_level
@@ -413,13 +415,14 @@ def test_a_hand_over_is_begun_like_a_failure_once_the_first_strategy_is_there_an
     planned: bool,
 ) -> None:
     waits: list[str] = []
-    limits = SimpleNamespace(
-        retries=SimpleNamespace(not_before=not_before),
-        pauses=SimpleNamespace(on=paused),
-        spending=SimpleNamespace(spent_until=lambda now: spent),
-        storms=SimpleNamespace(on=lambda now: storm),
-    )
     now = time.time()
+    in_force = LimitsInForce(
+        pause=pause.in_force(paused, now),
+        waiting=InForce(until=not_before) if not_before else None,
+        storm=InForce(storm) if storm else None,
+        budget=InForce(until=spent) if spent else None,
+    )
+    limits = SimpleNamespace(in_force=lambda now: in_force, storms=SimpleNamespace(on=lambda now: in_force.storm))
     found = occasions(monkeypatch, waits, due, limits, outlook=lambda means: available).hand_over(ACTIVE, now)
     assert (found is not None) == planned
     if found is not None:

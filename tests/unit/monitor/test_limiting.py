@@ -262,7 +262,8 @@ def test_a_failure_in_a_pause_is_told_once_and_nothing_is_done(world: World) -> 
     for _ in range(2):
         assert world.watching._counted(Failure("no /cmd_vel", now - 1, now), now) is None
     told = [message for kind, reason, message in world.told.events if reason == "RecoveryPostponed"]
-    assert told == ["no /cmd_vel; nothing is done about it: it is paused by ann: a new gripper"]
+    assert len(told) == 1
+    assert PAUSE.words in told[0]
     assert world.told.fields["health"] == "Failed"
     world.watching._unattended.nothing_verified(now)
     assert world.watching._waited_since() is None, "no safe command: somebody may have hands on it"

@@ -11,6 +11,7 @@ import pytest
 
 from tests.unit.controller import world
 from tests.unit.interleavings import simulation
+from understudy.failover.limits.state import InForce
 from understudy.failover.progress import Progress
 from understudy.kube.client import Object
 from understudy.monitor.act.held_recovery import Holding
@@ -37,9 +38,9 @@ def test_robots_whose_failures_are_held_are_driven_in_the_end(
         await hold(self, progress)
         held.append(progress.reason)
 
-    def storm(self: Storms, now: float) -> str | None:
+    def storm(self: Storms, now: float) -> InForce | None:
         if (said := on(self, now)) is not None:
-            held.append(said)
+            held.append(said.words)
         return said
 
     monkeypatch.setattr(world, "policy", policy)

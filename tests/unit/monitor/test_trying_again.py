@@ -9,9 +9,11 @@ import pytest
 
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.robot_workload import Attempt, Recovery
+from understudy.failover.limits.backoff import FIRST as BACKOFF_FIRST
+from understudy.failover.limits.backoff import MOST as BACKOFF_MOST
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.monitor.decide import retry_backoff
-from understudy.monitor.decide.retry_backoff import BACKOFF_FIRST, BACKOFF_MOST, Retries
+from understudy.monitor.decide.retry_backoff import Retries
 from understudy.monitor.report.reporter import describe, in_vain
 
 FAILURE = "no /cmd_vel for 500 ms"
@@ -148,10 +150,10 @@ def test_after_every_strategys_instance_failed_at_once_there_is_a_pause_that_is_
     world.retries.note(took_over(1, now))
     assert world.retries.first(FAILURE, now + 1, "uid-1") is None
     status, reason, message = world.told.conditions["Recovering"]
-    assert (status, reason) == ("False", "EndsAgainAndAgain")
+    assert (status, reason) == ("False", "CrashLooping")
     assert f"{FAILURE}, as soon as it was in control" in message
     assert f"again in {BACKOFF_FIRST:g} s" in message
-    assert ("Warning", "EndsAgainAndAgain") in [(kind, reason) for kind, reason, _ in world.told.events]
+    assert ("Warning", "CrashLooping") in [(kind, reason) for kind, reason, _ in world.told.events]
     assert world.waits() == BACKOFF_FIRST
     assert world.retries.first(FAILURE, now + 1, "uid-1") == 0, "and then the first one is tried again"
 

@@ -1,34 +1,43 @@
-"""How many recoveries may begin in a window of time that moves on; pure. Times are unix seconds.
+"""How many recoveries may begin in a moving window of time (limits.budget); pure. Times are unix seconds.
 
-A recovery that is verified and soon followed by the next, again and again, helps nobody: it uses up the pools that others share, and
-what is wrong needs a person.
+A recovery that verifies and is soon followed by the next one, again and again, helps nobody: it uses up pools that other robots share, and
+a person has to find the cause.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
+from understudy.api.kinds.failure_policy import Budget
+from understudy.api.kinds.pause_spec import in_words
+from understudy.failover.limits.state import InForce
+
+CLOCKS_DIFFER = 60.0
+"""Seconds by which the clock of the person who resumes may be ahead of the monitor's clock."""
+
 
 def left(spent: Sequence[float], now: float, *, recoveries: int, within: float) -> int:
-    """How many may begin now, given when the others did."""
+    """Return how many recoveries may begin now, given when the others began."""
     return max(0, recoveries - sum(moment > now - within for moment in spent))
 
 
 def free_from(spent: Sequence[float], *, recoveries: int, within: float) -> float:
-    """When the next one may begin: a time that is over where it may now."""
+    """Return when the next recovery may begin; a time in the past if it may begin now."""
     latest = sorted(spent)[-recoveries:]
     return latest[0] + within if len(latest) == recoveries else 0.0
 
 
 def counted(spent: Sequence[float], resumed: float | None, now: float) -> list[float]:
-    """Those that count: not what somebody has looked at since, who then said to go on.
+    """Return the recoveries that count: those that began after somebody last asked to resume.
 
-    A word of the future is none. It would take all that is to come out of the count.
+    A request from the future is ignored. Otherwise no later recovery would count.
     """
     if resumed is None or resumed > now + CLOCKS_DIFFER:
         return list(spent)
     return [moment for moment in spent if moment > resumed]
 
 
-CLOCKS_DIFFER = 60.0
-"""Seconds that the clock of who says to go on may be ahead of the monitor's."""
+def in_force(budget: Budget, spent: Sequence[float], resumed: float | None, now: float) -> InForce | None:
+    """Return the budget if it is spent: what it allows, and when the next recovery may begin."""
+    free = free_from(counted(spent, resumed, now), recoveries=budget.recoveries, within=budget.length)
+    return InForce(f"{budget.words} were made, the next may begin at {in_words(free)}", free) if now < free else None

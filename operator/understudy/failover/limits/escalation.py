@@ -1,7 +1,7 @@
-"""With which strategy a recovery begins: not again with the one whose instance failed as soon as it was in control.
+"""Which strategy a recovery starts with: not with the one whose instance failed as soon as it was active; pure.
 
-An application that crashes right after its start may be seen to drive for a moment. Each recovery by the same strategy
-would then be verified, and the robot never be driven for long. How long is long enough the policy says (limits.healthyDelay).
+An application that crashes right after its start may still be seen to drive for a moment. Each recovery with the same strategy
+would then verify, and the robot would never be driven for long. limits.healthyDelay says how long is long enough. Times are unix seconds.
 """
 
 from __future__ import annotations
@@ -12,37 +12,34 @@ from understudy.failover.progress import Progress
 
 
 @dataclass(frozen=True)
-class _Latest:
+class Takeover:
+    """The instance that took over last."""
+
     uid: str
     index: int
+    """The strategy that activated it."""
     verified: float
 
-
-class Escalation:
-    """Remembers the instance that took over last."""
-
-    def __init__(self) -> None:
-        self._latest: _Latest | None = None
-
-    def note(self, done: Progress) -> None:
-        """A recovery is over."""
-        self._latest = None
-        if done.result == "Recovered" and done.target is not None and done.taken_over is None and not done.follows:
-            self._latest = _Latest(done.target.uid, done.index, done.moments.get("verified", done.cursor))
+    @classmethod
+    def of(cls, done: Progress) -> Takeover | None:
+        """Return the takeover of a finished recovery; None if it does not count against a strategy."""
+        if done.result != "Recovered" or done.target is None or done.taken_over is not None or done.follows:
+            return None
+        return cls(done.target.uid, done.index, done.moments.get("verified", done.cursor))
 
     def lived(self, uid: str, until: float) -> float | None:
-        """Seconds for which an instance had been in control at a time (unix seconds); None where it isn't the one that took over
-        last.
-        """
-        return until - self._latest.verified if self._latest is not None and self._latest.uid == uid else None
+        """Return for how many seconds the instance had been active at a time; None for any other instance."""
+        return until - self.verified if self.uid == uid else None
 
-    def first(self, failed_uid: str, onset: float, strategies: int, *, healthy_delay: float) -> int | None:
-        """Index of the strategy to begin with, of so many, after an instance has failed at a time (unix seconds).
 
-        One that has been in control for less than ``healthy_delay`` seconds never worked. None where it was brought by the last of
-        them: then it's time for a pause, and after that for the first one.
-        """
-        latest, self._latest = self._latest, None
-        if latest is None or latest.uid != failed_uid or onset - latest.verified >= healthy_delay:
-            return 0
-        return latest.index + 1 if latest.index + 1 < strategies else None
+def first_strategy(
+    latest: Takeover | None, failed_uid: str, onset: float, strategies: int, *, healthy_delay: float
+) -> int | None:
+    """Return the index of the strategy to start with after an instance failed.
+
+    An instance that was active for less than ``healthy_delay`` seconds never worked: the next strategy is used. None if the last
+    strategy activated it: then a backoff comes first, and after that the first strategy.
+    """
+    if latest is None or latest.uid != failed_uid or onset - latest.verified >= healthy_delay:
+        return 0
+    return latest.index + 1 if latest.index + 1 < strategies else None

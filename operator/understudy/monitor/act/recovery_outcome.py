@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import time
 
-from understudy.api.base import seconds
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.robot_workload import GateStatus, Recovery
 from understudy.failover.interfaces import Gate, Superseded
@@ -16,7 +15,6 @@ from understudy.monitor.act.safe_commands import Unattended
 from understudy.monitor.act.state_keeping import StateKeeping
 from understudy.monitor.decide.deferred_failures import Postponing
 from understudy.monitor.decide.limits import Limits
-from understudy.monitor.decide.retry_backoff import BACKOFF_FIRST
 from understudy.monitor.judge.failure_detection import Detector
 from understudy.monitor.observe.dependencies import Dependencies
 from understudy.monitor.report.reporter import Reporter, describe, in_vain, switched
@@ -60,7 +58,7 @@ class Aftermath:
         self._reporter.condition("Recovering", "False", "Error", f"{progress.reason}: {error}")
         self._reporter.event("Warning", "RecoveryError", f"{progress.reason}: {error}")
         self._begin_anew()
-        self._limits.retries.after(BACKOFF_FIRST)
+        self._limits.retries.after_error()
 
     def recovered(self, done: Progress, policy: FailurePolicySpec) -> None:
         """A recovery is over, whether or not a strategy was verified."""
@@ -80,7 +78,7 @@ class Aftermath:
                 self._reporter.event("Warning", "StrategyNotVerified", f"{words}. The next strategy took over.")
             self._reporter.set(health="Healthy")
             self._begin_anew(done)
-            self._limits.retries.after(0.0 if policy.priority == "Safety" else seconds(policy.limits.cooldown))
+            self._limits.retries.after_recovery(policy)
         else:
             self._unattended.nothing_verified(time.time())
             self._reporter.set(health="Failed")

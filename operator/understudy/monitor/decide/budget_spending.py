@@ -11,6 +11,7 @@ from understudy.api import names
 from understudy.api.kinds.failure_policy import Budget
 from understudy.api.kinds.pause_spec import in_words, unix
 from understudy.failover.limits import budget as budgets
+from understudy.failover.limits.state import InForce
 from understudy.failover.progress import Progress
 from understudy.monitor.observe.cluster_view import View
 from understudy.monitor.report import monitor_metrics
@@ -48,12 +49,16 @@ class Spending:
             self._reporter.spend([*self._counted(now), done.began][-budget.recoveries :])
             self.say(now)
 
-    def spent_until(self, now: float) -> float | None:
-        """Until when no recovery may begin; None where one may."""
+    def in_force(self, now: float) -> InForce | None:
+        """Return the budget if it is spent."""
         if (budget := self._budget) is None:
             return None
-        free = budgets.free_from(self._counted(now), recoveries=budget.recoveries, within=budget.length)
-        return free if now < free else None
+        return budgets.in_force(budget, self._reporter.spent, self.resumed, now)
+
+    def spent_until(self, now: float) -> float | None:
+        """Return until when no recovery may begin; None if one may."""
+        found = self.in_force(now)
+        return found.until if found is not None else None
 
     def say(self, now: float) -> None:
         """Say how it stands; nothing where the policy has no budget."""

@@ -1,9 +1,10 @@
-"""What has failed and isn't acted on yet: in a pause, in a storm, and for a while after the last recovery. It is told, once."""
+"""Applies the limits to a failure: it is recovered now, or it is deferred and reported once."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
+from understudy.failover.decide import Defer, Facts, Occurrence, Trigger, decide
 from understudy.monitor.decide.limits import Limits
 from understudy.monitor.decide.strategy_options import Repertoire
 from understudy.monitor.judge.failure_detection import Failure
@@ -12,47 +13,44 @@ from understudy.monitor.report.reporter import Reporter
 
 
 class Postponing:
-    """Puts off the failures of one workload. Times are unix seconds."""
+    """The deferred failures of one workload. Times are unix seconds."""
 
     def __init__(self, reporter: Reporter, limits: Limits, repertoire: Repertoire) -> None:
         self._reporter, self._limits, self._repertoire = reporter, limits, repertoire
-        self._told = ""
-        """What puts off the present failure, once that was told."""
+        self._reported = ""
+        """The reason that was reported for deferring the present failure."""
 
     def begin_anew(self) -> None:
-        """What fails from now on is another failure."""
-        self._told = ""
+        """Note that the next failure is a new one."""
+        self._reported = ""
 
     def healthy(self) -> None:
-        """The instance in control is healthy: one that fails in the same pause is told of again."""
-        self._told = "" if self._told == "Paused" else self._told
+        """Note that the active instance is healthy: a failure later in the same pause is reported again."""
+        self._reported = "" if self._reported == "Paused" else self._reported
 
     def told_to_wait(self) -> None:
-        """That the present failure waits was told already."""
-        self._told = "Waiting"
+        """Note that the wait of the present failure was reported already."""
+        self._reported = "Waiting"
 
     def admit(self, failure: Failure, now: float) -> Failure | None:
-        """The failure, unless the limits say not now."""
-        if (pause := self._limits.pauses.on) is not None:
-            self._postpone("Paused", failure, f"nothing is done about it: it is {pause.words}")
+        """Return the failure if it is to be recovered now; None if a limit defers it."""
+        limits = self._limits.in_force(now)
+        ready = limits.storm is not None and self._repertoire.stands_by()
+        decision = decide(Facts(now, (Occurrence(Trigger.HEALTH_FAILED, failure.reason),), limits, standby_ready=ready))
+        if isinstance(decision, Defer):
+            self._defer(decision, failure)
             return None
-        if now < self._limits.retries.not_before:
-            self._postpone("Waiting", failure, f"tried again in {self._limits.retries.not_before - now:.0f} s")
-            return None
-        if (storm := self._limits.storms.on(now)) is not None and not self._repertoire.stands_by():
-            self._postpone("Storm", failure, f"it waits, since others fail too: {storm}")
-            return None
-        self._told = ""
-        # What it went without in the pause was nobody's failure.
+        self._reported = ""
+        # Outputs that were missing during a pause are not a failure.
         return replace(failure, onset=max(failure.onset, min(self._limits.pauses.ended, failure.detected)))
 
-    def _postpone(self, why: str, failure: Failure, then: str) -> None:
-        """Say why nothing is done yet, once."""
-        if self._told != why:
-            self._told = why
-            text = f"{failure.reason}; {then}"
-            monitor_metrics.held(why)
-            # Of a pod that is gone no tree says so.
+    def _defer(self, decision: Defer, failure: Failure) -> None:
+        """Report why the failure is deferred, once."""
+        if self._reported != decision.reason:
+            self._reported = decision.reason
+            text = f"{failure.reason}; {decision.message}"
+            monitor_metrics.held(decision.reason)
+            # If the pod is gone, the health tree does not report the failure.
             self._reporter.condition("Healthy", "False", "Failed", failure.reason)
-            self._reporter.condition("Recovering", "False", why, f"{text.rstrip('.')}.")
+            self._reporter.condition("Recovering", "False", decision.reason, f"{text.rstrip('.')}.")
             self._reporter.event("Warning", "RecoveryPostponed", text)

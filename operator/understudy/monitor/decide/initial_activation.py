@@ -1,10 +1,11 @@
-"""Puts the first pod in control where none is, and none is being recovered."""
+"""Opens the gate for the first pod while no instance is active and no recovery is in progress."""
 
 from __future__ import annotations
 
 import asyncio
 import logging
 import time
+from collections.abc import Sequence
 
 import aiohttp
 
@@ -12,7 +13,9 @@ from understudy.api.base import seconds
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.robot_workload import GateStatus
 from understudy.failover.abandoned import ended
-from understudy.failover.interfaces import Gate, Superseded
+from understudy.failover.decide import Activate, Facts, Occurrence, Requirement, Trigger, decide
+from understudy.failover.interfaces import Gate, Instance, Superseded
+from understudy.failover.limits.state import InForce, LimitsInForce
 from understudy.kube.client import ApiError
 from understudy.monitor.act.pod_control import Fleet
 from understudy.monitor.decide.pause_state import Pauses
@@ -22,7 +25,7 @@ from understudy.monitor.report.reporter import Reporter
 _logger = logging.getLogger(__name__)
 
 ASK_AGAIN = 2.0
-"""Seconds before a pod is asked for again, where none runs."""
+"""Seconds until a pod is requested again, if none runs."""
 
 
 class Opening:
@@ -35,28 +38,36 @@ class Opening:
         self._next_asked = 0.0
 
     async def look(self, policy: FailurePolicySpec, now: float) -> bool:
-        """Open the gate for a pod that runs, its controller's first; whether it was opened."""
+        """Open the gate for a pod that runs, the workload's own pod first; return whether it was opened."""
         running = [i for i in self._fleet.of_workload() if i.usable and not i.held]
         self._reporter.set(
             active="", health="Starting" if running else "Unknown", gate=GateStatus(epoch=self._gate.state.epoch)
         )
-        if self._pauses.on is not None:
-            return False
-        if not running:
+        ready = self._ready(running, policy, now)
+        pause = self._pauses.on
+        limits = LimitsInForce(pause=InForce(pause.words, pause.end) if pause is not None else None)
+        unmet = None if ready else Requirement("NoPodReady" if running else "NoPodRunning")
+        decision = decide(Facts(now, (Occurrence(Trigger.INITIAL_ACTIVATION, unmet=unmet),), limits))
+        if decision.reason == "NoPodRunning":
             await self._ask_for_one(now)
-            return False
+        return isinstance(decision, Activate) and await self._open(ready)
+
+    def _ready(self, running: Sequence[Instance], policy: FailurePolicySpec, now: float) -> Sequence[Instance]:
+        """Return the pods that the gate may open for now.
+
+        An application may need an answer of the robot before its outputs flow, and the workload's own pod comes before a standby: but
+        neither is waited for longer than half of the policy's startupGrace.
+        """
         ready = [i for i in running if not i.has_agent or self._sidecars.is_ready(i)[0]]
-        self._started = min(self._started, now)  # the clock may have been set back
-        # An application may need an answer of the robot before its outputs flow, and the workload's own pod comes before
-        # a standby: but neither is waited for too long.
+        if running and self._pauses.on is None:
+            self._started = min(self._started, now)  # the clock may have been set back
         if now - self._started <= seconds(policy.monitoring.startup_grace) / 2:
-            ready = [i for i in ready if i.from_source]
-        elif not ready:
-            ready = running
-        if not ready:
-            return False
+            return [i for i in ready if i.from_source]
+        return ready or running
+
+    async def _open(self, ready: Sequence[Instance]) -> bool:
         first = min(ready, key=lambda i: (not i.from_source, i.created, i.name))
-        # A recovery that closed it and came to nothing isn't gone on with, but which other pods had failed is still true.
+        # A recovery that closed the gate and did not succeed is not continued, but the other pods that failed still count as failed.
         left = self._gate.state.recovery
         if left is not None:
             failed = [pod for pod in left.failed if pod.uid != first.uid]
@@ -72,14 +83,14 @@ class Opening:
         return True
 
     async def _ask_for_one(self, now: float) -> None:
-        """No pod runs and no recovery is under way. The workload's own controller may have been told to run none, while a pod of
-        a shared pool drove: nobody else tells it otherwise while the gate is closed.
+        """Have the workload's own controller run a pod. It may have been scaled to none while a pod of a shared pool was active, and
+        nobody else scales it up while the gate is closed.
         """
-        if now < self._next_asked <= now + ASK_AGAIN:  # later than that by a clock that was set back since
+        if now < self._next_asked <= now + ASK_AGAIN:  # later than that if the clock was set back
             return
         self._next_asked = now + ASK_AGAIN
         try:
             async with asyncio.timeout(ASK_AGAIN):
                 await self._fleet.replace([])
         except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
-            _logger.warning("no pod runs, and none can be asked for: %r", error)
+            _logger.warning("no pod runs, and requesting one failed: %r", error)

@@ -1,7 +1,8 @@
-"""What keeps one workload from being recovered, or anything else from being begun: a pause, the budget, a storm, the last recovery."""
+"""What the monitor remembers of the limits of its workload, and which of them are in force."""
 
 from __future__ import annotations
 
+from understudy.failover.limits.state import InForce, LimitsInForce
 from understudy.monitor.decide.budget_spending import Spending
 from understudy.monitor.decide.pause_state import Pauses
 from understudy.monitor.decide.retry_backoff import Retries
@@ -11,10 +12,20 @@ from understudy.monitor.report.reporter import Reporter
 
 
 class Limits:
-    """The limits of one workload. Which of them matter to what, and in which order, whoever asks knows."""
+    """The limits of one workload. Their order of precedence is in ``failover/decide.py``."""
 
     def __init__(self, view: View, reporter: Reporter) -> None:
         self.pauses = Pauses(view, reporter)
         self.spending = Spending(view, reporter)
         self.storms = Storms(view)
         self.retries = Retries(view, reporter)
+
+    def in_force(self, now: float) -> LimitsInForce:
+        """Return the limits that are in force at a time (unix seconds). The pause is the one of the last look."""
+        pause = self.pauses.on
+        return LimitsInForce(
+            pause=InForce(pause.words, pause.end) if pause is not None else None,
+            waiting=self.retries.in_force(now),
+            storm=self.storms.on(now),
+            budget=self.spending.in_force(now),
+        )

@@ -1,6 +1,4 @@
-"""When something may be begun again after a recovery, and with which strategy: what came to nothing is put off, longer each time, but
-not once what was wrong may have been corrected.
-"""
+"""What the monitor remembers of past recoveries: when the next attempt may begin, and with which strategy."""
 
 from __future__ import annotations
 
@@ -9,87 +7,109 @@ import time
 
 from understudy.api.base import seconds
 from understudy.api.kinds.failure_policy import FailurePolicySpec
-from understudy.failover.limits.escalation import Escalation
+from understudy.failover.limits import cooldown
+from understudy.failover.limits.backoff import FIRST, Backoff
+from understudy.failover.limits.escalation import Takeover, first_strategy
+from understudy.failover.limits.state import InForce
 from understudy.failover.progress import Progress
 from understudy.monitor.observe.cluster_view import View
 from understudy.monitor.report.reporter import Reporter
 
 _logger = logging.getLogger(__name__)
 
-BACKOFF_FIRST, BACKOFF_MOST = 2.0, 60.0
-"""Seconds before everything is tried again after no strategy verified."""
-
 
 class Retries:
-    """What of one workload may be begun again. Times are unix seconds."""
+    """The attempts of one workload. Times are unix seconds."""
 
     def __init__(self, view: View, reporter: Reporter) -> None:
         self._view, self._reporter = view, reporter
-        self._escalation = Escalation()
-        self._backoff = BACKOFF_FIRST
+        self._backoff = Backoff()
+        self._latest: Takeover | None = None
         self._given: tuple[object, ...] = ()
+        """The policy, spec and settings of the last look."""
         self._resumed: float | None = None
-        self.not_before = 0.0
-        """When something may be begun."""
-        self._wait = 0.0
-        """Seconds that this was put off by."""
+
+    @property
+    def not_before(self) -> float:
+        """When the next attempt may begin."""
+        return self._backoff.not_before
+
+    @property
+    def retry_after(self) -> float:
+        """Seconds of the backoff after the next attempt without success."""
+        return self._backoff.step
+
+    def in_force(self, now: float) -> InForce | None:
+        """Return the wait after the last recovery, if it has not ended."""
+        return self._backoff.in_force(now)
 
     def look(self, resumed: float | None, now: float) -> None:
-        """Look whether it need be put off no longer. ``resumed`` is when somebody last said to go on."""
-        self.not_before = min(self.not_before, now + self._wait)  # it is later where the clock was set back since
-        self._notice_correction(now)
-        # Somebody has looked at it and says to go on: that isn't put off either.
-        if resumed != self._resumed:
-            self._resumed = resumed
-            self._backoff, self.not_before = BACKOFF_FIRST, now
+        """Notice what ends the wait early. ``resumed`` is when somebody last asked to resume."""
+        self._backoff = self._backoff.at(now)
+        if self._corrected() or resumed != self._resumed:
+            self._backoff = self._backoff.cleared(now)
+        self._resumed = resumed
 
-    def _notice_correction(self, now: float) -> None:
-        """Where no strategy verified, what was changed since may be the correction: trying it isn't put off."""
+    def _corrected(self) -> bool:
+        """Return whether the policy, spec or settings changed since no strategy verified. The change may be the correction."""
         given = (self._view.policy, self._view.spec, self._view.settings)
         if len(given) == len(self._given) and all(a is b for a, b in zip(given, self._given, strict=True)):
-            return
+            return False
         before, self._given = self._given, given
-        if self._backoff > BACKOFF_FIRST and before != given:
-            self._backoff, self.not_before = BACKOFF_FIRST, now
+        return self._backoff.step > FIRST and before != given
 
     def healthy(self) -> None:
-        """The instance in control has been healthy for long enough: what comes next is another failure."""
-        self._backoff = BACKOFF_FIRST
+        """Note that the active instance has been healthy for long enough: the next failure is a new one."""
+        self._backoff = self._backoff.healthy()
 
     def note(self, done: Progress) -> None:
-        """A recovery is over, or was by an earlier monitor."""
-        self._escalation.note(done)
+        """Note a finished recovery, also one of an earlier monitor."""
+        self._latest = Takeover.of(done)
+
+    def after_recovery(self, policy: FailurePolicySpec) -> None:
+        """Wait for the policy's cooldown."""
+        self.after(cooldown.length(policy))
+
+    def after_error(self) -> None:
+        """Wait for the shortest backoff: the API server refused something."""
+        self.after(FIRST)
 
     def after(self, wait: float) -> None:
-        """Begin nothing for so many seconds."""
-        self.not_before, self._wait = time.time() + wait, wait
+        """Wait for so many seconds."""
+        self._backoff = self._backoff.after(wait, time.time())
 
     def after_nothing_verified(self, policy: FailurePolicySpec) -> None:
-        """Begin nothing for a while, and for longer the next time, unless it is critical to safety."""
-        self.after(self._backoff)
-        self._backoff = BACKOFF_FIRST if policy.priority == "Safety" else min(2 * self._backoff, BACKOFF_MOST)
+        """Wait for a backoff, which is longer each time unless the policy has priority Safety."""
+        self._backoff = self._backoff.failed(time.time(), constant=policy.priority == "Safety")
 
     def first(self, reason: str, onset: float, failed_uid: str) -> int | None:
-        """The strategy to begin with. None where every one's instance failed at once: they are tried again after a pause."""
+        """Return the index of the strategy to start with; None if the instance of every strategy failed at once."""
         policy, settings = self._view.policy, self._view.settings
         if policy is None or settings is None:
             return 0
-        lived, delay = self._escalation.lived(failed_uid, onset), policy.limits.healthy_delay
-        first = self._escalation.first(failed_uid, onset, len(policy.strategies), healthy_delay=seconds(delay))
+        latest, self._latest = self._latest, None
+        lived, delay = latest.lived(failed_uid, onset) if latest is not None else None, policy.limits.healthy_delay
+        first = first_strategy(latest, failed_uid, onset, len(policy.strategies), healthy_delay=seconds(delay))
         if first and lived is not None:
             text = (
-                f"{reason}, {max(0.0, lived):.1f} s after it took over (limits.healthyDelay is {delay}): the next "
-                "strategy has its turn"
+                f"{reason}, {max(0.0, lived):.1f} s after it took over (limits.healthyDelay is {delay}); the next "
+                "strategy is tried"
             )
             _logger.warning("%s", text)
             self._reporter.event("Warning", "Relapsed", text)
         if first is None:
-            text = (
-                f"{reason}, as soon as it was in control (limits.healthyDelay is {delay}). Every strategy was tried; the "
-                f"first one is tried again in {self._backoff:g} s"
-            )
-            _logger.warning("%s", text)
-            self._reporter.condition("Recovering", "False", "EndsAgainAndAgain", f"{text}.")
-            self._reporter.event("Warning", "EndsAgainAndAgain", text)
-            self.after_nothing_verified(policy)
+            self._crash_looping(reason)
         return first
+
+    def _crash_looping(self, reason: str) -> None:
+        """Report that the instance of every strategy failed as soon as it was active, and wait for a backoff."""
+        if (policy := self._view.policy) is None:
+            return
+        text = (
+            f"{reason}, as soon as it was in control (limits.healthyDelay is {policy.limits.healthy_delay}). Every strategy was tried; the "
+            f"first one is tried again in {self.retry_after:g} s"
+        )
+        _logger.warning("%s", text)
+        self._reporter.condition("Recovering", "False", "CrashLooping", f"{text}.")
+        self._reporter.event("Warning", "CrashLooping", text)
+        self.after_nothing_verified(policy)

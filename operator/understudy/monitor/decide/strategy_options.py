@@ -49,7 +49,7 @@ class Repertoire:
         """Why a strategy isn't tried now, although it could be."""
         if strategy.standing or (storm := self._storms.on(time.time())) is None:
             return None
-        return f"held, since others fail too: {storm}"
+        return f"held because other workloads fail too: {storm.words}"
 
     def first_lacks(self) -> str | None:
         """Why the first one can't be carried out, by what was said; None where it can."""

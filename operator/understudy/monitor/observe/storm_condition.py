@@ -1,12 +1,10 @@
-"""Whether a storm is on by what the operator says in the policy (limits.stormGuard): asked only once something has failed."""
+"""Reads from the policy's status whether a storm is on (limits.stormGuard). It is read only when something has failed."""
 
 from __future__ import annotations
 
-from understudy.api.base import seconds
-from understudy.api.kinds.pause_spec import unix
+from understudy.failover.limits import storm
+from understudy.failover.limits.state import InForce
 from understudy.monitor.observe.cluster_view import View
-
-CONDITION = "Storm"
 
 
 class Storms:
@@ -15,15 +13,9 @@ class Storms:
     def __init__(self, view: View) -> None:
         self._view = view
 
-    def on(self, now: float) -> str | None:
-        """What is said of the storm that is on at this time (unix seconds); None where none is, or it has been for too long."""
+    def on(self, now: float) -> InForce | None:
+        """Return the storm that is on at this time (unix seconds); None if there is none, or if it has lasted for too long."""
         policy, spec = self._view.policy, self._view.spec
         if policy is None or spec is None or (guard := policy.limits.storm_guard) is None:
             return None
-        item = self._view.policies.items.get(spec.failure_policy_ref.name) or {}
-        for said in (item.get("status") or {}).get("conditions") or []:
-            if (said["type"], said["status"]) == (CONDITION, "True"):
-                since = unix(said["lastTransitionTime"])
-                over = since is None or now >= since + seconds(guard.hold_for)
-                return None if over else said["message"]
-        return None
+        return storm.in_force(guard, self._view.policies.items.get(spec.failure_policy_ref.name), now)

@@ -1,0 +1,49 @@
+"""The wait after a recovery: the policy's cooldown, or a growing backoff after attempts without success; pure.
+
+Times are unix seconds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from understudy.failover.limits.state import InForce
+
+FIRST, MOST = 2.0, 60.0
+"""Seconds until all strategies are tried again after none of them verified: at first, and at most."""
+
+
+@dataclass(frozen=True)
+class Backoff:
+    """When the next attempt may begin, and how long the wait after the next failed attempt is."""
+
+    not_before: float = 0.0
+    wait: float = 0.0
+    """Length in seconds of the wait that ends at ``not_before``."""
+    step: float = FIRST
+    """Seconds to wait if the next attempt fails."""
+
+    def at(self, now: float) -> Backoff:
+        """Return it as it is at a time: after the clock was set back, no wait is longer than it was meant to be."""
+        return replace(self, not_before=min(self.not_before, now + self.wait))
+
+    def after(self, wait: float, now: float) -> Backoff:
+        """Return it with a wait of so many seconds from now on."""
+        return replace(self, not_before=now + wait, wait=wait)
+
+    def failed(self, now: float, *, constant: bool) -> Backoff:
+        """Return it after an attempt in which no strategy verified: each wait is twice the last one, unless it is ``constant``."""
+        step = FIRST if constant else min(2 * self.step, MOST)
+        return replace(self.after(self.step, now), step=step)
+
+    def cleared(self, now: float) -> Backoff:
+        """Return it after somebody corrected something or asked to resume: the next attempt may begin now."""
+        return replace(self, not_before=now, step=FIRST)
+
+    def healthy(self) -> Backoff:
+        """Return it after the active instance was healthy for long enough: the next failure is a new one."""
+        return replace(self, step=FIRST)
+
+    def in_force(self, now: float) -> InForce | None:
+        """Return the wait if it has not ended."""
+        return InForce(until=self.not_before) if now < self.not_before else None

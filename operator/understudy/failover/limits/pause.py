@@ -1,0 +1,13 @@
+"""Maintenance (spec.pause); pure."""
+
+from __future__ import annotations
+
+from understudy.api.kinds.pause_spec import Pause
+from understudy.failover.limits.state import InForce
+
+
+def in_force(pause: Pause | None, now: float) -> InForce | None:
+    """Return the pause if it is in force at a time (unix seconds): by whom, why and until when."""
+    if pause is None or not pause.in_force(now):
+        return None
+    return InForce(pause.words, pause.end)

@@ -1,0 +1,27 @@
+"""Which limits are in force at one instant. Times are unix seconds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class InForce:
+    """A limit that is in force."""
+
+    words: str = ""
+    """Details for the message of the decision."""
+    until: float | None = None
+    """When it ends by itself; None if that is not known."""
+
+
+@dataclass(frozen=True)
+class LimitsInForce:
+    """The limits of a workload that are in force at one instant; None for a limit that is not."""
+
+    pause: InForce | None = None
+    waiting: InForce | None = None
+    """The cooldown after a recovery, or the backoff after one without success."""
+    storm: InForce | None = None
+    budget: InForce | None = None
+    """The budget is spent."""

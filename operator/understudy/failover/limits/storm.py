@@ -1,0 +1,27 @@
+"""Whether so many workloads of a policy fail at once that the network or the cluster is the likely cause (limits.stormGuard); pure.
+
+The operator counts, and reports the result as the condition Storm of the policy. Times are unix seconds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from understudy.api.base import seconds
+from understudy.api.kinds.failure_policy import StormGuard
+from understudy.api.kinds.pause_spec import unix
+from understudy.failover.limits.state import InForce
+
+CONDITION = "Storm"
+
+
+def in_force(guard: StormGuard, policy: Mapping[str, Any] | None, now: float) -> InForce | None:
+    """Return the storm that the status of a policy object reports, until ``holdFor`` has passed."""
+    for condition in ((policy or {}).get("status") or {}).get("conditions") or []:
+        if (condition["type"], condition["status"]) == (CONDITION, "True"):
+            since = unix(condition["lastTransitionTime"])
+            if since is None or now >= since + seconds(guard.hold_for):
+                return None
+            return InForce(condition["message"], since + seconds(guard.hold_for))
+    return None
