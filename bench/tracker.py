@@ -30,7 +30,7 @@ from understudy.tracker.image_messages import Calibration
 from understudy.tracker.robot_location import Locator
 from understudy.tracker.tracker_node import odometry_of
 from understudy.trees.core.health_tree import Verdict
-from understudy.trees.core.observations import Recorded, TopicRecord
+from understudy.trees.core.observations import RecordedObservations, TopicRecord
 from understudy.trees.languages.short import health_loader
 
 ODOMETRY, COMMANDS = "/tracker/robot/odometry", "/cmd_vel"
@@ -107,7 +107,7 @@ class Supervised:
             self.records[due[1]].add(due[0])
             self.records[due[1]].contents.append(Received(due[0], due[2]))
         self._coming = [entry for entry in self._coming if entry[0] > now]
-        return self.tree.evaluate(Recorded(self.records), now=now, since=0.0)
+        return self.tree.evaluate(RecordedObservations(self.records), now=now, since=0.0)
 
     def _look(self, now: float) -> None:
         image = cv2.cvtColor(self.scene.image(), cv2.COLOR_RGB2GRAY)

@@ -41,7 +41,7 @@ def to_yaml(data: Mapping[str, Any]) -> str:
 def outputs(root: Path) -> dict[Path, str]:
     """The text of every generated file by its path in the project.
 
-    ``root`` is where the hand-written parts are read from: the chart's values, its README around the table, and what pages say of leaves.
+    ``root`` is where the hand-written parts are read from: the chart's values, its README around the table, and the pages about trees.
     """
     header = "# Written by scripts/generate from the models in operator/understudy/api: change those.\n"
     result: dict[Path, str] = {}
@@ -49,24 +49,34 @@ def outputs(root: Path) -> dict[Path, str]:
         text = header + to_yaml(definition)
         result[Path("crds") / name] = text
         result[CHART / "files" / "crds" / name] = text
-    described = (root / TREES).read_text(), (root / PROCEDURES).read_text()
     result[REFERENCE / "api.md"] = reference.page()
-    result[REFERENCE / "leaves.md"] = leaves.page(*described)
+    result[REFERENCE / "leaves.md"] = leaves.page()
     result[REFERENCE / "cli.md"] = commands.page()
     result[REFERENCE / "metrics.md"] = metrics.page()
     result[IMAGES / "architecture.svg"] = diagrams.architecture()
     result[IMAGES / "failover-steps.svg"] = diagrams.failover()
-    result[LIBRARY] = scenarios.library(*described)
+    result[LIBRARY] = scenarios.library()
     readme = CHART / "README.md"
     table = values.table((root / CHART / "values.yaml").read_text())
     result[readme] = values.between_markers((root / readme).read_text(), table)
     result[SCENARIOS] = values.between_markers(
         (root / SCENARIOS).read_text(), scenarios.table(), scenarios.BEGIN, scenarios.END
     )
-    result[PROCEDURES] = values.between_markers(
-        (root / PROCEDURES).read_text(), scenarios.languages(), scenarios.PROCEDURES_BEGIN, scenarios.PROCEDURES_END
-    )
     result[LIMITS] = values.between_markers(
         (root / LIMITS).read_text(), precedence.table(), precedence.BEGIN, precedence.END
     )
+    for page, parts in {
+        TREES: (
+            (scenarios.leaf_table(), scenarios.LEAVES_BEGIN, scenarios.LEAVES_END),
+            (scenarios.tag_table(), scenarios.TAGS_BEGIN, scenarios.TAGS_END),
+            (scenarios.health_models(), scenarios.MODELS_BEGIN, scenarios.MODELS_END),
+        ),
+        PROCEDURES: (
+            (scenarios.languages(), scenarios.PROCEDURES_BEGIN, scenarios.PROCEDURES_END),
+            (scenarios.step_models(), scenarios.MODELS_BEGIN, scenarios.MODELS_END),
+        ),
+    }.items():
+        result[page] = (root / page).read_text()
+        for text, begin, end in parts:
+            result[page] = values.between_markers(result[page], text, begin, end)
     return result

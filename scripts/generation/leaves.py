@@ -7,19 +7,21 @@ from itertools import groupby
 from typing import Any
 
 from scripts.generation import scenarios
-from understudy.trees.languages.btcpp.xml_elements import Element
-from understudy.trees.languages.flow_values import structure_of
+from understudy.trees.languages.btcpp import steps as xml
+from understudy.trees.languages.btcpp.library import NODES
 from understudy.trees.languages.osc.library import ACTIONS, ENUMS, MODIFIERS, Argument, Behavior
-from understudy.trees.languages.osc.steps import DECORATORS, LOOKS, STEPS, WATCHED
+from understudy.trees.languages.osc.steps import CONDITIONS, DECORATORS, STEPS, WATCHED
 from understudy.trees.languages.short.health_loader import load
 from understudy.trees.languages.short.procedure_loader import load_procedure
-from understudy.trees.languages.step_spelling import names_of
+from understudy.trees.languages.text.flow_values import structure_of
+from understudy.trees.languages.text.step_values import names_of
+from understudy.trees.leaves.leaf_plan import Key
 from understudy.trees.source.problems import Problem, TreeError
 
 _INTRODUCTION = """\
 # Leaves, steps and what stands around them
 
-<!-- Written by scripts/generate from operator/understudy/trees, docs/trees.md and docs/procedures.md: change those. -->
+<!-- Written by scripts/generate from operator/understudy/trees/leaves: change those. -->
 
 Everything that [health trees](../trees.md) and [procedures](../procedures.md) can have with values of its own, in all three languages. What
 only holds other nodes is on those pages.
@@ -49,51 +51,56 @@ _DRIVEN = {"topic": {"name": "/cmd_vel", "gap": "1s"}}
 """Some leaf, for what must have one."""
 
 
-def page(trees: str, procedures: str) -> str:
-    """The whole page as Markdown, by the two pages that describe trees."""
-    about = scenarios.purposes(trees, procedures)
-    ports = {**scenarios.models(trees), **scenarios.models(procedures)}
+_TAGS: Mapping[str, str] = {
+    **{node.key: tag for tag, node in xml.PROCEDURES.nodes.items()},
+    **{node.key: tag for tag, node in NODES.items()},
+}
+"""The name of each node in XML."""
+
+
+def page() -> str:
+    """Return the whole page as Markdown."""
     lines = [_INTRODUCTION]
     for title, explained, behaviors in (
         ("Leaves of health trees", "trees.md", ACTIONS),
         ("Around nodes of health trees", "trees.md", {k: v for k, v in MODIFIERS.items() if v.arguments}),
         ("Steps of procedures", "procedures.md", STEPS),
-        ("What procedures and readiness checks look at once", "procedures.md", LOOKS),
+        ("What procedures and readiness checks look at once", "procedures.md", CONDITIONS),
         ("Around nodes of procedures", "procedures.md", DECORATORS),
     ):
         lines += ["", f"## {title}"]
         for name, behavior in behaviors.items():
             anchor = behavior.key if explained == "trees.md" else "nodes"
+            about = scenarios.summary_of(behavior.key)
             lines += ["", f"### {behavior.key}", ""]
             lines.append(
-                f"{about[behavior.key][0].upper()}{about[behavior.key][1:]}. `<{behavior.tag}>` in XML, `{name}()` in OpenSCENARIO 2"
+                f"{about[0].upper()}{about[1:]}. `<{_TAGS[behavior.key]}>` in XML, `{name}()` in OpenSCENARIO 2"
                 f"{', in a `with:`' if name in MODIFIERS or name in DECORATORS else ''}"
                 f"{'; procedures have it too' if name in WATCHED else ''}. [More](../{explained}#{anchor})."
             )
-            lines += _values(behavior, ports.get(behavior.tag, {}))
+            lines += _values(behavior)
     return "\n".join(lines) + "\n"
 
 
-def _values(behavior: Behavior, ports: Mapping[str, Element]) -> Iterator[str]:
-    """The table of a node's values, and what is refused where none is given."""
+def _values(behavior: Behavior) -> Iterator[str]:
+    """Yield the table of a node's values, and what is refused if none is given."""
     if not behavior.arguments:
         return
     lacks = {problem.path: problem.message for problem in _given_nothing(behavior.key)}
+    keys = scenarios.keys_of(behavior.key)
     yield ""
     yield "| short form | XML | OpenSCENARIO 2 | type | default | |"
     yield "| --- | --- | --- | --- | --- | --- |"
     for where, group in groupby(behavior.arguments.values(), key=lambda argument: argument.where):
-        arguments = list(group)
-        one, port = arguments[0], ports[arguments[0].port]
+        arguments, key = list(group), keys[where]
         names = ", ".join(f"`{argument.name}`" for argument in arguments)
-        short = where.removeprefix(f"{behavior.key}.")
         cells = [
-            f"`{short}`",
-            f"`{one.port}`",
+            f"`{where.removeprefix(f'{behavior.key}.')}`",
+            f"`{key.port}`",
             names,
-            _type(one),
-            _default(port, f"spec.{where}" in lacks),
-            *port.texts,
+            _type(arguments[0]),
+            _default(key, f"spec.{where}" in lacks),
+            key.about,
         ]
         yield f"| {' | '.join(cells)} |"
     if others := lacks.get(f"spec.{behavior.key}"):
@@ -105,9 +112,8 @@ def _type(argument: Argument) -> str:
     return _READ.get(argument.reads) or _TYPES[argument.type]
 
 
-def _default(port: Element, required: bool) -> str:
-    default = port.attributes.get("default")
-    return "required" if required else f"`{default}`" if default else ""
+def _default(key: Key, required: bool) -> str:
+    return "required" if required else f"`{key.default}`" if key.default else ""
 
 
 def _given_nothing(key: str) -> list[Problem]:

@@ -1,13 +1,13 @@
-"""The library of OpenSCENARIO 2 that trees import, from what leaves and steps declare, and the tables of it in the pages."""
+"""What leaves and steps declare, as the library of OpenSCENARIO 2, and as tables and XML models in the pages about trees."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
+from xml.sax.saxutils import escape, quoteattr
 
 from understudy.trees.languages.btcpp import steps as xml
-from understudy.trees.languages.btcpp.xml_elements import Element, parse
+from understudy.trees.languages.btcpp.library import NODES, Node, tag_of
 from understudy.trees.languages.osc.library import (
     ACTIONS,
     COMPOSITIONS,
@@ -18,19 +18,20 @@ from understudy.trees.languages.osc.library import (
     Argument,
     Behavior,
 )
-from understudy.trees.languages.osc.steps import DECORATORS, LOOKS, PROCEDURES, STEPS
+from understudy.trees.languages.osc.steps import CONDITIONS, DECORATORS, PROCEDURES, STEPS
 from understudy.trees.languages.osc.units import OWN, UNITS
-from understudy.trees.leaves import procedure_vocabulary
-from understudy.trees.leaves.registry import ADDED
+from understudy.trees.leaves import procedure_steps
+from understudy.trees.leaves.leaf_plan import Key
+from understudy.trees.leaves.registry import LEAVES, PLUGINS
 
 _HEADER = f"""\
 # What health trees (docs/trees-osc.md) and procedures (docs/procedures.md) can have: actions are leaves, modifiers stand in the with:
-# of a node. Written by scripts/generate from operator/understudy/trees and those pages: change those.
+# of a node. Written by scripts/generate from operator/understudy/trees/leaves: change those.
 
 import {STANDARD}
 """
 
-_ACTIONS = {name: action for name, action in ACTIONS.items() if name not in ADDED}
+_ACTIONS = {name: action for name, action in ACTIONS.items() if name not in PLUGINS}
 """What other packages that are installed here bring is no part of the library."""
 
 _RATES: Mapping[str, str] = {
@@ -40,57 +41,132 @@ _RATES: Mapping[str, str] = {
     "rate_max": "the rate is at most this; may be together with rate_min",
 }
 
-_ABOUT: Mapping[str, str] = {
-    "inverter": "holds when its node fails",
-    "while": "its node counts only while a goal of an action is active",
-    "timeout": "fails when its node isn't done in time",
-    "retry": "tries its node again after a failure",
+_AROUND: Mapping[str, tuple[str, tuple[Key, ...]]] = {
+    "inverter": ("holds when its node fails", ()),
+    "while": (
+        "its node counts only while a goal of an action is active",
+        (
+            Key("task_active.action", "the action, fully qualified, such as /navigate_to_pose", xml="action"),
+            Key("task_active.type", "package/action/Name", xml="type"),
+            Key("settle", "how long it may take to start after the goal became active", "time", default="2s"),
+        ),
+    ),
+    "timeout": (
+        "fails when its node is not done in time",
+        (Key("within", "how long it may take", "time", xml="msec"),),
+    ),
+    "retry": (
+        "tries its node again after a failure",
+        (
+            Key("times", "how often it is tried", "int", xml="num_attempts"),
+            Key("wait", "the time after a failure until it is tried again", "time", default="1s"),
+        ),
+    ),
 }
+"""The nodes around others, which no leaf declares."""
 
 
-def library(page: str, procedures: str) -> str:
-    """The text of the library; ``page`` is the one that describes the leaves, ``procedures`` that of the steps."""
-    about, ports = purposes(page, procedures), {**models(page), **models(procedures)}
+def summary_of(kind: str) -> str:
+    """Return one clause about a leaf, step or decorator."""
+    if kind in LEAVES:
+        return f"holds {LEAVES[kind].summary}"
+    if kind in _AROUND:
+        return _AROUND[kind][0]
+    return {**procedure_steps.STEPS, **procedure_steps.CONDITIONS}[kind].summary
+
+
+def keys_of(kind: str) -> Mapping[str, Key]:
+    """Return the keys of a leaf, step or decorator, by their paths in the short form."""
+    if kind == "while":
+        return {("" if key.name == "settle" else "while.") + key.name: key for key in _AROUND[kind][1]}
+    if kind in _AROUND:
+        return {f"{kind}.{key.name}": key for key in _AROUND[kind][1]}
+    declared = {**LEAVES, **procedure_steps.STEPS, **procedure_steps.CONDITIONS}[kind].arguments
+    return {f"{kind}.{key.name}": key for key in declared}
+
+
+def library() -> str:
+    """Return the text of the library."""
     parts = [_HEADER]
     parts += [f"enum {name}: [{', '.join(members)}]\n" for name, members in ENUMS.items()]
     parts += [_type(name) for name in OWN]
     for title, word, behaviors in (
         ("Leaves of health trees, most of which procedures have too.", "action", _ACTIONS),
         ("Steps of procedures.", "action", STEPS),
-        ("What procedures and readiness checks look at once.", "action", LOOKS),
+        ("What procedures and readiness checks look at once.", "action", CONDITIONS),
         ("Of health trees; inverter() of procedures too.", "modifier", MODIFIERS),
         ("Of procedures.", "modifier", DECORATORS),
     ):
         parts.append(f"# {title}\n")
-        for name, behavior in behaviors.items():
-            parts.append(
-                _behavior(f"{word} {name}", behavior, about.get(behavior.key, ""), ports.get(behavior.tag, {}))
-            )
+        parts += [_behavior(f"{word} {name}", behavior) for name, behavior in behaviors.items()]
     return "\n".join(parts)
 
 
-def purposes(page: str, procedures: str) -> dict[str, str]:
-    """What every leaf, step and look is for, by its key, as the tables of the two pages begin to say it."""
-    rows = re.findall(r"^\| `([a-z_]+)` \| (while .*?) \|", page, re.MULTILINE)
-    return {key: f"holds {told.replace('`', '')}" for key, told in rows} | _done(procedures) | _ABOUT
+# -- docs/trees.md ----------------------------------------------------------------------------------------------------
+
+LEAVES_BEGIN = "<!-- leaves: written by scripts/generate from the leaves -->"
+LEAVES_END = "<!-- end of leaves -->"
+TAGS_BEGIN = "<!-- tags: written by scripts/generate from the leaves -->"
+TAGS_END = "<!-- end of tags -->"
+MODELS_BEGIN = "<!-- models: written by scripts/generate from the leaves and steps -->"
+MODELS_END = "<!-- end of models -->"
+
+_OWN_LEAVES = {name: leaf for name, leaf in LEAVES.items() if name not in PLUGINS}
 
 
-def models(page: str) -> dict[str, dict[str, Element]]:
-    """The ports of the nodes that a page shows the models of."""
-    (shown,) = re.findall(r"```xml\n(<TreeNodesModel>.*?)```", page, re.DOTALL)
-    return {
-        model.attributes["ID"]: {port.attributes["name"]: port for port in model.children}
-        for model in parse(shown).children
+def leaf_table() -> str:
+    """Return the leaves of health trees with when they hold, as a table."""
+    rows = [f"| `{name}` | {leaf.summary} | see [below](#{name}) |" for name, leaf in _OWN_LEAVES.items()]
+    return "\n".join(["| leaf | holds | value |", "| --- | --- | --- |", *rows])
+
+
+def tag_table() -> str:
+    """Return the leaves of health trees as XML writes them, as a table."""
+    lines = ["| leaf | in the short form | ports |", "| --- | --- | --- |"]
+    for name, leaf in _OWN_LEAVES.items():
+        ports = ", ".join(
+            f"`{key.port}`" if key.port == key.name else f"`{key.port}`, which is the `{key.name}`"
+            for key in leaf.arguments
+        )
+        lines.append(f"| `<{tag_of(name)}>` | `{name}` | {ports} |")
+    return "\n".join(lines)
+
+
+def health_models() -> str:
+    """Return the models of the nodes of health trees, for Groot 2."""
+    return _models(
+        {tag_of(name): NODES[tag_of(name)] for name in _OWN_LEAVES} | {"WhileTaskActive": NODES["WhileTaskActive"]}
+    )
+
+
+def step_models() -> str:
+    """Return the models of the nodes that only procedures have, for Groot 2."""
+    own = {
+        tag_of(key): xml.PROCEDURES.nodes[tag_of(key)] for key in (*procedure_steps.STEPS, *procedure_steps.CONDITIONS)
     }
+    around = {tag: node for tag, node in xml.PROCEDURES.nodes.items() if node.key in ("timeout", "retry")}
+    return _models(own | around)
 
 
-def _done(page: str) -> dict[str, str]:
-    """What steps and looks are for, as the tables of their page begin to say it."""
-    described, _, _ = page.partition(PROCEDURES_BEGIN)
-    rows = re.findall(r"^\| ((?:`[a-z_]+`(?:, )?)+) \| (.*) \|$", described, re.MULTILINE)
-    told = {key: text for keys, text in rows for key in re.findall("[a-z_]+", keys)}
-    return {key: re.split("[;.(]", told[key])[0].replace("`", "").strip() for key in (*STEPS, *LOOKS)}
+def _models(nodes: Mapping[str, Node]) -> str:
+    lines = ["```xml", "<TreeNodesModel>"]
+    for tag, node in nodes.items():
+        keys = list(keys_of(node.key).values())
+        if not keys:
+            lines.append(f'  <{node.category} ID="{tag}"/>')
+            continue
+        lines += [f'  <{node.category} ID="{tag}">', *_ports(keys), f"  </{node.category}>"]
+    return "\n".join([*lines, "</TreeNodesModel>", "```"])
 
+
+def _ports(keys: Sequence[Key]) -> list[str]:
+    return [
+        f'    <input_port name="{key.port}"{f" default={quoteattr(key.default)}" if key.default else ""}>{escape(key.about)}</input_port>'
+        for key in keys
+    ]
+
+
+# -- docs/trees-osc.md ------------------------------------------------------------------------------------------------
 
 BEGIN = "<!-- behaviours: written by scripts/generate from the leaves -->"
 END = "<!-- end of behaviours -->"
@@ -128,11 +204,12 @@ def _number(factor: Fraction) -> str:
     return str(factor.numerator) if factor.denominator == 1 else str(float(factor))
 
 
-def _behavior(head: str, behavior: Behavior, about: str, ports: Mapping[str, Element]) -> str:
-    comment = f"    # {about}\n" if about else ""
+def _behavior(head: str, behavior: Behavior) -> str:
+    comment = f"    # {summary_of(behavior.key)}\n"
     if not behavior.arguments:
         return f"{head}\n{comment}"
-    lines = [_argument(argument, ports.get(argument.port)) for argument in behavior.arguments.values()]
+    keys = keys_of(behavior.key)
+    lines = [_argument(argument, keys[argument.where]) for argument in behavior.arguments.values()]
     return f"{head}:\n{comment}" + "\n".join(lines) + "\n"
 
 
@@ -142,14 +219,14 @@ def _default(type_: str, default: str) -> str:
     return f'"{default}"' if type_ == "string" else default
 
 
-def _argument(argument: Argument, port: Element | None) -> str:
+def _argument(argument: Argument, key: Key) -> str:
     declared = f"{argument.name}: {argument.type}"
-    default = port.attributes.get("default") if port is not None else None
-    if default:
-        declared += f" = {_default(argument.type, default)}"
-    told = _RATES.get(argument.name) if argument.name in RATES else " ".join(port.texts) if port is not None else None
-    return f"    {declared:<30} # {told}" if told else f"    {declared}"
+    if key.default:
+        declared += f" = {_default(argument.type, key.default)}"
+    return f"    {declared:<30} # {_RATES.get(argument.name, key.about)}"
 
+
+# -- docs/procedures.md -----------------------------------------------------------------------------------------------
 
 PROCEDURES_BEGIN = "<!-- languages: written by scripts/generate from the steps -->"
 PROCEDURES_END = "<!-- end of languages -->"
@@ -167,8 +244,8 @@ def languages() -> str:
         "selector",
         "inverter",
         *DECORATORS,
-        *procedure_vocabulary.STEPS,
-        *procedure_vocabulary.LOOKS,
+        *procedure_steps.STEPS,
+        *procedure_steps.CONDITIONS,
     ):
         node = xml.PROCEDURES.nodes[tags[key]]
         ports = _listed([port for port, where in node.ports.items() if where])

@@ -41,4 +41,3 @@ def test_descriptions_and_rules_of_a_crd_are_messages() -> None:
         Text("messages", ((2, "What is kept."),)),
         Text("messages", ((5, "give more than one"),)),
     ]
-

@@ -23,7 +23,7 @@ class Phase(Enum):
     ENDED = "ended"
 
 
-class At(Enum):
+class AttemptState(Enum):
     """How a goal is, at an instance."""
 
     SENT = "sent"
@@ -39,7 +39,7 @@ class Attempt:
     """A goal at one instance, under an id there."""
 
     id: str
-    at: At = At.SENT
+    at: AttemptState = AttemptState.SENT
     status: int = UNKNOWN
     """With which it ended there."""
     after: float = 0.0
@@ -48,11 +48,11 @@ class Attempt:
     @property
     def open(self) -> bool:
         """Whether the instance has it, or may have it."""
-        return self.at in (At.SENT, At.RUNNING)
+        return self.at in (AttemptState.SENT, AttemptState.RUNNING)
 
 
 @dataclass(frozen=True)
-class End:
+class GoalEnd:
     """How a goal ended."""
 
     status: int
@@ -84,12 +84,12 @@ class Goal:
     """Clients' requests to cancel it that the instance hasn't answered yet."""
     results: list[tuple[str, int]] = field(default_factory=list)
     """Clients' requests for its result."""
-    unasked: End | None = None
+    unasked: GoalEnd | None = None
     """An end that nobody asked for, which may be part of a failure: not told yet."""
     unasked_at: float = 0.0
     refused_since: float = 0.0
     """Since when instances have rejected it that were given it because of a failover; 0 if they haven't."""
-    end: End | None = None
+    end: GoalEnd | None = None
     ended_at: float = 0.0
 
     @property
@@ -105,7 +105,7 @@ class Goal:
         if self.phase is Phase.CANCELING:
             return CANCELING
         attempt = self.attempts.get(self.charge)
-        working = self.unasked is None and attempt is not None and attempt.at is At.RUNNING
+        working = self.unasked is None and attempt is not None and attempt.at is AttemptState.RUNNING
         return EXECUTING if working else ACCEPTED
 
     def attempt(self, uid: str) -> Attempt:
@@ -113,7 +113,7 @@ class Goal:
         before = self.attempts.get(uid)
         if before is None:
             made = Attempt(self.id)
-        elif before.at is At.REJECTED:
+        elif before.at is AttemptState.REJECTED:
             made = Attempt(before.id)
         else:
             self.tries += 1
@@ -149,9 +149,9 @@ class Goal:
         """Raises KeyError, TypeError and ValueError where it is none."""
         goal = cls(**data)
         goal.phase = Phase(data["phase"])
-        goal.attempts = {uid: Attempt(**{**a, "at": At(a["at"])}) for uid, a in data["attempts"].items()}
-        goal.end = End(**data["end"]) if data["end"] else None
-        goal.unasked = End(**data["unasked"]) if data["unasked"] else None
+        goal.attempts = {uid: Attempt(**{**a, "at": AttemptState(a["at"])}) for uid, a in data["attempts"].items()}
+        goal.end = GoalEnd(**data["end"]) if data["end"] else None
+        goal.unasked = GoalEnd(**data["unasked"]) if data["unasked"] else None
         goal.request = tuple(data["request"]) if data["request"] else None
         goal.cancels = [tuple(entry) for entry in data["cancels"]]
         goal.results = [tuple(entry) for entry in data["results"]]

@@ -8,7 +8,7 @@ from typing import Any
 
 
 @dataclass(frozen=True)
-class Rule:
+class TaskRule:
     """A task, as far as its goals' fate goes."""
 
     action: str
@@ -34,7 +34,7 @@ class Peer:
 
 
 @dataclass(frozen=True)
-class Situation:
+class ControlState:
     """What is so, by the monitor."""
 
     workload: str
@@ -43,7 +43,7 @@ class Situation:
     """UID of the instance in control; empty while none is."""
     settled: bool = True
     """Whether no failure is seen and no recovery under way."""
-    rules: tuple[Rule, ...] = ()
+    rules: tuple[TaskRule, ...] = ()
     peers: tuple[Peer, ...] = ()
 
     def to_wire(self) -> dict[str, Any]:
@@ -51,8 +51,8 @@ class Situation:
         return asdict(self)
 
     @classmethod
-    def from_wire(cls, data: Mapping[str, Any]) -> Situation:
+    def from_wire(cls, data: Mapping[str, Any]) -> ControlState:
         """Raises KeyError and TypeError where it is none."""
-        rules = tuple(Rule(**rule) for rule in data["rules"])
+        rules = tuple(TaskRule(**rule) for rule in data["rules"])
         peers = tuple(Peer(**peer) for peer in data["peers"])
         return cls(**{**data, "rules": rules, "peers": peers})

@@ -10,20 +10,20 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from understudy.action_proxy.control_state import Rule
-from understudy.action_proxy.goal_ledger import Ledger
+from understudy.action_proxy.control_state import TaskRule
+from understudy.action_proxy.goal_ledger import GoalLedger
 
 _logger = logging.getLogger(__name__)
 
 
-class Journal:
+class GoalJournal:
     """One file, replaced atomically. It isn't synced: it guards against a killed process, not against a lost node."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._last = ""
 
-    def save(self, ledger: Ledger, rules: Sequence[Rule]) -> None:
+    def save(self, ledger: GoalLedger, rules: Sequence[TaskRule]) -> None:
         """Keep the goals and the tasks, if they aren't what was kept last. Raises OSError."""
         text = json.dumps({"ledger": ledger.to_wire(), "rules": [asdict(rule) for rule in rules]})
         if text == self._last:
@@ -34,15 +34,15 @@ class Journal:
         os.replace(temporary, self._path)
         self._last = text
 
-    def load(self) -> tuple[Ledger, tuple[Rule, ...]]:
+    def load(self) -> tuple[GoalLedger, tuple[TaskRule, ...]]:
         """What was kept; blank where nothing was. A damaged file is put aside, since it can't be gone on with."""
         try:
             data = json.loads(self._path.read_text())
-            return Ledger.from_wire(data["ledger"], time.time()), tuple(Rule(**rule) for rule in data["rules"])
+            return GoalLedger.from_wire(data["ledger"], time.time()), tuple(TaskRule(**rule) for rule in data["rules"])
         except FileNotFoundError:
-            return Ledger(), ()
+            return GoalLedger(), ()
         except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
             _logger.error("%s can't be read, going on without its goals: %r", self._path, error)
             if self._path.exists():
                 self._path.replace(self._path.with_suffix(".damaged"))
-            return Ledger(), ()
+            return GoalLedger(), ()

@@ -1,7 +1,7 @@
 """Which goals there are, where they are, and what follows from what happens: the rules of the task proxy, without ROS.
 
-Everything that happens is noted, then :meth:`Ledger.advance` draws the conclusions; what an instance is to do is read
-off at any time (:meth:`Ledger.orders`) and can be ordered again and again. So no event that is lost, and no restart, of
+Everything that happens is noted, then :meth:`GoalLedger.advance` draws the conclusions; what an instance is to do is read
+off at any time (:meth:`GoalLedger.orders`) and can be ordered again and again. So no event that is lost, and no restart, of
 the proxy, of an agent or of the monitor, loses a goal or has one executed twice:
 
 - Only the instance in control decides on a goal. What others say of it, the old instance after a switch among them,
@@ -19,8 +19,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from understudy.action_proxy.client_goals import ABORTED, CANCELED, SUCCEEDED, UNKNOWN, At, Attempt, End, Goal, Phase
-from understudy.action_proxy.control_state import Rule, Situation
+from understudy.action_proxy.client_goals import (
+    ABORTED,
+    CANCELED,
+    SUCCEEDED,
+    UNKNOWN,
+    Attempt,
+    AttemptState,
+    Goal,
+    GoalEnd,
+    Phase,
+)
+from understudy.action_proxy.control_state import ControlState, TaskRule
 
 UNDECIDED = 60.0
 """Seconds after which a goal is rejected that no instance has decided on: its client may have given up long ago."""
@@ -95,7 +105,7 @@ class Order:
     data: str
     cancel: bool = False
     note: str = ""
-    """What it keeps with the goal (see :meth:`Ledger.adopt`)."""
+    """What it keeps with the goal (see :meth:`GoalLedger.adopt`)."""
 
 
 @dataclass
@@ -107,11 +117,11 @@ class _Cancel:
     cancelled: list[str] = field(default_factory=list)
 
 
-class Ledger:
+class GoalLedger:
     """All goals. Times (``now``) are Unix seconds."""
 
     def __init__(self) -> None:
-        self.situation: Situation | None = None
+        self.situation: ControlState | None = None
         """None until the monitor has said what is so: until then nobody decides."""
         self.goals: dict[str, Goal] = {}
         self.resent: dict[str, int] = {}
@@ -161,7 +171,9 @@ class Ledger:
 
     # -- what instances say -----------------------------------------------------------------------------------------
 
-    def report(self, uid: str, id: str, at: At, now: float, *, status: int = UNKNOWN, result: str = "") -> None:
+    def report(
+        self, uid: str, id: str, at: AttemptState, now: float, *, status: int = UNKNOWN, result: str = ""
+    ) -> None:
         """An instance says how one of its goals is. What it doesn't have any more is passed over."""
         found = self._at(uid, id)
         if found is None:
@@ -173,18 +185,18 @@ class Ledger:
         attempt.after = now + (AGAIN if uid == goal.charge else MIRROR_AGAIN)
         if uid != goal.charge or uid != self._active or not goal.open:
             return
-        if at in (At.RUNNING, At.ENDED):
+        if at in (AttemptState.RUNNING, AttemptState.ENDED):
             self._accept(goal, now)
             goal.refused_since = 0.0
-        if at is At.ENDED:
-            end = End(status, result)
+        if at is AttemptState.ENDED:
+            end = GoalEnd(status, result)
             if status == SUCCEEDED or goal.phase is Phase.CANCELING or goal.cancels:
                 self._finish(goal, end, now)
             else:
                 goal.unasked, goal.unasked_at = end, now
-        elif at is At.REJECTED:
+        elif at is AttemptState.REJECTED:
             self._rejected(goal, now)
-        elif at is At.LOST:
+        elif at is AttemptState.LOST:
             self._orphaned(goal, now)
 
     def adopt(self, uid: str, id: str, note: str, data: str, ended: tuple[int, str] | None, now: float) -> None:
@@ -204,9 +216,9 @@ class Ledger:
         if goal.request and goal.accepted and now - goal.accepted * 1e-9 < JUST_NOW:
             self._answers.append(GoalAnswer(goal.action, goal.request, True, goal.accepted))
         if ended is not None:
-            goal.attempts[uid].at, goal.attempts[uid].status = At.ENDED, ended[0]
+            goal.attempts[uid].at, goal.attempts[uid].status = AttemptState.ENDED, ended[0]
             self._accept(goal, now)
-            self._finish(goal, End(*ended), now)
+            self._finish(goal, GoalEnd(*ended), now)
 
     def answered_cancel(self, uid: str, id: str, accepted: bool, now: float) -> None:
         """An instance accepts or rejects to cancel a goal."""
@@ -228,7 +240,7 @@ class Ledger:
 
     # -- what the monitor says --------------------------------------------------------------------------------------
 
-    def place(self, situation: Situation, now: float) -> None:
+    def place(self, situation: ControlState, now: float) -> None:
         """The monitor says what is so. An older epoch than is known is passed over."""
         before = self.situation
         if before is not None and situation.epoch < before.epoch:
@@ -318,7 +330,7 @@ class Ledger:
         }
 
     @classmethod
-    def from_wire(cls, data: Mapping[str, Any], now: float) -> Ledger:
+    def from_wire(cls, data: Mapping[str, Any], now: float) -> GoalLedger:
         """What an earlier proxy kept; what it answered last is answered again, since it may not have gone out.
 
         Who is in control isn't taken from it: that may be another by now.
@@ -351,7 +363,7 @@ class Ledger:
         return self.situation is not None and self.situation.settled and bool(self.situation.active)
 
     @property
-    def _rules(self) -> dict[str, Rule]:
+    def _rules(self) -> dict[str, TaskRule]:
         return {rule.action: rule for rule in self.situation.rules} if self.situation else {}
 
     @property
@@ -385,7 +397,7 @@ class Ledger:
             return
         goal.refused_since = goal.refused_since or now
         if now - goal.refused_since >= REFUSED:
-            self._finish(goal, End(ABORTED, ""), now)
+            self._finish(goal, GoalEnd(ABORTED, ""), now)
 
     def _drop(self, goal: Goal) -> None:
         """Reject a goal for its client."""
@@ -398,7 +410,7 @@ class Ledger:
         if goal.phase is Phase.PENDING:
             self._drop(goal)
         else:
-            self._finish(goal, End(ABORTED, ""), now)
+            self._finish(goal, GoalEnd(ABORTED, ""), now)
 
     def _orphaned(self, goal: Goal, now: float) -> None:
         """The instance that worked on a goal does so no longer."""
@@ -406,11 +418,11 @@ class Ledger:
         if goal.phase is Phase.PENDING:
             return
         if goal.phase is Phase.CANCELING or goal.cancels:
-            self._finish(goal, End(CANCELED, ""), now)
+            self._finish(goal, GoalEnd(CANCELED, ""), now)
         elif goal.unasked is not None and self._replaced(goal):
             self._finish(goal, goal.unasked, now)
         elif self._rules[goal.action].on_failover == "Abort":
-            self._finish(goal, End(ABORTED, ""), now)
+            self._finish(goal, GoalEnd(ABORTED, ""), now)
         goal.unasked = None
 
     def _replaced(self, goal: Goal) -> bool:
@@ -434,13 +446,13 @@ class Ledger:
             goal.phase = Phase.CANCELING
         goal.cancels = []
 
-    def _finish(self, goal: Goal, end: End, now: float) -> None:
+    def _finish(self, goal: Goal, end: GoalEnd, now: float) -> None:
         self._cancel_decided(goal, end.status == CANCELED)
         goal.phase, goal.end, goal.ended_at, goal.unasked = Phase.ENDED, end, now, None
         goal.data = ""  # it is never sent again
         self._answer_results(goal, end)
 
-    def _answer_results(self, goal: Goal, end: End) -> None:
+    def _answer_results(self, goal: Goal, end: GoalEnd) -> None:
         self._answers += [ResultAnswer(goal.action, request, end.status, end.result) for request in goal.results]
 
     def _advance(self, goal: Goal, now: float) -> None:
@@ -455,22 +467,22 @@ class Ledger:
         there = goal.attempts.get(goal.charge)
         if (goal.cancels or goal.phase is Phase.CANCELING) and (there is None or not there.open):
             # No instance has it, so there is nothing to wait for.
-            self._finish(goal, End(CANCELED, ""), now)
+            self._finish(goal, GoalEnd(CANCELED, ""), now)
             return
         active = situation.active
         if active and not goal.charge and self._may_move(goal, rule):
             self._move(goal, active, now)
         elif active and goal.charge == active:
             attempt = goal.attempts[active]
-            if attempt.at is At.REJECTED and attempt.after <= now:
+            if attempt.at is AttemptState.REJECTED and attempt.after <= now:
                 goal.attempt(active)
         if goal.phase is Phase.ACTIVE and not goal.cancels:
             there = goal.attempts.get(goal.charge)
-            works = there is not None and there.at is At.RUNNING
+            works = there is not None and there.at is AttemptState.RUNNING
             for uid in sorted(self._mirrors if works else self._mirrors & self._invited):
                 self._mirror(goal, uid, now)
 
-    def _may_move(self, goal: Goal, rule: Rule) -> bool:
+    def _may_move(self, goal: Goal, rule: TaskRule) -> bool:
         """Whether a goal that no instance works on may be given to the one in control now."""
         if rule.on_failover != "Tree" or goal.phase is Phase.PENDING or not goal.attempts:
             return True
@@ -479,7 +491,7 @@ class Ledger:
     def _move(self, goal: Goal, active: str, now: float) -> None:
         """Put the instance in control in charge of a goal: it goes on there where it is mirrored, else it is sent."""
         attempt = goal.attempts.get(active)
-        lost = attempt is not None and attempt.at is At.LOST
+        lost = attempt is not None and attempt.at is AttemptState.LOST
         if lost and attempt is not None and attempt.after > now:
             return
         if goal.phase is not Phase.PENDING and not lost:

@@ -9,7 +9,7 @@ import logging
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
-from understudy.action_proxy.client_goals import At
+from understudy.action_proxy.client_goals import AttemptState
 from understudy.action_proxy.control_state import Peer
 from understudy.action_proxy.goal_ledger import Order
 from understudy.kube.agent_client import AgentGone, AgentLink, AgentRefused
@@ -22,7 +22,12 @@ RETRY = 1.0
 WITHIN = 10.0
 """Seconds for an answer: the agent asks its instance to cancel, which may take a while."""
 
-_STATES = {"running": At.RUNNING, "rejected": At.REJECTED, "ended": At.ENDED, "lost": At.LOST}
+_STATES = {
+    "running": AttemptState.RUNNING,
+    "rejected": AttemptState.REJECTED,
+    "ended": AttemptState.ENDED,
+    "lost": AttemptState.LOST,
+}
 
 
 class Listener(Protocol):
@@ -34,7 +39,7 @@ class Listener(Protocol):
     def found(self, uid: str, goal: Mapping[str, Any]) -> None:
         """A goal that the instance has, maybe of an earlier proxy."""
 
-    def said(self, uid: str, id: str, at: At, status: int, result: str) -> None:
+    def said(self, uid: str, id: str, at: AttemptState, status: int, result: str) -> None:
         """How one of its goals is."""
 
     def answered_cancel(self, uid: str, id: str, accepted: bool) -> None:
@@ -50,7 +55,7 @@ class Listener(Protocol):
         """Why it can't be given a goal of an action; empty when it was."""
 
 
-class Link:
+class InstanceLink:
     """One instance. Keeps at it until closed."""
 
     def __init__(self, peer: Peer, workload: str, listener: Listener) -> None:
@@ -109,7 +114,7 @@ class Link:
         at = _STATES.get(found["state"])
         if at is None:
             return
-        if at is not At.RUNNING:
+        if at is not AttemptState.RUNNING:
             self._sent.pop(found["id"], None)
             self._mine.discard(found["id"])
         self._listener.said(self.peer.uid, found["id"], at, int(found["status"]), found["result"])
@@ -190,4 +195,4 @@ class Link:
         if answer.get("known"):
             self._listener.answered_cancel(self.peer.uid, order.id, bool(answer.get("accepted")))
         else:
-            self._listener.said(self.peer.uid, order.id, At.LOST, 0, "")
+            self._listener.said(self.peer.uid, order.id, AttemptState.LOST, 0, "")

@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from understudy.action_proxy.control_state import Situation
+from understudy.action_proxy.control_state import ControlState
 
 _logger = logging.getLogger(__name__)
 
@@ -22,10 +22,10 @@ MOST = 1 << 20
 """Bytes of one line."""
 
 
-class Talk:
+class MonitorSocket:
     """The proxy's end."""
 
-    def __init__(self, on_situation: Callable[[Situation], None], report: Callable[[], Mapping[str, Any]]) -> None:
+    def __init__(self, on_situation: Callable[[ControlState], None], report: Callable[[], Mapping[str, Any]]) -> None:
         self._on_situation, self._report = on_situation, report
         self._writers: set[asyncio.StreamWriter] = set()
 
@@ -45,7 +45,7 @@ class Talk:
         try:
             self.tell()
             while line := await reader.readline():
-                self._on_situation(Situation.from_wire(json.loads(line)["situation"]))
+                self._on_situation(ControlState.from_wire(json.loads(line)["situation"]))
         except (ValueError, KeyError, TypeError) as error:
             _logger.error("the monitor said what can't be understood: %r", error)
         except OSError as error:

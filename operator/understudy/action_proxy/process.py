@@ -10,12 +10,12 @@ import signal
 import sys
 from pathlib import Path
 
-from understudy.action_proxy.goal_journal import Journal
-from understudy.action_proxy.monitor_socket import Talk
+from understudy.action_proxy.goal_journal import GoalJournal
+from understudy.action_proxy.monitor_socket import MonitorSocket
 from understudy.action_proxy.proxy import Proxy
 from understudy.api import names
 from understudy.process import http_pages, json_logs
-from understudy.ros.runtime.served_node import Spinning
+from understudy.ros.runtime.served_node import ServedNode
 
 _logger = logging.getLogger(__name__)
 
@@ -53,16 +53,16 @@ async def _run(workload: str, state: Path, socket: Path, port: int) -> None:
     told = asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, told.set)
-    spinning = Spinning("understudy_tasks_" + re.sub(r"[^a-zA-Z0-9_]", "_", workload))
-    proxy = Proxy(spinning, Journal(state / "goals.json"))
-    talk = Talk(proxy.place, proxy.report)
+    served = ServedNode("understudy_tasks_" + re.sub(r"[^a-zA-Z0-9_]", "_", workload))
+    proxy = Proxy(served, GoalJournal(state / "goals.json"))
+    talk = MonitorSocket(proxy.place, proxy.report)
     proxy.on_report = talk.tell
     server = await talk.listen(socket)
-    page = await http_pages.serve({"/healthz": lambda: health(spinning.silent_for)}, port)
+    page = await http_pages.serve({"/healthz": lambda: health(served.silent_for)}, port)
     _logger.info("task proxy of %s", workload)
     await told.wait()
     server.close()
     page.close()
     await proxy.close()
-    await spinning.close()
+    await served.close()
     _logger.info("ended")

@@ -14,14 +14,21 @@ from collections.abc import Callable, Coroutine, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from understudy.action_proxy.client_goals import At
-from understudy.action_proxy.control_state import Peer, Rule, Situation
-from understudy.action_proxy.goal_journal import Journal
+from understudy.action_proxy.client_goals import AttemptState
+from understudy.action_proxy.control_state import ControlState, Peer, TaskRule
+from understudy.action_proxy.goal_journal import GoalJournal
 from understudy.action_proxy.goal_ledger import Answer, CancelAnswer, GoalAnswer, Order
-from understudy.action_proxy.instance_link import Link
-from understudy.ros.actions.action_endpoints import ActionServer, ActionType, Asked, Cancelling, Known, renamed
+from understudy.action_proxy.instance_link import InstanceLink
+from understudy.ros.actions.action_endpoints import (
+    ActionServer,
+    ActionType,
+    CancelRequest,
+    KnownGoal,
+    RequestHandlers,
+    renamed,
+)
 from understudy.ros.runtime.interface_types import TypeNotInstalled
-from understudy.ros.runtime.served_node import Spinning
+from understudy.ros.runtime.served_node import ServedNode
 from understudy.ros.runtime.service_exchange import RequestId
 
 _logger = logging.getLogger(__name__)
@@ -37,27 +44,27 @@ SLACK = 0.002
 class _Served:
     """One action, and what was said of it last."""
 
-    rule: Rule
+    rule: TaskRule
     server: ActionServer | None = None
     """None until it is open."""
     problem: str = ""
     troubles: dict[str, str] = field(default_factory=dict)
     """By the UID of an instance, why it can't be given goals."""
-    statuses: list[Known] | None = None
+    statuses: list[KnownGoal] | None = None
     unsent: list[Answer] = field(default_factory=list)
 
 
 class Proxy:
     """Implements :class:`understudy.action_proxy.instance_link.Listener`."""
 
-    def __init__(self, spinning: Spinning, journal: Journal) -> None:
+    def __init__(self, node: ServedNode, journal: GoalJournal) -> None:
         """Go on from what the journal has."""
-        self._spinning, self._journal = spinning, journal
+        self._node, self._journal = node, journal
         self.on_report: Callable[[], None] = lambda: None
         """Called when there is something new to tell the monitor."""
         self._ledger, self._rules = journal.load()
         self._served: dict[str, _Served] = {}
-        self._links: dict[str, Link] = {}
+        self._links: dict[str, InstanceLink] = {}
         self._timer: asyncio.TimerHandle | None = None
         self._tasks: set[asyncio.Task[Any]] = set()
         self._reported: dict[str, Any] = {}
@@ -66,7 +73,7 @@ class Proxy:
 
     # -- the monitor ------------------------------------------------------------------------------------------------
 
-    def place(self, situation: Situation) -> None:
+    def place(self, situation: ControlState) -> None:
         """Go on under these circumstances."""
         self._ledger.place(situation, time.time())
         if (present := self._ledger.situation) is None or present != situation:
@@ -125,7 +132,7 @@ class Proxy:
         except (KeyError, TypeError, ValueError) as error:
             _logger.error("goal %s of an earlier proxy can't be taken up: %r", goal["id"], error)
 
-    def said(self, uid: str, id: str, at: At, status: int, result: str) -> None:
+    def said(self, uid: str, id: str, at: AttemptState, status: int, result: str) -> None:
         """How one of its goals is."""
         self._ledger.report(uid, id, at, time.time(), status=status, result=result)
         self._conclude()
@@ -156,13 +163,13 @@ class Proxy:
 
     # -- what clients do --------------------------------------------------------------------------------------------
 
-    def _asked(self, action: str) -> Asked:
+    def _asked(self, action: str) -> RequestHandlers:
         def goal(request: RequestId, id: str, data: bytes) -> None:
             _logger.info("goal %s of %s asked for", id, action)
             self._ledger.ask(action, id, base64.b64encode(data).decode(), request, time.time())
             self._conclude()
 
-        def cancel(request: RequestId, asked: Cancelling) -> None:
+        def cancel(request: RequestId, asked: CancelRequest) -> None:
             self._ledger.cancel(action, asked.goal, asked.until, request, time.time())
             self._conclude()
 
@@ -170,7 +177,7 @@ class Proxy:
             self._ledger.want_result(action, id, request)
             self._conclude()
 
-        return Asked(goal, cancel, result)
+        return RequestHandlers(goal, cancel, result)
 
     # -- inside -----------------------------------------------------------------------------------------------------
 
@@ -211,7 +218,9 @@ class Proxy:
             served.server.answer_result(request, answer.status, base64.b64decode(answer.result))
 
     def _publish(self, served: _Served) -> None:
-        statuses = [Known(goal.id, goal.accepted, goal.status) for goal in self._ledger.of_action(served.rule.action)]
+        statuses = [
+            KnownGoal(goal.id, goal.accepted, goal.status) for goal in self._ledger.of_action(served.rule.action)
+        ]
         if served.server is not None and statuses != served.statuses:
             served.statuses = statuses
             served.server.publish_status(statuses)
@@ -224,7 +233,7 @@ class Proxy:
 
     def _serve(self) -> None:
         """Have a server for each task, and for no other action."""
-        rules: Mapping[str, Rule] = {rule.action: rule for rule in self._rules}
+        rules: Mapping[str, TaskRule] = {rule.action: rule for rule in self._rules}
         for action in [a for a, served in self._served.items() if rules.get(a) != served.rule]:
             gone = self._served[action]
             if action in rules and rules[action].type == gone.rule.type:
@@ -247,7 +256,7 @@ class Proxy:
             served.problem = str(error)
             self._tell()
             return
-        server = ActionServer(self._spinning, action, type_, self._asked(action))
+        server = ActionServer(self._node, action, type_, self._asked(action))
         await server.open()
         _logger.info("serving %s", action)
         served.server = server
@@ -256,7 +265,7 @@ class Proxy:
             self._answer(served, answer)
         self._conclude()
 
-    def _link(self, situation: Situation) -> None:
+    def _link(self, situation: ControlState) -> None:
         """Have a connection to each instance's agent, and to no other."""
         wanted: Mapping[str, Peer] = {peer.uid: peer for peer in situation.peers}
         for uid, link in list(self._links.items()):
@@ -268,7 +277,7 @@ class Proxy:
                     served.troubles.pop(uid, None)
         for uid, peer in wanted.items():
             if uid not in self._links:
-                self._links[uid] = Link(peer, situation.workload, self)
+                self._links[uid] = InstanceLink(peer, situation.workload, self)
 
     def _spawn(self, work: Coroutine[Any, Any, None]) -> None:
         task = asyncio.create_task(work)

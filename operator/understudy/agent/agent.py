@@ -12,16 +12,16 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from understudy.agent import isolation, prepare
-from understudy.agent.agent_memory import Memory
+from understudy.agent.agent_memory import AgentMemory
 from understudy.agent.control_channel import Operation, Peer, Refused
-from understudy.agent.held_containers import Holds
-from understudy.agent.instance_health import Health, Plan
-from understudy.agent.pod_identity import Identity
-from understudy.agent.procedure_runner import InstanceActions, Procedures
-from understudy.agent.readiness import Readiness, Standing
-from understudy.agent.state_restoration import Restorer
-from understudy.agent.task_goals import Goals
-from understudy.agent.writer_strength import Strengths
+from understudy.agent.held_containers import HeldContainers
+from understudy.agent.instance_health import HealthPlan, InstanceHealth
+from understudy.agent.pod_identity import PodIdentity
+from understudy.agent.procedure_runner import InstanceActions, ProcedureRunner
+from understudy.agent.readiness import StandbyExpectation, StandbyReadiness
+from understudy.agent.state_restoration import StateRestorer
+from understudy.agent.task_goals import TaskGoals
+from understudy.agent.writer_strength import WriterStrengths
 from understudy.api import names
 from understudy.api.protocol import hold_script
 from understudy.api.protocol.agent_messages import AgentStatus, Phase
@@ -29,22 +29,22 @@ from understudy.api.protocol.kept_state import KeptState
 from understudy.kube.gates.probes import ProbeSender
 
 if TYPE_CHECKING:
-    from understudy.ros.actions.instance_calls import Caller
+    from understudy.ros.actions.instance_calls import InstanceCaller
 
 _logger = logging.getLogger(__name__)
 
 
-class Sidecar:
-    """Implements :class:`understudy.agent.control_channel.Served`."""
+class Agent:
+    """Implements :class:`understudy.agent.control_channel.AgentInterface`."""
 
-    def __init__(self, identity: Identity, probes: ProbeSender) -> None:
+    def __init__(self, identity: PodIdentity, probes: ProbeSender) -> None:
         """Take up where an earlier agent of this pod left off. Raises OSError when the shared volume can't be used."""
         self._identity, self._probes = identity, probes
-        self._holds = Holds(identity.directory, identity.held)
+        self._holds = HeldContainers(identity.directory, identity.held)
         self._holds.prepare()
-        self._memory = Memory.load(identity.directory)
-        self._strengths = Strengths(identity.directory)
-        self.fence = isolation.Fence(
+        self._memory = AgentMemory.load(identity.directory)
+        self._strengths = WriterStrengths(identity.directory)
+        self.isolation = isolation.Isolation(
             identity.directory,
             identity.fenced or isolation.built(identity.directory, identity.held),
             unfenced=identity.unfenced,
@@ -53,20 +53,20 @@ class Sidecar:
             nudge=self._notify,
         )
         """What holds the application while the pod is cut off."""
-        self._health = Health(identity.pod, on_change=self._health_changed, on_writers=self._writers_seen)
+        self._health = InstanceHealth(identity.pod, on_change=self._health_changed, on_writers=self._writers_seen)
         self._health.resume(self._memory.process_up_at, self._memory.ready_at)
-        self._caller: Caller | None = None
-        self._restorer = Restorer(lambda: self.caller)
+        self._caller: InstanceCaller | None = None
+        self._restorer = StateRestorer(lambda: self.caller)
         name = "understudy_goals_" + re.sub(r"[^a-zA-Z0-9_]", "_", identity.pod)
-        self._goals = Goals(name, self._health.place, lambda event: self.publish(event))
-        self._procedures = Procedures(
+        self._goals = TaskGoals(name, self._health.place, lambda event: self.publish(event))
+        self._procedures = ProcedureRunner(
             self._actions,
             self._health.watch,
             on_begin=self._procedure_begins,
             on_success=self._procedure_done,
             on_end=self._notify,
         )
-        self._readiness = Readiness(lambda: self._actions(KeptState()), self._health.watch, self._notify)
+        self._readiness = StandbyReadiness(lambda: self._actions(KeptState()), self._health.watch, self._notify)
         self.publish: Callable[[Mapping[str, Any]], None] = lambda event: None
         """Sends an event to whoever is connected."""
         self._configuring = asyncio.Lock()
@@ -81,7 +81,7 @@ class Sidecar:
         """
         if self._memory.configuration is not None:
             try:
-                self._health.configure(await asyncio.to_thread(Plan.of, self._memory.configuration))
+                self._health.configure(await asyncio.to_thread(HealthPlan.of, self._memory.configuration))
             except ValueError as error:
                 _logger.error("the health tree of an earlier agent is left out: %s", error)
                 self._memory.configuration = None
@@ -142,8 +142,8 @@ class Sidecar:
         ready, reason = self._readiness.judge(
             judgement.ready, judgement.reason, brought=brought, busy=self._procedures.summary
         )
-        if self.fence.reason:
-            ready, reason = False, self.fence.reason
+        if self.isolation.reason:
+            ready, reason = False, self.isolation.reason
         return AgentStatus(
             phase=phase,
             ready=ready,
@@ -157,8 +157,8 @@ class Sidecar:
             check=self._readiness.reason,
             procedure=doing,
             strength=self._strengths.range,
-            cut_off=self.fence.since,
-            unfenced=self.fence.unfenced,
+            cut_off=self.isolation.since,
+            unfenced=self.isolation.unfenced,
         )
 
     @property
@@ -187,7 +187,7 @@ class Sidecar:
             **self._restorer.operations(),
             **self._procedures.operations(),
             **self._goals.operations(),
-            **self.fence.operations(),
+            **self.isolation.operations(),
         }
 
     async def configure(self, body: Mapping[str, Any], peer: Peer) -> None:
@@ -200,7 +200,7 @@ class Sidecar:
         async with self._configuring:
             if configuration != self._memory.configuration:
                 try:
-                    plan = await asyncio.to_thread(Plan.of, configuration)
+                    plan = await asyncio.to_thread(HealthPlan.of, configuration)
                 except ValueError as error:
                     raise Refused(str(error)) from error
                 self._health.configure(plan)
@@ -229,7 +229,7 @@ class Sidecar:
         self._notify()
         self._look()
 
-    def _bound(self, body: Mapping[str, Any], peer: Peer) -> Memory:
+    def _bound(self, body: Mapping[str, Any], peer: Peer) -> AgentMemory:
         """What is known once the pod belongs to who starts it. Kept before the first process starts, so that no later
         agent of this pod can give it to another.
         """
@@ -250,7 +250,7 @@ class Sidecar:
             ros = {**ros, names.PROFILES_VARIABLE: str(file)}
         if names.STRENGTH_VARIABLE in profiles:
             try:
-                self.fence.build(self._identity.held)
+                self.isolation.build(self._identity.held)
             except OSError as error:
                 raise Refused(f"making what it can be held by: {error}") from error
         bound = dataclasses.replace(
@@ -287,13 +287,13 @@ class Sidecar:
     # -- procedures -------------------------------------------------------------------------------------------------
 
     @property
-    def caller(self) -> Caller:
+    def caller(self) -> InstanceCaller:
         """What reaches this pod's instance; ROS is imported when it is first asked for."""
         if self._caller is None:
-            from understudy.ros.actions.instance_calls import Caller
+            from understudy.ros.actions.instance_calls import InstanceCaller
 
             name = "understudy_calls_" + re.sub(r"[^a-zA-Z0-9_]", "_", self._identity.pod)
-            self._caller = Caller(name, place=self._health.place)
+            self._caller = InstanceCaller(name, place=self._health.place)
         return self._caller
 
     def _actions(self, state: KeptState) -> InstanceActions:
@@ -304,7 +304,7 @@ class Sidecar:
     def _expect(self, standby: object) -> None:
         """Judge a waiting instance by this. Raises Refused."""
         try:
-            self._readiness.expect(Standing.from_wire(standby))
+            self._readiness.expect(StandbyExpectation.from_wire(standby))
         except ValueError as error:
             raise Refused(str(error)) from error
 

@@ -18,7 +18,7 @@ NAME = "agent.json"
 
 
 @dataclass
-class Memory:
+class AgentMemory:
     """Kept in the emptyDir, which lives as long as the pod. Times are Unix seconds."""
 
     workload: str = ""
@@ -42,7 +42,7 @@ class Memory:
         return {name: {**self.ros, **self.environment.get(name, {})} for name in containers}
 
     @classmethod
-    def load(cls, directory: Path) -> Memory:
+    def load(cls, directory: Path) -> AgentMemory:
         """What was kept; blank where nothing was or it can't be read."""
         path = directory / NAME
         try:

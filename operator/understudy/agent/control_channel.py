@@ -65,7 +65,7 @@ Operation = Callable[[Mapping[str, Any], Peer], Awaitable[Mapping[str, Any] | No
 """Carries out a request's body for a peer, and gives what the answer says beside ``ok``. Raises Refused."""
 
 
-class Served(Protocol):
+class AgentInterface(Protocol):
     """What the sessions command."""
 
     def greeting(self) -> Mapping[str, str]:
@@ -137,10 +137,10 @@ class _Session:
             return False
 
 
-class Sessions:
+class ControlChannel:
     """Serves the control channel."""
 
-    def __init__(self, served: Served) -> None:
+    def __init__(self, served: AgentInterface) -> None:
         self._served = served
         self._pending: dict[asyncio.StreamWriter, None] = {}
         self._sessions: list[_Session] = []

@@ -64,7 +64,7 @@ def wake_fifo(path: Path) -> bool:
     return True
 
 
-class Holds:
+class HeldContainers:
     """The held containers of this pod; none of them in a pod that isn't held."""
 
     def __init__(self, directory: Path, containers: Sequence[str]) -> None:

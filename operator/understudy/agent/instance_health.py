@@ -24,11 +24,18 @@ from understudy.agent.output_topics import Output
 from understudy.api.protocol.agent_messages import OutputCount
 
 if TYPE_CHECKING:
-    from understudy.ros.actions.instance_calls import Place
-    from understudy.ros.observe.topic_watch import Watching
+    from understudy.ros.actions.instance_calls import GraphLocation
+    from understudy.ros.observe.topic_watch import TopicWatch
     from understudy.ros.runtime.graph_node import Graph
     from understudy.trees.core.health_tree import HealthTree, Verdict, WatchedTopic
-    from understudy.trees.core.observations import NodeState, ParameterState, PodState, Present, Publishers, TopicRecord
+    from understudy.trees.core.observations import (
+        NodePresence,
+        NodeState,
+        ParameterState,
+        PodState,
+        Publishers,
+        TopicRecord,
+    )
 
 _logger = logging.getLogger(__name__)
 
@@ -55,7 +62,7 @@ RETRY = 5.0
 
 
 @dataclass(frozen=True)
-class Plan:
+class HealthPlan:
     """What the monitor asked to be judged by."""
 
     tree: HealthTree
@@ -65,7 +72,7 @@ class Plan:
     output, which may take a procedure."""
 
     @classmethod
-    def of(cls, body: Mapping[str, Any]) -> Plan:
+    def of(cls, body: Mapping[str, Any]) -> HealthPlan:
         """From a ``configure`` request. Raises ValueError with everything that is wrong with it."""
         from understudy.trees.languages.notations import load_health
         from understudy.trees.source.problems import TreeError
@@ -87,7 +94,7 @@ class Plan:
 
 
 @dataclass
-class Judgement:
+class InstanceJudgement:
     """How the instance is doing. Times are Unix seconds.
 
     A ready instance has a reason too where part of the tree can't be judged, as for a type that is not installed.
@@ -106,7 +113,7 @@ class _OwnOutputs:
     in_control = False
     """Nobody here knows whether it is; as long as it isn't, the robot does what another instance says."""
 
-    def __init__(self, watching: Watching, outputs: Sequence[Output], host: bytes) -> None:
+    def __init__(self, watching: TopicWatch, outputs: Sequence[Output], host: bytes) -> None:
         self._watching, self._host = watching, host
         self._topics = {output.topic for output in outputs if output.topic}
 
@@ -130,7 +137,7 @@ class _OwnOutputs:
         """This instance's."""
         return self._watching.publishers(name)
 
-    def node(self, name: str) -> Present | None:
+    def node(self, name: str) -> NodePresence | None:
         """This instance's."""
         return self._watching.node(name)
 
@@ -156,7 +163,7 @@ class _OwnOutputs:
         return found
 
 
-class Health:
+class InstanceHealth:
     """Looks at the instance until cancelled, and says what it sees in ``judgement``."""
 
     def __init__(
@@ -169,29 +176,29 @@ class Health:
         """``on_change`` is called when anything but the outputs' counts is another, ``on_writers`` now and then with the
         GIDs of this pod's writers of outputs.
         """
-        self.judgement = Judgement()
+        self.judgement = InstanceJudgement()
         self._node_name = "understudy_agent_" + re.sub(r"[^a-zA-Z0-9_]", "_", pod)
         self._on_change = on_change
         self._on_writers = on_writers
-        self._plan: Plan | None = None
+        self._plan: HealthPlan | None = None
         self._new_plan = asyncio.Event()
         self._keep_ready = False
         self._since = 0.0
         self._looked_for_presence = 0.0
         self._present = False
-        self._joined: tuple[Graph, Watching, bytes] | None = None
+        self._joined: tuple[Graph, TopicWatch, bytes] | None = None
         self._own: _OwnOutputs | None = None
         self._also: dict[str, tuple[WatchedTopic, ...]] = {}
         self._also_since = 0.0
 
-    def place(self) -> Place | None:
+    def place(self) -> GraphLocation | None:
         """Where in the ROS graph this process is; None while it has not joined."""
-        from understudy.ros.actions.instance_calls import Place
+        from understudy.ros.actions.instance_calls import GraphLocation
 
         if self._joined is None:
             return None
         graph, _, host = self._joined
-        return Place(graph.node.context, host)
+        return GraphLocation(graph.node.context, host)
 
     def watch(self, purpose: str, topics: Sequence[WatchedTopic]) -> None:
         """Watch some topics more, for trees of a purpose; the last ones of that purpose are let go."""
@@ -232,7 +239,7 @@ class Health:
         """Go on from what an earlier agent of this pod saw."""
         self.judgement.process_up_at, self.judgement.ready_at = process_up_at, ready_at
 
-    def configure(self, plan: Plan) -> None:
+    def configure(self, plan: HealthPlan) -> None:
         """Judge by this from now on. A ready instance stays so until the new tree says otherwise."""
         self._plan = plan
         self._keep_ready = self.judgement.ready
@@ -261,7 +268,7 @@ class Health:
                 watching.close()
                 graph.close()
 
-    async def _look(self, graph: Graph, watching: Watching, host: bytes) -> None:
+    async def _look(self, graph: Graph, watching: TopicWatch, host: bytes) -> None:
         if self._plan is None:
             self._say(False, "waiting for the monitor to say what healthy is")
             await self._new_plan.wait()
@@ -294,7 +301,9 @@ class Health:
             async with asyncio.timeout(rest):
                 await self._new_plan.wait()
 
-    def _judge(self, graph: Graph, watching: Watching, host: bytes, plan: Plan, own: _OwnOutputs, now: float) -> None:
+    def _judge(
+        self, graph: Graph, watching: TopicWatch, host: bytes, plan: HealthPlan, own: _OwnOutputs, now: float
+    ) -> None:
         judgement = self.judgement
         self._look_for_presence(graph, host, plan)
         up = self._present or (plan.managed and judgement.process_up_at is None and _application(graph, host))
@@ -317,7 +326,7 @@ class Health:
             self._keep_ready = False
             self._say(False, "; ".join([verdict.reason, *watching.problems, *watching.waiting]))
 
-    def _look_for_presence(self, graph: Graph, host: bytes, plan: Plan) -> None:
+    def _look_for_presence(self, graph: Graph, host: bytes, plan: HealthPlan) -> None:
         """Whether this pod's application has an endpoint for an output. Asked for seldom once it had one."""
         from understudy.ros.dds.sample_sources import HOST
 
@@ -346,7 +355,7 @@ def _application(graph: Graph, host: bytes) -> bool:
     return any(node.gid[HOST] == host and node.node and not node.node.startswith(OURS) for node in nodes)
 
 
-def _join(node_name: str) -> tuple[Graph, Watching, bytes]:
+def _join(node_name: str) -> tuple[Graph, TopicWatch, bytes]:
     """This process's node, and the part of a GID by which this host's writers are told.
 
     That part is read off the node's own publisher: it holds whatever addresses the pod has. Blocks for about a second.
@@ -355,7 +364,7 @@ def _join(node_name: str) -> tuple[Graph, Watching, bytes]:
 
     import_rclpy()
     from understudy.ros.dds.sample_sources import HOST
-    from understudy.ros.observe.topic_watch import Watching
+    from understudy.ros.observe.topic_watch import TopicWatch
     from understudy.ros.runtime.graph_node import Graph
 
     graph = Graph(node_name)
@@ -365,7 +374,7 @@ def _join(node_name: str) -> tuple[Graph, Watching, bytes]:
             for endpoint in graph.publishers("/parameter_events"):
                 if endpoint.node == f"/{node_name}":
                     host = endpoint.gid[HOST]
-                    return graph, Watching(graph, host), host
+                    return graph, TopicWatch(graph, host), host
             time.sleep(0.01)
         raise TimeoutError(f"the node doesn't see its own publisher within {OWN_GID:g} s")
     except BaseException:

@@ -22,7 +22,7 @@ from typing import Any, Protocol
 
 from understudy.agent.control_channel import Operation, Peer, Refused
 from understudy.agent.held_containers import make_fifo, wake_fifo, write_atomically
-from understudy.agent.permit import Lease
+from understudy.agent.permit import Permit
 from understudy.api import names
 from understudy.api.protocol import freeze_script
 
@@ -52,7 +52,7 @@ class Address:
     """Whether a refusal doesn't count: the address of a Service that has no pods is refused by the node itself."""
 
 
-class Contacts(Protocol):
+class MonitorSessions(Protocol):
     """The sessions with monitors, as far as they show that somebody is there."""
 
     @property
@@ -66,7 +66,7 @@ class Contacts(Protocol):
         """End all of them at once."""
 
 
-class Fence:
+class Isolation:
     """The applications of one pod; idle where none of its containers can be held."""
 
     def __init__(
@@ -87,17 +87,17 @@ class Fence:
         self._monitor: Address | None = None
         self._witnesses: tuple[Address, ...] = ()
         self._favourite: Address | None = None
-        self._questions = Questions()
+        self._attempts = ConnectionAttempts()
         self._asked_apiserver = 0.0
         self._complained_at = -COMPLAIN
-        self.contacts: Contacts | None = None
+        self.contacts: MonitorSessions | None = None
         self.since: float | None = None
         """Since when they are held, in unix seconds."""
-        self._lease = Lease()
-        self._told = self._lease.state
+        self._permit = Permit()
+        self._told = self._permit.state
         with contextlib.suppress(OSError):
             self.since = self._marker.stat().st_mtime
-            self._lease = Lease(state="Away")
+            self._permit = Permit(state="Away")
 
     @property
     def _marker(self) -> Path:
@@ -109,7 +109,7 @@ class Fence:
         if self.since is None:
             return ""
         since = datetime.fromtimestamp(self.since, UTC).strftime("%H:%M:%S UTC")
-        match self._lease.state:
+        match self._permit.state:
             case "Away":
                 return f"held: cut off since {since}, nobody answers"
             case "Replaced":
@@ -122,7 +122,7 @@ class Fence:
         """Why the application couldn't be held if it were cut off; empty where it could, or needn't."""
         if self._unfenced:
             return f"container {', '.join(self._unfenced)} has no command in the template"
-        if self.containers and self._lease.state == "Idle":
+        if self.containers and self._permit.state == "Idle":
             return "nobody has answered its agent yet"
         return ""
 
@@ -134,9 +134,9 @@ class Fence:
 
     def operations(self) -> Mapping[str, Operation]:
         """What a monitor can ask for."""
-        return {"lease": self.lease}
+        return {"lease": self.renew}
 
-    async def lease(self, body: Mapping[str, Any], peer: Peer) -> None:
+    async def renew(self, body: Mapping[str, Any], peer: Peer) -> None:
         """Take the addresses of who may answer, and what becomes of the application if it is held. Raises Refused."""
         found, word = body.get("witnesses", []), body.get("word")
         if not isinstance(found, list) or not all(isinstance(host, str) for host in found):
@@ -146,7 +146,7 @@ class Fence:
         self._monitor = self._favourite = Address(peer.host, names.PROBE_PORT)
         self._witnesses = tuple(Address(host, names.PROBE_PORT) for host in found[:MOST_WITNESSES])
         if word is not None:
-            self._lease.word(word, time.monotonic())
+            self._permit.word(word, time.monotonic())
             self._apply()
 
     async def run(self) -> None:
@@ -155,9 +155,9 @@ class Fence:
             while True:
                 if self.containers:
                     self._look_anyhow(time.monotonic())
-                await asyncio.sleep(self._lease.wait)
+                await asyncio.sleep(self._permit.wait)
         finally:
-            self._questions.close()
+            self._attempts.close()
 
     def _look_anyhow(self, now: float) -> None:
         """Look, whatever error comes of it: nobody else does, and what is cut off would drive on. A restarted agent has forgotten
@@ -174,47 +174,47 @@ class Fence:
 
     def _judge(self, now: float) -> None:
         """Where nobody can be asked, it is as if nobody answered."""
-        self._questions.close()
-        self._questions = Questions()
-        self._lease.look(now)
-        if self._lease.asked_at != now:
-            self._lease.ask(now)
+        self._attempts.close()
+        self._attempts = ConnectionAttempts()
+        self._permit.look(now)
+        if self._permit.asked_at != now:
+            self._permit.ask(now)
         self._apply()
 
     def _look(self, now: float) -> None:
-        lease, contacts = self._lease, self.contacts
+        permit, contacts = self._permit, self.contacts
         self._take_answers(now)
-        if lease.rounds and lease.state != "Idle" and contacts is not None and contacts.taken_in():
-            lease.answered(now)
-        lease.look(now)
+        if permit.rounds and permit.state != "Idle" and contacts is not None and contacts.taken_in():
+            permit.answered(now)
+        permit.look(now)
         self._apply()
-        match lease.ask(now):
+        match permit.ask(now):
             case "One":
                 self._ask(now, self._favourite)
             case "Everybody":
-                if lease.state != "Idle":
+                if permit.state != "Idle":
                     self._nudge()
                 self._ask(now, self._monitor, *self._witnesses)
                 # Its connections are written down there, so it is asked only where nobody else is left.
-                if lease.rounds > 1 and lease.state != "Idle":
+                if permit.rounds > 1 and permit.state != "Idle":
                     self._ask(now, self._apiserver)
-        if lease.state == "Back" and not (contacts and contacts.count):
+        if permit.state == "Back" and not (contacts and contacts.count):
             if now - self._asked_apiserver >= APISERVER_PERIOD:
                 self._asked_apiserver = now
                 self._ask(now, self._apiserver)
         else:
-            lease.apiserver(now, False)
+            permit.apiserver(now, False)
 
     def _apply(self) -> None:
         """Have what was decided come about."""
-        state, before = self._lease.state, self._told
+        state, before = self._permit.state, self._told
         self._told = state
         if (before, state) == ("Away", "Back") and self.contacts is not None:
             # What was sent meanwhile is repeated after seconds only; a monitor whose session ends comes back at once.
             self.contacts.abort()
-        if self._lease.held != (self.since is not None):
+        if self._permit.held != (self.since is not None):
             try:
-                self._mark(self._lease.held)
+                self._mark(self._permit.held)
             except OSError as error:
                 _logger.error("%s: the application can't be held or let go: %s", self._marker, error)
         if state != before:
@@ -236,18 +236,18 @@ class Fence:
     def _ask(self, now: float, *addresses: Address | None) -> None:
         for address in addresses:
             if address is not None:
-                self._questions.ask(address, now)
+                self._attempts.ask(address, now)
 
     def _take_answers(self, now: float) -> None:
-        for address, asked_at, answer in self._questions.answers(now):
+        for address, asked_at, answer in self._attempts.answers(now):
             if address == self._apiserver:
-                self._lease.apiserver(now, answer)
+                self._permit.apiserver(now, answer)
             if answer and address in (self._monitor, *self._witnesses, self._apiserver):
                 self._favourite = address
-                self._lease.answered(asked_at)
+                self._permit.answered(asked_at)
 
 
-class Questions:
+class ConnectionAttempts:
     """Connections that are begun only to see whether anybody answers. Who asks looks again later: nothing is awaited."""
 
     def __init__(self) -> None:

@@ -12,16 +12,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-PERIOD = 0.125
+RENEW_PERIOD = 0.125
 """Seconds between two questions to the one who answered last."""
 
-AGAIN = 0.1
+RETRY = 0.1
 """Seconds after which everybody is asked again, where no answer came."""
 
-IDLE = 1.0
+IDLE_PERIOD = 1.0
 """Seconds between two such rounds before anybody has ever answered."""
 
-AWAY = 0.25
+FROZEN_PERIOD = 0.25
 """Seconds between two such rounds once the instance is held."""
 
 PATIENCE = 0.4
@@ -36,20 +36,20 @@ STALLED = 0.25
 WITHOUT_MONITOR = 30.0
 """Seconds for which the API server must have been reached before a held instance goes on with no word of a monitor."""
 
-Word = Literal["Go", "Stay"]
+Instruction = Literal["Go", "Stay"]
 """What the monitor says of an instance: it drives or stands by, or it was replaced."""
 
-Asked = Literal["Nobody", "One", "Everybody"]
+Questioned = Literal["Nobody", "One", "Everybody"]
 
 State = Literal["Idle", "Running", "Away", "Back", "Replaced"]
 """Idle: nobody has ever answered, so silence says nothing. Running: somebody answers. Away: held, nobody answers. Back: held,
 answers come again, waiting for the monitor's word. Replaced: held for good."""
 
-HELD: frozenset[State] = frozenset({"Away", "Back", "Replaced"})
+FROZEN: frozenset[State] = frozenset({"Away", "Back", "Replaced"})
 
 
 @dataclass
-class Lease:
+class Permit:
     """One instance's."""
 
     state: State = "Idle"
@@ -68,16 +68,16 @@ class Lease:
     @property
     def held(self) -> bool:
         """Whether the application must not run."""
-        return self.state in HELD
+        return self.state in FROZEN
 
     @property
     def wait(self) -> float:
         """Seconds until the next look."""
         if self.state == "Idle":
-            return IDLE
+            return IDLE_PERIOD
         if self.held:
-            return AWAY
-        return AGAIN if self.rounds else PERIOD
+            return FROZEN_PERIOD
+        return RETRY if self.rounds else RENEW_PERIOD
 
     def answered(self, now: float) -> None:
         """Somebody answered."""
@@ -88,7 +88,7 @@ class Lease:
             case "Away":
                 self.state = "Back"
 
-    def ask(self, now: float) -> Asked:
+    def ask(self, now: float) -> Questioned:
         """Whom to ask now. They are taken to be asked."""
         if self.state == "Replaced":
             return "Nobody"
@@ -106,7 +106,7 @@ class Lease:
         elif self.apiserver_since is None:
             self.apiserver_since = now
 
-    def word(self, word: Word, now: float) -> None:
+    def word(self, word: Instruction, now: float) -> None:
         """The monitor said what becomes of a held instance; its last word counts."""
         if not self.held:
             return
@@ -123,7 +123,7 @@ class Lease:
         if stalled:
             self.rounds, self.waiting = 0, False
             return
-        silent = now - self.answered_at >= PATIENCE and self.rounds >= ROUNDS and now - self.asked_at >= AGAIN * 0.9
+        silent = now - self.answered_at >= PATIENCE and self.rounds >= ROUNDS and now - self.asked_at >= RETRY * 0.9
         if silent and self.state in ("Running", "Back"):
             self.state, self.apiserver_since = "Away", None
         elif (

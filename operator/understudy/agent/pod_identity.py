@@ -10,7 +10,7 @@ from understudy.api import names
 
 
 @dataclass(frozen=True)
-class Identity:
+class PodIdentity:
     """One pod."""
 
     workload: str
@@ -28,7 +28,7 @@ class Identity:
     """Containers where it should be and can't."""
 
     @classmethod
-    def from_environment(cls, environment: Mapping[str, str]) -> Identity:
+    def from_environment(cls, environment: Mapping[str, str]) -> PodIdentity:
         """Raises ValueError, naming the variables, when some are missing."""
         needed = ("UNDERSTUDY_POD", "UNDERSTUDY_POD_UID")
         if missing := [name for name in needed if not environment.get(name)]:

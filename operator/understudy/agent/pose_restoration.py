@@ -18,7 +18,7 @@ from understudy.kinematics.pose_decoding import ODOMETRY, Reading, read
 from understudy.kinematics.poses import Pose, carried, grown
 
 if TYPE_CHECKING:
-    from understudy.ros.actions.instance_calls import Caller, Listener
+    from understudy.ros.actions.instance_calls import InstanceCaller, Listener
     from understudy.ros.runtime.sample_taking import Sample
 
 ODOMETRY_WITHIN = 5.0
@@ -31,7 +31,7 @@ _SECOND = 1e-9
 
 
 @dataclass(frozen=True)
-class Carried:
+class PoseOutcome:
     """What became of a pose that was to be carried."""
 
     metres: float | None = None
@@ -40,13 +40,13 @@ class Carried:
     """Why not, or what is uncertain about it."""
 
 
-class Present:
+class PosePublication:
     """A kept message as it is to be said now."""
 
     def __init__(self, sample: KeptSample, listener: Listener | None = None, missing: str = "") -> None:
         """``missing`` says why a pose can't be carried, as long as no odometry comes."""
         self._sample, self._listener, self._missing = sample, listener, missing
-        self.outcome: Carried | None = None
+        self.outcome: PoseOutcome | None = None
         """What became of it when it was said last; None for a message that isn't to be carried."""
 
     def message(self) -> bytes:
@@ -66,11 +66,11 @@ class Present:
                 missing = f"it can't be carried by {motion.topic}: {error}"
             else:
                 note = f"{motion.topic} was not watched for {motion.blind:.1f} s of what it was carried over"
-                self.outcome = Carried(metres, note if motion.blind > TOLD_FROM else "")
+                self.outcome = PoseOutcome(metres, note if motion.blind > TOLD_FROM else "")
                 return data
         if motion.required:
             raise CallFailed(missing)
-        self.outcome = Carried(None, f"{missing}; it was given as it was kept")
+        self.outcome = PoseOutcome(None, f"{missing}; it was given as it was kept")
         return stamped(self._sample)
 
     def _carried(self, motion: Motion, came: Sample) -> tuple[bytes, float]:
@@ -128,13 +128,13 @@ def _pose(pose: Any) -> Pose:
 
 
 @contextlib.asynccontextmanager
-async def present(caller: Caller, sample: KeptSample, within: float) -> AsyncIterator[Present]:
+async def present(caller: InstanceCaller, sample: KeptSample, within: float) -> AsyncIterator[PosePublication]:
     """A kept message for as long as it is being said; odometry is waited for before, a part of so many seconds."""
     from understudy.ros.actions.instance_calls import CallFailed
 
     motion = sample.motion
     if motion is None or motion.missing:
-        yield Present(sample, missing=motion.missing if motion is not None else "")
+        yield PosePublication(sample, missing=motion.missing if motion is not None else "")
         return
     async with contextlib.AsyncExitStack() as stack:
         listener, missing = None, ""
@@ -145,4 +145,4 @@ async def present(caller: Caller, sample: KeptSample, within: float) -> AsyncIte
                 missing = f"it can't be carried by {motion.topic}: nothing came on it within {waited:.3g} s"
         except CallFailed as error:
             missing = f"it can't be carried by {motion.topic}: {error}"
-        yield Present(sample, listener, missing)
+        yield PosePublication(sample, listener, missing)

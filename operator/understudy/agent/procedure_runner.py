@@ -13,8 +13,8 @@ from understudy.api.protocol.agent_messages import GAVE_WAY, ProtocolError
 from understudy.api.protocol.kept_state import KeptState, RestoreReport
 
 if TYPE_CHECKING:
-    from understudy.agent.instance_health import Health
-    from understudy.ros.actions.instance_calls import Caller
+    from understudy.agent.instance_health import InstanceHealth
+    from understudy.ros.actions.instance_calls import InstanceCaller
     from understudy.trees.core.health_tree import HealthTree, Verdict, WatchedTopic
     from understudy.trees.languages.short.procedure_loader import ProcedureTree
 
@@ -27,7 +27,7 @@ CHECKED_WITHIN = 2.0
 """Seconds that one look of a check takes at most, where its period isn't longer."""
 
 Restore = Callable[..., Awaitable[RestoreReport]]
-"""``(state, *, within, only)``, as of :class:`understudy.agent.state_restoration.Restorer`."""
+"""``(state, *, within, only)``, as of :class:`understudy.agent.state_restoration.StateRestorer`."""
 
 
 def places_of(data: object) -> Mapping[str, str]:
@@ -43,8 +43,8 @@ def places_of(data: object) -> Mapping[str, str]:
 class InstanceActions:
     """Implements :class:`understudy.trees.core.procedure_steps.Actions` for this pod's instance."""
 
-    caller: Caller
-    watched: Health
+    caller: InstanceCaller
+    watched: InstanceHealth
     restore: Restore
     resend: Callable[[float], Awaitable[None]]
     state: KeptState = field(default_factory=KeptState)
@@ -105,7 +105,7 @@ class InstanceActions:
         return self.watched.verdict(tree)
 
 
-class Procedures:
+class ProcedureRunner:
     """One procedure at a time: a newer one takes the place of the one that runs."""
 
     def __init__(
@@ -188,7 +188,7 @@ class Procedures:
                 self._on_end()
 
 
-class Checking:
+class ReadinessCheck:
     """Looks again and again whether a check holds."""
 
     def __init__(self, tree: ProcedureTree, period: float, actions: Callable[[], InstanceActions]) -> None:

@@ -11,9 +11,9 @@ import signal
 import sys
 import time
 
-from understudy.agent.agent import Sidecar
-from understudy.agent.control_channel import Sessions
-from understudy.agent.pod_identity import Identity
+from understudy.agent.agent import Agent
+from understudy.agent.control_channel import ControlChannel
+from understudy.agent.pod_identity import PodIdentity
 from understudy.api import names
 from understudy.kube.gates.probes import ProbeSender
 from understudy.process import cpu_scheduling, json_logs
@@ -44,7 +44,7 @@ def main(argv: list[str]) -> int:
         print(f"understudy agent: unexpected {' '.join(argv)}; it takes no arguments", file=sys.stderr)
         return 2
     try:
-        identity = Identity.from_environment(os.environ)
+        identity = PodIdentity.from_environment(os.environ)
         probes = ProbeSender(identity.uid)
     except ValueError as error:
         print(f"understudy agent: {error}", file=sys.stderr)
@@ -54,43 +54,43 @@ def main(argv: list[str]) -> int:
     return 0
 
 
-async def _run(identity: Identity, probes: ProbeSender) -> None:
+async def _run(identity: PodIdentity, probes: ProbeSender) -> None:
     loop = asyncio.get_running_loop()
     told = asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, told.set)
-    sidecar = Sidecar(identity, probes)
-    sessions = Sessions(sidecar)
-    sidecar.publish = sessions.publish
-    sidecar.fence.contacts = sessions
+    agent = Agent(identity, probes)
+    sessions = ControlChannel(agent)
+    agent.publish = sessions.publish
+    agent.isolation.contacts = sessions
 
     def ready() -> tuple[int, str]:
-        status = sidecar.status()
+        status = agent.status()
         return (200, "ready\n") if status.ready else (503, f"{status.phase}: {status.reason}\n")
 
     pages = {"/ready": ready, "/healthz": lambda: (200, "ok\n")}
     control = await sessions.serve(int(os.environ.get("UNDERSTUDY_AGENT_PORT", names.AGENT_PORT)))
     health = await serve(pages, int(os.environ.get("UNDERSTUDY_AGENT_HEALTH_PORT", names.AGENT_HEALTH_PORT)))
     probes.run()
-    await sidecar.begin()
-    _logger.info("agent of %s%s", identity.pod, ", held" if sidecar.held else "")
+    await agent.begin()
+    _logger.info("agent of %s%s", identity.pod, ", held" if agent.held else "")
     housekeeping = [
         asyncio.create_task(_rest_when_forsaken(sessions, probes)),
-        asyncio.create_task(sidecar.fence.run(), name="fence"),
+        asyncio.create_task(agent.isolation.run(), name="fence"),
     ]
     # A recovery may need them at any time; until then, nobody who asks waits for them.
-    housekeeping.append(asyncio.create_task(_warm() if sidecar.held else _imported(_PROCEDURES)))
+    housekeeping.append(asyncio.create_task(_warm() if agent.held else _imported(_PROCEDURES)))
     await told.wait()
     for task in housekeeping:
         task.cancel()
     for server in (control, health):
         server.close()
     probes.close()
-    await sidecar.end()
+    await agent.end()
     _logger.info("ended")
 
 
-async def _rest_when_forsaken(sessions: Sessions, probes: ProbeSender) -> None:
+async def _rest_when_forsaken(sessions: ControlChannel, probes: ProbeSender) -> None:
     last = time.monotonic()
     while True:
         if sessions.count:

@@ -7,14 +7,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from understudy.agent.procedure_runner import Checking, InstanceActions, places_of
+from understudy.agent.procedure_runner import InstanceActions, ReadinessCheck, places_of
 
 if TYPE_CHECKING:
     from understudy.trees.core.health_tree import WatchedTopic
 
 
 @dataclass(frozen=True)
-class Standing:
+class StandbyExpectation:
     """What the monitor expects of an instance while it waits."""
 
     brought: str = ""
@@ -29,7 +29,7 @@ class Standing:
     """Where the check's nodes were written, where that was in another language."""
 
     @classmethod
-    def from_wire(cls, data: object) -> Standing | None:
+    def from_wire(cls, data: object) -> StandbyExpectation | None:
         """From a ``configure`` request; None for an instance that is judged by its health tree alone. Raises ValueError."""
         if data is None:
             return None
@@ -44,7 +44,7 @@ class Standing:
         return cls(str(data.get("brought") or ""), check, float(period), bool(data.get("tree", True)), places)
 
 
-class Readiness:
+class StandbyReadiness:
     """Whether a waiting instance is ready."""
 
     def __init__(
@@ -54,8 +54,8 @@ class Readiness:
         on_change: Callable[[], None],
     ) -> None:
         self._actions, self._watch, self._on_change = actions, watch, on_change
-        self._standing: Standing | None = None
-        self._checking: Checking | None = None
+        self._standing: StandbyExpectation | None = None
+        self._checking: ReadinessCheck | None = None
         self._task: asyncio.Task[None] | None = None
 
     @property
@@ -63,7 +63,7 @@ class Readiness:
         """Why the check doesn't hold; empty where it does or there is none."""
         return self._checking.reason if self._checking is not None else ""
 
-    def expect(self, standing: Standing | None) -> None:
+    def expect(self, standing: StandbyExpectation | None) -> None:
         """Judge by this from now on. Raises ValueError where its check doesn't load."""
         if standing == self._standing:
             return
@@ -72,7 +72,7 @@ class Readiness:
             from understudy.trees.languages.short.procedure_loader import load_check
 
             tree = load_check(standing.check, path="readinessCheck", places=standing.places)
-            checking = Checking(tree, standing.period, self._actions)
+            checking = ReadinessCheck(tree, standing.period, self._actions)
         self._standing = standing
         if self._task is not None:
             self._task.cancel()

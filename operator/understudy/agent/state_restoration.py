@@ -15,7 +15,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from understudy.agent.control_channel import Operation, Peer, Refused
-from understudy.agent.pose_restoration import Carried, Present, present
+from understudy.agent.pose_restoration import PoseOutcome, PosePublication, present
 from understudy.api.protocol.agent_messages import ProtocolError
 from understudy.api.protocol.kept_state import (
     KeptSample,
@@ -28,7 +28,7 @@ from understudy.api.protocol.kept_state import (
 )
 
 if TYPE_CHECKING:
-    from understudy.ros.actions.instance_calls import Caller
+    from understudy.ros.actions.instance_calls import InstanceCaller
 
 _logger = logging.getLogger(__name__)
 
@@ -44,10 +44,10 @@ INSPECT_WITHIN = 3.0
 Item = KeptSample | ParameterValues | LifecycleState
 
 
-class Restorer:
+class StateRestorer:
     """Restores, and inspects. ROS is imported when it is first needed."""
 
-    def __init__(self, caller: Callable[[], Caller]) -> None:
+    def __init__(self, caller: Callable[[], InstanceCaller]) -> None:
         """``caller`` gives what reaches this pod's instance."""
         self._caller = caller
 
@@ -73,7 +73,7 @@ class Restorer:
                 missing.append(NotRestored(name, reason, failed=some))
         state = state.only(only)
 
-        async def attempt(item: Item, give: Callable[[float], Awaitable[Carried | None]]) -> None:
+        async def attempt(item: Item, give: Callable[[float], Awaitable[PoseOutcome | None]]) -> None:
             from understudy.ros.actions.instance_calls import CallFailed
 
             try:
@@ -103,7 +103,7 @@ class Restorer:
     async def _bring(self, node: LifecycleState, within: float) -> None:
         await self._caller().bring_to(node.node, node.state, within)
 
-    async def _say(self, sample: KeptSample, within: float) -> Carried | None:
+    async def _say(self, sample: KeptSample, within: float) -> PoseOutcome | None:
         """Publish a message until the instance has it; what became of a pose that was to be carried. Raises CallFailed."""
         from understudy.ros.runtime.lean_imports import rclpy_imported
 
@@ -114,7 +114,7 @@ class Restorer:
             await self._publish(caller, sample, said, end)
             return said.outcome
 
-    async def _publish(self, caller: Caller, sample: KeptSample, said: Present, end: float) -> None:
+    async def _publish(self, caller: InstanceCaller, sample: KeptSample, said: PosePublication, end: float) -> None:
         within = max(0.0, end - time.monotonic())
         if not sample.confirm:
             await caller.publish(sample.to, sample.type, said.message, within)

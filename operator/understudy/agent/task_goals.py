@@ -21,8 +21,8 @@ from understudy.agent.control_channel import Operation, Peer, Refused
 
 if TYPE_CHECKING:
     from understudy.ros.actions.action_endpoints import ActionClient, ActionType
-    from understudy.ros.actions.instance_calls import Place
-    from understudy.ros.runtime.served_node import Spinning
+    from understudy.ros.actions.instance_calls import GraphLocation
+    from understudy.ros.runtime.served_node import ServedNode
 
 _logger = logging.getLogger(__name__)
 
@@ -71,11 +71,11 @@ class _Record:
         return {"id": self.id, "state": self.state, "status": self.status, "result": result}
 
 
-class Goals:
+class TaskGoals:
     """Sends goals to the instance and follows them."""
 
     def __init__(
-        self, name: str, place: Callable[[], Place | None], publish: Callable[[Mapping[str, Any]], None]
+        self, name: str, place: Callable[[], GraphLocation | None], publish: Callable[[Mapping[str, Any]], None]
     ) -> None:
         """``name`` is that of the node that is made at the first goal.
 
@@ -84,8 +84,8 @@ class Goals:
         self._name, self._place, self._publish = name, place, publish
         self._records: dict[str, _Record] = {}
         self._servers: dict[str, ActionClient] = {}
-        self._spinning: Spinning | None = None
-        self._joined: Place | None = None
+        self._served: ServedNode | None = None
+        self._joined: GraphLocation | None = None
         self._opening = asyncio.Lock()
         self._numbers = itertools.count(1)
         self._resent: dict[int, asyncio.Future[None]] = {}
@@ -169,8 +169,8 @@ class Goals:
         for record in self._records.values():
             if record.task is not None:
                 record.task.cancel()
-        if self._spinning is not None:
-            await self._spinning.close()
+        if self._served is not None:
+            await self._served.close()
 
     # -- inside -----------------------------------------------------------------------------------------------------
 
@@ -257,11 +257,11 @@ class Goals:
         """The GIDs of this host's servers of an action."""
         from understudy.ros.dds.sample_sources import HOST
 
-        spinning, joined = self._spinning, self._joined
-        assert spinning is not None
+        served, joined = self._served, self._joined
+        assert served is not None
         assert joined is not None
         topic = f"rq{action}/_action/send_goalRequest"
-        infos = await spinning.get(lambda: spinning.node.get_subscriptions_info_by_topic(topic, no_mangle=True))
+        infos = await served.get(lambda: served.node.get_subscriptions_info_by_topic(topic, no_mangle=True))
         gids = {bytes(info.endpoint_gid)[:16] for info in infos}
         return {gid for gid in gids if joined.host is None or gid[HOST] == joined.host}
 
@@ -280,23 +280,23 @@ class Goals:
             if self._joined is None or self._joined.context is not place.context:
                 await self._join(place)
             if record.action not in self._servers:
-                assert self._spinning is not None
-                self._servers[record.action] = await self._open(record.action, record.type, self._spinning)
+                assert self._served is not None
+                self._servers[record.action] = await self._open(record.action, record.type, self._served)
             return self._servers[record.action]
 
-    async def _join(self, place: Place) -> None:
-        from understudy.ros.runtime.served_node import Spinning
+    async def _join(self, place: GraphLocation) -> None:
+        from understudy.ros.runtime.served_node import ServedNode
 
-        if self._spinning is not None:
+        if self._served is not None:
             with contextlib.suppress(Exception):
-                await self._spinning.close()
+                await self._served.close()
         self._servers.clear()
-        self._spinning, self._joined = Spinning(self._name, context=place.context), place
+        self._served, self._joined = ServedNode(self._name, context=place.context), place
 
-    async def _open(self, action: str, type_name: str, spinning: Spinning) -> ActionClient:
+    async def _open(self, action: str, type_name: str, served: ServedNode) -> ActionClient:
         from understudy.ros.actions.action_endpoints import ActionClient
 
-        client = ActionClient(spinning, action, _type(type_name), on_feedback=self._on_feedback)
+        client = ActionClient(served, action, _type(type_name), on_feedback=self._on_feedback)
         await client.open()
         return client
 

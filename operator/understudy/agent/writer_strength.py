@@ -30,7 +30,7 @@ _PROCESS = slice(0, 12)
 """The part of a writer's GID that is the same for all writers of a process: its participant's GUID prefix."""
 
 
-class Strengths:
+class WriterStrengths:
     """Kept in the emptyDir, which lives as long as the pod."""
 
     def __init__(self, directory: Path, *, clock: Callable[[], float] = time.time) -> None:

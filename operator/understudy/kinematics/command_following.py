@@ -195,7 +195,7 @@ class Discrepancy:
         return f"{self.component} it was seen at {self.seen:.2f} {unit}, commanded at {commanded} {unit}"
 
 
-class Following:
+class CommandFollowing:
     """Compares commands with what is seen. All times are seconds of one clock, by which both came in."""
 
     def __init__(self, allowance: Allowance) -> None:

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from tests.unit.action_proxy.world import ABORTED, CANCELED, SUCCEEDED, World
-from understudy.action_proxy.client_goals import ACCEPTED, CANCELING, EXECUTING, At, Phase
+from understudy.action_proxy.client_goals import ACCEPTED, CANCELING, EXECUTING, AttemptState, Phase
 from understudy.action_proxy.goal_ledger import (
     CANCEL_ENDED,
     CANCEL_OK,
@@ -18,7 +18,7 @@ from understudy.action_proxy.goal_ledger import (
     MOST_KEPT,
     REFUSED,
     UNDECIDED,
-    Ledger,
+    GoalLedger,
 )
 
 
@@ -406,7 +406,7 @@ class TestRestart:
             world.go()
             world.want(goal)
         if step == 5:
-            world.ledger.report("a", goal_id, At.ENDED, world.now, status=SUCCEEDED, result="a")
+            world.ledger.report("a", goal_id, AttemptState.ENDED, world.now, status=SUCCEEDED, result="a")
             del world.instances["a"].running[goal_id]
             world.instances["a"].ended[goal_id] = SUCCEEDED
             world.ledger.advance(world.now)
@@ -424,7 +424,7 @@ class TestRestart:
         kept = world.ledger.to_wire()
         world.active, world.epoch = "b", 2
         world.ledger = type(world.ledger).from_wire(kept, world.now)
-        world.ledger.report("a", goal, At.ENDED, world.now, status=SUCCEEDED, result="a")
+        world.ledger.report("a", goal, AttemptState.ENDED, world.now, status=SUCCEEDED, result="a")
         world.tell()
         assert world.results == {}
         assert world.instances["b"].starts == [goal]
@@ -437,12 +437,12 @@ class TestWithoutTheJournal:
         goal = world.ask()
         world.want(goal)
         note = world.ledger.orders("a")[0].note
-        world.ledger = Ledger()
+        world.ledger = GoalLedger()
         world.tell()
         world.ledger.adopt("b", goal, note, "goal", None, world.now)
         assert world.ledger.goals == {}
         world.ledger.adopt("a", goal, note, "goal", None, world.now)
-        world.ledger.report("a", goal, At.RUNNING, world.now)
+        world.ledger.report("a", goal, AttemptState.RUNNING, world.now)
         world.go()
         assert status(world, goal) == EXECUTING
         world.switch("b")
@@ -454,7 +454,7 @@ class TestWithoutTheJournal:
         goal = world.ask()
         world.want(goal)
         note = world.ledger.orders("a")[0].note
-        world.ledger = Ledger()
+        world.ledger = GoalLedger()
         world.tell()
         world.ledger.adopt("a", goal, note, "goal", (ABORTED, "a"), world.now)
         world.switch("b")
@@ -468,7 +468,7 @@ def test_results_are_kept_within_bounds(world: World) -> None:
     assert len(world.ledger.goals) == MOST_KEPT
     for _ in range(3):
         goal = world.ask()
-        world.ledger.report("a", goal, At.ENDED, world.now, status=SUCCEEDED, result="x" * (MOST_BYTES // 2))
+        world.ledger.report("a", goal, AttemptState.ENDED, world.now, status=SUCCEEDED, result="x" * (MOST_BYTES // 2))
         world.now += 1
         world.go()
     assert sum(len(g.end.result) for g in world.ledger.goals.values() if g.end) <= MOST_BYTES
@@ -508,7 +508,7 @@ class Machine(RuleBasedStateMachine):
             id = running[index % len(running)]
             del self.world.instances[uid].running[id]
             self.world.instances[uid].ended[id] = status
-            self.world.ledger.report(uid, id, At.ENDED, self.world.now, status=status, result=uid)
+            self.world.ledger.report(uid, id, AttemptState.ENDED, self.world.now, status=status, result=uid)
             self.world.go()
 
     @rule(uid=st.sampled_from("abc"))

@@ -9,11 +9,11 @@ from typing import Any
 
 import pytest
 
-from understudy.action_proxy.client_goals import At
+from understudy.action_proxy.client_goals import AttemptState
 from understudy.action_proxy.control_state import Peer as Instance
 from understudy.action_proxy.goal_ledger import Order
-from understudy.action_proxy.instance_link import Link
-from understudy.agent.control_channel import Operation, Peer, Refused, Sessions
+from understudy.action_proxy.instance_link import InstanceLink
+from understudy.agent.control_channel import ControlChannel, Operation, Peer, Refused
 from understudy.api.protocol.agent_messages import AgentStatus
 
 TOKEN = b"secret"
@@ -28,7 +28,7 @@ class Agent:
         self.asked: list[tuple[str, str]] = []
         self.known: list[dict[str, Any]] = []
         self.refused_action = ""
-        self.sessions = Sessions(self)
+        self.sessions = ControlChannel(self)
 
     def greeting(self) -> Mapping[str, str]:
         return {"pod": "robot-1", "uid": "1"}
@@ -70,7 +70,7 @@ class Heard:
 
     def __init__(self) -> None:
         self.ordered: list[Order] = []
-        self.states: list[tuple[str, At]] = []
+        self.states: list[tuple[str, AttemptState]] = []
         self.cancelled: list[str] = []
         self.taken_up: list[str] = []
         self.troubles: dict[str, str] = {}
@@ -81,7 +81,7 @@ class Heard:
     def found(self, uid: str, goal: Mapping[str, Any]) -> None:
         self.taken_up.append(goal["id"])
 
-    def said(self, uid: str, id: str, at: At, status: int, result: str) -> None:
+    def said(self, uid: str, id: str, at: AttemptState, status: int, result: str) -> None:
         self.states.append((id, at))
 
     def answered_cancel(self, uid: str, id: str, accepted: bool) -> None:
@@ -118,16 +118,16 @@ def heard() -> Heard:
 
 
 @pytest.fixture
-async def link(agent: Agent, heard: Heard) -> AsyncIterator[Link]:
+async def link(agent: Agent, heard: Heard) -> AsyncIterator[InstanceLink]:
     server = await agent.sessions.serve(0, host="127.0.0.1")
     port = server.sockets[0].getsockname()[1]
-    made = Link(Instance("1", "robot-1", "127.0.0.1", port, TOKEN.decode(), ""), "robot", heard)
+    made = InstanceLink(Instance("1", "robot-1", "127.0.0.1", port, TOKEN.decode(), ""), "robot", heard)
     yield made
     await made.close()
     server.close()
 
 
-async def test_what_is_ordered_is_done_once_in_its_order(agent: Agent, heard: Heard, link: Link) -> None:
+async def test_what_is_ordered_is_done_once_in_its_order(agent: Agent, heard: Heard, link: InstanceLink) -> None:
     heard.ordered = [order(FIRST), order(SECOND)]
     link.wake()
     await eventually(lambda: len(agent.asked) == 3)
@@ -138,27 +138,27 @@ async def test_what_is_ordered_is_done_once_in_its_order(agent: Agent, heard: He
     assert agent.asked == [("goals", ""), ("goal", FIRST), ("goal", SECOND), ("goal", THIRD)]
 
 
-async def test_what_the_agent_has_is_told_and_not_sent_again(agent: Agent, heard: Heard, link: Link) -> None:
+async def test_what_the_agent_has_is_told_and_not_sent_again(agent: Agent, heard: Heard, link: InstanceLink) -> None:
     agent.known = [{"id": FIRST, "state": "running", "status": 0, "result": "", "note": "note"}]
     heard.ordered = [order(FIRST), order(SECOND)]
     await eventually(lambda: ("goal", SECOND) in agent.asked)
     assert ("goal", FIRST) not in agent.asked
     assert heard.taken_up == [FIRST]
-    assert heard.states == [(FIRST, At.RUNNING)]
+    assert heard.states == [(FIRST, AttemptState.RUNNING)]
 
 
 async def test_a_goal_that_was_rejected_is_sent_again_when_it_is_ordered_again(
-    agent: Agent, heard: Heard, link: Link
+    agent: Agent, heard: Heard, link: InstanceLink
 ) -> None:
     heard.ordered = [order(FIRST)]
     await eventually(lambda: ("goal", FIRST) in agent.asked)
     agent.sessions.publish({"goal": {"id": FIRST, "state": "rejected", "status": 0, "result": ""}})
-    await eventually(lambda: heard.states == [(FIRST, At.REJECTED)])
+    await eventually(lambda: heard.states == [(FIRST, AttemptState.REJECTED)])
     link.wake()
     await eventually(lambda: agent.asked.count(("goal", FIRST)) == 2)
 
 
-async def test_what_is_ordered_no_longer_is_cancelled(agent: Agent, heard: Heard, link: Link) -> None:
+async def test_what_is_ordered_no_longer_is_cancelled(agent: Agent, heard: Heard, link: InstanceLink) -> None:
     heard.ordered = [order(FIRST)]
     await eventually(lambda: ("goal", FIRST) in agent.asked)
     heard.ordered = []
@@ -166,7 +166,7 @@ async def test_what_is_ordered_no_longer_is_cancelled(agent: Agent, heard: Heard
     await eventually(lambda: ("cancel", FIRST) in agent.asked)
 
 
-async def test_a_cancel_is_asked_for_once(agent: Agent, heard: Heard, link: Link) -> None:
+async def test_a_cancel_is_asked_for_once(agent: Agent, heard: Heard, link: InstanceLink) -> None:
     heard.ordered = [order(FIRST, cancel=True)]
     await eventually(lambda: heard.cancelled == [FIRST])
     link.wake()
@@ -176,7 +176,7 @@ async def test_a_cancel_is_asked_for_once(agent: Agent, heard: Heard, link: Link
     assert agent.asked.count(("cancel", FIRST)) == 1
 
 
-async def test_a_refused_goal_is_said_and_keeps_no_other_back(agent: Agent, heard: Heard, link: Link) -> None:
+async def test_a_refused_goal_is_said_and_keeps_no_other_back(agent: Agent, heard: Heard, link: InstanceLink) -> None:
     agent.refused_action = "/dock"
     heard.ordered = [order(FIRST, "/dock"), order(SECOND)]
     await eventually(lambda: ("goal", SECOND) in agent.asked)
@@ -186,7 +186,9 @@ async def test_a_refused_goal_is_said_and_keeps_no_other_back(agent: Agent, hear
     await eventually(lambda: heard.troubles["/dock"] == "")
 
 
-async def test_a_recovery_tree_is_answered_when_its_goals_were_sent(agent: Agent, heard: Heard, link: Link) -> None:
+async def test_a_recovery_tree_is_answered_when_its_goals_were_sent(
+    agent: Agent, heard: Heard, link: InstanceLink
+) -> None:
     await eventually(lambda: agent.sessions.count)
     agent.sessions.publish({"resendGoals": 7})
     await eventually(lambda: ("resent", "7") in agent.asked)

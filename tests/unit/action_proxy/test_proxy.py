@@ -24,10 +24,10 @@ from tests.unit.action_proxy.conftest import ACTION, CANCELED, SUCCEEDED, TYPE, 
 from tests.unit.agent.conftest import PACKAGE, TOKEN
 from tests.unit.agent.conftest import Pod as AgentPod
 from understudy.action_proxy import process as running
-from understudy.action_proxy.control_state import Peer, Rule, Situation
+from understudy.action_proxy.control_state import ControlState, Peer, TaskRule
 from understudy.api.kinds.task_spec import Task
 from understudy.ros.dds.profiles import instance_profiles_xml
-from understudy.ros.runtime.served_node import Spinning
+from understudy.ros.runtime.served_node import ServedNode
 
 pytestmark = pytest.mark.ros
 
@@ -75,7 +75,7 @@ class Monitor:
             self.port: int = found.getsockname()[1]
         self.reports: list[dict[str, Any]] = []
         self.epoch, self.active, self.settled = 0, "", True
-        self.rules = (Rule(ACTION, TYPE),)
+        self.rules = (TaskRule(ACTION, TYPE),)
         self.peers: tuple[Peer, ...] = ()
         self.proxy: subprocess.Popen[bytes]
         self._reading: asyncio.Task[None] | None = None
@@ -127,7 +127,7 @@ class Monitor:
             self.reports.append(json.loads(line)["report"])
 
     def tell(self) -> None:
-        situation = Situation("robot", self.epoch, self.active, self.settled, self.rules, self.peers)
+        situation = ControlState("robot", self.epoch, self.active, self.settled, self.rules, self.peers)
         self._writer.write(json.dumps({"situation": situation.to_wire()}).encode() + b"\n")
 
     def switch(self, pod: Pod | None, *peers: Peer, settled: bool = True) -> None:
@@ -273,20 +273,20 @@ async def test_the_kubelet_is_told_whether_the_proxy_hangs(monitor):
 
 
 async def test_a_thread_that_hangs_is_seen(dds):
-    spinning, release = Spinning("hanging"), threading.Event()
+    served, release = ServedNode("hanging"), threading.Event()
     try:
-        await eventually(lambda: spinning.silent_for < 1.5)
-        spinning.do(lambda: release.wait(60))
-        await eventually(lambda: spinning.silent_for > 3)  # at rest it comes round every second
+        await eventually(lambda: served.silent_for < 1.5)
+        served.do(lambda: release.wait(60))
+        await eventually(lambda: served.silent_for > 3)  # at rest it comes round every second
         release.set()
-        await eventually(lambda: spinning.silent_for < 1.5)
+        await eventually(lambda: served.silent_for < 1.5)
     finally:
         release.set()
-        await spinning.close()
+        await served.close()
 
 
 async def test_a_type_that_is_not_installed_is_told(monitor):
-    monitor.rules = (Rule("/dock", "robots_msgs/action/Dock"),)
+    monitor.rules = (TaskRule("/dock", "robots_msgs/action/Dock"),)
     monitor.tell()
     await eventually(lambda: "robots_msgs/action/Dock is not installed" in monitor.task().get("message", ""))
     assert not monitor.task()["served"]

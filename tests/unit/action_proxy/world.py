@@ -6,9 +6,9 @@ import json
 import uuid
 from dataclasses import dataclass, field
 
-from understudy.action_proxy.client_goals import ABORTED, CANCELED, SUCCEEDED, At
-from understudy.action_proxy.control_state import Peer, Rule, Situation
-from understudy.action_proxy.goal_ledger import CancelAnswer, GoalAnswer, Ledger, ResultAnswer
+from understudy.action_proxy.client_goals import ABORTED, CANCELED, SUCCEEDED, AttemptState
+from understudy.action_proxy.control_state import ControlState, Peer, TaskRule
+from understudy.action_proxy.goal_ledger import CancelAnswer, GoalAnswer, GoalLedger, ResultAnswer
 
 ACTION = "/goto"
 
@@ -30,12 +30,12 @@ class World:
     """A ledger, instances, and what clients were answered."""
 
     def __init__(self, on_failover: str = "Resend", *instances: str) -> None:
-        self.ledger = Ledger()
+        self.ledger = GoalLedger()
         self.now = 1000.0
         self.epoch = 0
         self.active = ""
         self.settled = True
-        self.rule = Rule(ACTION, "test_msgs/action/Fibonacci", on_failover, 2.0)
+        self.rule = TaskRule(ACTION, "test_msgs/action/Fibonacci", on_failover, 2.0)
         self.instances = {uid: Instance(uid) for uid in instances or ("a", "b")}
         self.accepted: dict[str, bool] = {}
         self.results: dict[str, tuple[int, str]] = {}
@@ -56,7 +56,7 @@ class World:
 
     def tell(self) -> None:
         peers = tuple(Peer(i.uid, i.uid, "", 0, "", "", i.executing) for i in self.instances.values())
-        self.ledger.place(Situation("w", self.epoch, self.active, self.settled, (self.rule,), peers), self.now)
+        self.ledger.place(ControlState("w", self.epoch, self.active, self.settled, (self.rule,), peers), self.now)
         self.go()
 
     def lose(self, uid: str) -> None:
@@ -96,14 +96,14 @@ class World:
         instance, id = self.instances[uid], self.id_at(goal, uid)
         del instance.running[id]
         instance.ended[id] = status
-        self.ledger.report(uid, id, At.ENDED, self.now, status=status, result=f"{uid}")
+        self.ledger.report(uid, id, AttemptState.ENDED, self.now, status=status, result=f"{uid}")
         self.go()
 
     def restart_application(self, uid: str) -> None:
         instance = self.instances[uid]
         lost, instance.running = list(instance.running), {}
         for id in lost:
-            self.ledger.report(uid, id, At.LOST, self.now)
+            self.ledger.report(uid, id, AttemptState.LOST, self.now)
         self.go()
 
     def work(self) -> bool:
@@ -117,20 +117,20 @@ class World:
     def _obey(self, instance: Instance, order) -> bool:
         if order.id in instance.ended:
             self.ledger.report(
-                instance.uid, order.id, At.ENDED, self.now, status=instance.ended[order.id], result="old"
+                instance.uid, order.id, AttemptState.ENDED, self.now, status=instance.ended[order.id], result="old"
             )
             return True
         if order.id not in instance.running:
             if order.cancel:
-                self.ledger.report(instance.uid, order.id, At.LOST, self.now)
+                self.ledger.report(instance.uid, order.id, AttemptState.LOST, self.now)
                 return True
             if instance.rejects:
-                self.ledger.report(instance.uid, order.id, At.REJECTED, self.now)
+                self.ledger.report(instance.uid, order.id, AttemptState.REJECTED, self.now)
                 return True
             assert order.id not in instance.starts, "executed twice"
             instance.starts.append(order.id)
             instance.running[order.id] = None
-            self.ledger.report(instance.uid, order.id, At.RUNNING, self.now)
+            self.ledger.report(instance.uid, order.id, AttemptState.RUNNING, self.now)
             return True
         if order.cancel:
             self.ledger.answered_cancel(instance.uid, order.id, not instance.refuses_cancel, self.now)
@@ -138,7 +138,7 @@ class World:
                 return True
             del instance.running[order.id]
             instance.ended[order.id] = CANCELED
-            self.ledger.report(instance.uid, order.id, At.ENDED, self.now, status=CANCELED)
+            self.ledger.report(instance.uid, order.id, AttemptState.ENDED, self.now, status=CANCELED)
             return True
         return False
 
@@ -166,7 +166,7 @@ class World:
 
     def restart(self) -> None:
         """The proxy's process is killed and started anew; the monitor tells it what is so."""
-        self.ledger = Ledger.from_wire(json.loads(json.dumps(self.ledger.to_wire())), self.now)
+        self.ledger = GoalLedger.from_wire(json.loads(json.dumps(self.ledger.to_wire())), self.now)
         self.tell()
 
     def later(self, seconds: float) -> None:

@@ -18,11 +18,11 @@ from rclpy.serialization import deserialize_message, serialize_message
 
 from tests.unit.dds import keep_to_itself
 from understudy.agent.pose_restoration import composed
-from understudy.agent.state_restoration import Restorer
+from understudy.agent.state_restoration import StateRestorer
 from understudy.api.protocol.kept_state import KeptSample, KeptState, Motion, RestoreReport
 from understudy.kinematics.pose_decoding import Reading
 from understudy.kinematics.poses import DRIFT, Pose
-from understudy.ros.actions.instance_calls import Caller
+from understudy.ros.actions.instance_calls import InstanceCaller
 from understudy.ros.runtime.graph_node import Graph
 
 pytestmark = pytest.mark.ros
@@ -84,8 +84,8 @@ def wheels(graph: Graph) -> Iterator[Wheels]:
 
 
 @pytest.fixture
-def caller(graph: Graph) -> Iterator[Caller]:
-    made = Caller("restorer")
+def caller(graph: Graph) -> Iterator[InstanceCaller]:
+    made = InstanceCaller("restorer")
     yield made
     made.close()
 
@@ -121,18 +121,18 @@ def motion(gid: bytes, **fields: object) -> Motion:
 
 
 async def given(
-    caller: Caller, localizer: Callable[[], None], sample: KeptSample
+    caller: InstanceCaller, localizer: Callable[[], None], sample: KeptSample
 ) -> tuple[RestoreReport, PoseWithCovarianceStamped]:
     """What became of it, and what the instance got."""
     localizer()
     await caller.bring_to("/localizer", "inactive", WITHIN)
-    report = await Restorer(lambda: caller).restore(KeptState((sample,)), within=WITHIN)
+    report = await StateRestorer(lambda: caller).restore(KeptState((sample,)), within=WITHIN)
     taken = await caller.wait_sample("/amcl_pose", POSE, WITHIN)
     return report, deserialize_message(taken.data, PoseWithCovarianceStamped)
 
 
 async def test_it_is_carried_to_the_moment_at_which_it_is_given(
-    localizer: Callable[[], None], caller: Caller, wheels: Wheels
+    localizer: Callable[[], None], caller: InstanceCaller, wheels: Wheels
 ) -> None:
     before = time.time()
     report, got = await given(caller, localizer, kept(motion(wheels.gid)))
@@ -148,7 +148,7 @@ async def test_it_is_carried_to_the_moment_at_which_it_is_given(
 
 
 async def test_it_is_given_as_it_was_kept_where_odometry_comes_from_another(
-    localizer: Callable[[], None], caller: Caller, wheels: Wheels
+    localizer: Callable[[], None], caller: InstanceCaller, wheels: Wheels
 ) -> None:
     report, got = await given(caller, localizer, kept(motion(b"x" * 16)))
     (entry,) = report.restored
@@ -160,7 +160,7 @@ async def test_it_is_given_as_it_was_kept_where_odometry_comes_from_another(
 
 
 async def test_it_is_given_as_it_was_kept_where_odometry_is_silent(
-    localizer: Callable[[], None], caller: Caller
+    localizer: Callable[[], None], caller: InstanceCaller
 ) -> None:
     report, got = await given(caller, localizer, kept(motion(b"x" * 16)))
     (entry,) = report.restored
@@ -169,7 +169,7 @@ async def test_it_is_given_as_it_was_kept_where_odometry_is_silent(
 
 
 async def test_it_is_given_as_it_was_kept_where_the_monitor_says_so(
-    localizer: Callable[[], None], caller: Caller, wheels: Wheels
+    localizer: Callable[[], None], caller: InstanceCaller, wheels: Wheels
 ) -> None:
     missing = Motion("/odom", ODOMETRY, missing="it can't be carried by /odom: nobody publishes it")
     report, got = await given(caller, localizer, kept(missing))
@@ -178,24 +178,26 @@ async def test_it_is_given_as_it_was_kept_where_the_monitor_says_so(
 
 
 async def test_what_must_be_carried_and_can_not_be_is_not_given(
-    localizer: Callable[[], None], caller: Caller, wheels: Wheels
+    localizer: Callable[[], None], caller: InstanceCaller, wheels: Wheels
 ) -> None:
     localizer()
     await caller.bring_to("/localizer", "inactive", WITHIN)
     sample = kept(motion(wheels.gid, last=planar(500.0), required=True))
-    report = await Restorer(lambda: caller).restore(KeptState((sample,)), within=WITHIN)
+    report = await StateRestorer(lambda: caller).restore(KeptState((sample,)), within=WITHIN)
     assert report.restored == ()
     assert "/amcl_pose: it can't be carried by /odom: it began anew since: it jumped by 498.00 m" in report.problem
 
 
 async def test_a_type_that_is_not_installed_carries_nothing(
-    localizer: Callable[[], None], caller: Caller, wheels: Wheels
+    localizer: Callable[[], None], caller: InstanceCaller, wheels: Wheels
 ) -> None:
     report, _ = await given(caller, localizer, kept(motion(wheels.gid, type="wheel_msgs/msg/Odometry")))
     assert "wheel_msgs/msg/Odometry is not installed" in report.restored[0].note
 
 
-async def test_time_that_nobody_watched_is_told(localizer: Callable[[], None], caller: Caller, wheels: Wheels) -> None:
+async def test_time_that_nobody_watched_is_told(
+    localizer: Callable[[], None], caller: InstanceCaller, wheels: Wheels
+) -> None:
     report, _ = await given(caller, localizer, kept(motion(wheels.gid, blind=4.0)))
     assert report.restored[0].note == "/odom was not watched for 4.0 s of what it was carried over"
     assert report.restored[0].carried == pytest.approx(1.0)

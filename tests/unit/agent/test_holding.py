@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from understudy.agent.held_containers import Holds
+from understudy.agent.held_containers import HeldContainers
 from understudy.api.protocol import hold_script
 
 SHELLS = [
@@ -116,7 +116,7 @@ def test_waiting_costs_nothing(hold, tmp_path):
 @pytest.mark.parametrize("delay", [0, 0.001, 0.002, 0.003, 0.004, 0.008, 0.016])
 @pytest.mark.parametrize("prepared", [False, True])
 def test_a_start_at_any_moment_is_seen(hold, tmp_path, delay, prepared):
-    holds = Holds(tmp_path, ["app"])
+    holds = HeldContainers(tmp_path, ["app"])
     for _ in range(8):
         if prepared:
             holds.prepare()

@@ -11,7 +11,7 @@ import pytest
 from pydantic import ValidationError
 
 from tests.unit.agent.conftest import PACKAGE, Pod, eventually
-from understudy.agent.instance_health import Plan
+from understudy.agent.instance_health import HealthPlan
 from understudy.agent.output_topics import Output
 from understudy.agent.process import _PROCEDURES, _WARM
 from understudy.api.kinds import robot_workload
@@ -91,4 +91,4 @@ def test_what_the_model_refuses_is_refused(data: object) -> None:
     with pytest.raises(ValidationError):
         robot_workload.Output.model_validate(data)
     with pytest.raises(ValueError, match="output"):
-        Plan.of({"tree": {"topic": {"name": "/x", "gap": "1s"}}, "outputs": [data]})
+        HealthPlan.of({"tree": {"topic": {"name": "/x", "gap": "1s"}}, "outputs": [data]})

@@ -15,7 +15,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 
 from tests.unit.dds import keep_to_itself
 from understudy.agent.control_channel import Peer, Refused
-from understudy.agent.state_restoration import Restorer, stamped
+from understudy.agent.state_restoration import StateRestorer, stamped
 from understudy.api.protocol.kept_state import (
     KeptSample,
     KeptState,
@@ -24,7 +24,7 @@ from understudy.api.protocol.kept_state import (
     ParameterValues,
     RestoreReport,
 )
-from understudy.ros.actions.instance_calls import Caller, CallFailed
+from understudy.ros.actions.instance_calls import CallFailed, InstanceCaller
 
 pytestmark = pytest.mark.ros
 
@@ -40,15 +40,15 @@ def domain(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def caller() -> Iterator[Caller]:
-    made = Caller("restorer")
+def caller() -> Iterator[InstanceCaller]:
+    made = InstanceCaller("restorer")
     yield made
     made.close()
 
 
 @pytest.fixture
-def restorer(caller: Caller) -> Restorer:
-    return Restorer(lambda: caller)
+def restorer(caller: InstanceCaller) -> StateRestorer:
+    return StateRestorer(lambda: caller)
 
 
 def pose(x: float = 1.5, *, age: float = 10.0, **fields: Any) -> KeptSample:
@@ -61,7 +61,7 @@ def pose(x: float = 1.5, *, age: float = 10.0, **fields: Any) -> KeptSample:
     return KeptSample("/amcl_pose", POSE, time.time() - age, serialize_message(message), **usual | fields)
 
 
-async def localized(caller: Caller) -> PoseWithCovarianceStamped:
+async def localized(caller: InstanceCaller) -> PoseWithCovarianceStamped:
     sample = await caller.wait_sample("/amcl_pose", POSE, WITHIN)
     return deserialize_message(sample.data, PoseWithCovarianceStamped)
 
@@ -71,7 +71,7 @@ def names(report: RestoreReport) -> list[str]:
 
 
 async def test_a_pose_is_given_with_the_present_stamp_and_all_else_as_it_was(
-    localizer: Callable[..., None], restorer: Restorer, caller: Caller
+    localizer: Callable[..., None], restorer: StateRestorer, caller: InstanceCaller
 ) -> None:
     localizer()
     await caller.bring_to("/localizer", "inactive", WITHIN)
@@ -85,7 +85,9 @@ async def test_a_pose_is_given_with_the_present_stamp_and_all_else_as_it_was(
     assert (taken.header.frame_id, taken.pose.pose.position.x, taken.pose.covariance[35]) == ("map", 1.5, 0.25)
 
 
-async def test_a_kept_stamp_stays(localizer: Callable[..., None], restorer: Restorer, caller: Caller) -> None:
+async def test_a_kept_stamp_stays(
+    localizer: Callable[..., None], restorer: StateRestorer, caller: InstanceCaller
+) -> None:
     localizer()
     await caller.bring_to("/localizer", "inactive", WITHIN)
     await restorer.restore(KeptState((pose(stamp="kept"),)), within=WITHIN)
@@ -93,7 +95,7 @@ async def test_a_kept_stamp_stays(localizer: Callable[..., None], restorer: Rest
 
 
 async def test_it_is_said_again_until_it_is_confirmed(
-    localizer: Callable[..., None], restorer: Restorer, caller: Caller
+    localizer: Callable[..., None], restorer: StateRestorer, caller: InstanceCaller
 ) -> None:
     localizer("2")
     await caller.bring_to("/localizer", "inactive", WITHIN)
@@ -103,7 +105,7 @@ async def test_it_is_said_again_until_it_is_confirmed(
 
 
 async def test_what_was_said_before_confirms_nothing(
-    localizer: Callable[..., None], restorer: Restorer, caller: Caller
+    localizer: Callable[..., None], restorer: StateRestorer, caller: InstanceCaller
 ) -> None:
     localizer()
     await caller.bring_to("/localizer", "inactive", WITHIN)
@@ -118,7 +120,7 @@ async def test_what_was_said_before_confirms_nothing(
 
 
 async def test_without_a_confirmation_it_fails_in_bounded_time_and_says_so(
-    localizer: Callable[..., None], restorer: Restorer, caller: Caller
+    localizer: Callable[..., None], restorer: StateRestorer, caller: InstanceCaller
 ) -> None:
     localizer("1000")
     await caller.bring_to("/localizer", "inactive", WITHIN)
@@ -130,7 +132,7 @@ async def test_without_a_confirmation_it_fails_in_bounded_time_and_says_so(
     assert entry.reason.startswith("it was published on /initialpose, but not confirmed: nothing ")
 
 
-async def test_a_target_without_a_subscriber_fails_in_bounded_time_and_names_it(restorer: Restorer) -> None:
+async def test_a_target_without_a_subscriber_fails_in_bounded_time_and_names_it(restorer: StateRestorer) -> None:
     begun = time.monotonic()
     report = await restorer.restore(KeptState((pose(),)), within=1.0)
     assert time.monotonic() - begun < 10
@@ -139,7 +141,7 @@ async def test_a_target_without_a_subscriber_fails_in_bounded_time_and_names_it(
 
 
 async def test_parameters_are_set_and_nodes_brought_up_before_a_pose_finds_its_subscriber(
-    localizer: Callable[..., None], restorer: Restorer, caller: Caller
+    localizer: Callable[..., None], restorer: StateRestorer, caller: InstanceCaller
 ) -> None:
     localizer()
     state = KeptState(
@@ -161,7 +163,7 @@ async def test_parameters_are_set_and_nodes_brought_up_before_a_pose_finds_its_s
 
 
 async def test_what_can_not_be_given_keeps_nothing_else_back(
-    localizer: Callable[..., None], restorer: Restorer, caller: Caller
+    localizer: Callable[..., None], restorer: StateRestorer, caller: InstanceCaller
 ) -> None:
     localizer()
     await caller.bring_to("/localizer", "inactive", WITHIN)
@@ -180,7 +182,9 @@ async def test_what_can_not_be_given_keeps_nothing_else_back(
     assert "/map" not in report.problem, "what is too old was not tried"
 
 
-async def test_only_what_is_named_is_given(localizer: Callable[..., None], restorer: Restorer, caller: Caller) -> None:
+async def test_only_what_is_named_is_given(
+    localizer: Callable[..., None], restorer: StateRestorer, caller: InstanceCaller
+) -> None:
     localizer()
     await caller.bring_to("/localizer", "inactive", WITHIN)
     state = KeptState((pose(),), (ParameterValues("/localizer", {"speed": 0.5}, 1.0),))
@@ -191,13 +195,15 @@ async def test_only_what_is_named_is_given(localizer: Callable[..., None], resto
     assert found["parameters"] == {"/localizer": {"speed": 0.25}}
 
 
-async def test_the_first_instance_lacks_nothing(restorer: Restorer) -> None:
+async def test_the_first_instance_lacks_nothing(restorer: StateRestorer) -> None:
     report = await restorer.restore(KeptState(), within=WITHIN, only=["/amcl_pose"])
     assert report.problem == ""
     assert report.not_restored == (NotRestored("/amcl_pose", "nothing is kept yet", failed=False),)
 
 
-async def test_an_inspection_says_what_could_not_be_told(localizer: Callable[..., None], restorer: Restorer) -> None:
+async def test_an_inspection_says_what_could_not_be_told(
+    localizer: Callable[..., None], restorer: StateRestorer
+) -> None:
     localizer()
     found = await restorer.inspect({"/localizer": ["speed"], "/gone": ["speed"]}, ["/localizer"], within=8.0)
     assert found["parameters"] == {"/localizer": {"speed": 0.25}}
@@ -208,7 +214,7 @@ async def test_an_inspection_says_what_could_not_be_told(localizer: Callable[...
 
 
 async def test_requests_carry_the_state_and_answers_the_report(
-    localizer: Callable[..., None], restorer: Restorer, caller: Caller
+    localizer: Callable[..., None], restorer: StateRestorer, caller: InstanceCaller
 ) -> None:
     localizer()
     await caller.bring_to("/localizer", "inactive", WITHIN)
@@ -232,7 +238,7 @@ async def test_requests_carry_the_state_and_answers_the_report(
         ("inspect", {"within": "long"}),
     ],
 )
-async def test_requests_that_are_none_are_refused(restorer: Restorer, op: str, body: dict[str, Any]) -> None:
+async def test_requests_that_are_none_are_refused(restorer: StateRestorer, op: str, body: dict[str, Any]) -> None:
     with pytest.raises(Refused):
         await restorer.operations()[op](body, PEER)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from understudy.agent.writer_strength import Strengths
+from understudy.agent.writer_strength import WriterStrengths
 from understudy.api.protocol.ownership_strength import BEGIN, PER_SECOND, STRONGEST, strength
 
 START = BEGIN + 1000.0
@@ -22,10 +22,10 @@ def process(number: int, writer: int = 0) -> bytes:
     return bytes([1, 15, *[number] * 10, *[writer] * 4])
 
 
-def prepared(directory: Path) -> tuple[Strengths, Clock]:
+def prepared(directory: Path) -> tuple[WriterStrengths, Clock]:
     (directory / "profiles.xml").write_text(FILE.format(strength(START)))
     clock = Clock()
-    return Strengths(directory, clock=clock), clock
+    return WriterStrengths(directory, clock=clock), clock
 
 
 def written(directory: Path) -> int:
@@ -64,7 +64,7 @@ def test_another_agent_of_the_pod_goes_on_from_there(tmp_path: Path) -> None:
     strengths.saw([process(1)])
     clock.now += 30
     strengths.saw([process(1)])
-    again = Strengths(tmp_path, clock=clock)
+    again = WriterStrengths(tmp_path, clock=clock)
     assert again.range == strengths.range == (strength(START), strength(START))
     assert not again.saw([process(1)])
 
@@ -93,7 +93,7 @@ def test_a_clock_that_was_set_back_makes_no_process_stronger(tmp_path: Path) -> 
 
 
 def test_without_strengths_in_the_profiles_there_is_none(tmp_path: Path) -> None:
-    strengths = Strengths(tmp_path)
+    strengths = WriterStrengths(tmp_path)
     assert not strengths.saw([process(1)])
     (tmp_path / "profiles.xml").write_text("<dds/>")
     assert not strengths.saw([process(1)])

@@ -12,18 +12,16 @@ from typing import Any
 import pytest
 import yaml
 
-from scripts.generation import commands, leaves, metrics, scenarios
+from scripts.generation import commands, leaves, metrics
 from tests.support.pages import PAGES, page_name, typed
 from understudy.main import VERBS
-from understudy.trees.languages.btcpp.library import NODES
+from understudy.trees.languages.btcpp.library import NODES, tag_of
 from understudy.trees.languages.btcpp.loader import load_xml
-from understudy.trees.languages.short.health_loader import TOPIC_KEYS
-from understudy.trees.leaves import procedure_vocabulary
+from understudy.trees.leaves import procedure_steps
 from understudy.trees.leaves.registry import LEAVES
 
 REPOSITORY = Path(__file__).parents[3]
 PACKAGE = REPOSITORY / "operator" / "understudy"
-TREES, PROCEDURES = ((REPOSITORY / "docs" / name).read_text() for name in ("trees.md", "procedures.md"))
 PARSERS = commands.parsers()
 
 
@@ -35,20 +33,14 @@ def sections(page: str) -> dict[str, str]:
 
 
 def test_every_leaf_and_step_is_there_with_each_of_its_values() -> None:
-    found = sections(leaves.page(TREES, PROCEDURES))
-    kinds = {kind: leaf.keys for kind, leaf in LEAVES.items()}
-    for kind, keys in {
-        "topic": TOPIC_KEYS,
-        **kinds,
-        **procedure_vocabulary.STEPS,
-        **procedure_vocabulary.LOOKS,
-    }.items():
-        for key in keys:
+    found = sections(leaves.page())
+    for kind, declared in {**LEAVES, **procedure_steps.STEPS, **procedure_steps.CONDITIONS}.items():
+        for key in declared.keys:
             assert f"| `{key}` |" in found[kind]
 
 
 def test_what_must_be_given_and_what_need_not_is_as_the_loaders_have_it() -> None:
-    found = sections(leaves.page(TREES, PROCEDURES))
+    found = sections(leaves.page())
     assert "| `state` | `state` | `state` | `unconfigured` \\| " in found["set_lifecycle"]
     assert "| required | unconfigured, inactive, active or finalized |" in found["set_lifecycle"]
     assert "| `active` | unconfigured, inactive, active or finalized |" in found["lifecycle"]
@@ -58,10 +50,10 @@ def test_what_must_be_given_and_what_need_not_is_as_the_loaders_have_it() -> Non
 
 
 def defaults() -> Iterator[Any]:
-    for tag, ports in scenarios.models(TREES).items():
-        for name, port in ports.items():
-            if tag in NODES and NODES[tag].key in LEAVES and "default" in port.attributes:
-                yield pytest.param(tag, name, port.attributes["default"], id=f"{tag}-{name}")
+    for kind, leaf in LEAVES.items():
+        for key in leaf.arguments:
+            if key.default:
+                yield pytest.param(tag_of(kind), key.port, key.default, id=f"{tag_of(kind)}-{key.port}")
 
 
 def looks(value: Any) -> Any:
@@ -70,7 +62,9 @@ def looks(value: Any) -> Any:
         return None
     if type(value).__module__.startswith("understudy") and hasattr(value, "__dict__"):
         return {
-            key: looks(one) for key, one in vars(value).items() if key not in ("id", "logger", "iterator", "_glance")
+            key: looks(one)
+            for key, one in vars(value).items()
+            if key not in ("id", "logger", "iterator", "_evaluation")
         }
     if isinstance(value, list | tuple):
         return [looks(one) for one in value]

@@ -14,8 +14,8 @@ from pathlib import Path
 
 from tests.unit.interleavings.ownership import PERIOD, Writer
 from understudy.agent import prepare as preparing
-from understudy.agent.isolation import ANSWER, Address, Fence
-from understudy.agent.writer_strength import Strengths
+from understudy.agent.isolation import ANSWER, Address, Isolation
+from understudy.agent.writer_strength import WriterStrengths
 from understudy.api import names
 
 ANSWERS = 0.002
@@ -74,8 +74,8 @@ class Agent:
     pod: str
     """Its UID."""
     folder: Path
-    strengths: Strengths
-    fence: Fence
+    strengths: WriterStrengths
+    isolation: Isolation
     sessions: Sessions
     phases: Callable[[], float]
     processes: itertools.count[int] = field(default_factory=lambda: itertools.count(1))
@@ -128,4 +128,4 @@ class Agent:
     @property
     def holds(self) -> bool:
         """Whether the application is stopped."""
-        return self.fence.since is not None
+        return self.isolation.since is not None

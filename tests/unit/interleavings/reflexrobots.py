@@ -20,8 +20,8 @@ from tests.unit.interleavings.ownership import Reader, Writer
 from tests.unit.interleavings.robots import NODES, Robots, Running
 from tests.unit.interleavings.scheduling import Process
 from tests.unit.interleavings.simulation import ROBOTS
-from understudy.agent.isolation import Fence
-from understudy.agent.writer_strength import Strengths
+from understudy.agent.isolation import Isolation
+from understudy.agent.writer_strength import WriterStrengths
 from understudy.api import names
 from understudy.api.base import seconds
 from understudy.api.kinds.robot_workload import Reflex
@@ -173,12 +173,12 @@ class ReflexRobots(Robots):
         agent = self.agents.get(found.uid)
         if agent is None or agent.asking:
             return
-        agent.unfenced = agent.fence._monitor is None
+        agent.unfenced = agent.isolation._monitor is None
         if agent.unfenced:
             return
         agent.asking = True
-        agent.fence._lease.answered(self.loop.time())
-        task = self.loop.start(self.process, agent.fence.run())
+        agent.isolation._permit.answered(self.loop.time())
+        task = self.loop.start(self.process, agent.isolation.run())
 
         def rest() -> None:
             if found.ended or (not self.cuts.get(found.node) and not agent.holds):
@@ -194,7 +194,7 @@ class ReflexRobots(Robots):
         found = self.running[uid]
         if self.agents[uid].holds:
             self.seen["held"] += 1
-        self.noted(f"pod {found.name}: {self.agents[uid].fence.reason or 'goes on'}")
+        self.noted(f"pod {found.name}: {self.agents[uid].isolation.reason or 'goes on'}")
         self._route(found.robot)
         self.told(found.robot)
 
@@ -219,11 +219,11 @@ class ReflexRobots(Robots):
         folder = self.folder / found.uid
         folder.mkdir(exist_ok=True)
         sessions = Sessions(lambda: self.reaches(found.node, "monitor", found.robot))
-        fence = Fence(folder, ("app",), on_change=functools.partial(self._changed, found.uid))
-        fence._questions = cast(Any, Questions(functools.partial(self._answers, found.uid)))
-        fence.contacts = sessions
-        strengths = Strengths(folder, clock=functools.partial(self.clock, found.node))
-        agent = Agent(found.uid, folder, strengths, fence, sessions, self.choices.random)
+        isolation = Isolation(folder, ("app",), on_change=functools.partial(self._changed, found.uid))
+        isolation._attempts = cast(Any, Questions(functools.partial(self._answers, found.uid)))
+        isolation.contacts = sessions
+        strengths = WriterStrengths(folder, clock=functools.partial(self.clock, found.node))
+        agent = Agent(found.uid, folder, strengths, isolation, sessions, self.choices.random)
         agent.prepare(f"<profile>{exclusive_ownership.instance_writer(self.reflex)}</profile>")
         self.agents[found.uid] = agent
 

@@ -114,7 +114,7 @@ class ReflexSidecars(Sidecars):
             # Only with the policy's gap is silence noticed.
             works = (found.sends and not agent.hangs) or robots.now - agent.silent_since < GAP
             strength = agent.strengths.range if agent.process else None
-            status = replace(status, ready=works and not agent.holds, strength=strength, cut_off=agent.fence.since)
+            status = replace(status, ready=works and not agent.holds, strength=strength, cut_off=agent.isolation.since)
         if status is not None:
             self._said[instance.uid] = (status, robots.now)
         return status
@@ -131,7 +131,7 @@ class ReflexSidecars(Sidecars):
         if body.get("word") == "Go":
             agent.believed = self.believed(instance.uid) or not self.shut_out(instance.uid)
         await asyncio.sleep(self._robots.network.delay())
-        await agent.fence.lease(body, Peer(self._workload, instance.claim, self._workload))
+        await agent.isolation.renew(body, Peer(self._workload, instance.claim, self._workload))
 
     async def give_way(self, instance: Instance) -> None:
         agent = self._world.agents.get(instance.uid)

@@ -18,8 +18,8 @@ from tests.unit.interleavings.ownership import PERIOD, Reader, Writer
 from tests.unit.interleavings.reflexes import SCENES, Reflexive
 from tests.unit.interleavings.simulation import Outcome, Scene
 from tests.unit.interleavings.test_interleavings import told_alike, without
-from understudy.agent.permit import Lease
-from understudy.agent.writer_strength import Strengths
+from understudy.agent.permit import Permit
+from understudy.agent.writer_strength import WriterStrengths
 from understudy.api.protocol.ownership_strength import STRONGEST
 from understudy.failover import reflex
 from understudy.failover.interfaces import Instance
@@ -162,7 +162,7 @@ def test_a_replaced_instance_that_is_told_to_go_on_is_found() -> None:
 
 
 def test_an_instance_that_is_cut_off_and_not_held_is_found() -> None:
-    with mock.patch.object(Lease, "look"):
+    with mock.patch.object(Permit, "look"):
         assert found("which its gate shut out", ALONE, "node_is_cut_off")
 
 
@@ -200,7 +200,7 @@ class Crashing(Reflexive):
 
 
 def test_a_container_of_the_loser_that_is_heard_again_is_found() -> None:
-    with mock.patch.object(Strengths, "give_way"):
+    with mock.patch.object(WriterStrengths, "give_way"):
         assert found("after it gave way", ALONE, "crash", kind=Crashing)
 
 

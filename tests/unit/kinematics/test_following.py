@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from understudy.kinematics.command_following import SILENT, Allowance, Following, Motion, Reach, Sums
+from understudy.kinematics.command_following import SILENT, Allowance, CommandFollowing, Motion, Reach, Sums
 
 ALLOWED = Allowance()
 PERIOD, IMAGE = 0.05, 0.1
@@ -44,13 +44,13 @@ def watch(
     command: Command,
     until: float,
     *,
-    following: Following | None = None,
+    following: CommandFollowing | None = None,
     late: float = 0.06,
     noise: Callable[[], float] = lambda: 0.0,
     visible: Callable[[float], bool] = lambda now: True,
 ) -> float | None:
     """When the robot is first found not to follow; None for never. Its velocity is seen as the mean of half a second."""
-    following = following or Following(ALLOWED)
+    following = following or CommandFollowing(ALLOWED)
     recent: list[float] = []
     for tick in range(round(until * 100)):
         now = tick / 100
@@ -119,7 +119,7 @@ def test_a_robot_that_never_begins_to_move_is_found_too():
 
 
 def test_a_robot_that_moves_without_being_told_to_is_found():
-    following = Following(ALLOWED)
+    following = CommandFollowing(ALLOWED)
     for tick in range(60):
         following.command(tick * PERIOD, forward(0.0))
         following.see(tick * PERIOD, forward(0.0), CERTAIN)
@@ -130,7 +130,9 @@ def test_a_robot_that_moves_without_being_told_to_is_found():
     assert "forward it was seen at 0.20 m/s, commanded at 0.00 m/s" in str(following.discrepancy(4.0))
 
 
-def turning(following: Following, seen: Motion, said: Motion, begin: float = 0.0, seconds: float = 4.0) -> Following:
+def turning(
+    following: CommandFollowing, seen: Motion, said: Motion, begin: float = 0.0, seconds: float = 4.0
+) -> CommandFollowing:
     for tick in range(round(seconds * 10)):
         following.command(begin + tick * IMAGE, said)
         following.see(begin + tick * IMAGE + 0.01, seen, CERTAIN)
@@ -139,18 +141,18 @@ def turning(following: Following, seen: Motion, said: Motion, begin: float = 0.0
 
 def test_turning_and_driving_sideways_are_compared_as_well():
     said = Motion(0.2, 0.1, 0.5)
-    assert turning(Following(ALLOWED), said, said).discrepancy(4.0) is None
-    found = turning(Following(ALLOWED), said._replace(turn=-0.5), said).discrepancy(4.0)
+    assert turning(CommandFollowing(ALLOWED), said, said).discrepancy(4.0) is None
+    found = turning(CommandFollowing(ALLOWED), said._replace(turn=-0.5), said).discrepancy(4.0)
     assert found is not None
     assert found.component == "turning"
-    found = turning(Following(ALLOWED), said._replace(left=-0.2), said).discrepancy(4.0)
+    found = turning(CommandFollowing(ALLOWED), said._replace(left=-0.2), said).discrepancy(4.0)
     assert found is not None
     assert found.component == "sideways"
 
 
 def test_one_that_was_found_recovers_when_it_follows_again():
     robot = Robot(0.1, 1.0, stops=4.0)
-    following = Following(ALLOWED)
+    following = CommandFollowing(ALLOWED)
     assert watch(robot, lambda now: 0.3, 5.0, following=following) is not None
     well = following.well
     turning(following, forward(0.3), forward(0.3), begin=5.0, seconds=2.0)
@@ -160,7 +162,7 @@ def test_one_that_was_found_recovers_when_it_follows_again():
 
 
 def test_what_is_out_of_sight_cannot_be_told_and_begins_anew():
-    following = Following(ALLOWED)
+    following = CommandFollowing(ALLOWED)
     found = watch(Robot(0.1, 1.0, stops=4.0), lambda now: 0.3, 5.2, following=following)
     assert found is not None
     until = following.until
@@ -174,12 +176,12 @@ def test_what_is_out_of_sight_cannot_be_told_and_begins_anew():
 
 
 def test_before_a_command_and_with_none_for_long_any_motion_may_be():
-    following = Following(ALLOWED)
+    following = CommandFollowing(ALLOWED)
     for tick in range(50):
         following.see(tick * IMAGE, forward(0.5), CERTAIN)
     assert following.discrepancy(5.0) is None
     assert not following.told
-    following = turning(Following(ALLOWED), forward(0.3), forward(0.3))
+    following = turning(CommandFollowing(ALLOWED), forward(0.3), forward(0.3))
     for tick in range(40):
         # Nobody commands any more: it may go on, or stop, as its base does.
         following.see(4.0 + SILENT + tick * IMAGE, forward(0.0), CERTAIN)
@@ -187,7 +189,7 @@ def test_before_a_command_and_with_none_for_long_any_motion_may_be():
 
 
 def test_what_it_did_before_the_first_command_takes_time_to_end():
-    following = Following(ALLOWED)
+    following = CommandFollowing(ALLOWED)
     for tick in range(100):
         now = tick * PERIOD
         following.command(now, forward(0.0))
@@ -196,7 +198,7 @@ def test_what_it_did_before_the_first_command_takes_time_to_end():
 
 
 def test_a_single_wild_observation_is_no_failure():
-    following = turning(Following(ALLOWED), forward(0.3), forward(0.3))
+    following = turning(CommandFollowing(ALLOWED), forward(0.3), forward(0.3))
     following.see(4.1, forward(-50.0), CERTAIN)
     assert following.discrepancy(4.1) is None
     turning(following, forward(0.3), forward(0.3), begin=4.2)
@@ -205,7 +207,7 @@ def test_a_single_wild_observation_is_no_failure():
 
 def test_what_is_uncertain_takes_longer():
     def seconds(variance: float) -> float:
-        following = turning(Following(ALLOWED), forward(0.3), forward(0.3))
+        following = turning(CommandFollowing(ALLOWED), forward(0.3), forward(0.3))
         for tick in range(1000):
             now = 4.0 + tick * IMAGE
             following.command(now, forward(0.3))
@@ -218,8 +220,8 @@ def test_what_is_uncertain_takes_longer():
 
 
 def test_a_step_of_the_clock_changes_nothing():
-    plain, moved = Following(ALLOWED), Following(ALLOWED)
-    times: dict[Following, float | None] = {}
+    plain, moved = CommandFollowing(ALLOWED), CommandFollowing(ALLOWED)
+    times: dict[CommandFollowing, float | None] = {}
     for following, step in ((plain, 0.0), (moved, 3600.0)):
         turning(following, forward(0.3), forward(0.3))
         following.shift(step)

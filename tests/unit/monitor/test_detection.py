@@ -12,7 +12,7 @@ import pytest
 from understudy.api.kinds.failure_policy import Monitoring
 from understudy.failover.interfaces import GateState, Instance
 from understudy.monitor.judge.failure_detection import Detector
-from understudy.trees.core.observations import Recorded, TopicRecord
+from understudy.trees.core.observations import RecordedObservations, TopicRecord
 from understudy.trees.languages.notations import load_monitoring
 
 ACTIVE = Instance(name="w-1", uid="uid-1", ip="10.0.0.1", running=True, ready=True)
@@ -62,7 +62,7 @@ def test_what_fails_after_the_clock_was_set_back_is_noticed_in_the_usual_time() 
     tree, record = load_monitoring(monitoring), TopicRecord()
     judging = detector()
     sight: Any = SimpleNamespace(
-        verdict=lambda now, since: tree.evaluate(Recorded({"/cmd_vel": record}), now=now, since=since)
+        verdict=lambda now, since: tree.evaluate(RecordedObservations({"/cmd_vel": record}), now=now, since=since)
     )
     judging._sight = sight
     judging._sidecars = cast(Any, SimpleNamespace(status=lambda _: None))

@@ -17,7 +17,7 @@ from understudy.monitor.judge import situation_tracking as situations
 from understudy.monitor.judge.situation_tracking import HEARING, LOOK, Situations
 from understudy.monitor.observe.context_detection import Seen, Situating
 from understudy.trees.core.health_tree import Verdict
-from understudy.trees.core.observations import Recorded, TopicRecord
+from understudy.trees.core.observations import RecordedObservations, TopicRecord
 
 STATUS = "/carry/_action/status"
 TASK = {"task": {"action": "/carry"}}
@@ -44,7 +44,7 @@ NONE, CARRYING = policy(), policy(carrying=TASK)
 
 class TestWhatIsSeen:
     @staticmethod
-    def seen(found: Situating, observed: Recorded, *goals: str) -> dict[str, Seen]:
+    def seen(found: Situating, observed: RecordedObservations, *goals: str) -> dict[str, Seen]:
         now = time.time()
         return found.seen(observed, goals, now=now, since=now - 100)
 
@@ -69,24 +69,24 @@ class TestWhatIsSeen:
         assert [topic.name for topic in found.topics] == [STATUS]
 
     def test_a_goal_that_is_worked_on_is_one(self, found: Situating) -> None:
-        assert self.seen(found, Recorded({}))["carrying"] == Seen(False, "")
-        active = self.seen(found, Recorded({}, {STATUS: 1.0}))["carrying"]
+        assert self.seen(found, RecordedObservations({}))["carrying"] == Seen(False, "")
+        active = self.seen(found, RecordedObservations({}, {STATUS: 1.0}))["carrying"]
         assert active == Seen(True, "a goal of /carry is active")
 
     def test_so_is_one_that_waits_for_the_next_instance(self, found: Situating) -> None:
-        assert self.seen(found, Recorded({}), "/carry")["carrying"].so
-        assert not self.seen(found, Recorded({}), "/other")["carrying"].so
+        assert self.seen(found, RecordedObservations({}), "/carry")["carrying"].so
+        assert not self.seen(found, RecordedObservations({}), "/other")["carrying"].so
 
     def test_a_tree_that_holds(self, found: Situating) -> None:
-        assert self.seen(found, Recorded({}))["loaded"].so is False, "without a grace"
+        assert self.seen(found, RecordedObservations({}))["loaded"].so is False, "without a grace"
         heard = TopicRecord()
         heard.add(time.time())
-        beat = Recorded({"/loaded": heard})
+        beat = RecordedObservations({"/loaded": heard})
         assert self.seen(found, beat)["loaded"] == Seen(True, "its tree holds")
 
     def test_what_is_not_watched_can_not_be_told(self, found: Situating) -> None:
         found.leave_out({"/loaded"})
-        assert self.seen(found, Recorded({}))["loaded"].so is None
+        assert self.seen(found, RecordedObservations({}))["loaded"].so is None
 
     def test_a_tree_that_does_not_load_leaves_the_last_one_in_force(self, found: Situating) -> None:
         assert found.follow(policy(loaded={"yaml": {"topik": {}}}))

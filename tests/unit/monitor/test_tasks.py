@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from understudy.action_proxy.control_state import Situation
-from understudy.action_proxy.monitor_socket import Talk
+from understudy.action_proxy.control_state import ControlState
+from understudy.action_proxy.monitor_socket import MonitorSocket
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.api.kinds.task_spec import TaskStatus
 from understudy.api.protocol.monitor_settings import PoolChoice, WorkloadSettings
@@ -116,9 +116,9 @@ def link(socket: Path, seen: View, world: World) -> asyncio.Task[None]:
 async def test_the_proxy_is_told_every_change_and_reported_even_when_it_starts_late(socket: Path) -> None:
     world, seen = World([ACTIVE, STANDBY]), view(TASK)
     running = link(socket, seen, world)
-    heard: list[Situation] = []
+    heard: list[ControlState] = []
     tasks = [{"action": "/goto", "active": 2, "resent": 1, "message": "", "served": True}]
-    talk = Talk(heard.append, lambda: {"tasks": tasks, "epoch": 3})
+    talk = MonitorSocket(heard.append, lambda: {"tasks": tasks, "epoch": 3})
     server = await talk.listen(socket)
     await eventually(lambda: heard)
     first = heard[0]

@@ -14,7 +14,7 @@ from understudy.api.kinds.degraded_spec import InlineTree
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.monitor.judge.degraded_tree import Wellness
-from understudy.trees.core.observations import Recorded, TopicRecord
+from understudy.trees.core.observations import RecordedObservations, TopicRecord
 from understudy.trees.languages.notations import load_inline
 
 STATUS = "/go/_action/status"
@@ -49,7 +49,7 @@ def wellness(reschedule: dict[str, Any] | None, *actions: str) -> Wellness:
     return found
 
 
-def busy(found: Wellness, observed: Recorded) -> str:
+def busy(found: Wellness, observed: RecordedObservations) -> str:
     now = time.time()
     said = found.busy(observed, now=now, since=now - 100)
     return said.words if said is not None else ""
@@ -71,33 +71,33 @@ def test_no_message_calls_for_a_look_for_the_sake_of_it() -> None:
 
 def test_a_goal_that_is_worked_on_is_work() -> None:
     found = wellness({}, "/go", "/dock")
-    assert busy(found, Recorded({})) == ""
-    assert busy(found, Recorded({}, {"/dock/_action/status": 1.0})) == "a goal of /dock is active"
+    assert busy(found, RecordedObservations({})) == ""
+    assert busy(found, RecordedObservations({}, {"/dock/_action/status": 1.0})) == "a goal of /dock is active"
 
 
 def test_without_tasks_and_without_a_word_of_the_policy_a_robot_is_never_idle() -> None:
-    assert "has no tasks" in busy(wellness({}), Recorded({}))
+    assert "has no tasks" in busy(wellness({}), RecordedObservations({}))
 
 
 def test_what_the_policy_says_must_hold_too() -> None:
     found, record = wellness({"idle": STILL}, "/go"), TopicRecord()
-    assert busy(found, Recorded({"/beat": record})) != ""
+    assert busy(found, RecordedObservations({"/beat": record})) != ""
     record.add(time.time())
-    assert busy(found, Recorded({"/beat": record})) == ""
-    assert busy(found, Recorded({"/beat": record}, {STATUS: 1.0})) == "a goal of /go is active"
+    assert busy(found, RecordedObservations({"/beat": record})) == ""
+    assert busy(found, RecordedObservations({"/beat": record}, {STATUS: 1.0})) == "a goal of /go is active"
 
 
 def test_it_is_enough_where_there_are_no_tasks() -> None:
     record = TopicRecord()
     record.add(time.time())
-    assert busy(wellness({"idle": STILL}), Recorded({"/beat": record})) == ""
+    assert busy(wellness({"idle": STILL}), RecordedObservations({"/beat": record})) == ""
 
 
 def test_what_can_not_be_watched_is_not_idle() -> None:
     found, record = wellness({"idle": STILL}, "/go"), TopicRecord()
     record.add(time.time())
     found.leave_out(frozenset({"/beat"}))
-    assert busy(found, Recorded({"/beat": record})) == "/beat can't be watched"
+    assert busy(found, RecordedObservations({"/beat": record})) == "/beat can't be watched"
 
 
 def test_an_idle_tree_that_does_not_load_is_told_by_its_place() -> None:

@@ -20,7 +20,7 @@ from understudy.cli.simulate.bags import Bag
 from understudy.monitor.report import mcap_writer
 from understudy.monitor.report.mcap_writer import Content, Trace
 from understudy.ros.observe.offered_qos import offers
-from understudy.ros.observe.sample_rings import Ring
+from understudy.ros.observe.sample_rings import SampleRing
 from understudy.ros.runtime.interface_types import message_class
 
 pytestmark = pytest.mark.ros
@@ -61,8 +61,8 @@ def twist(speed: float) -> bytes:
 
 
 @pytest.fixture
-def ring() -> Ring:
-    made = Ring(30.0, 1_000_000)
+def ring() -> SampleRing:
+    made = SampleRing(30.0, 1_000_000)
     for number in range(50):
         at = FAILED - 5 + number * 0.1
         made.track("/cmd_vel", "geometry_msgs/msg/Twist").add(at, at - 0.01, number + 1, twist(number / 10))
@@ -78,7 +78,7 @@ def ring() -> Ring:
 
 
 @pytest.fixture
-def file(ring: Ring, tmp_path: Path) -> Path:
+def file(ring: SampleRing, tmp_path: Path) -> Path:
     events = [
         event("FailureDetected", "2026-05-28T20:27:10Z", "Warning"), event("Old", "2026-05-28T19:00:00Z"),
         event("Recovered", "2026-05-28T20:27:11Z"),
@@ -92,7 +92,7 @@ def file(ring: Ring, tmp_path: Path) -> Path:
     return path
 
 
-def test_every_message_is_read_back_as_it_came(file: Path, ring: Ring) -> None:
+def test_every_message_is_read_back_as_it_came(file: Path, ring: SampleRing) -> None:
     with file.open("rb") as opened:
         reader = make_reader(opened, validate_crcs=True)
         assert reader.get_header().profile == "ros2"

@@ -83,8 +83,8 @@ def eventually() -> Callable[..., None]:
 @pytest.fixture
 def watching(graph: Any) -> Iterator[object]:
     """Watches topics on the graph."""
-    from understudy.ros.observe.topic_watch import Watching
+    from understudy.ros.observe.topic_watch import TopicWatch
 
-    made = Watching(graph)
+    made = TopicWatch(graph)
     yield made
     made.close()

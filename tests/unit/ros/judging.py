@@ -6,7 +6,7 @@ import json
 import time
 from typing import Any
 
-from understudy.ros.observe.topic_watch import Watching
+from understudy.ros.observe.topic_watch import TopicWatch
 from understudy.ros.runtime.interface_types import message_fields
 from understudy.trees.core.health_tree import HealthTree, Verdict
 from understudy.trees.languages.short.health_loader import load
@@ -21,7 +21,7 @@ def tell(node: Any, **fields: Any) -> None:
 class Judged:
     """A tree over what is really received."""
 
-    def __init__(self, watching: Watching, tree: dict[str, Any], grace: float = 30.0) -> None:
+    def __init__(self, watching: TopicWatch, tree: dict[str, Any], grace: float = 30.0) -> None:
         self.tree: HealthTree = load(tree, grace=grace, fields=message_fields)
         self.since, self._watching = time.time(), watching
         watching.follow(self.tree.topics)

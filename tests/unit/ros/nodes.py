@@ -217,9 +217,9 @@ def work(action: str) -> None:
 def obey(topic: str, text: str) -> None:
     from understudy.ros.dds.sample_sources import Sources
     from understudy.ros.runtime.graph_node import Graph
-    from understudy.ros.runtime.sample_taking import Taker
+    from understudy.ros.runtime.sample_taking import SampleTaker
 
-    sources, taker = Sources(json.loads(text)), Taker()
+    sources, taker = Sources(json.loads(text)), SampleTaker()
     subscription = Graph("robot").subscribe(topic, "std_msgs/msg/String", depth=100)
     print("ready", flush=True)
     while True:
@@ -230,13 +230,13 @@ def obey(topic: str, text: str) -> None:
 
 
 def watch(duration: str, text: str) -> None:
-    from understudy.ros.observe.topic_watch import Watching
+    from understudy.ros.observe.topic_watch import TopicWatch
     from understudy.ros.runtime.graph_node import Graph
     from understudy.trees.core.health_tree import WatchedTopic
 
     wish = json.loads(text)
     graph = Graph("watcher")
-    watching = Watching(graph)
+    watching = TopicWatch(graph)
     watching.follow(WatchedTopic(name, "std_msgs/msg/String", 1.0, None) for name in wish["topics"])
     instances, active = wish["instances"], wish["active"]
     watching.attribute(instances, active[0])

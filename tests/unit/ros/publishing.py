@@ -8,7 +8,7 @@ import time
 import rclpy
 from std_msgs.msg import String
 
-from understudy.ros.actions.instance_calls import Caller, CallFailed, Place
+from understudy.ros.actions.instance_calls import CallFailed, GraphLocation, InstanceCaller
 from understudy.ros.dds.sample_sources import HOST
 from understudy.ros.runtime.graph_node import Graph
 
@@ -30,7 +30,7 @@ async def main() -> None:
         await asyncio.sleep(0.05)
     print("both", len(graph.node.get_subscriptions_info_by_topic("/initialpose")), flush=True)
     sys.stdin.readline()
-    caller = Caller("caller", place=lambda: Place(graph.node.context, own[0]))
+    caller = InstanceCaller("caller", place=lambda: GraphLocation(graph.node.context, own[0]))
     try:
         await caller.publish("/initialpose", "std_msgs/msg/String", {"data": "here"}, 20.0)
         print("published", await asyncio.to_thread(got.wait, 10), flush=True)

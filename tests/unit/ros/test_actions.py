@@ -15,10 +15,10 @@ pytestmark = pytest.mark.ros
 
 
 @pytest.fixture
-async def spinning(dds):  # noqa: F811
-    from understudy.ros.runtime.served_node import Spinning
+async def served(dds):  # noqa: F811
+    from understudy.ros.runtime.served_node import ServedNode
 
-    made = Spinning("tested")
+    made = ServedNode("tested")
     yield made
     await made.close()
 
@@ -46,13 +46,13 @@ def result_of(*sequence: int) -> bytes:
 
 class TestClient:
     @pytest.fixture
-    async def client(self, spinning):
+    async def client(self, served):
         from understudy.ros.actions.action_endpoints import ActionClient, ActionType
 
         self.feedback: list[tuple[str, bytes]] = []
         self.statuses: list = []
         made = ActionClient(
-            spinning,
+            served,
             ACTION,
             ActionType.of(TYPE),
             on_feedback=lambda goal, data: self.feedback.append((goal, data)),
@@ -121,12 +121,12 @@ class Recorded:
     """What a server was asked."""
 
     def __init__(self) -> None:
-        from understudy.ros.actions.action_endpoints import Asked
+        from understudy.ros.actions.action_endpoints import RequestHandlers
 
         self.goals: list = []
         self.cancels: list = []
         self.results: list = []
-        self.asked = Asked(
+        self.asked = RequestHandlers(
             goal=lambda *args: self.goals.append(args),
             cancel=lambda *args: self.cancels.append(args),
             result=lambda *args: self.results.append(args),
@@ -135,11 +135,11 @@ class Recorded:
 
 class TestServer:
     @pytest.fixture
-    async def server(self, spinning):
+    async def server(self, served):
         from understudy.ros.actions.action_endpoints import ActionServer, ActionType
 
         self.asked = Recorded()
-        made = ActionServer(spinning, ACTION, ActionType.of(TYPE), self.asked.asked)
+        made = ActionServer(served, ACTION, ActionType.of(TYPE), self.asked.asked)
         await made.open()
         yield made
         await made.close()
@@ -148,7 +148,7 @@ class TestServer:
         from rclpy.serialization import serialize_message
         from test_msgs.action import Fibonacci
 
-        from understudy.ros.actions.action_endpoints import CANCELING, EXECUTING, Known, renamed
+        from understudy.ros.actions.action_endpoints import CANCELING, EXECUTING, KnownGoal, renamed
 
         client = start("client", ACTION, "5", "7", "9")
         await eventually(lambda: len(self.asked.goals) == 3)
@@ -158,7 +158,7 @@ class TestServer:
         server.answer_goal(third, False, 0)
         server.answer_goal(first, True, stamp)
         server.answer_goal(second, True, stamp)
-        server.publish_status([Known(goal, stamp, EXECUTING), Known(other, stamp, EXECUTING)])
+        server.publish_status([KnownGoal(goal, stamp, EXECUTING), KnownGoal(other, stamp, EXECUTING)])
         await eventually(lambda: len(client.said("answered")) == 3)
         assert client.said("answered", goal=rejected, accepted=False)
         message = Fibonacci.Impl.FeedbackMessage(feedback=Fibonacci.Feedback(sequence=[42]))
@@ -170,7 +170,7 @@ class TestServer:
         ((request, asked),) = self.asked.cancels
         assert asked.goal == goal
         server.answer_cancel(request, 0, [(goal, stamp)])
-        server.publish_status([Known(goal, stamp, CANCELING)])
+        server.publish_status([KnownGoal(goal, stamp, CANCELING)])
         await eventually(lambda: client.said("canceling", index=0, code=0, goals=1))
         requests = {goal: request for request, goal in self.asked.results}
         server.answer_result(requests[other], SUCCEEDED, result_of(1, 2, 3))
@@ -178,12 +178,12 @@ class TestServer:
         await eventually(lambda: client.said("ended", index=0, status=CANCELED, result=[]))
         await eventually(lambda: client.said("ended", index=1, status=SUCCEEDED, result=[1, 2, 3]))
 
-    async def test_another_server_answers_what_this_one_took(self, dds, spinning, start):  # noqa: F811
+    async def test_another_server_answers_what_this_one_took(self, dds, served, start):  # noqa: F811
         """As after a restart: the participant that took the request is gone."""
         from understudy.ros.actions.action_endpoints import ActionServer, ActionType
-        from understudy.ros.runtime.served_node import Spinning
+        from understudy.ros.runtime.served_node import ServedNode
 
-        gone, asked = Spinning("gone"), Recorded()
+        gone, asked = ServedNode("gone"), Recorded()
         server = ActionServer(gone, ACTION, ActionType.of(TYPE), asked.asked)
         await server.open()
         client = start("client", ACTION, "5")
@@ -194,7 +194,7 @@ class TestServer:
         ((waiting, _),) = asked.results
         await server.close()
         await gone.close()
-        after = ActionServer(spinning, ACTION, ActionType.of(TYPE), Recorded().asked)
+        after = ActionServer(served, ACTION, ActionType.of(TYPE), Recorded().asked)
         await after.open()
         after.answer_result(waiting, SUCCEEDED, result_of(8))
         await eventually(lambda: client.said("ended", status=SUCCEEDED, result=[8]))

@@ -12,8 +12,8 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from understudy.ros.observe.topic_watch import Watching
-from understudy.ros.runtime.arrival_wakeups import Arrivals
+from understudy.ros.observe.topic_watch import TopicWatch
+from understudy.ros.runtime.arrival_wakeups import ArrivalWakeups
 from understudy.trees.core.health_tree import WatchedTopic
 
 pytestmark = pytest.mark.ros
@@ -23,24 +23,24 @@ CHAT = WatchedTopic("/chat", STRING, 0.0, 50.0)
 
 
 @pytest.fixture
-def arrivals(graph: Any) -> Iterator[Arrivals]:
-    made = Arrivals()
+def arrivals(graph: Any) -> Iterator[ArrivalWakeups]:
+    made = ArrivalWakeups()
     yield made
     made.close()
 
 
 @pytest.fixture
-def watching(graph: Any, arrivals: Arrivals) -> Iterator[Watching]:
-    made = Watching(graph, arrivals=arrivals)
+def watching(graph: Any, arrivals: ArrivalWakeups) -> Iterator[TopicWatch]:
+    made = TopicWatch(graph, arrivals=arrivals)
     yield made
     made.close()
 
 
-def told(arrivals: Arrivals, within: float) -> bool:
+def told(arrivals: ArrivalWakeups, within: float) -> bool:
     return bool(select.select([arrivals.descriptor], [], [], within)[0])
 
 
-def received(watching: Watching, eventually: Callable[..., None], topic: str = "/chat", more: int = 5) -> None:
+def received(watching: TopicWatch, eventually: Callable[..., None], topic: str = "/chat", more: int = 5) -> None:
     before = watching.topic(topic).count
     eventually(lambda: watching.drain() and watching.topic(topic).count >= before + more)
 

@@ -44,9 +44,9 @@ def managed(dds: None) -> Iterator[Managed]:
 
 @pytest.fixture
 def caller(dds: None) -> Iterator[object]:
-    from understudy.ros.actions.instance_calls import Caller
+    from understudy.ros.actions.instance_calls import InstanceCaller
 
-    made = Caller("caller")
+    made = InstanceCaller("caller")
     yield made
     made.close()
 
@@ -209,7 +209,7 @@ async def test_nodes_and_services_are_seen(managed: Managed, caller) -> None:
 
 async def test_of_another_host_nothing_counts(managed: Managed, dds: None, graph) -> None:
     """Behind a discovery server an agent also learns of the other instances' servers, which it can't reach."""
-    from understudy.ros.actions.instance_calls import Caller, CallFailed, Place
+    from understudy.ros.actions.instance_calls import CallFailed, GraphLocation, InstanceCaller
     from understudy.ros.dds.sample_sources import HOST
 
     managed.start()
@@ -218,9 +218,9 @@ async def test_of_another_host_nothing_counts(managed: Managed, dds: None, graph
     while not (own := [e.gid[HOST] for e in graph.publishers("/parameter_events") if e.node == "/tested"]):
         assert time.monotonic() < end
         await asyncio.sleep(0.05)
-    here = Caller("here", place=lambda: Place(context, own[0]))
-    elsewhere = Caller("elsewhere", place=lambda: Place(context, b"\x01\x0f\x00\x00"))
-    nowhere = Caller("nowhere", place=lambda: None)
+    here = InstanceCaller("here", place=lambda: GraphLocation(context, own[0]))
+    elsewhere = InstanceCaller("elsewhere", place=lambda: GraphLocation(context, b"\x01\x0f\x00\x00"))
+    nowhere = InstanceCaller("nowhere", place=lambda: None)
     try:
         assert (await here.call("/switch", "std_srvs/srv/SetBool", {}, WITHIN))["message"] == "off"
         await here.bring_to("/managed", "inactive", WITHIN)

@@ -13,7 +13,7 @@ import pytest
 pytest.importorskip("rclpy")
 
 from understudy.api.kinds.robot_workload import Output
-from understudy.ros.observe.topic_watch import Watching
+from understudy.ros.observe.topic_watch import TopicWatch
 from understudy.ros.runtime.graph_node import Graph
 from understudy.trees.core.health_tree import WatchedTopic
 
@@ -45,7 +45,7 @@ def test_publishers_that_disagree_have_no_type(graph, eventually):
         other.node.create_publisher(String, "/chat", 1)
         eventually(lambda: len(graph.publishers("/chat")) == 2)
         assert graph.type_of("/chat") is None
-        watching = Watching(graph)
+        watching = TopicWatch(graph)
         watching.follow([WatchedTopic("/chat", None, 0.0, None)])
         assert watching.problems == [
             "the publishers of /chat disagree about its type (std_msgs/msg/Bool, std_msgs/msg/String): "

@@ -11,7 +11,7 @@ pytest.importorskip("rclpy")
 
 from tests.unit.ros.judging import Judged
 from understudy.ros.dds.sample_sources import HOST, VENDOR, host_id
-from understudy.ros.observe.topic_watch import Watching
+from understudy.ros.observe.topic_watch import TopicWatch
 from understudy.ros.runtime.graph_node import Endpoint, Graph
 from understudy.trees.core.health_tree import WatchedTopic
 
@@ -83,7 +83,7 @@ def test_an_agent_counts_the_nodes_of_its_own_host(graph, join, eventually):
     eventually(lambda: any(end.node == "/controller" for end in graph.publishers("/parameter_events")))
     (host,) = {end.gid[HOST] for end in graph.publishers("/parameter_events") if end.node == "/controller"}
     for own, expected in ((host, True), (VENDOR + b"xx", False)):
-        watching = Watching(graph, own)
+        watching = TopicWatch(graph, own)
         watching.follow([WANTED])
         watching.drain()
         assert (watching.node("/controller").there, watching.node("/controller").elsewhere) == (expected, True)

@@ -19,10 +19,10 @@ pytest.importorskip("rclpy")
 
 from tests.unit.ros.judging import Judged
 from tests.unit.ros.processes import Processes
-from understudy.ros.actions.instance_calls import Caller, CallFailed
+from understudy.ros.actions.instance_calls import CallFailed, InstanceCaller
 from understudy.ros.dds.sample_sources import HOST
-from understudy.ros.observe.lifecycle_states import Lifecycles
-from understudy.ros.observe.topic_watch import Watching
+from understudy.ros.observe.lifecycle_states import LifecycleStates
+from understudy.ros.observe.topic_watch import TopicWatch
 from understudy.ros.runtime.graph_node import Endpoint
 from understudy.trees.core.observations import TopicRecord
 
@@ -58,7 +58,7 @@ def often(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def bring_to(state: str) -> None:
     async def bring() -> None:
-        caller = Caller("bringer")
+        caller = InstanceCaller("bringer")
         try:
             await caller.bring_to(NODE, state, 30.0)
         finally:
@@ -74,7 +74,7 @@ def test_a_node_that_leaves_its_state_fails_and_what_it_was_before_is_asked_for(
     bring_to("active")
     eventually(lambda: judged.now().state == "Healthy")
     (host,) = {end.gid[HOST] for end in graph.servers(f"{NODE}/get_state")}
-    for late in (Watching(graph), Watching(graph, host)):
+    for late in (TopicWatch(graph), TopicWatch(graph, host)):
         try:
             other = Judged(late, {"lifecycle": {"node": NODE}})
             eventually(lambda other=other: other.now().state == "Healthy")
@@ -96,7 +96,7 @@ def test_what_is_published_and_set_otherwise_and_another_node_do_it_no_harm(watc
     eventually(lambda: judged.now().state == "Healthy")
 
     async def disturb() -> None:
-        caller = Caller("other")
+        caller = InstanceCaller("other")
         try:
             await caller.set_parameters(NODE, {"speed": 2.0}, 30.0)
             await caller.call("/switch", "std_srvs/srv/SetBool", {"data": True}, 30.0)
@@ -114,9 +114,9 @@ def test_a_node_that_is_not_there_is_told_so(watching, eventually):
     eventually(lambda: judged.now().state == "Failed" and "(it is not there)" in judged.now().reason)
 
 
-async def activate(states: Lifecycles) -> None:
+async def activate(states: LifecycleStates) -> None:
     """Have all nodes configured, and then activated, which one of them refuses; each request reaches all."""
-    caller = Caller("bringer")
+    caller = InstanceCaller("bringer")
 
     async def change(transition: int) -> None:
         request = {"transition": {"id": transition}}
@@ -153,7 +153,7 @@ def test_of_nodes_of_one_name_in_several_pods_answers_count_only_where_they_agre
     managed("refusing")
     eventually(lambda: len(graph.servers(f"{NODE}/get_state")) == 2)
     record = TopicRecord(contents=1)
-    states = Lifecycles(graph, lambda gid: gid[:12] == own, lambda topic: record, alone=False)
+    states = LifecycleStates(graph, lambda gid: gid[:12] == own, lambda topic: record, alone=False)
     try:
         states.follow([NODE])
         eventually(lambda: states.look() or (states.of(NODE) and states.of(NODE).state == "unconfigured"))
@@ -161,7 +161,7 @@ def test_of_nodes_of_one_name_in_several_pods_answers_count_only_where_they_agre
         asyncio.run(activate(states))
     finally:
         states.close()
-    states = Lifecycles(graph, lambda gid: gid[:12] == own, lambda topic: record, alone=False)
+    states = LifecycleStates(graph, lambda gid: gid[:12] == own, lambda topic: record, alone=False)
     try:
         states.follow([NODE])
         eventually(lambda: states.look() or states.problems)
@@ -189,7 +189,7 @@ def test_of_a_process_that_takes_the_place_of_another_nothing_is_known_but_what_
     monkeypatch.setattr(graph, "servers", lambda service: list(servers))
     monkeypatch.setattr("understudy.ros.observe.node_inquiries.PERIOD", 0.0)
     record = TopicRecord(contents=1)
-    states = Lifecycles(graph, lambda gid: True, lambda topic: record, alone=True)
+    states = LifecycleStates(graph, lambda gid: True, lambda topic: record, alone=True)
     try:
         states.follow([NODE])
         record.contents.append(Told(time.time(), "active"))

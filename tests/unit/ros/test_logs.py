@@ -11,7 +11,7 @@ pytest.importorskip("rclpy")
 
 from tests.unit.ros.judging import Judged
 from understudy.ros.dds.sample_sources import HOST, VENDOR
-from understudy.ros.observe.topic_watch import Watching
+from understudy.ros.observe.topic_watch import TopicWatch
 
 pytestmark = pytest.mark.ros
 
@@ -23,7 +23,7 @@ def log(node: Any, line: str) -> None:
     node.stdin.flush()
 
 
-def heard(watching: Watching) -> int:
+def heard(watching: TopicWatch) -> int:
     record = watching.topic("/rosout")
     return record.count if record is not None else 0
 
@@ -64,7 +64,7 @@ def test_only_what_comes_from_the_instance_counts(graph, processes, eventually):
     node = processes.node("log", "controller")
     eventually(lambda: graph.publishers("/rosout"))
     (host,) = {end.gid[HOST] for end in graph.publishers("/rosout")}
-    watchings = [Watching(graph, host), Watching(graph, VENDOR + b"xx"), Watching(graph)]
+    watchings = [TopicWatch(graph, host), TopicWatch(graph, VENDOR + b"xx"), TopicWatch(graph)]
     judged = [Judged(watching, TREE, grace=0.001) for watching in watchings]
     watchings[2].attribute({"w-1": "192.0.2.1"}, "w-1")
     try:

@@ -15,7 +15,7 @@ import pytest
 
 from tests.unit.ros.network import Network, network
 from tests.unit.ros.processes import Processes
-from understudy.agent.writer_strength import Strengths
+from understudy.agent.writer_strength import WriterStrengths
 from understudy.api import names
 from understudy.api.kinds.robot_workload import Output, Reflex
 from understudy.api.protocol import profile_placeholders
@@ -150,6 +150,6 @@ def test_a_robots_reader_falls_over_and_the_loser_stays_away(
     # Killed, and restarted after it was told to give way: it isn't heard, with no fence at all.
     first.kill()
     until_from(robot, "fallback")
-    Strengths(Path(strong).parent).give_way()
+    WriterStrengths(Path(strong).parent).give_way()
     processes.node("publish", "/chat", "20", inside=primary, FASTRTPS_DEFAULT_PROFILES_FILE=strong)
     assert heard(robot, 60) == {"fallback"}

@@ -14,10 +14,10 @@ import pytest
 pytest.importorskip("rclpy")
 
 from tests.unit.ros.judging import Judged
-from understudy.ros.actions.instance_calls import Caller
+from understudy.ros.actions.instance_calls import InstanceCaller
 from understudy.ros.dds.sample_sources import HOST
-from understudy.ros.observe.parameter_values import EVENTS, Parameters, Setting, setting
-from understudy.ros.observe.topic_watch import Watching
+from understudy.ros.observe.parameter_values import EVENTS, ParameterValues, Setting, setting
+from understudy.ros.observe.topic_watch import TopicWatch
 from understudy.trees.core.observations import TopicRecord
 
 pytestmark = pytest.mark.ros
@@ -39,7 +39,7 @@ def often(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def put(**values: Any) -> None:
     async def put() -> None:
-        caller = Caller("setter")
+        caller = InstanceCaller("setter")
         try:
             await caller.set_parameters(NODE, values, 30.0)
         finally:
@@ -61,7 +61,7 @@ def test_a_value_that_is_changed_fails_and_what_it_was_before_is_asked_for(watch
     eventually(lambda: judged.now().state == "Failed")
     assert judged.now().reason == "parameter speed of node /driver equal to 1.0 does not hold (it is 2.5)"
     (host,) = {end.gid[HOST] for end in graph.servers(f"{NODE}/get_parameters")}
-    for late in (Watching(graph), Watching(graph, host)):
+    for late in (TopicWatch(graph), TopicWatch(graph, host)):
         try:
             other = Judged(late, leaf(equals="2.5"))
             eventually(lambda other=other: other.now().state == "Healthy")
@@ -95,7 +95,7 @@ def test_other_parameters_and_other_nodes_do_it_no_harm(watching, node, processe
     eventually(lambda: judged.now().state == "Healthy")
 
     async def disturb() -> None:
-        caller = Caller("setter")
+        caller = InstanceCaller("setter")
         try:
             await caller.set_parameters("/other", {"speed": 7.0, "label": "z", "count": 9}, 30.0)
             await caller.set_parameters(NODE, {"label": "b"}, 30.0)
@@ -152,7 +152,7 @@ def test_of_nodes_of_one_name_in_several_pods_answers_count_only_where_they_agre
     node("2.5")
     eventually(lambda: len(graph.servers(f"{NODE}/get_parameters")) == 2)
     record = TopicRecord(contents=8)
-    parameters = Parameters(graph, lambda gid: gid[:12] == own, lambda topic: record, alone=False)
+    parameters = ParameterValues(graph, lambda gid: gid[:12] == own, lambda topic: record, alone=False)
     speed, label = (NODE, "speed"), (NODE, "label")
     try:
         parameters.follow([speed, label])

@@ -13,7 +13,7 @@ pytest.importorskip("rclpy")
 from tests.unit.ros.judging import Judged
 from understudy.ros.dds.sample_sources import HOST, VENDOR, host_id
 from understudy.ros.observe import topic_watch as module
-from understudy.ros.observe.topic_watch import Watching
+from understudy.ros.observe.topic_watch import TopicWatch
 from understudy.ros.runtime.graph_node import Endpoint, Graph
 from understudy.trees.core.health_tree import WatchedTopic
 
@@ -88,7 +88,7 @@ def test_an_agent_counts_the_publishers_of_its_own_host(graph, others, eventuall
     eventually(lambda: graph.publishers("/chat"))
     (host,) = {endpoint.gid[HOST] for endpoint in graph.publishers("/chat")}
     for own, expected in ((host, 1), (VENDOR + b"xx", 0)):
-        watching = Watching(graph, own)
+        watching = TopicWatch(graph, own)
         watching.follow([WatchedTopic("/chat", None, 0.0, None, heard=False, publishers=True)])
         watching.drain()
         assert len(watching.publishers("/chat").nodes) == expected

@@ -6,18 +6,18 @@ import tracemalloc
 
 import pytest
 
-from understudy.ros.observe.sample_rings import OVERHEAD, ROOM, Ring
+from understudy.ros.observe.sample_rings import OVERHEAD, ROOM, SampleRing
 
 TWIST = "geometry_msgs/msg/Twist"
 KILO = b"x" * (1000 - OVERHEAD)
 
 
-def received(ring: Ring, since: float = 0.0) -> dict[str, list[float]]:
+def received(ring: SampleRing, since: float = 0.0) -> dict[str, list[float]]:
     return {topic: [message[0] for message in messages] for topic, _, messages in ring.taken(since)}
 
 
 def test_what_is_older_than_the_window_is_forgotten() -> None:
-    ring = Ring(2.0, 1_000_000)
+    ring = SampleRing(2.0, 1_000_000)
     track = ring.track("/cmd_vel", TWIST)
     for number in range(100):
         track.add(number * 0.1, 0.0, number, b"\0\1\0\0")
@@ -28,7 +28,7 @@ def test_what_is_older_than_the_window_is_forgotten() -> None:
 
 
 def test_messages_are_kept_as_they_came() -> None:
-    ring = Ring(10.0, 1_000_000)
+    ring = SampleRing(10.0, 1_000_000)
     ring.track("/cmd_vel", TWIST).add(1.5, 1.25, 7, b"\0\1\0\0data")
     (taken,) = ring.taken(1.0)
     assert taken == ("/cmd_vel", TWIST, [(1.5, 1.25, 7, b"\0\1\0\0data")])
@@ -36,7 +36,7 @@ def test_messages_are_kept_as_they_came() -> None:
 
 
 def test_topic_that_takes_most_is_left_out_whole_and_named() -> None:
-    ring = Ring(10.0, 100_000)
+    ring = SampleRing(10.0, 100_000)
     commands, images = ring.track("/cmd_vel", TWIST), ring.track("/image", "sensor_msgs/msg/Image")
     for number in range(20):
         commands.add(number * 0.1, 0.0, number, b"\0\1\0\0")
@@ -49,7 +49,7 @@ def test_topic_that_takes_most_is_left_out_whole_and_named() -> None:
 
 
 def test_a_message_that_never_fits_costs_no_other_topic() -> None:
-    ring = Ring(10.0, 100_000)
+    ring = SampleRing(10.0, 100_000)
     ring.track("/cmd_vel", TWIST).add(0.0, 0.0, 1, KILO)
     ring.track("/map", "nav_msgs/msg/OccupancyGrid").add(0.1, 0.0, 1, bytes(200_000))
     assert set(received(ring)) == {"/cmd_vel"}
@@ -57,7 +57,7 @@ def test_a_message_that_never_fits_costs_no_other_topic() -> None:
 
 
 def test_what_is_silent_by_now_makes_room_before_a_topic_is_left_out() -> None:
-    ring = Ring(1.0, 100_000)
+    ring = SampleRing(1.0, 100_000)
     silent, other = ring.track("/silent", TWIST), ring.track("/other", TWIST)
     for number in range(60):
         silent.add(number * 0.01, 0.0, number, KILO)
@@ -68,7 +68,7 @@ def test_what_is_silent_by_now_makes_room_before_a_topic_is_left_out() -> None:
 
 
 def test_nothing_is_forgotten_while_it_is_held() -> None:
-    ring = Ring(1.0, 1_000_000)
+    ring = SampleRing(1.0, 1_000_000)
     track = ring.track("/cmd_vel", TWIST)
     for number in range(20):
         track.add(number * 0.1, 0.0, number, KILO)
@@ -82,7 +82,7 @@ def test_nothing_is_forgotten_while_it_is_held() -> None:
 
 
 def test_what_led_to_a_failure_is_worth_more_than_what_came_of_it() -> None:
-    ring = Ring(100.0, 100_000)
+    ring = SampleRing(100.0, 100_000)
     track = ring.track("/cmd_vel", TWIST)
     before = int(100 * ROOM) - 1
     for number in range(before):
@@ -98,7 +98,7 @@ def test_what_led_to_a_failure_is_worth_more_than_what_came_of_it() -> None:
 
 
 def test_times_move_with_the_clock() -> None:
-    ring = Ring(1.0, 1_000_000)
+    ring = SampleRing(1.0, 1_000_000)
     track = ring.track("/cmd_vel", TWIST)
     track.add(100.0, 0.0, 1, b"1")
     ring.shift(-50.0)
@@ -108,7 +108,7 @@ def test_times_move_with_the_clock() -> None:
 
 
 def test_a_topic_of_another_type_begins_anew() -> None:
-    ring = Ring(10.0, 1_000_000)
+    ring = SampleRing(10.0, 1_000_000)
     ring.track("/cmd_vel", TWIST).add(1.0, 0.0, 1, KILO)
     ring.track("/cmd_vel", "geometry_msgs/msg/TwistStamped").add(1.1, 0.0, 1, b"new")
     (taken,) = ring.taken(0.0)
@@ -118,7 +118,7 @@ def test_a_topic_of_another_type_begins_anew() -> None:
 
 
 def test_it_takes_no_more_memory_than_it_says() -> None:
-    ring = Ring(1000.0, 4_000_000)
+    ring = SampleRing(1000.0, 4_000_000)
     track = ring.track("/cmd_vel", TWIST)
     tracemalloc.start()
     try:

@@ -9,7 +9,7 @@ pytest.importorskip("rclpy")
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import String
 
-from understudy.ros.runtime.sample_taking import Taker
+from understudy.ros.runtime.sample_taking import SampleTaker
 
 pytestmark = pytest.mark.ros
 
@@ -20,7 +20,7 @@ def subscription(graph):
 
 
 def taken(subscription, *, count: int, timeout: float = 10.0, **how):
-    taker, samples, end = Taker(), [], time.monotonic() + timeout
+    taker, samples, end = SampleTaker(), [], time.monotonic() + timeout
     with subscription.handle:
         while len(samples) < count and time.monotonic() < end:
             sample = taker.take(subscription.handle.pointer, **how)
@@ -81,7 +81,7 @@ def test_data_is_left_out_where_it_is_not_wanted(graph, subscription, eventually
 
 def test_empty_queue_gives_none(subscription):
     with subscription.handle:
-        assert Taker().take(subscription.handle.pointer) is None
+        assert SampleTaker().take(subscription.handle.pointer) is None
 
 
 def test_queue_keeps_the_newest(graph, subscription, eventually):

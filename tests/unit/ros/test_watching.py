@@ -10,8 +10,8 @@ pytest.importorskip("rclpy")
 from rclpy.serialization import deserialize_message
 
 from understudy.ros.observe import topic_watch as module
-from understudy.ros.observe.sample_rings import Ring
-from understudy.ros.observe.topic_watch import Watching, depth
+from understudy.ros.observe.sample_rings import SampleRing
+from understudy.ros.observe.topic_watch import TopicWatch, depth
 from understudy.ros.runtime.interface_types import message_class
 from understudy.trees.core.health_tree import WatchedTopic
 from understudy.trees.languages.short.health_loader import load
@@ -58,7 +58,7 @@ def test_samples_that_never_came_are_counted(watching, processes, eventually):
 
 
 def test_messages_are_kept_as_they_came_where_there_is_a_ring(watching, processes, eventually):
-    ring = Ring(60.0, 1_000_000)
+    ring = SampleRing(60.0, 1_000_000)
     watching.follow([WatchedTopic("/chat", None, 0.0, None)])  # its type is only known once somebody publishes it
     watching.record(ring)
     processes.node("publish", "/chat", "50", "100")
@@ -199,11 +199,11 @@ STATUS = "/count/_action/status"
 
 def test_an_active_goal_is_known_from_the_status_of_its_action(graph, processes, eventually):
     worker = processes.node("work", "/count")
-    first = Watching(graph)
+    first = TopicWatch(graph)
     first.follow([WatchedTopic(STATUS, "action_msgs/msg/GoalStatusArray", 0.0, None, task=True)])
     eventually(lambda: first.drain() and first.task(STATUS))
     assert first.task(STATUS) == pytest.approx(time.time(), abs=20)
-    late = Watching(graph)
+    late = TopicWatch(graph)
     late.follow([WatchedTopic(STATUS, "action_msgs/msg/GoalStatusArray", 0.0, None, task=True)])
     eventually(lambda: late.drain() and late.task(STATUS))
     worker.stdin.write("succeed\n")

@@ -67,11 +67,11 @@ def running(monkeypatch: pytest.MonkeyPatch) -> Iterator[Running]:
 
 @pytest.fixture
 def watching(running: Running) -> Iterator[Any]:
-    from understudy.ros.observe.topic_watch import Watching
+    from understudy.ros.observe.topic_watch import TopicWatch
     from understudy.ros.runtime.graph_node import Graph
 
     graph = Graph("tested")
-    made = Watching(graph)
+    made = TopicWatch(graph)
     yield made
     made.close()
     graph.close()

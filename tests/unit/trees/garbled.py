@@ -8,7 +8,7 @@ from typing import TypeVar
 
 from tests.unit.trees.world import START
 from understudy.trees.core.health_tree import HealthTree
-from understudy.trees.core.observations import Recorded
+from understudy.trees.core.observations import RecordedObservations
 from understudy.trees.source.problems import TreeError
 
 Tree = TypeVar("Tree")
@@ -29,7 +29,11 @@ def loads_or_is_refused(load: Callable[[str], HealthTree], text: str, path: str)
     """Anything but a TreeError with problems at ``path`` fails the test."""
     tree = loaded_or_refused(load, text, path)
     if tree is not None:
-        assert tree.evaluate(Recorded({}), now=START, since=START).state in ("Starting", "Healthy", "Failed")
+        assert tree.evaluate(RecordedObservations({}), now=START, since=START).state in (
+            "Starting",
+            "Healthy",
+            "Failed",
+        )
 
 
 def loaded_or_refused(load: Callable[[str], Tree], text: str, path: str) -> Tree | None:

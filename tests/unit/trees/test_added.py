@@ -13,7 +13,7 @@ from understudy.trees.languages.osc import library as osc
 from understudy.trees.languages.osc import steps as osc_steps
 from understudy.trees.languages.short import health_loader, procedure_loader
 from understudy.trees.leaves import registry
-from understudy.trees.leaves.plugins import Added, added
+from understudy.trees.leaves.plugins import PluginLeaves, load_plugins
 
 JUDGE = "class Judge:\n    def judge(self, message):\n        return None\n"
 
@@ -32,8 +32,8 @@ def package(folder: Path, name: str, *entries: str) -> None:
     (metadata / "entry_points.txt").write_text("\n".join(["[understudy.leaves]", *entries]))
 
 
-def found(*taken: str) -> Added:
-    return added(taken)
+def found(*taken: str) -> PluginLeaves:
+    return load_plugins(taken)
 
 
 def test_each_entry_point_is_a_leaf(tmp_path: Path) -> None:
@@ -47,7 +47,7 @@ def test_each_entry_point_is_a_leaf(tmp_path: Path) -> None:
 )
 def test_a_name_is_two_words_at_least(tmp_path: Path, name: str) -> None:
     package(tmp_path, "acme-leaves", f"{name} = acme_added_judges:Judge")
-    assert found() == Added(
+    assert found() == PluginLeaves(
         {},
         {
             name: f"{name} of acme-leaves 1.0 can't be used: its name must be two words at least, such as acme_lively: "
@@ -109,7 +109,7 @@ def test_no_name_of_our_own_can_be_taken(tmp_path: Path) -> None:
         *osc_steps.PROCEDURES.modifiers,
     }
     package(tmp_path, "acme-leaves", *(f"{word} = acme_added_judges:Judge" for word in sorted(words)))
-    assert added(registry.TAKEN).leaves == {}
+    assert load_plugins(registry.RESERVED).leaves == {}
     tags = {*xml.NODES, *xml_steps.PROCEDURES.nodes, *xml_steps.CHECKS.nodes, *xml.EXPLICIT, "SubTree"}
     several = {tag for tag in tags if sum(letter.isupper() for letter in tag) > 1}
-    assert several <= {xml.tag_of(word) for word in registry.TAKEN}
+    assert several <= {xml.tag_of(word) for word in registry.RESERVED}

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from tests.unit.trees.messages import Battery, Heard, fields
 from tests.unit.trees.world import START, World, states_in_both_forms, written
-from understudy.trees.core.health_tree import BADNESS, Verdict
+from understudy.trees.core.health_tree import SEVERITY, Verdict
 from understudy.trees.languages.btcpp.loader import load_xml
 from understudy.trees.languages.short.health_loader import TreeError, load
 from understudy.trees.leaves.registry import LEAVES
@@ -284,9 +284,9 @@ def test_by_its_source_the_deadline_of_an_age_is_the_first_moment_that_is_worse(
     for time, way in sorted(ways, key=lambda one: one[0]):
         if time <= now:
             world.hear("/scan", time / 100, way=way).at(time / 100)
-    present = BADNESS[world.at(now / 100).state]
+    present = SEVERITY[world.at(now / 100).state]
     deadline = world.deadline(now / 100)
-    worse = next((now + step for step in range(1, 400) if BADNESS[world.at((now + step) / 100).state] > present), None)
+    worse = next((now + step for step in range(1, 400) if SEVERITY[world.at((now + step) / 100).state] > present), None)
     assert (deadline is None) == (worse is None)
     assert deadline is None or math.isclose(worse / 100, deadline, abs_tol=0.011)
 
@@ -526,18 +526,18 @@ def test_the_deadline_is_the_first_moment_that_is_worse(node, messages, task, ta
     for time, percentage in sorted(messages, key=lambda message: message[0]):
         if time <= now:
             world.battery(time / 100, percentage).at(time / 100)
-    present = BADNESS[world.at(now / 100).state]
+    present = SEVERITY[world.at(now / 100).state]
     deadline = world.deadline(now / 100)
-    assert BADNESS[world.at(now / 100).state] == present
+    assert SEVERITY[world.at(now / 100).state] == present
     later = [now / 100 + step / 100 for step in range(1, 800)]
-    worse = next((time for time in later if BADNESS[world.at(time).state] > present), None)
+    worse = next((time for time in later if SEVERITY[world.at(time).state] > present), None)
     if deadline is None:
         assert worse is None
     else:
         assert worse == pytest.approx(deadline, abs=0.011)
-        assert BADNESS[world.at(math.nextafter(START + deadline, 0) - START).state] >= 0
-        assert BADNESS[world.at(deadline + 1e-5).state] > present
-        assert BADNESS[world.at(deadline - 1e-5).state] <= present
+        assert SEVERITY[world.at(math.nextafter(START + deadline, 0) - START).state] >= 0
+        assert SEVERITY[world.at(deadline + 1e-5).state] > present
+        assert SEVERITY[world.at(deadline - 1e-5).state] <= present
 
 
 ANYTHING = st.recursive(

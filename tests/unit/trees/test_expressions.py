@@ -10,7 +10,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from tests.unit.trees.messages import Battery, Header, Pack, fields
-from understudy.trees.source.expressions import MOST_ELEMENTS, Expression, ExpressionError, Untold
+from understudy.trees.source.expressions import MOST_ELEMENTS, Expression, ExpressionError, Undefined
 
 NAN, INF = math.nan, math.inf
 
@@ -89,7 +89,7 @@ def test_a_condition_says(text, expected):
     ],
 )
 def test_what_cannot_be_told_says_why(text, values, why):
-    with pytest.raises(Untold) as caught:
+    with pytest.raises(Undefined) as caught:
         read(text).holds(battery(**values))
     assert why in str(caught.value)
 
@@ -197,9 +197,9 @@ def test_what_is_refused_says_what_would_be_right(text, why):
 
 @pytest.mark.parametrize("name", ["secret", "get_fields_and_field_types", "update", "keys"])
 def test_only_fields_are_reached_where_the_type_is_not_known(name):
-    with pytest.raises(Untold, match=f"Battery has no field {name}"):
+    with pytest.raises(Undefined, match=f"Battery has no field {name}"):
         Expression.parse(f"{name} == 7").holds(battery())
-    with pytest.raises(Untold, match=f"Pack has no field {name}"):
+    with pytest.raises(Undefined, match=f"Pack has no field {name}"):
         Expression.parse(f"packs[0].{name} == 7").holds(battery())
 
 
@@ -207,7 +207,7 @@ def test_only_fields_are_reached_where_the_type_is_not_known(name):
     "text", ["name.real > 1", "percentage[0] > 1", "cells > 1", "name * 2 == name", "len(level) > 1"]
 )
 def test_a_value_of_another_kind_than_thought_cannot_be_told(text):
-    with pytest.raises(Untold):
+    with pytest.raises(Undefined):
         Expression.parse(text).holds(battery())
 
 
@@ -216,7 +216,7 @@ def test_arrays_of_numpy_are_arrays():
     message = battery(covariance=numpy.array([1.0, NAN, 3.0, 4.0]), cells=numpy.array([1, 2], dtype=numpy.float32))
     assert read("covariance[0] == 1 and len(covariance) == 4 and any(c > 3 for c in covariance)").holds(message)
     assert read("max(cells) == 2 and cells[0] == 1 and isfinite(cells[1])").holds(message)
-    with pytest.raises(Untold, match=r"covariance\[1\] is NaN"):
+    with pytest.raises(Undefined, match=r"covariance\[1\] is NaN"):
         read("covariance[1] > 0").holds(message)
 
 
@@ -287,7 +287,7 @@ def test_whatever_is_written_is_refused_or_says_true_false_or_untold(text, perce
     assert "__" not in "".join(
         getattr(node, "attr", getattr(node, "id", "")) for node in ast.walk(ast.parse(text.strip(), mode="eval"))
     )
-    with contextlib.suppress(Untold):
+    with contextlib.suppress(Undefined):
         assert expression.holds(message) in (True, False)
     assert isinstance(expression.values(message), str)
 
@@ -302,6 +302,6 @@ def test_a_condition_and_its_negation_are_never_both_true(text, percentage, cell
             found.append(read(written).holds(message))
         except ExpressionError:
             return
-        except Untold:
+        except Undefined:
             found.append(None)
     assert found in ([True, False], [False, True], [None, None])

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from understudy.trees.core.health_tree import BADNESS, HealthTree, Verdict
-from understudy.trees.core.observations import Recorded, TopicRecord
+from understudy.trees.core.health_tree import SEVERITY, HealthTree, Verdict
+from understudy.trees.core.observations import RecordedObservations, TopicRecord
 from understudy.trees.languages.short.health_loader import load
 
 START = 1.7e9
@@ -36,10 +36,10 @@ class World:
         return self
 
     def at(self, now: float) -> Verdict:
-        return self.tree.evaluate(Recorded(self.records), now=START + now, since=self.since)
+        return self.tree.evaluate(RecordedObservations(self.records), now=START + now, since=self.since)
 
     def deadline(self, now: float) -> float | None:
-        moment = self.tree.deadline(Recorded(self.records), now=START + now, since=self.since)
+        moment = self.tree.deadline(RecordedObservations(self.records), now=START + now, since=self.since)
         return None if moment is None else round(moment - START, 6)
 
 
@@ -68,7 +68,7 @@ def test_samples_from_before_the_instance_took_control_are_not_its_own():
 
 def test_topic_that_is_not_watched_yet_is_starting():
     tree = load(gap("/cmd_vel"))
-    assert tree.evaluate(Recorded({}), now=START, since=START).state == "Starting"
+    assert tree.evaluate(RecordedObservations({}), now=START, since=START).state == "Starting"
 
 
 def test_rate_below_the_band_says_the_rate():
@@ -306,11 +306,11 @@ def test_just_before_the_deadline_nothing_is_worse_and_at_it_something_is(tree, 
     world = World(numbered(tree, [0]), grace=grace, since=since)
     for topic in world.records:
         world.arrive(topic, *arrivals.get(topic, []))
-    seen = Recorded(world.records)
+    seen = RecordedObservations(world.records)
     now = START + max([since, *(record.last - START for record in world.records.values() if record.last)]) + wait
 
     def badness(moment: float) -> int:
-        return BADNESS[world.tree.evaluate(seen, now=moment, since=world.since).state]
+        return SEVERITY[world.tree.evaluate(seen, now=moment, since=world.since).state]
 
     present = badness(now)
     moment = world.tree.deadline(seen, now=now, since=world.since)
@@ -321,22 +321,22 @@ def test_just_before_the_deadline_nothing_is_worse_and_at_it_something_is(tree, 
             # By time alone only: the memory that a rate has held may be fresh from the moment before.
             fresh = load(numbered(tree, [0]), grace=grace)
             fresh.evaluate(seen, now=now, since=world.since)
-            assert BADNESS[fresh.evaluate(seen, now=later, since=world.since).state] <= present
+            assert SEVERITY[fresh.evaluate(seen, now=later, since=world.since).state] <= present
         return
     assert moment > now
     middle = now + between * (moment - now)
     fresh = load(numbered(tree, [0]), grace=grace)
     fresh.evaluate(seen, now=now, since=world.since)
     if middle < moment:
-        assert BADNESS[fresh.evaluate(seen, now=middle, since=world.since).state] <= present
+        assert SEVERITY[fresh.evaluate(seen, now=middle, since=world.since).state] <= present
     before = math.nextafter(moment, 0)
     fresh = load(numbered(tree, [0]), grace=grace)
     fresh.evaluate(seen, now=now, since=world.since)
     assume(before > now)
-    assert BADNESS[fresh.evaluate(seen, now=before, since=world.since).state] <= present
+    assert SEVERITY[fresh.evaluate(seen, now=before, since=world.since).state] <= present
     fresh = load(numbered(tree, [0]), grace=grace)
     fresh.evaluate(seen, now=now, since=world.since)
-    assert BADNESS[fresh.evaluate(seen, now=moment, since=world.since).state] > present
+    assert SEVERITY[fresh.evaluate(seen, now=moment, since=world.since).state] > present
 
 
 def during(node: dict[str, Any], **more: Any) -> dict[str, Any]:
@@ -348,9 +348,9 @@ class TaskWorld(World):
 
     task: float | None = None
 
-    def _observed(self) -> Recorded:
+    def _observed(self) -> RecordedObservations:
         tasks = {"/go/_action/status": START + self.task} if self.task is not None else {}
-        return Recorded(self.records, tasks)
+        return RecordedObservations(self.records, tasks)
 
     def at(self, now: float) -> Verdict:
         return self.tree.evaluate(self._observed(), now=START + now, since=self.since)
@@ -466,15 +466,15 @@ def test_the_deadline_of_a_task_is_the_first_moment_that_is_worse(arrivals, task
     for index, time in enumerate(sorted(time for time in arrivals if time <= now)):
         world.arrive("/b" if index % 3 == 0 and "/b" in world.records else "/a", time / 100)
     world.task = task / 100 if task is not None and task <= now else None
-    present = BADNESS[world.at(now / 100).state]
+    present = SEVERITY[world.at(now / 100).state]
     deadline = world.deadline(now / 100)
-    assert BADNESS[world.at(now / 100).state] == present
+    assert SEVERITY[world.at(now / 100).state] == present
     later = [now / 100 + step / 100 for step in range(1, 800)]
-    worse = next((time for time in later if BADNESS[world.at(time).state] > present), None)
+    worse = next((time for time in later if SEVERITY[world.at(time).state] > present), None)
     if deadline is None:
         assert worse is None
     else:
-        assert BADNESS[world.at(deadline).state] > present
+        assert SEVERITY[world.at(deadline).state] > present
         assert worse is None or worse - 0.0101 <= deadline <= worse + 1e-6
 
 

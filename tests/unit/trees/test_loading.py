@@ -65,7 +65,7 @@ LEAF = {"topic": {"name": "/cmd_vel", "gap": "500ms"}}
         ({"parallel": [SCAN], **CMD_VEL}, "", "found parallel and topic in one node; give each a node of its own"),
         ({**SCAN, "gap": "1s"}, ".gap", "unknown key; gap belongs inside topic, transform or progress"),
         ({**SCAN, "name": "a/b"}, ".name", "found 'a/b'; a node's name is 1 to 63 letters, digits, '_', '-' and '.'"),
-        ({"topic": "/scan"}, ".topic", "found '/scan'; topic is a mapping with name and with gap or rate"),
+        ({"topic": "/scan"}, ".topic", "found '/scan'; topic is a mapping such as {name: /cmd_vel, gap: 500ms}"),
         ({"topic": {"gap": "1s"}}, ".topic.name", "missing; give the topic's fully qualified name, such as /cmd_vel"),
         ({"topic": {"name": "scan", "gap": "1s"}}, ".topic.name", "found 'scan'; did you mean '/scan'?"),
         (

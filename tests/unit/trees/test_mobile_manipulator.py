@@ -13,7 +13,7 @@ import yaml
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.cli.check.command import check
 from understudy.trees.core.health_tree import HealthTree, Verdict
-from understudy.trees.core.observations import Recorded, TopicRecord
+from understudy.trees.core.observations import RecordedObservations, TopicRecord
 from understudy.trees.languages.notations import FORMS, load_monitoring
 
 FOLDER = Path(__file__).parents[3] / "examples" / "mobile_manipulator" / "policies"
@@ -69,7 +69,7 @@ class Robot:
                 for moment in self.heard(topic, (index - 1) / 10, time):
                     record.add(START + moment)
             active = {status: START + begin for status, (begin, end) in self.tasks.items() if begin <= time < end}
-            seen = Recorded(records, active)
+            seen = RecordedObservations(records, active)
             now = START + time
             verdict = tree.evaluate(seen, now=now, since=START)
             told.append((time, verdict, tree.deadline(seen, now=now, since=START)))

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.unit.trees.world import START, World, states_in_both_forms, written
-from understudy.trees.core.health_tree import BADNESS, Verdict
+from understudy.trees.core.health_tree import SEVERITY, Verdict
 from understudy.trees.languages.short.health_loader import TreeError, load
 from understudy.trees.languages.short.procedure_loader import load_procedure
 
@@ -280,15 +280,15 @@ def test_the_deadline_is_the_first_moment_that_is_worse(runs, node, task, after)
         if task is not None and task / 10 <= now:
             world.task = task / 10
     now += after / 10
-    present = BADNESS[world.at(now).state]
+    present = SEVERITY[world.at(now).state]
     deadline = world.deadline(now)
-    assert BADNESS[world.at(now).state] == present
+    assert SEVERITY[world.at(now).state] == present
     later = [now + step / 100 for step in range(1, 400)]
-    worse = next((time for time in later if BADNESS[world.at(time).state] > present), None)
+    worse = next((time for time in later if SEVERITY[world.at(time).state] > present), None)
     if deadline is None:
         assert worse is None
     else:
         assert worse is not None
         assert math.isclose(worse, deadline, abs_tol=0.011)
-        assert BADNESS[world.at(deadline + 1e-5).state] > present
-        assert BADNESS[world.at(deadline - 1e-5).state] <= present
+        assert SEVERITY[world.at(deadline + 1e-5).state] > present
+        assert SEVERITY[world.at(deadline - 1e-5).state] <= present

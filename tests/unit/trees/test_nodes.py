@@ -10,7 +10,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from tests.unit.trees.world import START, World, states_in_both_forms, written
-from understudy.trees.core.health_tree import BADNESS, Verdict
+from understudy.trees.core.health_tree import SEVERITY, Verdict
 from understudy.trees.languages.btcpp.loader import load_xml
 from understudy.trees.languages.short.health_loader import TreeError, load
 
@@ -150,13 +150,13 @@ def test_the_deadline_is_the_first_moment_that_is_worse(node, looks, tasked, tas
     for time, there in sorted(looks):
         if time <= now:
             world.find(CONTROLLER, time / 100, there=there).at(time / 100)
-    present = BADNESS[world.at(now / 100).state]
+    present = SEVERITY[world.at(now / 100).state]
     deadline = world.deadline(now / 100)
     later = [now / 100 + step / 100 for step in range(1, 500)]
-    worse = next((time for time in later if BADNESS[world.at(time).state] > present), None)
+    worse = next((time for time in later if SEVERITY[world.at(time).state] > present), None)
     if deadline is None:
         assert worse is None
     else:
         assert math.isclose(worse, deadline, abs_tol=0.011)
-        assert BADNESS[world.at(deadline + 1e-5).state] > present
-        assert BADNESS[world.at(deadline - 1e-5).state] <= present
+        assert SEVERITY[world.at(deadline + 1e-5).state] > present
+        assert SEVERITY[world.at(deadline - 1e-5).state] <= present

@@ -17,7 +17,7 @@ from understudy.trees.languages.osc import tokens
 from understudy.trees.languages.osc.library import ACTIONS, MODIFIERS
 from understudy.trees.languages.osc.loader import load_osc
 from understudy.trees.languages.short.health_loader import load
-from understudy.trees.source.positions import Beginning
+from understudy.trees.source.positions import TextOffset
 from understudy.trees.source.problems import TreeError
 
 LEAF = 'topic("/scan", gap: 1s)'
@@ -381,7 +381,7 @@ def test_all_mistakes_of_meaning_are_named_at_once_in_the_order_of_the_text() ->
 def test_places_are_those_of_the_file_in_which_the_text_begins() -> None:
     for text in (scenario("topik()"), scenario("topic($)"), scenario("wait")):
         with pytest.raises(TreeError) as caught:
-            load_osc(text, begins=Beginning(lines=10, columns=6))
+            load_osc(text, begins=TextOffset(lines=10, columns=6))
         place = caught.value.problems[0].path
         assert place in ("spec.monitoring.osc, line 14, column 15", "spec.monitoring.osc, line 14, column 21")
 

@@ -33,7 +33,7 @@ from understudy.trees.languages.osc.library import ACTIONS, ENUMS, MODIFIERS, RE
 from understudy.trees.languages.osc.loader import load_osc
 from understudy.trees.languages.osc.units import OWN, UNITS
 from understudy.trees.languages.procedure_notations import compose
-from understudy.trees.languages.short.health_loader import TASK_KEYS, TOPIC_KEYS, load
+from understudy.trees.languages.short.health_loader import TASK_KEYS, load
 from understudy.trees.leaves.registry import LEAVES
 from understudy.trees.source.problems import TreeError
 
@@ -45,17 +45,16 @@ PAGE = (REPOSITORY / "docs" / "trees-osc.md").read_text()
 
 
 def test_every_leaf_and_each_of_its_keys_can_be_written() -> None:
-    expected = {"topic": TOPIC_KEYS, **{kind: leaf.keys for kind, leaf in LEAVES.items()}}
-    for kind, keys in expected.items():
+    for kind, leaf in LEAVES.items():
         reached = {argument.where for argument in ACTIONS[kind].arguments.values()}
-        assert reached == {f"{kind}.{key}" for key in keys}
+        assert reached == {f"{kind}.{key}" for key in leaf.keys}
     reached = {argument.where for argument in MODIFIERS["while_task_active"].arguments.values()}
     assert reached == {*(f"while.task_active.{key}" for key in TASK_KEYS), "settle"}
 
 
-@pytest.mark.parametrize("kind", [*LEAVES, "topic"])
+@pytest.mark.parametrize("kind", LEAVES)
 def test_each_leaf_s_own_example_is_the_same_in_openscenario(kind: str) -> None:
-    example = yaml.safe_load(LEAVES[kind].example) if kind in LEAVES else {"name": "/a", "gap": "1s"}
+    example = yaml.safe_load(LEAVES[kind].example)
     text = ScenarioWriter().file({kind: example})
     assert f"{kind}(" in text
     assert load_osc(text).topics == load({kind: example}).topics
@@ -63,7 +62,7 @@ def test_each_leaf_s_own_example_is_the_same_in_openscenario(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", LEAVES)
 def test_what_the_short_form_reads_as_a_time_is_one(kind: str) -> None:
-    """Where this fails, say so in _TYPES or _SHARED of understudy.trees.languages.osc.library."""
+    """If this fails, the key of the leaf has the wrong type in its declaration."""
     texts = [one.where.rpartition(".")[2] for one in ACTIONS[kind].arguments.values() if one.type == "string"]
     for key in texts:
         found = refusals({kind: {**yaml.safe_load(LEAVES[kind].example), key: "7 parsecs"}})
@@ -225,7 +224,7 @@ def test_a_procedure_that_loads_here_is_openscenario_to_scenario_execution_too(t
 @pytest.mark.usefixtures("installed")
 def test_every_step_and_look_is_one_to_scenario_execution_too(tmp_path: Path) -> None:
     file = tmp_path / "all.osc"
-    calls = [f"        {name}()\n" for name in (*steps.STEPS, *steps.LOOKS)]
+    calls = [f"        {name}()\n" for name in (*steps.STEPS, *steps.CONDITIONS)]
     with_ = "            timeout(duration: 1s)\n            retry(count: 3, pause: 500ms)\n"
     file.write_text(
         f"import osc.understudy\n\nscenario all_of_them:\n    do serial:\n{''.join(calls)}        resend_goals() with:\n{with_}"

@@ -25,12 +25,12 @@ from understudy.trees.languages.osc import steps as scenarios
 from understudy.trees.languages.osc import tokens
 from understudy.trees.languages.osc.library import WORDS
 from understudy.trees.languages.osc.loader import load_osc
-from understudy.trees.languages.procedure_notations import Composed, compose, composed
+from understudy.trees.languages.procedure_notations import LoadedProcedure, compose, composed
 from understudy.trees.languages.short import procedure_loader
 from understudy.trees.languages.short.procedure_loader import CONDITIONS, DECORATORS, STEPS, ProcedureFailed
-from understudy.trees.leaves import procedure_vocabulary
+from understudy.trees.leaves import procedure_steps
 from understudy.trees.leaves.registry import LEAVES
-from understudy.trees.source.positions import Beginning
+from understudy.trees.source.positions import TextOffset
 from understudy.trees.source.problems import TreeError
 
 PATH = "bringUp"
@@ -165,8 +165,8 @@ def test_everything_that_procedures_have_can_be_written() -> None:
         one.key for one in (*scenarios.PROCEDURES.actions.values(), *scenarios.PROCEDURES.modifiers.values())
     }
     assert scenario_kinds == kinds - {*procedure_loader.COMPOSITES}
-    for kind, keys in {**procedure_vocabulary.STEPS, **procedure_vocabulary.LOOKS}.items():
-        where = {f"{kind}.{key}" for key in keys}
+    for kind, step in {**procedure_steps.STEPS, **procedure_steps.CONDITIONS}.items():
+        where = {f"{kind}.{key}" for key in step.keys}
         assert set(xml.PROCEDURES.nodes[library.tag_of(kind)].ports.values()) == where
         assert {argument.where for argument in scenarios.PROCEDURES.actions[kind].arguments.values()} == where
 
@@ -270,7 +270,7 @@ def above(nodes: st.SearchStrategy[dict[str, Any]]) -> st.SearchStrategy[dict[st
 TREES = st.recursive(leaves(), above, max_leaves=6)
 
 
-async def trace(found: Composed, seed: int) -> list[str]:
+async def trace(found: LoadedProcedure, seed: int) -> list[str]:
     """What is done to an instance, and what became of it, with nodes called as in the short form."""
     instance, end = Fickle(seed), "done"
     try:
@@ -518,7 +518,7 @@ def test_all_mistakes_are_named_at_once_where_the_text_has_them() -> None:
         '<Sequence>\n<SetLifecycle node="a" state="b"/>\n<Publish topic="/a" type="b" message="json:"/>\n</Sequence>'
     )
     with pytest.raises(TreeError) as caught:
-        compose("xml", text, check=False, path=PATH, begins=Beginning(lines=10, columns=4))
+        compose("xml", text, check=False, path=PATH, begins=TextOffset(lines=10, columns=4))
     places = [str(problem).split(": ")[:2] for problem in caught.value.problems]
     assert places == [
         ["bringUp, line 14, column 5", "<SetLifecycle> node"],
@@ -578,7 +578,7 @@ def test_an_agent_runs_procedures_without_their_languages() -> None:
         "import sys\nfrom understudy.trees.languages.notations import load_health\n"
         "from understudy.trees.languages.short.procedure_loader import load_procedure\n"
         "load_procedure({'resend_goals': {}}, path='bringUp', places={'resend_goals': 'line 1, column 1: <ResendGoals>'})\n"
-        "print([name for name in ('antlr4', 'yaml', 'understudy.trees.languages.flow_values') if name in sys.modules])\n"
+        "print([name for name in ('antlr4', 'yaml', 'understudy.trees.languages.text.flow_values') if name in sys.modules])\n"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120)
     assert (done.returncode, done.stdout.strip(), done.stderr) == (0, "[]", "")
@@ -588,4 +588,4 @@ def test_leaves_of_control_are_told_apart() -> None:
     for kind, leaf in LEAVES.items():
         for check in (False, True):
             known = (xml.CHECKS if check else xml.PROCEDURES).nodes.values()
-            assert any(node.key == kind for node in known) is not leaf.of_control
+            assert any(node.key == kind for node in known) is not leaf.active_only

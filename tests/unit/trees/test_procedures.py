@@ -10,7 +10,7 @@ import pytest
 
 from tests.unit.trees.messages import Battery, Heard
 from understudy.trees.core.health_tree import HealthTree, Verdict
-from understudy.trees.core.observations import Recorded, TopicRecord
+from understudy.trees.core.observations import RecordedObservations, TopicRecord
 from understudy.trees.languages.short.procedure_loader import ProcedureFailed, load_check, load_procedure
 from understudy.trees.source.problems import TreeError
 
@@ -85,7 +85,7 @@ class Instance:
     def health(self, tree: HealthTree) -> Verdict:
         now = asyncio.get_running_loop().time()
         topics = {"/scan": self.record} if self.record else {}
-        return tree.evaluate(Recorded(topics), now=now, since=self.since)
+        return tree.evaluate(RecordedObservations(topics), now=now, since=self.since)
 
 
 def procedure(tree: object):

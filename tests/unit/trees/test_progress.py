@@ -21,7 +21,7 @@ from tests.unit.trees.world import (
 from understudy.trees.core.health_tree import Verdict
 from understudy.trees.languages.btcpp.loader import load_xml
 from understudy.trees.languages.short.health_loader import TreeError, load
-from understudy.trees.source.expressions import ExpressionError, Quantity, Untold
+from understudy.trees.source.expressions import ExpressionError, Quantity, Undefined
 
 ROOT = "spec.monitoring.yaml"
 GO = "t/action/Go"
@@ -339,7 +339,7 @@ def test_whatever_is_written_is_refused_or_a_number_or_untold(text):
         quantity = Quantity.parse(text, "t/action/Go_Feedback")
     except ExpressionError:
         return
-    with contextlib.suppress(Untold):
+    with contextlib.suppress(Undefined):
         feedback = GoFeedback(
             distance_remaining=3.5, number_of_recoveries=1, current_pose=Pack(name="a", temperature=9.0)
         )

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from understudy.trees.languages.flow_values import DEEPEST, LONGEST, structure_of
+from understudy.trees.languages.text.flow_values import DEEPEST, LONGEST, structure_of
 
 
 @pytest.mark.parametrize(

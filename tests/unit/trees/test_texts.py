@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from understudy.api.base import LONGEST_TEXT
 from understudy.trees.languages.text_files import load_text
-from understudy.trees.source.positions import Beginning
+from understudy.trees.source.positions import TextOffset
 from understudy.trees.source.problems import TreeError
 
 GOOD = """\
@@ -74,7 +74,7 @@ def test_each_problem_says_where_it_is(text: str, expected: str) -> None:
 
 def test_a_place_is_that_in_the_file_which_the_text_is_part_of() -> None:
     file = "data:\n  health.yaml: |\n" + textwrap.indent(GOOD.replace("500ms", "500 parsecs"), "    ")
-    (problem,) = refused(GOOD.replace("500ms", "500 parsecs"), begins=Beginning(2, 4))
+    (problem,) = refused(GOOD.replace("500ms", "500 parsecs"), begins=TextOffset(2, 4))
     assert problem.startswith("health, line 5, column 31: ")
     assert file.splitlines()[4][30:].startswith("gap: 500 parsecs")
 

@@ -16,7 +16,7 @@ from tests.unit.trees.garbled import garbled, loads_or_is_refused
 from tests.unit.trees.written import Writer
 from understudy.api.base import LONGEST_TEXT
 from understudy.trees.core.health_tree import HealthTree
-from understudy.trees.core.observations import Recorded, TopicRecord
+from understudy.trees.core.observations import RecordedObservations, TopicRecord
 from understudy.trees.languages.btcpp.library import NODES
 from understudy.trees.languages.btcpp.loader import load_xml
 from understudy.trees.languages.short.health_loader import load
@@ -307,7 +307,7 @@ class Replay:
         return told
 
     def _look(self, now: float) -> list[Any]:
-        seen = Recorded(self._records, self._tasks)
+        seen = RecordedObservations(self._records, self._tasks)
         verdict = self._tree.evaluate(seen, now=now, since=START)
         counting = self._tree.counting(seen, now=now, since=START)
         return [verdict, counting, self._tree.deadline(seen, now=now, since=START)]

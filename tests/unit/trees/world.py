@@ -8,17 +8,17 @@ from typing import Any
 
 from tests.unit.trees.messages import Battery, Feedback, Heard, fields
 from tests.unit.trees.scenarios import ScenarioWriter
-from understudy.trees.core.health_tree import BADNESS, HealthTree, Verdict
+from understudy.trees.core.health_tree import SEVERITY, HealthTree, Verdict
 from understudy.trees.core.observations import (
+    NodePresence,
     NodeState,
     ParameterState,
     ParameterValue,
     PodCondition,
     PodState,
     PodUsage,
-    Present,
     Publishers,
-    Recorded,
+    RecordedObservations,
     TopicRecord,
 )
 from understudy.trees.languages.btcpp.loader import load_xml
@@ -36,7 +36,7 @@ class World:
         self.since = START + since
         self.task: float | None = None
         self.published: dict[str, Publishers] = {}
-        self.nodes: dict[str, Present] = {}
+        self.nodes: dict[str, NodePresence] = {}
         self.managed: dict[str, NodeState] = {}
         self.parameters: dict[tuple[str, str], ParameterState] = {}
         self.pod: PodState | None = None
@@ -58,7 +58,7 @@ class World:
 
     def find(self, node: str, time: float, *, there: bool = True, elsewhere: bool = False) -> World:
         """A look for a node."""
-        self.nodes[node] = Present(START + time, node, there, elsewhere or there)
+        self.nodes[node] = NodePresence(START + time, node, there, elsewhere or there)
         return self
 
     def tell(self, node: str, time: float, state: str | None) -> World:
@@ -84,10 +84,12 @@ class World:
     def battery(self, time: float, percentage: float) -> World:
         return self.hear("/battery", time, Battery(percentage=percentage))
 
-    def observed(self) -> Recorded:
+    def observed(self) -> RecordedObservations:
         """What has been received and seen so far."""
         tasks = {"/go/_action/status": START + self.task} if self.task is not None else {}
-        found = Recorded(self.records, tasks, self.published, self.nodes, self.managed, self.parameters, self.pod)
+        found = RecordedObservations(
+            self.records, tasks, self.published, self.nodes, self.managed, self.parameters, self.pod
+        )
         found.in_control = self.in_control
         return found
 
@@ -104,17 +106,17 @@ class World:
 
 def assert_deadline_is_the_first_worse_moment(world: World, now: float) -> None:
     """That of a tree, asked at ``now`` (seconds) without changing what is; moments are tried to a hundredth, for five seconds."""
-    present = BADNESS[world.at(now).state]
+    present = SEVERITY[world.at(now).state]
     deadline = world.deadline(now)
-    assert BADNESS[world.at(now).state] == present
+    assert SEVERITY[world.at(now).state] == present
     later = [now + step / 100 for step in range(1, 500)]
-    worse = next((time for time in later if BADNESS[world.at(time).state] > present), None)
+    worse = next((time for time in later if SEVERITY[world.at(time).state] > present), None)
     if deadline is None:
         assert worse is None
     else:
         assert math.isclose(worse, deadline, abs_tol=0.011)
-        assert BADNESS[world.at(deadline + 1e-5).state] > present
-        assert BADNESS[world.at(deadline - 1e-5).state] <= present
+        assert SEVERITY[world.at(deadline + 1e-5).state] > present
+        assert SEVERITY[world.at(deadline - 1e-5).state] <= present
 
 
 def written(leaves: str) -> str:

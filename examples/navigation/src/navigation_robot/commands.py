@@ -16,7 +16,7 @@ from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 
 from understudy.ros.dds.sample_sources import HOST
-from understudy.ros.runtime.sample_taking import Taker
+from understudy.ros.runtime.sample_taking import SampleTaker
 
 DEPTH = 50
 """Commands that wait to be taken; more than two seconds' of any controller."""
@@ -51,7 +51,7 @@ class Ear:
     def __init__(self, node: Node, kind: type, topic: str) -> None:
         self._kind = kind
         self._subscription = node.create_subscription(kind, topic, lambda _: None, DEPTH)
-        self._taker = Taker()
+        self._taker = SampleTaker()
 
     def take(self) -> Iterator[Received]:
         """What has arrived since the last time."""

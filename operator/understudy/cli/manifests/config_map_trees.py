@@ -15,7 +15,7 @@ from understudy.cli.manifests.object_check import placed
 from understudy.cli.manifests.schema_validation import join
 from understudy.controller.observed import kube_objects
 from understudy.trees.languages.text_files import load_text
-from understudy.trees.source.positions import ALONE
+from understudy.trees.source.positions import WHOLE_FILE
 
 _PATH = "spec.monitoring.configMapKeyRef"
 _IN_THE_CLUSTER = "If it is in the cluster already, all is well"
@@ -63,7 +63,7 @@ def _referred(policy: Manifest, monitoring: Monitoring, config_maps: Sequence[Ma
     yield from placed(
         found,
         lambda: load_text(
-            referred.form, text, path=path, grace=seconds(monitoring.startup_grace), begins=begins or ALONE
+            referred.form, text, path=path, grace=seconds(monitoring.startup_grace), begins=begins or WHOLE_FILE
         ),
         known=begins is not None,
     )

@@ -19,7 +19,7 @@ from yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 from understudy.cli.common.errors import CommandError
 from understudy.cli.manifests.check_findings import Finding, Place
 from understudy.cli.manifests.schema_validation import join
-from understudy.trees.source.positions import Beginning
+from understudy.trees.source.positions import TextOffset
 from understudy.trees.source.yaml_scalars import TAG, plain
 
 SUFFIXES = (".yaml", ".yml")
@@ -53,7 +53,7 @@ class Manifest:
     """As the API server would get it; not always a mapping."""
     places: dict[str, Place] = field(default_factory=dict)
     """By path, where a field is written: its key, or an item's first character."""
-    texts: dict[str, Beginning] = field(default_factory=dict)
+    texts: dict[str, TextOffset] = field(default_factory=dict)
     """By path, where the first character of a text is, as far as lines and columns of the text are those of the file."""
 
     spelled: dict[str, str] = field(default_factory=dict)
@@ -245,7 +245,7 @@ class _Reader:
         if self._count > MOST:
             raise TooMuch(node, f"more than {MOST} values with all aliases written out; write fewer")
 
-    def beginning(self, node: ScalarNode) -> Beginning | None:
+    def beginning(self, node: ScalarNode) -> TextOffset | None:
         """Where a text begins in the file, where its lines are the file's; None where they aren't."""
         start, end = node.start_mark, node.end_mark
         if node.style == "|":
@@ -253,12 +253,12 @@ class _Reader:
                 if line.strip():
                     at = start.line + 1 + number
                     raw = self._lines[at] if at < len(self._lines) else ""
-                    return Beginning(start.line + 1, len(raw) - len(line)) if raw.endswith(line) else None
+                    return TextOffset(start.line + 1, len(raw) - len(line)) if raw.endswith(line) else None
             return None
         if start.line == end.line and node.style != ">":
             quote = 1 if node.style else 0
             raw = self._lines[start.line][start.column + quote : end.column - quote]
-            return Beginning(start.line, start.column + quote) if raw == node.value else None
+            return TextOffset(start.line, start.column + quote) if raw == node.value else None
         return None
 
 

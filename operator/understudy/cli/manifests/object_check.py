@@ -21,7 +21,7 @@ from understudy.controller.desired import reflex_validation
 from understudy.controller.pods import instance_pod
 from understudy.trees.languages.notations import FORMS, TEXTS, load_health
 from understudy.trees.languages.procedure_notations import compose
-from understudy.trees.source.positions import ALONE, Beginning
+from understudy.trees.source.positions import WHOLE_FILE, TextOffset
 from understudy.trees.source.problems import Problem, TreeError, did_you_mean
 from understudy.trees.source.value_reader import found_text
 
@@ -149,7 +149,7 @@ def _procedure(
 ) -> Iterator[Finding]:
     procedure = owner.get(field)
     for form, tree, where, begins in _forms(manifest, procedure, f"{path}.{field}"):
-        load = functools.partial(compose, form, tree, check=check, path=where, begins=begins or ALONE)
+        load = functools.partial(compose, form, tree, check=check, path=where, begins=begins or WHOLE_FILE)
         yield from placed(manifest, load, known=begins is not None)
 
 
@@ -163,13 +163,13 @@ def _grace(monitoring: object) -> float:
 def _health(manifest: Manifest, trees: object, path: str, grace: float) -> Iterator[Finding]:
     """What is wrong with a tree in one of the forms, each a field of what stands at a path."""
     for form, tree, where, begins in _forms(manifest, trees, path):
-        load = functools.partial(load_health, form, tree, grace=grace, path=where, begins=begins or ALONE)
+        load = functools.partial(load_health, form, tree, grace=grace, path=where, begins=begins or WHOLE_FILE)
         yield from placed(manifest, load, known=begins is not None)
 
 
 def _forms(
     manifest: Manifest, owner: object, path: str
-) -> Iterator[tuple[str, Mapping[str, Any] | str, str, Beginning | None]]:
+) -> Iterator[tuple[str, Mapping[str, Any] | str, str, TextOffset | None]]:
     """The trees of what may have one in any form: the form, the tree, its path, and where its text begins, if known."""
     for form in FORMS:
         tree = owner.get(form) if isinstance(owner, Mapping) else None

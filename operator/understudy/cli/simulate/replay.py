@@ -16,9 +16,9 @@ from understudy.cli.simulate.bags import Bag, Recorded, Taken
 from understudy.cli.simulate.leaf_history import Course
 from understudy.ros.observe.message_contents import ours
 from understudy.trees.core.health_tree import HealthTree, WatchedTopic
-from understudy.trees.core.observations import Recorded as Observed
+from understudy.trees.core.observations import RecordedObservations as Observed
 from understudy.trees.core.observations import TopicRecord, Unreadable
-from understudy.trees.core.task_activity import WORKED_ON
+from understudy.trees.core.task_activity import ACTIVE_STATUSES
 from understudy.trees.leaves.diagnostics import TYPE as DIAGNOSTICS
 
 
@@ -93,7 +93,7 @@ class _Received:
             status: Any = Recorded(taken, self._types[taken.topic], self._definitions).message()
         except Unreadable:
             return
-        if any(goal.status in WORKED_ON for goal in status.status_list):
+        if any(goal.status in ACTIVE_STATUSES for goal in status.status_list):
             self._tasks.setdefault(taken.topic, taken.received)
         else:
             self._tasks.pop(taken.topic, None)

@@ -20,7 +20,7 @@ from understudy.cli.simulate.live_screen import Display, Lines, Screen, told
 from understudy.cli.simulate.policy_file import Policy
 
 if TYPE_CHECKING:
-    from understudy.ros.observe.topic_watch import Watching
+    from understudy.ros.observe.topic_watch import TopicWatch
 
 FINE, FAILED, CANT = 0, 1, 2
 """Exit statuses."""
@@ -60,13 +60,13 @@ def _end(course: Course) -> int:
 
 
 @contextlib.contextmanager
-def _joined() -> Iterator[Watching]:
+def _joined() -> Iterator[TopicWatch]:
     """The ROS graph that the environment names, of which only the topics of trees are received. Raises CommandError."""
     try:
         from understudy.ros.runtime.lean_imports import import_rclpy
 
         import_rclpy()
-        from understudy.ros.observe.topic_watch import Watching
+        from understudy.ros.observe.topic_watch import TopicWatch
         from understudy.ros.runtime.graph_node import Graph
     except ImportError as error:
         raise CommandError(
@@ -79,7 +79,7 @@ def _joined() -> Iterator[Watching]:
         raise CommandError(
             f"the ROS graph can't be joined: {error}; look at RMW_IMPLEMENTATION and ROS_DOMAIN_ID"
         ) from error
-    watching = Watching(graph)
+    watching = TopicWatch(graph)
     try:
         yield watching
     finally:
@@ -87,7 +87,7 @@ def _joined() -> Iterator[Watching]:
         graph.close()
 
 
-def _watch(policy: Policy, watching: Watching, length: float | None) -> Course:
+def _watch(policy: Policy, watching: TopicWatch, length: float | None) -> Course:
     """Look until the time is over or somebody ends it. Raises CommandError."""
     from understudy.ros.runtime.interface_types import message_fields
 
@@ -113,7 +113,7 @@ def _watch(policy: Policy, watching: Watching, length: float | None) -> Course:
     return course
 
 
-def _look(course: Course, watching: Watching, display: Display, end: float | None, unseen: set[str]) -> None:
+def _look(course: Course, watching: TopicWatch, display: Display, end: float | None, unseen: set[str]) -> None:
     from understudy.monitor.observe.wakeups import STALL_MOST, STALLED, TICK, WAKE_LATE
 
     due, trusted = time.time(), 0.0

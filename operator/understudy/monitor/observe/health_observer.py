@@ -16,9 +16,9 @@ from understudy.monitor.judge.degraded_tree import Busy, Wellness
 from understudy.monitor.observe.context_detection import Seen, Situating
 from understudy.monitor.observe.resource_meter import Meter
 from understudy.ros.observe.offered_qos import offers
-from understudy.ros.observe.sample_rings import Ring
-from understudy.ros.observe.topic_watch import Watching
-from understudy.ros.runtime.arrival_wakeups import Arrivals
+from understudy.ros.observe.sample_rings import SampleRing
+from understudy.ros.observe.topic_watch import TopicWatch
+from understudy.ros.runtime.arrival_wakeups import ArrivalWakeups
 from understudy.ros.runtime.graph_node import Graph
 from understudy.ros.runtime.interface_types import TypeNotInstalled, interface_class, message_fields
 from understudy.trees.core.health_tree import HealthTree, Verdict, WatchedTopic
@@ -45,9 +45,9 @@ class Sight:
     def __init__(self, meter: Meter | None = None) -> None:
         """``meter`` measures what the pod in control uses of its node; without one, no leaf can judge that."""
         self.graph = Graph("understudy_monitor")
-        self.coming = Arrivals()
+        self.coming = ArrivalWakeups()
         """Tell of messages that are to be looked at as they come."""
-        self._watching = Watching(self.graph, arrivals=self.coming)
+        self._watching = TopicWatch(self.graph, arrivals=self.coming)
         self._tree: HealthTree | None = None
         self._loaded: tuple[Monitoring, list[Output]] | None = None
         self._outputs: list[Output] = []
@@ -152,7 +152,7 @@ class Sight:
         """How each node of the health tree was then."""
         return states(self._tree) if self._tree is not None else ()
 
-    def record(self, ring: Ring | None) -> None:
+    def record(self, ring: SampleRing | None) -> None:
         """Keep the messages themselves in a ring from now on, or no longer."""
         self._watching.record(ring)
 
@@ -256,7 +256,7 @@ class Sight:
 class GatedReaders:
     """Implements :class:`understudy.failover.interfaces.Outputs`."""
 
-    def __init__(self, sight: Sight, watching: Watching, fleet: Fleet, gate: Gate) -> None:
+    def __init__(self, sight: Sight, watching: TopicWatch, fleet: Fleet, gate: Gate) -> None:
         self._sight, self._watching, self._fleet, self._gate = sight, watching, fleet, gate
 
     @property

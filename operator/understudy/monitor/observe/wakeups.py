@@ -10,7 +10,7 @@ import contextlib
 import time
 
 from understudy.monitor.report import monitor_metrics
-from understudy.ros.runtime.arrival_wakeups import Arrivals
+from understudy.ros.runtime.arrival_wakeups import ArrivalWakeups
 
 TICK = 0.1
 """Longest time between two looks, in seconds; what arrives in between waits in the middleware's queue."""
@@ -55,7 +55,7 @@ class Wakeups:
 class Looks:
     """One look after the other. Times are Unix seconds."""
 
-    def __init__(self, wakeups: Wakeups, arrivals: Arrivals | None) -> None:
+    def __init__(self, wakeups: Wakeups, arrivals: ArrivalWakeups | None) -> None:
         """``arrivals`` report messages that are looked at as they come."""
         self._wake = wakeups.look
         self.late = 0.0

@@ -30,7 +30,7 @@ from understudy.monitor.report.mcap_writer import Content
 from understudy.monitor.report.recording_archive import Archive, TooBig
 from understudy.monitor.report.reporter import Reporter
 from understudy.process.http_pages import JSON, Answer, Page
-from understudy.ros.observe.sample_rings import Ring
+from understudy.ros.observe.sample_rings import SampleRing
 from understudy.trees.core.snapshots import Shown
 
 _logger = logging.getLogger(__name__)
@@ -64,7 +64,7 @@ class BlackBox:
     def __init__(self, view: View, sight: Sight, reporter: Reporter, archive: Archive) -> None:
         self._view, self._sight, self._reporter, self._archive = view, sight, reporter, archive
         self._settings: Settings | None = None
-        self._ring: Ring | None = None
+        self._ring: SampleRing | None = None
         self._present = ""
         """Id of the recovery that is under way."""
         self._due: deque[_Due] = deque()
@@ -127,7 +127,7 @@ class BlackBox:
         same = settings == self._settings
         self._settings = settings
         if not same:
-            self._ring = Ring(seconds(settings.window), settings.memory_bytes) if settings is not None else None
+            self._ring = SampleRing(seconds(settings.window), settings.memory_bytes) if settings is not None else None
             self._present, self._states = "", ()
             self._due.clear()
             self._sight.record(self._ring)

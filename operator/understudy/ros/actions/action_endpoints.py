@@ -25,8 +25,8 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.serialization import deserialize_message, serialize_message
 from unique_identifier_msgs.msg import UUID
 
-from understudy.ros.runtime.served_node import Spinning
-from understudy.ros.runtime.service_exchange import ExchangeError, RequestId, request_writer
+from understudy.ros.runtime.served_node import ServedNode
+from understudy.ros.runtime.service_exchange import RequestId, ServiceExchangeError, request_writer
 
 _logger = logging.getLogger(__name__)
 
@@ -90,7 +90,7 @@ class ActionType:
         return data
 
 
-class Cancelling(NamedTuple):
+class CancelRequest(NamedTuple):
     """What a client asks to cancel: a goal, those up to a time, or both; neither means all (see CancelGoal)."""
 
     goal: str
@@ -99,7 +99,7 @@ class Cancelling(NamedTuple):
     """Unix nanoseconds; 0 where no time is given."""
 
 
-class Known(NamedTuple):
+class KnownGoal(NamedTuple):
     """A goal in a server's status."""
 
     goal: str
@@ -130,32 +130,32 @@ def _nanoseconds(moment: Time) -> int:
 
 
 @dataclass(frozen=True)
-class Asked:
+class RequestHandlers:
     """What a server tells of its clients' requests; called in the loop."""
 
     goal: Callable[[RequestId, str, bytes], None]
     """Accept this goal (its id, and it serialized)?"""
-    cancel: Callable[[RequestId, Cancelling], None]
+    cancel: Callable[[RequestId, CancelRequest], None]
     result: Callable[[RequestId, str], None]
 
 
 class ActionServer:
     """Serves an action; whoever is asked answers when it knows."""
 
-    def __init__(self, spinning: Spinning, action: str, type_: ActionType, asked: Asked) -> None:
+    def __init__(self, served: ServedNode, action: str, type_: ActionType, asked: RequestHandlers) -> None:
         self.action, self.type = action, type_
-        self._spinning, self._asked = spinning, asked
+        self._served, self._asked = served, asked
         self._services: dict[str, Any] = {}
         self._clients: set[str] = set()
         self._publishers: dict[str, Any] = {}
 
     async def open(self) -> None:
         """Be there for clients."""
-        await self._spinning.get(self._open)
+        await self._served.get(self._open)
 
     async def close(self) -> None:
         """Be gone."""
-        await self._spinning.get(self._close)
+        await self._served.get(self._close)
 
     def answer_goal(self, request: RequestId, accepted: bool, stamp: int) -> None:
         """Accept or reject a goal; ``stamp`` is when, in Unix nanoseconds."""
@@ -173,19 +173,19 @@ class ActionServer:
 
     def publish_feedback(self, feedback: bytes) -> None:
         """Pass on a serialized feedback message."""
-        self._spinning.do(lambda: self._publishers["feedback"].publish(feedback))
+        self._served.do(lambda: self._publishers["feedback"].publish(feedback))
 
-    def publish_status(self, goals: Sequence[Known]) -> None:
+    def publish_status(self, goals: Sequence[KnownGoal]) -> None:
         """Say how all goals are."""
         statuses = [
             GoalStatus(goal_info=GoalInfo(goal_id=_uuid(g.goal), stamp=_time(g.accepted)), status=g.status)
             for g in goals
         ]
         message = GoalStatusArray(status_list=statuses)
-        self._spinning.do(lambda: self._publishers["status"].publish(message))
+        self._served.do(lambda: self._publishers["status"].publish(message))
 
     def _open(self) -> None:
-        node, hidden = self._spinning.node, f"{self.action}/_action"
+        node, hidden = self._served.node, f"{self.action}/_action"
         # The topics first: a client takes the server for there as soon as it sees all five.
         for name, type_, qos in (("feedback", self.type.feedback, _FEEDBACK), ("status", GoalStatusArray, _STATUS)):
             self._publishers[name] = node.create_publisher(type_, f"{hidden}/{name}", qos)
@@ -198,28 +198,28 @@ class ActionServer:
                 type_, f"{hidden}/{name}", _never_called, qos_profile=qos_profile_services_default
             )
             self._services[name] = service
-            self._spinning.add("service", service, self._taking(service, type_.Request, taken))
+            self._served.add("service", service, self._taking(service, type_.Request, taken))
 
     def _close(self) -> None:
         for service in self._services.values():
-            self._spinning.remove("service", service)
+            self._served.remove("service", service)
         for publisher in self._publishers.values():
-            self._spinning.node.destroy_publisher(publisher)
+            self._served.node.destroy_publisher(publisher)
 
     def _goal_asked(self, request: Any, identity: RequestId) -> None:
         data = serialize_message(request.goal)
-        self._spinning.tell(self._asked.goal, identity, _hex(request.goal_id), data)
+        self._served.tell(self._asked.goal, identity, _hex(request.goal_id), data)
 
     def _cancel_asked(self, request: Any, identity: RequestId) -> None:
         goal, until = _hex(request.goal_info.goal_id), _nanoseconds(request.goal_info.stamp)
-        self._spinning.tell(self._asked.cancel, identity, Cancelling("" if goal == _NONE else goal, until))
+        self._served.tell(self._asked.cancel, identity, CancelRequest("" if goal == _NONE else goal, until))
 
     def _result_asked(self, request: Any, identity: RequestId) -> None:
-        self._spinning.tell(self._asked.result, identity, _hex(request.goal_id))
+        self._served.tell(self._asked.result, identity, _hex(request.goal_id))
 
     def _taking(self, service: Any, request: Any, taken: Callable[[Any, RequestId], None]) -> Callable[[], None]:
         def take() -> None:
-            while (found := self._spinning.exchange.take(service, request)) is not None:
+            while (found := self._served.exchange.take(service, request)) is not None:
                 self._clients.add(found[1].client)
                 taken(*found)
 
@@ -238,20 +238,20 @@ class ActionServer:
                 found = now
             if known or (found is not None and now - found >= MATCHED and identity is not None):
                 try:
-                    if self._spinning.exchange.answer(self._services[name], response, identity or request):
+                    if self._served.exchange.answer(self._services[name], response, identity or request):
                         return
-                except ExchangeError as error:
+                except ServiceExchangeError as error:
                     _logger.error("%s: %s", self.action, error)
                     return
             if now < end:
-                self._spinning.after(UNANSWERED, send)
+                self._served.after(UNANSWERED, send)
 
-        self._spinning.do(send)
+        self._served.do(send)
 
     def _written_by(self, name: str, request: RequestId) -> RequestId | None:
         """A request of an earlier process's client, as one that can be answered; None while the client isn't seen."""
         topic = f"{self.action}/_action/{name}"
-        node = self._spinning.node
+        node = self._served.node
         readers = node.get_subscriptions_info_by_topic(f"rr{topic}Reply", no_mangle=True)
         if not any(bytes(info.endpoint_gid)[:16].hex() == request.client for info in readers):
             return None
@@ -282,33 +282,33 @@ class ActionClient:
 
     def __init__(
         self,
-        spinning: Spinning,
+        served: ServedNode,
         action: str,
         type_: ActionType,
         *,
         on_feedback: Callable[[str, bytes], None],
-        on_status: Callable[[Sequence[Known]], None] | None = None,
+        on_status: Callable[[Sequence[KnownGoal]], None] | None = None,
     ) -> None:
         """``on_feedback`` is given a goal's id and the whole serialized message, both are called in the loop."""
         self.action, self.type = action, type_
-        self._spinning, self._on_feedback, self._on_status = spinning, on_feedback, on_status
+        self._served, self._on_feedback, self._on_status = served, on_feedback, on_status
         self._calls: dict[str, _Calls] = {}
         self._subscriptions: list[Any] = []
 
     async def open(self) -> None:
         """Look for the server."""
-        await self._spinning.get(self._open)
+        await self._served.get(self._open)
 
     async def close(self) -> None:
         """Let go of the server. Calls under way are cancelled."""
-        await self._spinning.get(self._close)
+        await self._served.get(self._close)
         for calls in self._calls.values():
             for future in calls.waiting.values():
                 future.cancel()
 
     async def ready(self) -> bool:
         """Whether a server is there with all that makes an action."""
-        return await self._spinning.get(self._ready)
+        return await self._served.get(self._ready)
 
     async def send_goal(self, goal: str, data: bytes) -> tuple[bool, int]:
         """Send a goal, serialized, under an id; whether it was accepted, and when (Unix nanoseconds)."""
@@ -328,7 +328,7 @@ class ActionClient:
         return int(response.status), serialize_message(response.result)
 
     def _open(self) -> None:
-        node, hidden = self._spinning.node, f"{self.action}/_action"
+        node, hidden = self._served.node, f"{self.action}/_action"
         for name, type_ in (
             ("send_goal", self.type.send_goal),
             ("cancel_goal", CancelGoal),
@@ -336,7 +336,7 @@ class ActionClient:
         ):
             client = node.create_client(type_, f"{hidden}/{name}", qos_profile=qos_profile_services_default)
             calls = self._calls[name] = _Calls(client, type_.Response)
-            self._spinning.add("client", client, self._answered(calls))
+            self._served.add("client", client, self._answered(calls))
         for name, type_, qos, taken in (
             ("feedback", self.type.feedback, _DRAINED, self._feedback_came),
             ("status", GoalStatusArray, _STATUS, self._status_came),
@@ -345,19 +345,19 @@ class ActionClient:
                 continue
             subscription = node.create_subscription(type_, f"{hidden}/{name}", _never_told, qos, raw=True)
             self._subscriptions.append(subscription)
-            self._spinning.add("subscription", subscription, self._received(subscription, taken))
+            self._served.add("subscription", subscription, self._received(subscription, taken))
 
     def _close(self) -> None:
         for calls in self._calls.values():
-            self._spinning.remove("client", calls.client)
+            self._served.remove("client", calls.client)
         for subscription in self._subscriptions:
-            self._spinning.remove("subscription", subscription)
+            self._served.remove("subscription", subscription)
 
     def _ready(self) -> bool:
         if not all(calls.client.service_is_ready() for calls in self._calls.values()):
             return False
         return all(
-            self._spinning.node.count_publishers(f"{self.action}/_action/{name}") for name in ("feedback", "status")
+            self._served.node.count_publishers(f"{self.action}/_action/{name}") for name in ("feedback", "status")
         )
 
     async def _call(self, name: str, request: Any) -> Any:
@@ -371,7 +371,7 @@ class ActionClient:
             calls.waiting[number] = future
             return number
 
-        number = await self._spinning.get(send)
+        number = await self._served.get(send)
         try:
             return await future
         finally:
@@ -386,28 +386,29 @@ class ActionClient:
                     return
                 future = calls.waiting.get(info.request_id.sequence_number)
                 if future is not None:
-                    self._spinning.tell(_settle, future, response)
+                    self._served.tell(_settle, future, response)
 
         return take
 
     def _received(self, subscription: Any, taken: Callable[[bytes], None]) -> Callable[[], None]:
         def take() -> None:
             with subscription.handle:
-                while (sample := self._spinning.taker.take(subscription.handle.pointer)) is not None:
+                while (sample := self._served.taker.take(subscription.handle.pointer)) is not None:
                     taken(sample.data)
 
         return take
 
     def _feedback_came(self, data: bytes) -> None:
-        self._spinning.tell(self._on_feedback, data[_ID].hex(), data)
+        self._served.tell(self._on_feedback, data[_ID].hex(), data)
 
     def _status_came(self, data: bytes) -> None:
         found = deserialize_message(data, GoalStatusArray)
         goals = [
-            Known(_hex(s.goal_info.goal_id), _nanoseconds(s.goal_info.stamp), int(s.status)) for s in found.status_list
+            KnownGoal(_hex(s.goal_info.goal_id), _nanoseconds(s.goal_info.stamp), int(s.status))
+            for s in found.status_list
         ]
         if self._on_status is not None:
-            self._spinning.tell(self._on_status, goals)
+            self._served.tell(self._on_status, goals)
 
 
 def _never_told(message: object) -> None:

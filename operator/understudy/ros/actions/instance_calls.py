@@ -80,7 +80,7 @@ class CallFailed(Exception):
 
 
 @dataclass(frozen=True)
-class Place:
+class GraphLocation:
     """Where in ROS this process already is."""
 
     context: Any
@@ -89,7 +89,7 @@ class Place:
     """The HOST part of the GIDs of this host's endpoints (sample_sources.py); None where anyone's count."""
 
 
-class _Bound:
+class _CallProgress:
     """One call under way."""
 
     def __init__(self, missing: str) -> None:
@@ -103,9 +103,9 @@ class Listener:
     """The messages of a topic from now on."""
 
     def __init__(self, subscription: Any) -> None:
-        from understudy.ros.runtime.sample_taking import Taker
+        from understudy.ros.runtime.sample_taking import SampleTaker
 
-        self._subscription, self._taker = subscription, Taker()
+        self._subscription, self._taker = subscription, SampleTaker()
         self._last: Sample | None = None
 
     @property
@@ -124,15 +124,15 @@ class Listener:
         return self._last
 
 
-class Caller:
+class InstanceCaller:
     """One instance's services, parameters, lifecycle and topics. For one event loop."""
 
-    def __init__(self, name: str, *, place: Callable[[], Place | None] | None = None) -> None:
+    def __init__(self, name: str, *, place: Callable[[], GraphLocation | None] | None = None) -> None:
         """``name`` of the node that is made at the first call. ``place`` says where, and None while that isn't known yet;
         without it the node joins the graph that the process's environment names.
         """
         self._name, self._place = name, place
-        self._opened: _Opened | None = None
+        self._opened: _CallingNode | None = None
         self._users = 0
         self._idle: asyncio.TimerHandle | None = None
         self._pinned = False
@@ -280,9 +280,9 @@ class Caller:
         seconds, by the writer's clock), with ``own`` only of a writer on this host. Raises CallFailed.
         """
         async with self._bound(f"topic {topic}", within) as (opened, bound):
-            from understudy.ros.runtime.sample_taking import Taker
+            from understudy.ros.runtime.sample_taking import SampleTaker
 
-            cls, taker, host = message_class(type_name), Taker(), opened.host if own else None
+            cls, taker, host = message_class(type_name), SampleTaker(), opened.host if own else None
             bound.missing = f"nothing {'of this instance ' if host else ''}came on {topic} ({type_name})"
             # A reader of latched messages doesn't match a writer that keeps none, and the other doesn't get them.
             subscriptions = [opened.subscription(cls, topic, latched=latched) for latched in (False, True)]
@@ -342,7 +342,7 @@ class Caller:
             self._idle.cancel()
             self._idle = None
 
-    def _open(self) -> _Opened | None:
+    def _open(self) -> _CallingNode | None:
         """The node in the present place; None where that isn't known yet."""
         place = self._place() if self._place is not None else None
         if self._place is not None and place is None:
@@ -351,13 +351,13 @@ class Caller:
             self._opened.close()
             self._opened = None
         if self._opened is None:
-            self._opened = _Opened(self._name, place)
+            self._opened = _CallingNode(self._name, place)
         return self._opened
 
     @contextlib.asynccontextmanager
-    async def _bound(self, what: str, within: float) -> AsyncIterator[tuple[_Opened, _Bound]]:
+    async def _bound(self, what: str, within: float) -> AsyncIterator[tuple[_CallingNode, _CallProgress]]:
         """The node, for at most so many seconds. ``what`` names the other side in messages."""
-        bound = _Bound("this process hasn't joined the ROS graph")
+        bound = _CallProgress("this process hasn't joined the ROS graph")
         self._users += 1
         self._stay()
         try:
@@ -380,10 +380,10 @@ class Caller:
             self._idle = asyncio.get_running_loop().call_later(IDLE, self.close)
 
 
-class _Opened:
+class _CallingNode:
     """A node and the thread that spins it."""
 
-    def __init__(self, name: str, place: Place | None) -> None:
+    def __init__(self, name: str, place: GraphLocation | None) -> None:
         from rclpy.callback_groups import CallbackGroup
         from rclpy.executors import SingleThreadedExecutor
 
@@ -407,7 +407,7 @@ class _Opened:
         self._thread = threading.Thread(target=self._spin, name=name, daemon=True)
         self._thread.start()
 
-    def is_at(self, place: Place | None) -> bool:
+    def is_at(self, place: GraphLocation | None) -> bool:
         """Whether it was made there, and still stands."""
         if not self._context.ok():
             return False
@@ -533,8 +533,8 @@ async def _until(holds: Callable[[], bool]) -> None:
 
 
 async def _asked(
-    opened: _Opened,
-    bound: _Bound,
+    opened: _CallingNode,
+    bound: _CallProgress,
     service: str,
     type_name: str,
     request: Mapping[str, Any],
@@ -596,20 +596,20 @@ async def _answer(client: Any, request: Any) -> Any:
 # -- lifecycle ------------------------------------------------------------------------------------------------------
 
 
-async def _state(opened: _Opened, bound: _Bound, node: str) -> str:
+async def _state(opened: _CallingNode, bound: _CallProgress, node: str) -> str:
     answer = await _asked(opened, bound, f"{node}/get_state", "lifecycle_msgs/srv/GetState", {}, repeat=REPEAT)
     return str(answer.current_state.label)
 
 
 async def _transition(
-    opened: _Opened, bound: _Bound, node: str, present: str, transition: str, number: int, goal: str
+    opened: _CallingNode, bound: _CallProgress, node: str, present: str, transition: str, number: int, goal: str
 ) -> None:
     """One transition. Its answer may come late or get lost, so the state itself is asked for meanwhile.
 
     Raises CallFailed where the node didn't go there.
     """
     request = {"transition": {"id": number, "label": transition}}
-    asking = _Bound("")
+    asking = _CallProgress("")
     ask = _asked(opened, asking, f"{node}/change_state", "lifecycle_msgs/srv/ChangeState", request)
     asked = asyncio.create_task(ask)
     rested: float | None = None
@@ -638,7 +638,7 @@ async def _transition(
 # -- parameters -----------------------------------------------------------------------------------------------------
 
 
-async def _parameters(opened: _Opened, bound: _Bound, node: str, names: Sequence[str]) -> dict[str, Any]:
+async def _parameters(opened: _CallingNode, bound: _CallProgress, node: str, names: Sequence[str]) -> dict[str, Any]:
     from rclpy.parameter import parameter_value_to_python
 
     service, type_name = f"{node}/get_parameters", "rcl_interfaces/srv/GetParameters"

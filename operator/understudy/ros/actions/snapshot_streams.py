@@ -22,7 +22,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 
 from understudy.ros.runtime.graph_node import Graph
 from understudy.ros.runtime.interface_types import interface_class
-from understudy.ros.runtime.service_exchange import Exchange, ExchangeError, RequestId
+from understudy.ros.runtime.service_exchange import RequestId, ServiceExchange, ServiceExchangeError
 from understudy.trees.core.snapshot_behaviours import Behaviour, statuses
 
 _logger = logging.getLogger(__name__)
@@ -93,7 +93,7 @@ class Streams:
         self._types = {name: interface_class(f"{PACKAGE}/msg/{name}") for name in ("BehaviourTree", "Behaviour")}
         self._types["UUID"] = interface_class("unique_identifier_msgs/msg/UUID")
         services = {name: interface_class(f"{PACKAGE}/srv/{name.title()}SnapshotStream") for name in _SERVICES}
-        self._exchange = Exchange()
+        self._exchange = ServiceExchange()
         self._streams: dict[str, _Stream] = {}
         self._opened = 0
         self._unanswered: list[_Unanswered] = []
@@ -195,7 +195,7 @@ class Streams:
         for answer in waiting:
             try:
                 done = await asyncio.to_thread(self._exchange.answer, answer.service, answer.response, answer.request)
-            except ExchangeError as error:
+            except ServiceExchangeError as error:
                 _logger.error("%s: %s", self._namespace, error)
                 continue
             if not done and time.monotonic() < answer.until:

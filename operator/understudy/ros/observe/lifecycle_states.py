@@ -11,7 +11,7 @@ from understudy.trees.leaves.lifecycle import EVENTS
 GET_STATE = "lifecycle_msgs/srv/GetState"
 
 
-class Lifecycles(Inquiries[str, str, NodeState]):
+class LifecycleStates(Inquiries[str, str, NodeState]):
     """States of some managed nodes, by their names, fully qualified."""
 
     absent = ""

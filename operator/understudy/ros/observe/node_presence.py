@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Iterable
 
 from understudy.ros.runtime.graph_node import Graph
-from understudy.trees.core.observations import Present
+from understudy.trees.core.observations import NodePresence
 
 PERIOD = 0.1
 """Seconds between looks."""
@@ -24,13 +24,13 @@ place. Counting them costs 6 us, going through those of 30 nodes 0.4 ms.
 EVENTS = "/parameter_events"
 
 
-class Inhabitants:
+class NodePresenceWatch:
     """Whether some nodes are there. Times are Unix seconds."""
 
     def __init__(self, graph: Graph, counts: Callable[[bytes], bool]) -> None:
         """``counts`` says of a GID whether an endpoint of it does."""
         self._graph, self._counts = graph, counts
-        self._seen: dict[str, Present | None] = {}
+        self._seen: dict[str, NodePresence | None] = {}
         self._count = -1
         self._next = self._again = 0.0
 
@@ -54,7 +54,7 @@ class Inhabitants:
         if count == self._count and now < self._again:
             for seen in self._seen.values():
                 if seen is not None:
-                    self._seen[seen.node] = Present(looked, seen.node, seen.there, seen.elsewhere)
+                    self._seen[seen.node] = NodePresence(looked, seen.node, seen.there, seen.elsewhere)
             return
         ends = self._graph.publishers(EVENTS)
         # The name of a node comes a moment after its first endpoint.
@@ -66,7 +66,7 @@ class Inhabitants:
         for name in self._seen:
             if name not in told and (found := self._graph.endpoints_of(name)):
                 told[name] = any(self._counts(end.gid) for end in found)
-            self._seen[name] = Present(looked, name, told.get(name, False), name in told)
+            self._seen[name] = NodePresence(looked, name, told.get(name, False), name in told)
 
     def shift(self, seconds: float) -> None:
         """Move all times, after the clock was set."""
@@ -74,6 +74,6 @@ class Inhabitants:
             if seen is not None:
                 seen.received += seconds
 
-    def of(self, name: str) -> Present | None:
+    def of(self, name: str) -> NodePresence | None:
         """What the last look for a node found; None before the first."""
         return self._seen.get(name)

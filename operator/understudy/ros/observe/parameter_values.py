@@ -19,7 +19,7 @@ class Setting(NamedTuple):
     """Why it has no value, in words."""
 
 
-class Parameters(Inquiries[tuple[str, str], Setting, ParameterState]):
+class ParameterValues(Inquiries[tuple[str, str], Setting, ParameterState]):
     """Some parameters, each by its node's name, fully qualified, and its own."""
 
     absent = Setting(None, "there is no such node that would say it")

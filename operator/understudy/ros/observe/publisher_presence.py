@@ -12,7 +12,7 @@ PERIOD = 0.1
 """Seconds between looks."""
 
 
-class Presence:
+class PublisherPresence:
     """Who publishes some topics. Times are Unix seconds."""
 
     def __init__(self, graph: Graph, counts: Callable[[bytes], bool]) -> None:

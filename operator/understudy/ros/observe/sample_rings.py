@@ -28,12 +28,12 @@ class Taken(NamedTuple):
     messages: list[Message]
 
 
-class Track:
+class SampleTrack:
     """One topic."""
 
     __slots__ = ("_messages", "_ring", "size", "topic", "type", "wanted")
 
-    def __init__(self, ring: Ring, topic: str, type_: str) -> None:
+    def __init__(self, ring: SampleRing, topic: str, type_: str) -> None:
         self._ring = ring
         self.topic, self.type = topic, type_
         self._messages: deque[Message] = deque()
@@ -77,7 +77,7 @@ class Track:
         self._messages = deque((at + step, *rest) for at, *rest in self._messages)  # type: ignore[misc]
 
 
-class Ring:
+class SampleRing:
     """All topics. Times are Unix seconds by this machine's clock."""
 
     def __init__(self, seconds: float, memory: int) -> None:
@@ -90,15 +90,15 @@ class Ring:
         """Since when all is kept, while that is so."""
         self.full: float | None = None
         """From when on messages were missed then, for want of memory; None for none."""
-        self._tracks: dict[str, Track] = {}
+        self._tracks: dict[str, SampleTrack] = {}
 
-    def track(self, topic: str, type_: str) -> Track:
+    def track(self, topic: str, type_: str) -> SampleTrack:
         """Where a topic's messages go."""
         found = self._tracks.get(topic)
         if found is None or found.type != type_:
             if found is not None:
                 found.leave_out()
-            self._tracks[topic] = found = Track(self, topic, type_)
+            self._tracks[topic] = found = SampleTrack(self, topic, type_)
         return found
 
     @property
@@ -107,7 +107,7 @@ class Ring:
         why = f"in {self.seconds:g} s it takes more than all topics may together"
         return {name: why for name, track in sorted(self._tracks.items()) if not track.wanted}
 
-    def make_room(self, track: Track, received: float, size: int) -> bool:
+    def make_room(self, track: SampleTrack, received: float, size: int) -> bool:
         """Whether so many bytes more can be kept of a topic; where need be, the topic that takes most is left out."""
         if self.since is not None:
             self.full = self.full or received  # what led to the failure is worth more than what came of it

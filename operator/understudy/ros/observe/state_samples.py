@@ -17,7 +17,7 @@ from typing import Any, Literal, NamedTuple
 from understudy.ros.dds.sample_sources import HOST, Sources
 from understudy.ros.runtime.graph_node import Graph, NotReceivable
 from understudy.ros.runtime.interface_types import TypeNotInstalled
-from understudy.ros.runtime.sample_taking import Taker
+from understudy.ros.runtime.sample_taking import SampleTaker
 
 _logger = logging.getLogger(__name__)
 
@@ -75,7 +75,7 @@ class Capturing:
 
     def __init__(self, graph: Graph) -> None:
         self._graph = graph
-        self._taker = Taker()
+        self._taker = SampleTaker()
         self._topics: dict[str, _Topic] = {}
         self._sources = Sources({})
         self._active = ""

@@ -2,7 +2,7 @@
 
 Fast DDS keeps what arrives in a subscription's history and stamps it with the time of receipt, so nothing is lost in
 exactness by looking only now and then, and a look costs a few microseconds a message instead of an executor's round.
-:meth:`Watching.drain` is called by the process's own loop; no rclpy executor runs.
+:meth:`TopicWatch.drain` is called by the process's own loop; no rclpy executor runs.
 """
 
 from __future__ import annotations
@@ -17,19 +17,26 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from understudy.ros.dds.sample_sources import HOST, Sources
-from understudy.ros.observe.lifecycle_states import Lifecycles
+from understudy.ros.observe.lifecycle_states import LifecycleStates
 from understudy.ros.observe.message_contents import HEAD, OURS, Received, begins_with_header, ours
-from understudy.ros.observe.node_presence import Inhabitants
-from understudy.ros.observe.parameter_values import Parameters
-from understudy.ros.observe.publisher_presence import Presence
-from understudy.ros.observe.sample_rings import Ring, Track
-from understudy.ros.runtime.arrival_wakeups import Arrivals
+from understudy.ros.observe.node_presence import NodePresenceWatch
+from understudy.ros.observe.parameter_values import ParameterValues
+from understudy.ros.observe.publisher_presence import PublisherPresence
+from understudy.ros.observe.sample_rings import SampleRing, SampleTrack
+from understudy.ros.runtime.arrival_wakeups import ArrivalWakeups
 from understudy.ros.runtime.graph_node import Graph, NotReceivable
 from understudy.ros.runtime.interface_types import TypeNotInstalled, message_class
-from understudy.ros.runtime.sample_taking import Taker
+from understudy.ros.runtime.sample_taking import SampleTaker
 from understudy.trees.core import task_activity
 from understudy.trees.core.health_tree import WatchedTopic
-from understudy.trees.core.observations import NodeState, ParameterState, PodState, Present, Publishers, TopicRecord
+from understudy.trees.core.observations import (
+    NodePresence,
+    NodeState,
+    ParameterState,
+    PodState,
+    Publishers,
+    TopicRecord,
+)
 from understudy.trees.leaves import diagnostics
 from understudy.trees.leaves.lifecycle import EVENTS
 
@@ -100,7 +107,7 @@ class _Topic:
     """The class of what the subscription receives."""
     type: str = ""
     """Its type."""
-    track: Track | None = None
+    track: SampleTrack | None = None
     """Where its messages are kept as they came."""
     stamped: bool = False
     """Whether its messages begin with a header."""
@@ -115,7 +122,7 @@ class _Topic:
     """Of an action's status: when each server with an active goal got it, by the GID of its writer."""
 
 
-class Watching:
+class TopicWatch:
     """The topics of a health tree, as received here, and from which pod.
 
     An Observations of the samples that are not from another instance of the workload than the one in control: the
@@ -123,21 +130,21 @@ class Watching:
     are moved with it, so that a step of the clock doesn't look like a gap.
     """
 
-    def __init__(self, graph: Graph, own: bytes | None = None, arrivals: Arrivals | None = None) -> None:
+    def __init__(self, graph: Graph, own: bytes | None = None, arrivals: ArrivalWakeups | None = None) -> None:
         """``own`` is the HOST part of GIDs of the instance that is judged, where that is the one this process is in;
         ``arrivals`` is to tell of messages that should be looked at as they come.
         """
         self._graph = graph
         self._own = own
-        self._presence = Presence(graph, self._in_control)
-        self._inhabitants = Inhabitants(graph, self._in_control)
-        self._lifecycles = Lifecycles(graph, self._in_control, self.own, alone=own is not None)
-        self._parameters = Parameters(graph, self._in_control, self.own, alone=own is not None)
+        self._presence = PublisherPresence(graph, self._in_control)
+        self._inhabitants = NodePresenceWatch(graph, self._in_control)
+        self._lifecycles = LifecycleStates(graph, self._in_control, self.own, alone=own is not None)
+        self._parameters = ParameterValues(graph, self._in_control, self.own, alone=own is not None)
         self.pod_state: PodState | None = None
         """What the cluster says of the pod of the instance in control, where somebody says it here."""
-        self._taker = Taker()
+        self._taker = SampleTaker()
         self._arrivals = arrivals
-        self._ring: Ring | None = None
+        self._ring: SampleRing | None = None
         self._topics: dict[str, _Topic] = {}
         self._sources = Sources({})
         self._active = ""
@@ -165,7 +172,7 @@ class Watching:
             elif known.want != want:
                 self._change(known, want)
 
-    def record(self, ring: Ring | None) -> None:
+    def record(self, ring: SampleRing | None) -> None:
         """Keep the messages themselves in a ring from now on, or no longer."""
         self._ring = ring
         for topic in self._topics.values():
@@ -454,7 +461,7 @@ class Watching:
         """Who publishes a topic, of the instance in control; None where nobody has looked (yet)."""
         return self._presence.of(name)
 
-    def node(self, name: str) -> Present | None:
+    def node(self, name: str) -> NodePresence | None:
         """Whether the instance in control has a node; None where nobody has looked (yet)."""
         return self._inhabitants.of(name)
 
@@ -522,7 +529,7 @@ def _note_goals(active: dict[bytes, float], gid: bytes, received: float, data: b
     from rclpy.serialization import deserialize_message
 
     status = deserialize_message(data, message_class("action_msgs/msg/GoalStatusArray"))
-    if any(goal.status in task_activity.WORKED_ON for goal in status.status_list):
+    if any(goal.status in task_activity.ACTIVE_STATUSES for goal in status.status_list):
         active.setdefault(gid, received)
     else:
         active.pop(gid, None)

@@ -18,7 +18,7 @@ from understudy.ros.runtime.sample_taking import loaded
 _logger = logging.getLogger(__name__)
 
 
-class Arrivals:
+class ArrivalWakeups:
     """A file descriptor that is readable once something has arrived since it was cleared last."""
 
     def __init__(self) -> None:

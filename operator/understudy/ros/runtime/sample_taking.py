@@ -73,7 +73,7 @@ def loaded(name: str) -> ctypes.CDLL:
     raise ImportError(f"rclpy has not loaded {name}.so: is it ROS 2 Jazzy?")
 
 
-class Taker:
+class SampleTaker:
     """Takes samples into one reused buffer. For one thread; one serves all subscriptions of a process."""
 
     def __init__(self) -> None:

@@ -21,8 +21,8 @@ from rclpy.context import Context
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 
 from understudy.ros.runtime.node_options import own_context, plain_node
-from understudy.ros.runtime.sample_taking import Taker
-from understudy.ros.runtime.service_exchange import Exchange
+from understudy.ros.runtime.sample_taking import SampleTaker
+from understudy.ros.runtime.service_exchange import ServiceExchange
 
 _logger = logging.getLogger(__name__)
 
@@ -34,7 +34,7 @@ _LONGEST = 1.0
 """Seconds of one wait, so that a thread that missed a wake-up would go on."""
 
 
-class Spinning:
+class ServedNode:
     """A node and the thread that serves it."""
 
     def __init__(self, name: str, *, context: Context | None = None) -> None:
@@ -48,7 +48,7 @@ class Spinning:
             context = own_context()
         self._context = context
         self.node = plain_node(name, context)
-        self.taker, self.exchange = Taker(), Exchange()
+        self.taker, self.exchange = SampleTaker(), ServiceExchange()
         self._entities: dict[Kind, list[tuple[Any, Callable[[], None]]]] = {
             "subscription": [],
             "client": [],

@@ -57,7 +57,7 @@ def request_writer(request: RequestId, writers: Iterable[bytes]) -> bytes | None
     return own[0] if len(own) == 1 else None
 
 
-class ExchangeError(RuntimeError):
+class ServiceExchangeError(RuntimeError):
     """The middleware failed to take a request or to send an answer."""
 
 
@@ -97,7 +97,7 @@ def _pointer(capsule: object) -> int:
     return found
 
 
-class Exchange:
+class ServiceExchange:
     """Takes requests and sends answers. For one thread; one serves all services of a process."""
 
     def __init__(self) -> None:
@@ -120,7 +120,7 @@ class Exchange:
                 return None
             if result != _OK:
                 self._reset_error()
-                raise ExchangeError(f"taking a request of {service.srv_name} failed with rcl's code {result}")
+                raise ServiceExchangeError(f"taking a request of {service.srv_name} failed with rcl's code {result}")
             _, _, client, sequence = _INFO.unpack(self._info.raw)
             return converter.to_python(message), RequestId(client.hex(), sequence)
         finally:
@@ -137,7 +137,7 @@ class Exchange:
         message = converter.create()
         try:
             if not converter.from_python(response, message):
-                raise ExchangeError(f"{service.srv_name}: the answer can't be converted")
+                raise ServiceExchangeError(f"{service.srv_name}: the answer can't be converted")
             identity = ctypes.create_string_buffer(_ID.pack(bytes.fromhex(request.client), request.sequence), _ID.size)
             with service.handle:
                 result = self._send(service.handle.pointer, identity, message)
@@ -145,7 +145,7 @@ class Exchange:
             converter.destroy(message)
         if result not in (_OK, _TIMEOUT):
             self._reset_error()
-            raise ExchangeError(f"answering a request of {service.srv_name} failed with rcl's code {result}")
+            raise ServiceExchangeError(f"answering a request of {service.srv_name} failed with rcl's code {result}")
         if result == _TIMEOUT:
             self._reset_error()
         return bool(result == _OK)

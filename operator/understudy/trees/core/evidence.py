@@ -9,13 +9,13 @@ from dataclasses import dataclass
 from typing import Generic, NamedTuple, TypeVar
 
 from understudy.trees.core.leaf import Leaf, State, duration
-from understudy.trees.core.observations import Evidence, Glance
-from understudy.trees.core.task_activity import TaskActive, situation
+from understudy.trees.core.observations import Evaluation, Evidence
+from understudy.trees.core.task_activity import TaskActive, task_timing
 
-Seen = TypeVar("Seen", bound=Evidence)
+EvidenceT = TypeVar("EvidenceT", bound=Evidence)
 
 
-class Said(NamedTuple):
+class Finding(NamedTuple):
     """What a message, or other evidence, says of a condition."""
 
     holds: bool
@@ -27,12 +27,12 @@ class Said(NamedTuple):
 
 
 @dataclass
-class Track(Generic[Seen]):
+class EvidenceTrack(Generic[EvidenceT]):
     """What the messages (or other evidence) of one instance have said. Times are Unix seconds."""
 
     since: float = math.nan
     """Which instance: when it took control."""
-    seen: Seen | None = None
+    seen: EvidenceT | None = None
     """The newest message that was looked into."""
     received: float = 0.0
     """When that was received, by the clock at that time."""
@@ -47,7 +47,7 @@ class Track(Generic[Seen]):
     why: str = ""
     """Why it doesn't, by that message: a text that stays while the failure does."""
 
-    def note(self, said: Said, content: Seen) -> None:
+    def note(self, said: Finding, content: EvidenceT) -> None:
         """Note what a message says."""
         self.heard = content.received
         if said.holds:
@@ -69,24 +69,26 @@ class Track(Generic[Seen]):
         self.bad = self.bad + step if self.bad is not None else None
 
 
-class EvidenceLeaf(Leaf, Generic[Seen]):
+class EvidenceLeaf(Leaf, Generic[EvidenceT]):
     """Holds while what is received says so: failed once they have said otherwise for ``hold_off`` seconds.
 
     That moment is exact, whether more comes until then or not. Before the first evidence, and until the condition
     has held for the first time, it is starting for as long as the grace lasts.
     """
 
-    def __init__(self, path: str, topic: str, glance: Glance, *, hold_off: float, tasks: Sequence[TaskActive]) -> None:
-        super().__init__(path, topic, glance, tasks)
+    def __init__(
+        self, path: str, topic: str, evaluation: Evaluation, *, hold_off: float, tasks: Sequence[TaskActive]
+    ) -> None:
+        super().__init__(path, topic, evaluation, tasks)
         self.hold_off = hold_off
-        self._track: Track[Seen] = Track()
+        self._track: EvidenceTrack[EvidenceT] = EvidenceTrack()
 
     @abstractmethod
-    def fresh(self, track: Track[Seen]) -> list[Seen]:
+    def fresh(self, track: EvidenceTrack[EvidenceT]) -> list[EvidenceT]:
         """What the instance has given that hasn't been looked into, oldest first."""
 
     @abstractmethod
-    def said(self, content: Seen, failed: bool) -> Said | None:
+    def said(self, content: EvidenceT, failed: bool) -> Finding | None:
         """What it says of the condition, which has ``failed`` before or not; None where it says nothing of it."""
 
     @abstractmethod
@@ -102,11 +104,11 @@ class EvidenceLeaf(Leaf, Generic[Seen]):
 
     # -- what has been said -----------------------------------------------------------------------------------------
 
-    def followed(self) -> Track[Seen]:
-        """What has been said until the glance's moment; looks into everything once."""
-        glance, track = self._glance, self._track
-        if track.since != glance.since:
-            track = self._track = Track(glance.since)
+    def followed(self) -> EvidenceTrack[EvidenceT]:
+        """What has been said until the time of the evaluation; looks into everything once."""
+        evaluation, track = self._evaluation, self._track
+        if track.since != evaluation.since:
+            track = self._track = EvidenceTrack(evaluation.since)
             self.forget()
         track.shift()
         for content in self.fresh(track):
@@ -118,46 +120,46 @@ class EvidenceLeaf(Leaf, Generic[Seen]):
 
     # -- the state --------------------------------------------------------------------------------------------------
 
-    def lost(self, track: Track[Seen]) -> float:
+    def lost(self, track: EvidenceTrack[EvidenceT]) -> float:
         """When the condition has failed if nothing more arrives, in Unix seconds."""
         return max(track.bad, self.begun()) + self.hold_off if track.bad is not None else math.inf
 
     def begun(self) -> float:
         """When its clocks begin at the earliest: with the task that it is for, if the instance was in control by then."""
-        found = situation(self.tasks, self._glance) if self.tasks else None
-        return found.active if found is not None and found.active >= self._glance.since else -math.inf
+        found = task_timing(self.tasks, self._evaluation) if self.tasks else None
+        return found.active if found is not None and found.active >= self._evaluation.since else -math.inf
 
-    def _limits(self, track: Track[Seen]) -> tuple[float, float]:
+    def _limits(self, track: EvidenceTrack[EvidenceT]) -> tuple[float, float]:
         """Until when it is healthy, and when it fails, if nothing more arrives; between them it is starting."""
-        glance = self._glance
+        evaluation = self._evaluation
         if not self.tasks:
             if not track.held:
-                return -math.inf, glance.in_time
+                return -math.inf, evaluation.in_time
             healthy = self.lost(track)
             return healthy, healthy
-        found = situation(self.tasks, glance)
+        found = task_timing(self.tasks, evaluation)
         if found is None:
             return math.inf, math.inf
         lost = self.lost(track)
         healthy = max(found.settled, lost) if track.held or lost < math.inf else found.settled
         # Grace is for an instance with which it hasn't held yet.
-        return healthy, healthy if track.held else max(healthy, glance.in_time)
+        return healthy, healthy if track.held else max(healthy, evaluation.in_time)
 
     def state(self) -> State:
-        """The state at the glance's moment."""
+        """The state at the time of the evaluation."""
         healthy, fails = self._limits(self.followed())
-        if self._glance.now < healthy:
+        if self._evaluation.now < healthy:
             return "Healthy"
-        return "Starting" if self._glance.now < fails else "Failed"
+        return "Starting" if self._evaluation.now < fails else "Failed"
 
     def healthy_until(self) -> float | None:
         """When it is no longer healthy; None where it isn't healthy."""
         healthy, _ = self._limits(self.followed())
-        return healthy if self._glance.now < healthy else None
+        return healthy if self._evaluation.now < healthy else None
 
     def changes(self) -> list[float]:
-        """The moments after the glance's at which the state may be another with no further message."""
-        return [m for m in self._limits(self.followed()) if self._glance.now < m < math.inf]
+        """The moments after that of the evaluation at which the state may be another with no further message."""
+        return [m for m in self._limits(self.followed()) if self._evaluation.now < m < math.inf]
 
     def last(self) -> float | None:
         """When all was last well: when a message with which it held was received, or its task became active."""
@@ -173,7 +175,7 @@ class EvidenceLeaf(Leaf, Generic[Seen]):
         if state == "Starting":
             return f"{condition} has not held yet{why}"
         if not track.held and not self.tasks:
-            return f"{condition} has not held within {duration(self._glance.grace)} of the start{why}"
+            return f"{condition} has not held within {duration(self._evaluation.grace)} of the start{why}"
         if self.hold_off:
             return f"{condition} has not held for {duration(self.hold_off)}{why}"
         return f"{condition} does not hold{why}"

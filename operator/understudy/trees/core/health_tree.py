@@ -17,13 +17,13 @@ from py_trees.decorators import Inverter
 
 from understudy.trees.core.composites import AnyOf
 from understudy.trees.core.leaf import STATE, Leaf, State
-from understudy.trees.core.observations import Glance, Observations
+from understudy.trees.core.observations import Evaluation, Observations
 from understudy.trees.core.task_activity import While
 
 Build = Callable[[Collection[str]], Behaviour | None]
 """Builds the behaviours of a node without the leaves of some topics; None where nothing is left."""
 
-BADNESS: dict[State, int] = {"Healthy": 0, "Starting": 1, "Failed": 2}
+SEVERITY: dict[State, int] = {"Healthy": 0, "Starting": 1, "Failed": 2}
 """How bad a state is; a verdict gets worse when this grows."""
 
 
@@ -113,12 +113,12 @@ class HealthTree:
     All times are Unix seconds.
     """
 
-    def __init__(self, build: Build, glance: Glance, topics: list[WatchedTopic]) -> None:
+    def __init__(self, build: Build, evaluation: Evaluation, topics: list[WatchedTopic]) -> None:
         """``build`` makes the behaviours, ``topics`` are all that they look at."""
         self.topics = topics
         """What to subscribe to, each topic once."""
         self._build = build
-        self._glance = glance
+        self._evaluation = evaluation
         self._left_out: frozenset[str] | None = None
         self._foretold: tuple[Observations, float, float, dict[str, float]] | None = None
         """What the last evaluation found where all was healthy: of what, when, since when, and until when by path of leaf."""
@@ -128,7 +128,7 @@ class HealthTree:
 
     def begin(self, now: float) -> None:
         """Judge from now on (Unix seconds): what the tree names anew has the grace to come, though the instance isn't new."""
-        self._glance.begun = now
+        self._evaluation.begun = now
         self._foretold = None
 
     def leave_out(self, topics: Collection[str]) -> None:
@@ -171,7 +171,7 @@ class HealthTree:
     @property
     def grace(self) -> float:
         """Seconds that an instance has to become healthy for the first time."""
-        return self._glance.grace
+        return self._evaluation.grace
 
     def evaluate(self, observations: Observations, *, now: float, since: float) -> Verdict:
         """The verdict at ``now`` on the instance that has been in control since ``since`` (or was first seen then).
@@ -212,12 +212,12 @@ class HealthTree:
         if until is not None:
             moment = _first_loss(self.root, until)
             return moment if math.isfinite(moment) else None
-        present = BADNESS[self._tick(observations, now, since)]
-        if present == BADNESS["Failed"]:
+        present = SEVERITY[self._tick(observations, now, since)]
+        if present == SEVERITY["Failed"]:
             return None
         found = None
         for moment in sorted({moment for leaf in self._leaves for moment in leaf.changes()}):
-            if BADNESS[self._tick(observations, moment, since, real=False)] > present:
+            if SEVERITY[self._tick(observations, moment, since, real=False)] > present:
                 found = moment
                 break
         self._tick(observations, now, since)  # so that the nodes show what is, not what was tried out
@@ -245,10 +245,10 @@ class HealthTree:
         return found
 
     def _look(self, observations: Observations, now: float, since: float, *, real: bool) -> None:
-        glance = self._glance
-        glance.observations, glance.now, glance.since, glance.real = observations, now, since, real
-        if real and glance.begun > now:  # the clock was set back since
-            glance.begun = now
+        evaluation = self._evaluation
+        evaluation.observations, evaluation.now, evaluation.since, evaluation.real = observations, now, since, real
+        if real and evaluation.begun > now:  # the clock was set back since
+            evaluation.begun = now
 
     def _tick(self, observations: Observations, now: float, since: float, *, real: bool = True) -> State:
         self._look(observations, now, since, real=real)

@@ -1,6 +1,6 @@
 """What a health tree looks at: which topics were received when, and what they said last.
 
-The tree knows the protocol only. :class:`TopicRecord` and :class:`Recorded` are the plain implementation that the
+The tree knows the protocol only. :class:`TopicRecord` and :class:`RecordedObservations` are the plain implementation that the
 drained subscriptions of ``understudy.ros`` fill, and that tests fill by hand.
 """
 
@@ -66,7 +66,7 @@ class Publishers:
 
 
 @dataclass(eq=False)
-class Present:
+class NodePresence:
     """Whether a node was there when the ROS graph was looked at."""
 
     received: float
@@ -221,7 +221,7 @@ class Observations(Protocol):
         """Who published a topic at the last look; None where nobody has looked (yet)."""
         ...
 
-    def node(self, name: str) -> Present | None:
+    def node(self, name: str) -> NodePresence | None:
         """Whether a node was there at the last look; None where nobody has looked (yet)."""
         ...
 
@@ -238,7 +238,7 @@ class Observations(Protocol):
         ...
 
 
-class Recorded:
+class RecordedObservations:
     """Observations out of a mapping of records."""
 
     in_control = True
@@ -248,7 +248,7 @@ class Recorded:
         topics: Mapping[str, TopicRecord],
         tasks: Mapping[str, float] | None = None,
         publishers: Mapping[str, Publishers] | None = None,
-        nodes: Mapping[str, Present] | None = None,
+        nodes: Mapping[str, NodePresence] | None = None,
         states: Mapping[str, NodeState] | None = None,
         parameters: Mapping[tuple[str, str], ParameterState] | None = None,
         pod: PodState | None = None,
@@ -278,7 +278,7 @@ class Recorded:
         """Who published the topic, None where nobody has looked."""
         return self._publishers.get(name)
 
-    def node(self, name: str) -> Present | None:
+    def node(self, name: str) -> NodePresence | None:
         """Whether the node was there, None where nobody has looked."""
         return self._nodes.get(name)
 
@@ -296,12 +296,12 @@ class Recorded:
 
 
 @dataclass
-class Glance:
+class Evaluation:
     """The moment a tree is judged for; one object shared by all its leaves, changed before each tick."""
 
     grace: float
     """Seconds that an instance has to become healthy for the first time."""
-    observations: Observations = field(default_factory=lambda: Recorded({}))
+    observations: Observations = field(default_factory=lambda: RecordedObservations({}))
     now: float = 0.0
     """Unix seconds."""
     since: float = 0.0

@@ -72,7 +72,7 @@ Work = Callable[[Actions, float], Awaitable[None]]
 """Does something within so many seconds. Raises what it failed by."""
 
 
-class Limit:
+class TimeLimit:
     """An end of time that leaves share."""
 
     def __init__(self) -> None:
@@ -80,7 +80,7 @@ class Limit:
         """By the event loop's clock."""
 
 
-class Run:
+class ProcedureRun:
     """One run of a procedure, shared by its nodes."""
 
     def __init__(self, actions: Actions) -> None:
@@ -94,7 +94,7 @@ class Run:
 class Step(Behaviour):
     """One action."""
 
-    def __init__(self, path: str, work: Work, run: Run, limits: Sequence[Limit]) -> None:
+    def __init__(self, path: str, work: Work, run: ProcedureRun, limits: Sequence[TimeLimit]) -> None:
         """``limits`` are the ends of time that hold for it."""
         super().__init__(path)
         self.error = ""
@@ -132,11 +132,17 @@ class Step(Behaviour):
             self._task.cancel()
 
 
-class Within(Decorator):
+class Timeout(Decorator):
     """Fails when its node isn't done in its time."""
 
     def __init__(
-        self, path: str, child: Behaviour, run: Run, within: float, limit: Limit, above: Sequence[Limit]
+        self,
+        path: str,
+        child: Behaviour,
+        run: ProcedureRun,
+        within: float,
+        limit: TimeLimit,
+        above: Sequence[TimeLimit],
     ) -> None:
         super().__init__(path, child)
         self.error = ""
@@ -159,7 +165,7 @@ class Within(Decorator):
 class Retry(Decorator):
     """Tries its node again after a failure."""
 
-    def __init__(self, path: str, child: Behaviour, run: Run, times: int, wait: float) -> None:
+    def __init__(self, path: str, child: Behaviour, run: ProcedureRun, times: int, wait: float) -> None:
         super().__init__(path, child)
         self._run, self._times, self._wait = run, times, wait
         self._tries = 0
@@ -189,7 +195,7 @@ def reasons(node: Behaviour, *, inverted: bool = False) -> list[str]:
     """Why a node failed, leaf by leaf: its path and what was wrong."""
     if isinstance(node, Step):
         return [f"{node.name}: it holds, which must not be" if inverted else f"{node.name}: {node.error}"]
-    if isinstance(node, Within) and node.error:
+    if isinstance(node, Timeout) and node.error:
         return [f"{node.name}: {node.error}"]
     if isinstance(node, Decorator) and node.decorated.status != node.status:
         return reasons(node.decorated, inverted=True)

@@ -71,10 +71,7 @@ def _leaf(leaf: Leaf, state: Shown, observations: Observations, now: float) -> S
 
 
 def _kind(node: Behaviour) -> str:
-    """What it is called in the short form."""
-    for kind, name in _KINDS:
-        if isinstance(node, kind):
-            return name
-    if isinstance(node, Leaf) and node.kind:
+    """Return the key of the node in the short form."""
+    if isinstance(node, Leaf):
         return node.kind
-    return type(node).__name__.removesuffix("Leaf").lower()
+    return next((name for kind, name in _KINDS if isinstance(node, kind)), type(node).__name__.lower())

@@ -9,11 +9,11 @@ from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 from py_trees.decorators import Decorator
 
-from understudy.trees.core.observations import Glance
+from understudy.trees.core.observations import Evaluation
 
 STATUS_TYPE = "action_msgs/msg/GoalStatusArray"
 
-WORKED_ON = (2, 3)
+ACTIVE_STATUSES = (2, 3)
 """Statuses of a goal that make a task active (action_msgs/msg/GoalStatus): executing and canceling. One that is only accepted
 isn't: nobody works on it (yet), as on a goal of the task proxy between two instances."""
 
@@ -34,13 +34,13 @@ class TaskActive:
         """Where the action's server says how its goals are (ROS 2 design: actions)."""
         return f"{self.action}/_action/status"
 
-    def since(self, glance: Glance) -> float | None:
+    def since(self, evaluation: Evaluation) -> float | None:
         """When it became active, in Unix seconds; None while it isn't."""
-        return glance.observations.task(self.topic)
+        return evaluation.observations.task(self.topic)
 
 
 @dataclass(frozen=True)
-class Situation:
+class TaskTiming:
     """Times that a leaf is judged by, in Unix seconds."""
 
     active: float
@@ -49,28 +49,28 @@ class Situation:
     """Until when what it looks at may take to start."""
 
 
-def situation(tasks: Sequence[TaskActive], glance: Glance) -> Situation | None:
+def task_timing(tasks: Sequence[TaskActive], evaluation: Evaluation) -> TaskTiming | None:
     """The situation of a leaf that is for some tasks; None while one of them isn't active, so that it isn't judged."""
     active = settled = float("-inf")
     for task in tasks:
-        since = task.since(glance)
+        since = task.since(evaluation)
         if since is None:
             return None
         active, settled = max(active, since), max(settled, since + task.settle)
-    return Situation(active, settled)
+    return TaskTiming(active, settled)
 
 
 class While(Decorator):
     """Its node's verdict while a task is active, else success."""
 
-    def __init__(self, name: str, child: Behaviour, task: TaskActive, glance: Glance) -> None:
+    def __init__(self, name: str, child: Behaviour, task: TaskActive, evaluation: Evaluation) -> None:
         super().__init__(name, child)
         self.task = task
-        self._glance = glance
+        self._evaluation = evaluation
 
     def counts(self) -> bool:
-        """Whether its node is judged at the glance's moment."""
-        return self.task.since(self._glance) is not None
+        """Whether its node is judged at the time of the evaluation."""
+        return self.task.since(self._evaluation) is not None
 
     def update(self) -> Status:
         """The node's own, where it counts."""

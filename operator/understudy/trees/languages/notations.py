@@ -11,7 +11,7 @@ from understudy.trees.languages.btcpp.loader import load_xml
 from understudy.trees.languages.osc.loader import load_osc
 from understudy.trees.languages.short.health_loader import load
 from understudy.trees.source.expressions import Fields
-from understudy.trees.source.positions import ALONE, Beginning
+from understudy.trees.source.positions import WHOLE_FILE, TextOffset
 from understudy.trees.source.problems import Problem, TreeError, did_you_mean
 
 if TYPE_CHECKING:  # an agent has no use for it, and is to be there soon
@@ -34,7 +34,7 @@ def load_health(
     grace: float,
     fields: Fields | None = None,
     path: str | None = None,
-    begins: Beginning = ALONE,
+    begins: TextOffset = WHOLE_FILE,
 ) -> HealthTree:
     """A health tree of a form, which is the field of ``spec.monitoring`` that it stands in. ``grace`` in seconds; ``path``
     is what problems are named by where that isn't the field.

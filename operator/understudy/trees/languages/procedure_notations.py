@@ -12,15 +12,15 @@ from functools import lru_cache
 from typing import Any
 
 from understudy.api.kinds.procedure_spec import Check, Procedure
-from understudy.trees.languages import text_loader
 from understudy.trees.languages.btcpp import loader as btcpp
 from understudy.trees.languages.btcpp import steps as xml
 from understudy.trees.languages.notations import TEXTS
 from understudy.trees.languages.osc import loader as osc
 from understudy.trees.languages.osc import steps as scenarios
 from understudy.trees.languages.short.procedure_loader import ProcedureTree, load_check, load_procedure
-from understudy.trees.languages.short_form import SourceMap
-from understudy.trees.source.positions import ALONE, Beginning
+from understudy.trees.languages.text import loader as text_loader
+from understudy.trees.languages.text.source_map import SourceMap
+from understudy.trees.source.positions import WHOLE_FILE, TextOffset
 
 _PROCEDURES = {
     "xml": (btcpp.reader(xml.PROCEDURES), btcpp.CALLED),
@@ -30,7 +30,7 @@ _CHECKS = {"xml": (btcpp.reader(xml.CHECKS), btcpp.CALLED), "osc": (osc.reader(s
 
 
 @dataclass(frozen=True)
-class Composed:
+class LoadedProcedure:
     """A procedure or check, whatever it was written in."""
 
     node: Mapping[str, Any]
@@ -40,7 +40,7 @@ class Composed:
     """Where in its text each of its nodes is, by path in the short form; empty where it was written in that."""
 
 
-def compose(form: str, tree: Any, *, check: bool, path: str, begins: Beginning = ALONE) -> Composed:
+def compose(form: str, tree: Any, *, check: bool, path: str, begins: TextOffset = WHOLE_FILE) -> LoadedProcedure:
     """A procedure or, with ``check``, a check of a form, which is the field that it stands in.
 
     ``path`` is what problems are named by; their lines and columns are those of the file in which a text ``begins``. Raises
@@ -48,21 +48,21 @@ def compose(form: str, tree: Any, *, check: bool, path: str, begins: Beginning =
     """
     load = load_check if check else load_procedure
     if form not in TEXTS:
-        return Composed(tree, load(tree, path=path))
+        return LoadedProcedure(tree, load(tree, path=path))
 
-    def loaded(node: dict[str, Any], source: SourceMap) -> Composed:
+    def loaded(node: dict[str, Any], source: SourceMap) -> LoadedProcedure:
         places = {inner: f"{origin.place}: {origin.label}" for inner, origin in source.nodes.items()}
-        return Composed(node, load(node, path=path, places=places), places)
+        return LoadedProcedure(node, load(node, path=path, places=places), places)
 
     read, called = (_CHECKS if check else _PROCEDURES)[form]
-    return text_loader.translated(tree, read, loaded, called=called, path=path, begins=begins)
+    return text_loader.load_translated(tree, read, loaded, called=called, path=path, begins=begins)
 
 
-def composed(procedure: Procedure | Check, *, path: str) -> Composed:
+def composed(procedure: Procedure | Check, *, path: str) -> LoadedProcedure:
     """That of a spec, composed once; ``path`` as of :func:`compose`. Raises TreeError with all problems."""
     return _composed(procedure.form, json.dumps(procedure.tree), isinstance(procedure, Check), path)
 
 
 @lru_cache(maxsize=256)
-def _composed(form: str, tree: str, check: bool, path: str) -> Composed:
+def _composed(form: str, tree: str, check: bool, path: str) -> LoadedProcedure:
     return compose(form, json.loads(tree), check=check, path=path)

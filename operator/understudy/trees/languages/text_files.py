@@ -11,7 +11,7 @@ from yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
 from understudy.api.durations import LONGEST_TEXT
 from understudy.trees.languages.notations import load_health
-from understudy.trees.source.positions import ALONE, Beginning, nearest
+from understudy.trees.source.positions import WHOLE_FILE, TextOffset, nearest
 from understudy.trees.source.problems import Problem, TreeError
 from understudy.trees.source.yaml_scalars import SCALARS, TAG, plain
 
@@ -19,7 +19,7 @@ DEEPEST = 100
 """Levels that the text of a tree may have; a node of the short form has two."""
 
 
-def load_text(form: str, text: str, *, path: str, grace: float, begins: Beginning = ALONE) -> Any:
+def load_text(form: str, text: str, *, path: str, grace: float, begins: TextOffset = WHOLE_FILE) -> Any:
     """The tree that a text of a form stands for, as it would stand in ``spec.monitoring``, once it has been loaded.
 
     ``path`` is what problems are named by, ``grace`` in seconds; lines and columns are those of the file in which the text
@@ -46,7 +46,7 @@ class _Place(NamedTuple):
 class _Read:
     """The short form's node that a text stands for, and where in it everything is. Raises TreeError."""
 
-    def __init__(self, text: str, path: str, begins: Beginning) -> None:
+    def __init__(self, text: str, path: str, begins: TextOffset) -> None:
         self._path, self._begins = path, begins
         self._places: dict[str, _Place] = {}
         self._seen: set[int] = set()

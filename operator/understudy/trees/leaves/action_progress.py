@@ -8,14 +8,14 @@ from dataclasses import dataclass
 from typing import Any
 
 from understudy.api.ros_names import ROS_NAME_PATTERN, ROS_TYPE_PATTERN
-from understudy.trees.core.evidence import Said, Track
+from understudy.trees.core.evidence import EvidenceTrack, Finding
 from understudy.trees.core.health_tree import WatchedTopic
 from understudy.trees.core.leaf import State, duration
-from understudy.trees.core.observations import Content, Glance, TopicRecord, Unreadable
+from understudy.trees.core.observations import Content, Evaluation, TopicRecord, Unreadable
 from understudy.trees.core.task_activity import SETTLE, TaskActive
-from understudy.trees.leaves.leaf_plan import LeafKind, LeafPlan
+from understudy.trees.leaves.leaf_plan import Key, LeafKind, LeafPlan, time_key
 from understudy.trees.leaves.message_content import ContentLeaf
-from understudy.trees.source.expressions import ExpressionError, Fields, Quantity, Untold
+from understudy.trees.source.expressions import ExpressionError, Fields, Quantity, Undefined
 from understudy.trees.source.value_reader import Reader, duration_of, found_text
 
 MOST_GOALS = 16
@@ -47,14 +47,14 @@ class ProgressLeaf(ContentLeaf):
         self,
         path: str,
         action: str,
-        glance: Glance,
+        evaluation: Evaluation,
         *,
         gap: float | None = None,
         aim: Aim | None = None,
         tasks: Sequence[TaskActive],
     ) -> None:
         """A leaf over an action's feedback, at least one of ``gap`` (seconds) and ``aim`` given; its task is the last one."""
-        super().__init__(path, feedback_of(action), glance, hold_off=0.0, tasks=tasks)
+        super().__init__(path, feedback_of(action), evaluation, hold_off=0.0, tasks=tasks)
         self._action, self._gap, self._aim = action, gap, aim
         self._best: dict[bytes, float] = {}
         self._why = ""
@@ -64,15 +64,15 @@ class ProgressLeaf(ContentLeaf):
         self._best.clear()
         self._why = ""
 
-    def said(self, content: Content, failed: bool) -> Said | None:
+    def said(self, content: Content, failed: bool) -> Finding | None:
         """What the feedback says; None where it is no better than what was there before."""
         if self._aim is None:
-            return Said(True, "")
+            return Finding(True, "")
         try:
             message: Any = content.message()
             goal = bytes(message.goal_id.uuid)
             value = self._aim.quantity.value(message.feedback)
-        except (Unreadable, Untold) as error:
+        except (Unreadable, Undefined) as error:
             self._why = f"it can't be told: {error}"
             return None
         except AttributeError:
@@ -84,11 +84,11 @@ class ProgressLeaf(ContentLeaf):
         while len(self._best) > MOST_GOALS:
             del self._best[next(iter(self._best))]
         self._why = f"{self._best[goal]:.6g} was the best"
-        return Said(True, "") if better else None
+        return Finding(True, "") if better else None
 
     # -- the state --------------------------------------------------------------------------------------------------
 
-    def lost(self, track: Track[Content]) -> float:
+    def lost(self, track: EvidenceTrack[Content]) -> float:
         """When it has failed if nothing more arrives."""
         return min(self._silent(), self._stalled(track))
 
@@ -101,7 +101,7 @@ class ProgressLeaf(ContentLeaf):
             max(record.last if record is not None and record.last is not None else -math.inf, self.begun()) + self._gap
         )
 
-    def _stalled(self, track: Track[Content]) -> float:
+    def _stalled(self, track: EvidenceTrack[Content]) -> float:
         """When it hasn't got on for too long if nothing more arrives."""
         if self._aim is None:
             return math.inf
@@ -109,8 +109,8 @@ class ProgressLeaf(ContentLeaf):
 
     def _record(self) -> TopicRecord | None:
         """The feedback's record, None without any of this instance."""
-        record = self._glance.observations.topic(self.topic)
-        return record if record is not None and (record.last or -math.inf) >= self._glance.since else None
+        record = self._evaluation.observations.topic(self.topic)
+        return record if record is not None and (record.last or -math.inf) >= self._evaluation.since else None
 
     def last(self) -> float | None:
         """When all was last well: when feedback came that counts, or the goal became active."""
@@ -126,7 +126,7 @@ class ProgressLeaf(ContentLeaf):
         track, record = self.followed(), self._record()
         if state == "Healthy":
             return f"{self._action} makes progress, or has nothing to do"
-        if self._gap is not None and self._glance.now >= self._silent() and self._silent() <= self._stalled(track):
+        if self._gap is not None and self._evaluation.now >= self._silent() and self._silent() <= self._stalled(track):
             yet = f" for {duration(self._gap)}" if state == "Failed" else " yet"
             return f"no feedback of {self._action}{yet}"
         assert self._aim is not None, "a gap alone fails by the gap"
@@ -168,7 +168,7 @@ def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | 
     return LeafPlan(
         f"{action.lstrip('/')}.progress",
         WatchedTopic(feedback_of(action), feedback, 0.0, None, contents=1, whole=aim is not None),
-        lambda place, glance, tasks: ProgressLeaf(place, action, glance, gap=gap, aim=aim, tasks=tasks),
+        lambda place, evaluation, tasks: ProgressLeaf(place, action, evaluation, gap=gap, aim=aim, tasks=tasks),
         task,
     )
 
@@ -217,4 +217,19 @@ def _by(found: object) -> float:
     return number
 
 
-PROGRESS = LeafKind(("action", "type", "gap", "falls", "grows", "by", "within", "settle"), _EXAMPLE, _read)
+PROGRESS = LeafKind(
+    "progress",
+    "while the goal of an action makes progress, or there is none",
+    (
+        Key("action", "the action, fully qualified, such as /navigate_to_pose"),
+        Key("type", "package/action/Name"),
+        time_key("gap", "the longest time without feedback, such as 5s"),
+        Key("falls", "the number in the feedback that must become less, such as distance_remaining"),
+        Key("grows", "the number in the feedback that must become more"),
+        Key("by", "by how much it must improve, such as 0.3", "float"),
+        time_key("within", "the time in which it must improve, such as 30s"),
+        time_key("settle", "how long it may take to start after the goal became active", default="2s"),
+    ),
+    _EXAMPLE,
+    _read,
+)

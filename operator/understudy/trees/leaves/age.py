@@ -5,12 +5,23 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from understudy.trees.core.evidence import Said
+from understudy.trees.core.evidence import Finding
 from understudy.trees.core.health_tree import WatchedTopic
 from understudy.trees.core.leaf import duration
-from understudy.trees.core.observations import Content, Glance
+from understudy.trees.core.observations import Content, Evaluation
 from understudy.trees.core.task_activity import TaskActive
-from understudy.trees.leaves.leaf_plan import LeafKind, LeafPlan, at_once, hold_off_of, topic_of, type_of
+from understudy.trees.leaves.leaf_plan import (
+    TYPE,
+    Key,
+    LeafKind,
+    LeafPlan,
+    fails_on_arrival,
+    hold_off_of,
+    time_key,
+    topic_key,
+    topic_of,
+    type_of,
+)
 from understudy.trees.leaves.message_content import ContentLeaf
 from understudy.trees.source.expressions import Fields
 from understudy.trees.source.problems import did_you_mean
@@ -33,7 +44,7 @@ class AgeLeaf(ContentLeaf):
         self,
         path: str,
         topic: str,
-        glance: Glance,
+        evaluation: Evaluation,
         most: float,
         by: str = STAMP,
         *,
@@ -41,7 +52,7 @@ class AgeLeaf(ContentLeaf):
         tasks: Sequence[TaskActive] = (),
     ) -> None:
         """A leaf over a topic; ``most`` and ``hold_off`` in seconds, ``by`` one of CLOCKS."""
-        super().__init__(path, topic, glance, hold_off=hold_off, tasks=tasks)
+        super().__init__(path, topic, evaluation, hold_off=hold_off, tasks=tasks)
         self._most, self._by = most, by
 
     @property
@@ -49,13 +60,13 @@ class AgeLeaf(ContentLeaf):
         """A bag has when messages were received, and their stamps."""
         return "it is told by when messages were sent, which a bag doesn't have" if self._by == SOURCE else ""
 
-    def said(self, content: Content, failed: bool) -> Said:
+    def said(self, content: Content, failed: bool) -> Finding:
         """What the message says by its stamp, or by when it was sent."""
         age = content.under_way() if self._by == SOURCE else content.age()
         if age is None:
             lacks = "its middleware didn't say when it was sent" if self._by == SOURCE else "there is no stamp"
-            return Said(False, f"it can't be told: {lacks}")
-        return Said(True, "") if age <= self._most else Said(False, f"it was {rounded(age)}")
+            return Finding(False, f"it can't be told: {lacks}")
+        return Finding(True, "") if age <= self._most else Finding(False, f"it was {rounded(age)}")
 
     def condition(self) -> str:
         """The condition in words."""
@@ -90,8 +101,8 @@ def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | 
         return None
     return LeafPlan(
         f"{topic.lstrip('/')}.age",
-        WatchedTopic(topic, type_, 0.0, None, contents=1, prompt=at_once(hold_off)),
-        lambda place, glance, tasks: AgeLeaf(place, topic, glance, most, by, hold_off=hold_off, tasks=tasks),
+        WatchedTopic(topic, type_, 0.0, None, contents=1, prompt=fails_on_arrival(hold_off)),
+        lambda place, evaluation, tasks: AgeLeaf(place, topic, evaluation, most, by, hold_off=hold_off, tasks=tasks),
     )
 
 
@@ -102,4 +113,22 @@ def _clock(found: object) -> str:
     return str(found)
 
 
-AGE = LeafKind(("topic", "type", "most", "for", "by"), _EXAMPLE, _read)
+AGE = LeafKind(
+    "age",
+    "while messages are not too old when they arrive",
+    (
+        topic_key("/scan"),
+        TYPE,
+        time_key("most", "the greatest age of a message when it arrives, such as 300ms"),
+        time_key("for", "how long messages must be older before that is a failure, such as 1s"),
+        Key(
+            "by",
+            "the time that an age is counted from: the header's stamp, or source, when it was sent",
+            "age_by",
+            CLOCKS,
+            STAMP,
+        ),
+    ),
+    _EXAMPLE,
+    _read,
+)

@@ -14,19 +14,39 @@ from datetime import timedelta
 from functools import partial
 from typing import Any, NamedTuple, Protocol
 
-from understudy.trees.core.evidence import Said
+from understudy.trees.core.evidence import Finding
 from understudy.trees.core.health_tree import WatchedTopic
-from understudy.trees.core.observations import Content, Glance, Unreadable
+from understudy.trees.core.observations import Content, Evaluation, Unreadable
 from understudy.trees.core.task_activity import TaskActive
-from understudy.trees.leaves.leaf_plan import LeafKind, LeafPlan, at_once, hold_off_of, topic_of, type_of
+from understudy.trees.leaves.leaf_plan import (
+    TYPE,
+    Key,
+    LeafKind,
+    LeafPlan,
+    fails_on_arrival,
+    hold_off_of,
+    time_key,
+    topic_key,
+    topic_of,
+    type_of,
+)
 from understudy.trees.leaves.message_content import ContentLeaf
 from understudy.trees.source.expressions import Fields
 from understudy.trees.source.value_reader import Reader, duration_of, found_text
 
 _logger = logging.getLogger(__name__)
 
-KEYS = ("topic", "type", "for")
-"""What every such leaf is given."""
+_SHARED = (
+    topic_key("/scan"),
+    TYPE,
+    time_key("for", "how long it must not hold before that is a failure, such as 500ms"),
+)
+
+KEYS = tuple(key.name for key in _SHARED)
+"""The keys of every such leaf."""
+
+_UNITS: Mapping[str, str] = {**dict.fromkeys(("gap", "window", "settle"), "time"), "count": "int"}
+"""The types of keys that mean the same in all leaves. OpenSCENARIO 2 gives all others as texts."""
 
 LONGEST = 200
 """Characters of a reason."""
@@ -40,14 +60,14 @@ class Judge(Protocol):
         ...
 
 
-class JudgedLeaf(ContentLeaf):
+class CustomLeaf(ContentLeaf):
     """Holds while its judge has nothing against the newest message, and while the judge itself fails."""
 
     def __init__(
         self,
         path: str,
         topic: str,
-        glance: Glance,
+        evaluation: Evaluation,
         kind: str,
         make: Callable[[], Judge],
         *,
@@ -55,7 +75,7 @@ class JudgedLeaf(ContentLeaf):
         tasks: Sequence[TaskActive] = (),
     ) -> None:
         """A leaf over a topic; ``hold_off`` in seconds."""
-        super().__init__(path, topic, glance, hold_off=hold_off, tasks=tasks)
+        super().__init__(path, topic, evaluation, hold_off=hold_off, tasks=tasks)
         self.kind = kind
         self._make = make
         self._judge: Judge | None = None
@@ -64,12 +84,12 @@ class JudgedLeaf(ContentLeaf):
         """Judge another instance, of which nothing is known yet."""
         self._judge = None
 
-    def said(self, content: Content, failed: bool) -> Said:
+    def said(self, content: Content, failed: bool) -> Finding:
         """What the judge says of the message."""
         try:
             message = content.message()
         except Unreadable as error:
-            return Said(False, f"it can't be told: {error}")
+            return Finding(False, f"it can't be told: {error}")
         try:
             if self._judge is None:
                 self._judge = self._make()
@@ -78,9 +98,9 @@ class JudgedLeaf(ContentLeaf):
                 raise TypeError(f"judge() returned {found_text(why)}, which is neither a text nor None")
         except Exception as error:  # whatever a package of others raises
             self._note(f"{self.kind} can't judge {self.topic}, {_told(error)}")
-            return Said(True, "")  # being blind is no failure
+            return Finding(True, "")  # being blind is no failure
         self.blind = ""
-        return Said(False, why[:LONGEST]) if why else Said(True, "")
+        return Finding(False, why[:LONGEST]) if why else Finding(True, "")
 
     def condition(self) -> str:
         """The condition in words."""
@@ -106,7 +126,11 @@ def kind_of(name: str, judge: object) -> LeafKind:
         raise ValueError("it must be a class with a method judge(self, message)")
     settings = _settings(judge)
     example = "".join(f", {key}: ..." for key, setting in settings.items() if setting.required)
-    return LeafKind((*KEYS, *settings), f"{{topic: /scan{example}}}", partial(_read, name, judge, settings))
+    own = (Key(key, f"{key} of {judge.__name__}", _UNITS.get(key, "string")) for key in settings)
+    summary = f"while {judge.__name__} accepts the newest message"
+    return LeafKind(
+        name, summary, (*_SHARED, *own), f"{{topic: /scan{example}}}", partial(_read, name, judge, settings)
+    )
 
 
 def _settings(judge: type) -> dict[str, Setting]:
@@ -157,8 +181,10 @@ def _read(
         return None
     return LeafPlan(
         f"{topic.lstrip('/')}.{name}",
-        WatchedTopic(topic, type_, 0.0, None, contents=1, whole=True, prompt=at_once(hold_off)),
-        lambda place, glance, tasks: JudgedLeaf(place, topic, glance, name, make, hold_off=hold_off, tasks=tasks),
+        WatchedTopic(topic, type_, 0.0, None, contents=1, whole=True, prompt=fails_on_arrival(hold_off)),
+        lambda place, evaluation, tasks: CustomLeaf(
+            place, topic, evaluation, name, make, hold_off=hold_off, tasks=tasks
+        ),
     )
 
 

@@ -5,11 +5,20 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from understudy.trees.core.evidence import Said
+from understudy.trees.core.evidence import Finding
 from understudy.trees.core.health_tree import WatchedTopic
-from understudy.trees.core.observations import Content, Glance, Unreadable
+from understudy.trees.core.observations import Content, Evaluation, Unreadable
 from understudy.trees.core.task_activity import TaskActive
-from understudy.trees.leaves.leaf_plan import LeafKind, LeafPlan, at_once, hold_off_of, topic_of
+from understudy.trees.leaves.leaf_plan import (
+    Key,
+    LeafKind,
+    LeafPlan,
+    fails_on_arrival,
+    hold_off_of,
+    time_key,
+    topic_key,
+    topic_of,
+)
 from understudy.trees.leaves.message_content import ContentLeaf
 from understudy.trees.source.expressions import Fields
 from understudy.trees.source.problems import did_you_mean
@@ -57,7 +66,7 @@ class DiagnosticsLeaf(ContentLeaf):
         self,
         path: str,
         topic: str,
-        glance: Glance,
+        evaluation: Evaluation,
         *,
         name: str | None = None,
         prefix: str = "",
@@ -66,7 +75,7 @@ class DiagnosticsLeaf(ContentLeaf):
         tasks: Sequence[TaskActive] = (),
     ) -> None:
         """A leaf over the statuses named ``name``, or else all whose names begin with ``prefix``; ``hold_off`` in seconds."""
-        super().__init__(path, topic, glance, hold_off=hold_off, tasks=tasks)
+        super().__init__(path, topic, evaluation, hold_off=hold_off, tasks=tasks)
         self._name, self._prefix, self._worst = name, prefix, worst
         self._levels: dict[str, _Level] = {}
 
@@ -74,12 +83,12 @@ class DiagnosticsLeaf(ContentLeaf):
         """Forget the levels."""
         self._levels.clear()
 
-    def said(self, content: Content, failed: bool) -> Said | None:
+    def said(self, content: Content, failed: bool) -> Finding | None:
         """What all statuses say with this message's; None where none of them is asked for."""
         try:
             found = [status for status in _statuses(content.message()) if self._asked(status[0])]
         except Unreadable as error:
-            return Said(False, f"it can't be told: {error}")
+            return Finding(False, f"it can't be told: {error}")
         if not found:
             return None
         for name, level, text in found:
@@ -90,12 +99,12 @@ class DiagnosticsLeaf(ContentLeaf):
             del self._levels[next(iter(self._levels))]
         bad = {name: said for name, said in self._levels.items() if said.level > self._worst}
         if not bad:
-            return Said(True, "")
+            return Finding(True, "")
         name = max(bad, key=lambda name: bad[name].level)
         more = f", and {len(bad) - 1} more" if len(bad) > 1 else ""
         # Nodes start one after the other: that the first are well doesn't end the grace of the others.
-        starting = content.received < self._glance.in_time and not any(said.well for said in bad.values())
-        return Said(False, _told(name, bad[name].level, bad[name].text) + more, starting)
+        starting = content.received < self._evaluation.in_time and not any(said.well for said in bad.values())
+        return Finding(False, _told(name, bad[name].level, bad[name].text) + more, starting)
 
     def _asked(self, name: str) -> bool:
         if name.startswith(OWN) or f"/{OWN}" in name:  # the latter as diagnostic_aggregator repeats it
@@ -155,9 +164,9 @@ def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | 
         return None
     return LeafPlan(
         topic.lstrip("/"),
-        WatchedTopic(topic, TYPE, 0.0, BURST, contents=KEPT, whole=True, prompt=at_once(hold_off)),
-        lambda place, glance, tasks: DiagnosticsLeaf(
-            place, topic, glance, name=name, prefix=prefix or "", worst=worst, hold_off=hold_off, tasks=tasks
+        WatchedTopic(topic, TYPE, 0.0, BURST, contents=KEPT, whole=True, prompt=fails_on_arrival(hold_off)),
+        lambda place, evaluation, tasks: DiagnosticsLeaf(
+            place, topic, evaluation, name=name, prefix=prefix or "", worst=worst, hold_off=hold_off, tasks=tasks
         ),
     )
 
@@ -176,4 +185,16 @@ def _worst(found: object) -> int:
     return allowed.index(str(found))
 
 
-DIAGNOSTICS = LeafKind(("topic", "name", "prefix", "worst", "for"), _EXAMPLE, _read)
+DIAGNOSTICS = LeafKind(
+    "diagnostics",
+    "while no status on /diagnostics is worse than allowed",
+    (
+        topic_key("", "/diagnostics, or another topic of its type", default=TOPIC),
+        Key("name", "the name of the status", xml="status"),
+        Key("prefix", "the beginning of the names of the statuses"),
+        Key("worst", "the worst level that is allowed: OK, WARN or ERROR", "level", LEVELS[:3]),
+        time_key("for", "how long a level must be worse before that is a failure, such as 2s"),
+    ),
+    _EXAMPLE,
+    _read,
+)

@@ -1,4 +1,8 @@
-"""What a leaf of the short form stands for, before it has its place in a tree, and the keys that most of them share."""
+"""How a leaf declares itself, and what its declaration becomes when a tree names it.
+
+A leaf's module declares one :class:`LeafKind`. The loaders, the three languages, their libraries and the reference
+page are derived from that declaration: no other module names a leaf, except the registry.
+"""
 
 from __future__ import annotations
 
@@ -9,48 +13,99 @@ from typing import Any
 from understudy.api.ros_names import ROS_NAME_PATTERN, ROS_TYPE_PATTERN
 from understudy.trees.core.health_tree import WatchedTopic
 from understudy.trees.core.leaf import Leaf
-from understudy.trees.core.observations import Glance
+from understudy.trees.core.observations import Evaluation
 from understudy.trees.core.task_activity import TaskActive
 from understudy.trees.source.expressions import Fields
 from understudy.trees.source.value_reader import Reader, duration_of
 
-FORETOLD = 0.1
-"""Seconds that lie between two looks of the monitor at most: what takes as long to be a failure is known of in time."""
+LOOK_INTERVAL = 0.1
+"""The longest time in seconds between two evaluations by the monitor. A failure that takes at least this long is scheduled in time."""
 
-Make = Callable[[str, Glance, Sequence[TaskActive]], Leaf]
-"""Makes a leaf by its path, the glance it looks through, and the tasks that it is for."""
+
+@dataclass(frozen=True)
+class Key:
+    """A key of a leaf or step in the short form, and its spelling in the other languages."""
+
+    name: str
+    about: str
+    """One line for the reference and for editors, such as ``the longest silence, such as 500ms``."""
+    type: str = "string"
+    """``string``, ``int``, ``float``, ``time``, ``frequency``, ``structure``, ``names`` (a list), or the name of an enum in
+    OpenSCENARIO 2."""
+    members: tuple[str, ...] = ()
+    """The members, if the type is an enum."""
+    default: str = ""
+    """The default as XML writes it; empty if there is none."""
+    xml: str = ""
+    """The port in XML if it differs: ``name`` is the node's own name there."""
+    osc: str = ""
+    """The argument in OpenSCENARIO 2 if the language's own rules do not give it."""
+
+    @property
+    def port(self) -> str:
+        """The port in XML."""
+        return self.xml or self.name
+
+
+Make = Callable[[str, Evaluation, Sequence[TaskActive]], Leaf]
+"""Makes a leaf from its path, the evaluation that it looks through, and the tasks that it is judged for."""
 
 
 @dataclass(frozen=True)
 class LeafPlan:
-    """A leaf that was read."""
+    """A leaf that was read from a tree and does not have its place yet."""
 
     name: str
-    """What it is called where the tree gives it no name."""
+    """The name of the leaf if the tree does not give one."""
     watched: WatchedTopic
     """What it needs of its topic."""
     make: Make
     task: TaskActive | None = None
-    """What it is judged for wherever it stands, where it is about that task itself."""
+    """The task that the leaf itself is about; it is judged only while this is active."""
     also: tuple[WatchedTopic, ...] = ()
-    """What it needs of other topics. Where one of them can't be watched, it is left out too."""
+    """What it needs of other topics. If one of them cannot be watched, the leaf is left out."""
 
 
 @dataclass(frozen=True)
 class LeafKind:
-    """A kind of leaf of the short form."""
+    """A kind of leaf."""
 
-    keys: tuple[str, ...]
+    name: str
+    """Its key in the short form; OpenSCENARIO 2 uses the same, and XML its words in CamelCase."""
+    summary: str
+    """When it holds, such as ``while the topic is received often enough``."""
+    arguments: tuple[Key, ...]
     example: str
+    """Its value in the short form, as flow-style YAML."""
     read: Callable[[Reader, Mapping[str, Any], str, Fields | None], LeafPlan | None]
-    """Reads its mapping, whose place is given, by the fields of message types; notes problems, and is None then."""
-    of_control: bool = False
-    """Whether it says something of the instance in control alone: a procedure can't wait for it, since it is for one that is
-    to be."""
+    """Reads its mapping at the given path, with the fields of message types; notes problems, and returns None then."""
+    active_only: bool = False
+    """Whether it judges the active instance only. A procedure cannot wait for it, because it prepares another instance."""
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """The keys in the short form."""
+        return tuple(key.name for key in self.arguments)
+
+
+# -- keys that most leaves share --------------------------------------------------------------------------------------
+
+
+def topic_key(example: str, about: str = "", *, default: str = "") -> Key:
+    """The key ``topic``."""
+    return Key("topic", about or f"the topic, fully qualified, such as {example}", default=default)
+
+
+TYPE = Key("type", "package/msg/Name")
+
+
+def time_key(name: str, about: str, *, default: str = "") -> Key:
+    """A key whose value is a duration."""
+    return Key(name, about, "time", default=default)
 
 
 def topic_of(reader: Reader, value: Mapping[str, Any], path: str, example: str, key: str = "topic") -> str | None:
-    """The topic that a leaf is about."""
+    """The topic of a leaf."""
     if key not in value:
         reader.problem(f"{path}.{key}", f"missing; give the topic's fully qualified name, such as {example}")
     return reader.matching(value, key, path, ROS_NAME_PATTERN, f"a fully qualified topic name such as {example}")
@@ -59,7 +114,7 @@ def topic_of(reader: Reader, value: Mapping[str, Any], path: str, example: str, 
 def node_of(
     reader: Reader, value: Mapping[str, Any], path: str, key: str = "node", *, required: bool = True
 ) -> str | None:
-    """The node that a leaf is about, fully qualified."""
+    """The node of a leaf, fully qualified."""
     if required and key not in value:
         reader.problem(f"{path}.{key}", "missing; give the node's fully qualified name, such as /controller_server")
     return reader.matching(
@@ -73,10 +128,10 @@ def type_of(reader: Reader, value: Mapping[str, Any], path: str) -> str | None:
 
 
 def hold_off_of(reader: Reader, value: Mapping[str, Any], path: str) -> float:
-    """``for``: how long a condition must not hold to be a failure, in seconds; 0 where it isn't given."""
+    """``for``: how long a condition must not hold before that is a failure, in seconds; 0 if it is not given."""
     return reader.given(value, "for", path, duration_of) or 0.0
 
 
-def at_once(hold_off: float) -> bool:
-    """Whether a message may be a failure as it comes, or too soon after it for the next look."""
-    return hold_off < FORETOLD
+def fails_on_arrival(hold_off: float) -> bool:
+    """Return whether a message can be a failure when it arrives, or before the next regular evaluation."""
+    return hold_off < LOOK_INTERVAL

@@ -6,11 +6,11 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from understudy.trees.core.evidence import EvidenceLeaf, Said, Track
+from understudy.trees.core.evidence import EvidenceLeaf, EvidenceTrack, Finding
 from understudy.trees.core.health_tree import WatchedTopic
-from understudy.trees.core.observations import Glance, NodeState
+from understudy.trees.core.observations import Evaluation, NodeState
 from understudy.trees.core.task_activity import TaskActive
-from understudy.trees.leaves.leaf_plan import LeafKind, LeafPlan, at_once, hold_off_of, node_of
+from understudy.trees.leaves.leaf_plan import Key, LeafKind, LeafPlan, fails_on_arrival, hold_off_of, node_of, time_key
 from understudy.trees.source.expressions import Fields
 from understudy.trees.source.problems import did_you_mean
 from understudy.trees.source.value_reader import Reader, found_text
@@ -36,38 +36,38 @@ class LifecycleLeaf(EvidenceLeaf[NodeState]):
         self,
         path: str,
         node: str,
-        glance: Glance,
+        evaluation: Evaluation,
         state: str = "active",
         *,
         hold_off: float = 0.0,
         tasks: Sequence[TaskActive] = (),
     ) -> None:
         """A leaf over a node, fully qualified; ``hold_off`` in seconds."""
-        super().__init__(path, f"{node}{EVENTS}", glance, hold_off=hold_off, tasks=tasks)
+        super().__init__(path, f"{node}{EVENTS}", evaluation, hold_off=hold_off, tasks=tasks)
         self._node, self._state = node, state
 
     def _found(self) -> NodeState | None:
         """What is known of it since the instance took control."""
-        found = self._glance.observations.lifecycle(self._node)
-        return found if found is not None and found.received >= self._glance.since else None
+        found = self._evaluation.observations.lifecycle(self._node)
+        return found if found is not None and found.received >= self._evaluation.since else None
 
-    def fresh(self, track: Track[NodeState]) -> list[NodeState]:
+    def fresh(self, track: EvidenceTrack[NodeState]) -> list[NodeState]:
         """What is known now, once."""
         found = self._found()
         return [found] if found is not None and found is not track.seen else []
 
-    def said(self, content: NodeState, failed: bool) -> Said | None:
+    def said(self, content: NodeState, failed: bool) -> Finding | None:
         """What it says of the state."""
         if content.state is None:
             return None
         if content.state == self._state:
-            return Said(True, "")
+            return Finding(True, "")
         why = f"it is {content.state}" if content.state else "it is not there"
         if self._track.bad is not None:
             self._track.why = why  # on its way from state to state the last one tells most
-        return Said(False, why)
+        return Finding(False, why)
 
-    def _limits(self, track: Track[NodeState]) -> tuple[float, float]:
+    def _limits(self, track: EvidenceTrack[NodeState]) -> tuple[float, float]:
         found = self._found()
         if found is not None and found.state is None:
             return math.inf, math.inf  # being blind is no failure
@@ -95,9 +95,9 @@ def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | 
     return LeafPlan(
         f"{node.lstrip('/')}.lifecycle",
         WatchedTopic(
-            f"{node}{EVENTS}", TYPE, 0.0, BURST, contents=1, whole=True, managed=True, prompt=at_once(hold_off)
+            f"{node}{EVENTS}", TYPE, 0.0, BURST, contents=1, whole=True, managed=True, prompt=fails_on_arrival(hold_off)
         ),
-        lambda place, glance, tasks: LifecycleLeaf(place, node, glance, state, hold_off=hold_off, tasks=tasks),
+        lambda place, evaluation, tasks: LifecycleLeaf(place, node, evaluation, state, hold_off=hold_off, tasks=tasks),
     )
 
 
@@ -108,4 +108,14 @@ def _state(found: object) -> str:
     return str(found)
 
 
-LIFECYCLE = LeafKind(("node", "state", "for"), _EXAMPLE, _read)
+LIFECYCLE = LeafKind(
+    "lifecycle",
+    "while a managed node is in a state",
+    (
+        Key("node", "the managed node, fully qualified, such as /controller_server"),
+        Key("state", "unconfigured, inactive, active or finalized", "lifecycle_state", STATES, "active"),
+        time_key("for", "how long it must be in another state before that is a failure, such as 1s"),
+    ),
+    _EXAMPLE,
+    _read,
+)

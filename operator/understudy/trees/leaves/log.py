@@ -10,9 +10,9 @@ from typing import Any
 
 from understudy.trees.core.health_tree import WatchedTopic
 from understudy.trees.core.leaf import Leaf, State, duration
-from understudy.trees.core.observations import Content, Glance, Unreadable
-from understudy.trees.core.task_activity import TaskActive, situation
-from understudy.trees.leaves.leaf_plan import LeafKind, LeafPlan, node_of
+from understudy.trees.core.observations import Content, Evaluation, Unreadable
+from understudy.trees.core.task_activity import TaskActive, task_timing
+from understudy.trees.leaves.leaf_plan import Key, LeafKind, LeafPlan, node_of, time_key
 from understudy.trees.source.expressions import Fields
 from understudy.trees.source.problems import did_you_mean
 from understudy.trees.source.value_reader import Reader, duration_of, found_text, whole_number_of
@@ -135,7 +135,7 @@ class LogLeaf(Leaf):
         self,
         path: str,
         pattern: Pattern,
-        glance: Glance,
+        evaluation: Evaluation,
         *,
         count: int = 1,
         window: float = 0.0,
@@ -143,19 +143,19 @@ class LogLeaf(Leaf):
         tasks: Sequence[TaskActive] = (),
     ) -> None:
         """A leaf over the messages of a pattern; ``window`` and ``quiet`` in seconds."""
-        super().__init__(path, TOPIC, glance, tasks)
+        super().__init__(path, TOPIC, evaluation, tasks)
         self._pattern, self._count, self._window, self._quiet = pattern, count, window, quiet
         self._heard = _Heard(math.nan)
 
     # -- what was logged --------------------------------------------------------------------------------------------
 
     def _followed(self) -> _Heard:
-        """What was logged until the glance's moment; looks into everything once."""
-        glance, heard = self._glance, self._heard
-        if heard.since != glance.since:
-            heard = self._heard = _Heard(glance.since, times=deque(maxlen=self._count))
+        """What was logged until the time of the evaluation; looks into everything once."""
+        evaluation, heard = self._evaluation, self._heard
+        if heard.since != evaluation.since:
+            heard = self._heard = _Heard(evaluation.since, times=deque(maxlen=self._count))
         heard.shift()
-        found = situation(self.tasks, glance)
+        found = task_timing(self.tasks, evaluation)
         # What was logged while the task wasn't active doesn't count when it is: its clock begins with it.
         active = found.active if found is not None else math.inf
         if abs(heard.active - active) > 1e-3:
@@ -167,10 +167,10 @@ class LogLeaf(Leaf):
         return heard
 
     def _fresh(self, heard: _Heard) -> list[Content]:
-        record = self._glance.observations.own(self.topic)
+        record = self._evaluation.observations.own(self.topic)
         found: list[Content] = []
         for content in reversed(record.contents if record is not None else ()):
-            if content is heard.seen or content.received < self._glance.since:
+            if content is heard.seen or content.received < self._evaluation.since:
                 break
             found.append(content)
         return found[::-1]
@@ -196,17 +196,17 @@ class LogLeaf(Leaf):
 
     def _limits(self) -> tuple[float, float, float]:
         """When what was logged makes it no longer healthy, when failed, and when healthy again; all infinite for never."""
-        heard, glance = self._followed(), self._glance
+        heard, evaluation = self._followed(), self._evaluation
         if heard.first is None:
             return math.inf, math.inf, math.inf
-        found = situation(self.tasks, glance)
+        found = task_timing(self.tasks, evaluation)
         settled = found.settled if found is not None and self.tasks else -math.inf
-        return settled, max(settled, glance.in_time), heard.last + self._quiet
+        return settled, max(settled, evaluation.in_time), heard.last + self._quiet
 
     def state(self) -> State:
-        """The state at the glance's moment."""
+        """The state at the time of the evaluation."""
         begins, fails, ends = self._limits()
-        now = self._glance.now
+        now = self._evaluation.now
         if now < begins or now >= ends:
             return "Healthy"
         return "Starting" if now < fails else "Failed"
@@ -214,7 +214,7 @@ class LogLeaf(Leaf):
     def healthy_until(self) -> float | None:
         """When it is no longer healthy; None where it isn't healthy. Another message can come at any time."""
         begins, _, ends = self._limits()
-        now = self._glance.now
+        now = self._evaluation.now
         if now >= ends:
             return math.inf
         if now >= begins:
@@ -222,8 +222,8 @@ class LogLeaf(Leaf):
         return begins if begins < ends else math.inf
 
     def changes(self) -> list[float]:
-        """The moments after the glance's at which the state may be another with no further message."""
-        return [moment for moment in self._limits() if self._glance.now < moment < math.inf]
+        """The moments after that of the evaluation at which the state may be another with no further message."""
+        return [moment for moment in self._limits() if self._evaluation.now < moment < math.inf]
 
     def last(self) -> float | None:
         """When all was last well: when the first of the messages was received that were too many."""
@@ -267,8 +267,8 @@ def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | 
     return LeafPlan(
         f"{node.lstrip('/')}.log" if node is not None else "log",
         WatchedTopic(TOPIC, TYPE, 0.0, BURST, contents=KEPT, whole=True, prompt=True),
-        lambda place, glance, tasks: LogLeaf(
-            place, pattern, glance, count=count, window=window or 0.0, quiet=quiet or window or QUIET, tasks=tasks
+        lambda place, evaluation, tasks: LogLeaf(
+            place, pattern, evaluation, count=count, window=window or 0.0, quiet=quiet or window or QUIET, tasks=tasks
         ),
     )
 
@@ -289,4 +289,19 @@ def _says(found: object) -> str:
     return found
 
 
-LOG = LeafKind(("level", "node", "says", "count", "window", "quiet"), _EXAMPLE, _read)
+LOG = LeafKind(
+    "log",
+    "while nodes do not log what they should not",
+    (
+        Key(
+            "level", "the least severe level that counts: DEBUG, INFO, WARN, ERROR or FATAL", "severity", tuple(LEVELS)
+        ),
+        Key("node", "the node that logs it, such as /controller_server"),
+        Key("says", "text that the message contains; * stands for any characters"),
+        Key("count", "the number of messages that is too many, such as 3", "int", default="1"),
+        time_key("window", "the time within which they are too many, such as 20s"),
+        time_key("quiet", "the time without such a message after which the leaf holds again, such as 1m"),
+    ),
+    _EXAMPLE,
+    _read,
+)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from understudy.trees.core.evidence import EvidenceLeaf, Track
+from understudy.trees.core.evidence import EvidenceLeaf, EvidenceTrack
 from understudy.trees.core.observations import Content
 
 
@@ -12,14 +12,14 @@ class ContentLeaf(EvidenceLeaf[Content]):
     every = False
     """Whether each message is looked into, and not only the newest at each look."""
 
-    def fresh(self, track: Track[Content]) -> list[Content]:
+    def fresh(self, track: EvidenceTrack[Content]) -> list[Content]:
         """The instance's messages that haven't been looked into, oldest first."""
-        record = self._glance.observations.topic(self.topic)
+        record = self._evaluation.observations.topic(self.topic)
         if record is None or not record.contents or record.contents[-1] is track.seen:
             return []
         found: list[Content] = []
         for content in reversed(record.contents):
-            if content is track.seen or content.received < self._glance.since:
+            if content is track.seen or content.received < self._evaluation.since:
                 break
             found.append(content)
             if not self.every:

@@ -7,12 +7,12 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from understudy.kinematics.command_following import Allowance, Following, Motion
+from understudy.kinematics.command_following import Allowance, CommandFollowing, Motion
 from understudy.trees.core.health_tree import WatchedTopic
 from understudy.trees.core.leaf import Leaf, State
-from understudy.trees.core.observations import Content, Glance, Unreadable
-from understudy.trees.core.task_activity import TaskActive, situation
-from understudy.trees.leaves.leaf_plan import LeafKind, LeafPlan, topic_of, type_of
+from understudy.trees.core.observations import Content, Evaluation, Unreadable
+from understudy.trees.core.task_activity import TaskActive, task_timing
+from understudy.trees.leaves.leaf_plan import Key, LeafKind, LeafPlan, time_key, topic_key, topic_of, type_of
 from understudy.trees.source.expressions import Fields
 from understudy.trees.source.value_reader import Reader, duration_of, found_text
 
@@ -40,28 +40,28 @@ class MotionLeaf(Leaf):
         self,
         path: str,
         topic: str,
-        glance: Glance,
+        evaluation: Evaluation,
         commands: str,
         allowance: Allowance,
         *,
         tasks: Sequence[TaskActive] = (),
     ) -> None:
         """A leaf over a topic with the odometry of somebody outside the robot, and one with commands."""
-        super().__init__(path, topic, glance, tasks)
+        super().__init__(path, topic, evaluation, tasks)
         self._commands, self._allowance = commands, allowance
-        self._following = Following(allowance)
+        self._following = CommandFollowing(allowance)
         self._began = (-math.inf, -math.inf)
         self._seen: dict[str, tuple[Content, float]] = {}
         self._unreadable = ""
 
-    def _followed(self) -> Following:
-        """What has been received until the glance's moment, each message once."""
-        glance = self._glance
-        found = situation(self.tasks, glance) if self.tasks else None
-        began = (glance.since, max(glance.since, found.active) if found is not None else glance.since)
+    def _followed(self) -> CommandFollowing:
+        """What has been received until the time of the evaluation, each message once."""
+        evaluation = self._evaluation
+        found = task_timing(self.tasks, evaluation) if self.tasks else None
+        began = (evaluation.since, max(evaluation.since, found.active) if found is not None else evaluation.since)
         if began != self._began and (found is not None or not self.tasks):
             # Who commands it is another one, or begins to only now.
-            self._began, self._following, self._seen = began, Following(self._allowance), {}
+            self._began, self._following, self._seen = began, CommandFollowing(self._allowance), {}
         self._follow_clock()
         fresh = [
             (content.received, name == self.topic, content)
@@ -80,7 +80,7 @@ class MotionLeaf(Leaf):
         return self._following
 
     def _fresh(self, name: str) -> list[Content]:
-        record = self._glance.observations.topic(name)
+        record = self._evaluation.observations.topic(name)
         if record is None or not record.contents:
             return []
         last = self._seen.get(name, (None,))[0]
@@ -104,44 +104,44 @@ class MotionLeaf(Leaf):
 
     def _failing(self) -> tuple[float, float] | None:
         """From when to when it fails if nothing more arrives; None where it doesn't."""
-        if not self._glance.observations.in_control or not self.counts():
+        if not self._evaluation.observations.in_control or not self.counts():
             return None
         following = self._followed()
         until = following.until
-        if until is None or following.discrepancy(self._glance.now) is None:
+        if until is None or following.discrepancy(self._evaluation.now) is None:
             return None
-        found = situation(self.tasks, self._glance) if self.tasks else None
+        found = task_timing(self.tasks, self._evaluation) if self.tasks else None
         begin = found.settled if found is not None else -math.inf
         return (begin, until) if begin < until else None
 
     def state(self) -> State:
-        """The state at the glance's moment."""
+        """The state at the time of the evaluation."""
         failing = self._failing()
-        return "Failed" if failing is not None and failing[0] <= self._glance.now else "Healthy"
+        return "Failed" if failing is not None and failing[0] <= self._evaluation.now else "Healthy"
 
     def healthy_until(self) -> float | None:
         """When it is no longer healthy; None where it isn't healthy."""
         failing = self._failing()
         if failing is None:
             return math.inf
-        return failing[0] if self._glance.now < failing[0] else None
+        return failing[0] if self._evaluation.now < failing[0] else None
 
     def changes(self) -> list[float]:
-        """The moments after the glance's at which the state may be another with no further message."""
-        return [moment for moment in self._failing() or () if self._glance.now < moment < math.inf]
+        """The moments after that of the evaluation at which the state may be another with no further message."""
+        return [moment for moment in self._failing() or () if self._evaluation.now < moment < math.inf]
 
     def last(self) -> float | None:
         """When the robot was last seen to move as commanded, or its task became active."""
         well = self._following.well
-        return self._last_with_task(well if well is not None and well >= self._glance.since else None)
+        return self._last_with_task(well if well is not None and well >= self._evaluation.since else None)
 
     def _plain_reason(self, state: State) -> str:
         following = self._following
-        if state == "Failed" and (found := following.discrepancy(self._glance.now)) is not None:
+        if state == "Failed" and (found := following.discrepancy(self._evaluation.now)) is not None:
             return f"the robot doesn't move as {self._commands} says by {self.topic}: {found}"
         if self._unreadable:
             return f"it can't be told whether the robot moves as commanded: {self._unreadable}"
-        if not following.told or following.until is None or self._glance.now >= following.until:
+        if not following.told or following.until is None or self._evaluation.now >= following.until:
             return f"it can't be told whether the robot moves as {self._commands} says: {self.topic} doesn't see it"
         return f"the robot moves as {self._commands} says"
 
@@ -215,9 +215,27 @@ def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | 
     return LeafPlan(
         f"{topic.strip('/').removesuffix('/odometry')}.motion",
         WatchedTopic(topic, ODOMETRY, 0.0, None, contents=KEPT, whole=True),
-        lambda place, glance, tasks: MotionLeaf(place, topic, glance, commands, allowance, tasks=tasks),
+        lambda place, evaluation, tasks: MotionLeaf(place, topic, evaluation, commands, allowance, tasks=tasks),
         also=(WatchedTopic(commands, type_, 0.0, None, contents=KEPT, whole=True),),
     )
 
 
-MOTION = LeafKind(("topic", "commands", "type", *_QUANTITIES), _EXAMPLE, _read, of_control=True)
+MOTION = LeafKind(
+    "motion",
+    "while an observer outside the robot does not see it move otherwise than commanded",
+    (
+        topic_key("", "the odometry from outside the robot, such as /tracker/robot/odometry"),
+        Key("commands", "the topic of the commands, such as /cmd_vel"),
+        Key("type", "the type of the commands, geometry_msgs/msg/Twist or TwistStamped"),
+        time_key("delay", "the longest time from a command to its visible effect, such as 300ms", default="300ms"),
+        time_key("window", "the time over which the observed motion is averaged, such as 500ms", default="500ms"),
+        Key("acceleration", "the least acceleration towards the command, such as 0.5 m/s2", default="0.5 m/s2"),
+        Key("turn_acceleration", "the same for turning, such as 1 rad/s2", default="1 rad/s2"),
+        Key("slip", "the relative error that is allowed of a velocity, such as 20 %", default="20 %"),
+        Key("tolerance", "the absolute error that is allowed in addition, such as 0.03 m/s", default="0.03 m/s"),
+        Key("turn_tolerance", "the same for turning, such as 0.1 rad/s", default="0.1 rad/s"),
+    ),
+    _EXAMPLE,
+    _read,
+    active_only=True,
+)

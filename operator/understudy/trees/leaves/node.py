@@ -5,40 +5,40 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from understudy.trees.core.evidence import EvidenceLeaf, Said, Track
+from understudy.trees.core.evidence import EvidenceLeaf, EvidenceTrack, Finding
 from understudy.trees.core.health_tree import WatchedTopic
 from understudy.trees.core.leaf import State, duration
-from understudy.trees.core.observations import Glance, Present
+from understudy.trees.core.observations import Evaluation, NodePresence
 from understudy.trees.core.task_activity import TaskActive
-from understudy.trees.leaves.leaf_plan import LeafKind, LeafPlan, hold_off_of, node_of
+from understudy.trees.leaves.leaf_plan import Key, LeafKind, LeafPlan, hold_off_of, node_of, time_key
 from understudy.trees.source.expressions import Fields
 from understudy.trees.source.value_reader import Reader
 
 
-class NodeLeaf(EvidenceLeaf[Present]):
+class NodeLeaf(EvidenceLeaf[NodePresence]):
     """Holds while the instance has a node of a name."""
 
     hears = False
 
     def __init__(
-        self, path: str, node: str, glance: Glance, *, hold_off: float = 0.0, tasks: Sequence[TaskActive] = ()
+        self, path: str, node: str, evaluation: Evaluation, *, hold_off: float = 0.0, tasks: Sequence[TaskActive] = ()
     ) -> None:
         """A leaf over a node, fully qualified; ``hold_off`` in seconds."""
-        super().__init__(path, node, glance, hold_off=hold_off, tasks=tasks)
+        super().__init__(path, node, evaluation, hold_off=hold_off, tasks=tasks)
 
-    def fresh(self, track: Track[Present]) -> list[Present]:
+    def fresh(self, track: EvidenceTrack[NodePresence]) -> list[NodePresence]:
         """The last look at the ROS graph, once."""
-        found = self._glance.observations.node(self.topic)
-        if found is None or found is track.seen or found.received < self._glance.since:
+        found = self._evaluation.observations.node(self.topic)
+        if found is None or found is track.seen or found.received < self._evaluation.since:
             return []
         return [found]
 
-    def said(self, content: Present, failed: bool) -> Said:
+    def said(self, content: NodePresence, failed: bool) -> Finding:
         """What the look says."""
         if content.there:
-            return Said(True, "")
+            return Finding(True, "")
         # Where one of its name is in another pod, who looks with `ros2 node list` sees it and wonders.
-        return Said(False, "another instance or the robot has one of that name" if content.elsewhere else "")
+        return Finding(False, "another instance or the robot has one of that name" if content.elsewhere else "")
 
     def condition(self) -> str:
         """The condition in words."""
@@ -58,7 +58,7 @@ class NodeLeaf(EvidenceLeaf[Present]):
         if state == "Starting":
             return f"{node} is not there yet{why}"
         if not track.held and not self.tasks:
-            return f"{node} has not been there within {duration(self._glance.grace)} of the start{why}"
+            return f"{node} has not been there within {duration(self._evaluation.grace)} of the start{why}"
         return (
             f"{node} has not been there for {duration(self.hold_off)}{why}" if self.hold_off else f"{node} is gone{why}"
         )
@@ -76,8 +76,17 @@ def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | 
     return LeafPlan(
         f"{node.lstrip('/')}.node",
         WatchedTopic(node, None, 0.0, None, heard=False, node=True),
-        lambda place, glance, tasks: NodeLeaf(place, node, glance, hold_off=hold_off, tasks=tasks),
+        lambda place, evaluation, tasks: NodeLeaf(place, node, evaluation, hold_off=hold_off, tasks=tasks),
     )
 
 
-NODE = LeafKind(("name", "for"), _EXAMPLE, _read)
+NODE = LeafKind(
+    "node",
+    "while the instance has the node",
+    (
+        Key("name", "the node, fully qualified, such as /controller_server", xml="node"),
+        time_key("for", "how long it must be missing before that is a failure, such as 2s"),
+    ),
+    _EXAMPLE,
+    _read,
+)

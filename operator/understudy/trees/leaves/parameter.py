@@ -9,11 +9,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from understudy.trees.core.evidence import EvidenceLeaf, Said, Track
+from understudy.trees.core.evidence import EvidenceLeaf, EvidenceTrack, Finding
 from understudy.trees.core.health_tree import WatchedTopic
-from understudy.trees.core.observations import Glance, ParameterState, ParameterValue
+from understudy.trees.core.observations import Evaluation, ParameterState, ParameterValue
 from understudy.trees.core.task_activity import TaskActive
-from understudy.trees.leaves.leaf_plan import LeafKind, LeafPlan, hold_off_of, node_of
+from understudy.trees.leaves.leaf_plan import Key, LeafKind, LeafPlan, hold_off_of, node_of, time_key
 from understudy.trees.source.expressions import Fields
 from understudy.trees.source.value_reader import Reader, found_text
 
@@ -103,7 +103,7 @@ class ParameterLeaf(EvidenceLeaf[ParameterState]):
         self,
         path: str,
         node: str,
-        glance: Glance,
+        evaluation: Evaluation,
         name: str,
         expected: Expected,
         *,
@@ -111,31 +111,31 @@ class ParameterLeaf(EvidenceLeaf[ParameterState]):
         tasks: Sequence[TaskActive] = (),
     ) -> None:
         """A leaf over a parameter of a node, fully qualified; ``hold_off`` in seconds."""
-        super().__init__(path, EVENTS, glance, hold_off=hold_off, tasks=tasks)
+        super().__init__(path, EVENTS, evaluation, hold_off=hold_off, tasks=tasks)
         self._node, self._name, self._expected = node, name, expected
 
     def _found(self) -> ParameterState | None:
         """What is known of it since the instance took control."""
-        found = self._glance.observations.parameter(self._node, self._name)
-        return found if found is not None and found.received >= self._glance.since else None
+        found = self._evaluation.observations.parameter(self._node, self._name)
+        return found if found is not None and found.received >= self._evaluation.since else None
 
-    def fresh(self, track: Track[ParameterState]) -> list[ParameterState]:
+    def fresh(self, track: EvidenceTrack[ParameterState]) -> list[ParameterState]:
         """What is known now, once."""
         found = self._found()
         return [found] if found is not None and found is not track.seen else []
 
-    def said(self, content: ParameterState, failed: bool) -> Said | None:
+    def said(self, content: ParameterState, failed: bool) -> Finding | None:
         """What it says of the value."""
         if not content.told:
             return None
         if content.value is not None and self._expected.holds(content.value):
-            return Said(True, "")
+            return Finding(True, "")
         why = f"it is {found_text(content.value)}" if content.value is not None else content.lacks
         if self._track.bad is not None:
             self._track.why = why  # of wrong values the last one tells most
-        return Said(False, why)
+        return Finding(False, why)
 
-    def _limits(self, track: Track[ParameterState]) -> tuple[float, float]:
+    def _limits(self, track: EvidenceTrack[ParameterState]) -> tuple[float, float]:
         found = self._found()
         if found is not None and not found.told:
             return math.inf, math.inf  # being blind is no failure
@@ -172,8 +172,8 @@ def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | 
     return LeafPlan(
         f"{node.lstrip('/')}.{name}.parameter",
         WatchedTopic(EVENTS, TYPE, 0.0, BURST, contents=KEPT, whole=True, parameters=frozenset({(node, name)})),
-        lambda place, glance, tasks: ParameterLeaf(
-            place, node, glance, name, expected[0], hold_off=hold_off, tasks=tasks
+        lambda place, evaluation, tasks: ParameterLeaf(
+            place, node, evaluation, name, expected[0], hold_off=hold_off, tasks=tasks
         ),
     )
 
@@ -225,4 +225,17 @@ def _text(found: object) -> str:
     return str(found)
 
 
-PARAMETER = LeafKind(("node", "name", *_WAYS, "for"), _EXAMPLE, _read)
+PARAMETER = LeafKind(
+    "parameter",
+    "while a parameter of a node has the right value",
+    (
+        Key("node", "the node, fully qualified, such as /controller_server"),
+        Key("name", "the parameter, such as max_vel_x", xml="parameter"),
+        Key("equals", "the value that it must have, such as 0.26"),
+        Key("one_of", "the values of which it must have one, separated by ;"),
+        Key("between", "the least and the greatest allowed number, such as 0.2 to 0.3"),
+        time_key("for", "how long it must differ before that is a failure, such as 1s"),
+    ),
+    _EXAMPLE,
+    _read,
+)

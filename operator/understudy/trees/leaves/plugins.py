@@ -21,7 +21,7 @@ _NAME = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)+")
 
 
 @dataclass(frozen=True)
-class Added:
+class PluginLeaves:
     """What was found."""
 
     leaves: Mapping[str, LeafKind]
@@ -30,7 +30,7 @@ class Added:
     """Those that can't be used, and why."""
 
 
-def added(taken: Collection[str]) -> Added:
+def load_plugins(taken: Collection[str]) -> PluginLeaves:
     """The leaves of all installed packages; none can have a name that is ``taken``.
 
     What can't be used is logged, and told where a tree names it: it is no reason not to protect the robots that don't.
@@ -45,7 +45,7 @@ def added(taken: Collection[str]) -> Added:
         except ValueError as error:
             refused[name] = f"{name} of {' and '.join(map(_package, entries))} can't be used: {error}"
             _logger.error("%s", refused[name])
-    return Added(leaves, refused)
+    return PluginLeaves(leaves, refused)
 
 
 def _leaf(name: str, entries: list[EntryPoint], taken: Collection[str]) -> LeafKind:

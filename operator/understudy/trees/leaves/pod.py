@@ -15,12 +15,12 @@ from operator import ge, gt, le, lt
 from typing import Any
 
 from understudy.api.quantities import QUANTITY, amount
-from understudy.trees.core.evidence import EvidenceLeaf, Said, Track
+from understudy.trees.core.evidence import EvidenceLeaf, EvidenceTrack, Finding
 from understudy.trees.core.health_tree import WatchedTopic
 from understudy.trees.core.leaf import Leaf, State, duration
-from understudy.trees.core.observations import Glance, PodState
-from understudy.trees.core.task_activity import TaskActive, situation
-from understudy.trees.leaves.leaf_plan import LeafKind, LeafPlan, Make, hold_off_of
+from understudy.trees.core.observations import Evaluation, PodState
+from understudy.trees.core.task_activity import TaskActive, task_timing
+from understudy.trees.leaves.leaf_plan import Key, LeafKind, LeafPlan, Make, hold_off_of, time_key
 from understudy.trees.source.expressions import Fields
 from understudy.trees.source.value_reader import Reader, duration_of, found_text, whole_number_of
 
@@ -70,22 +70,21 @@ class _LookLeaf(EvidenceLeaf[PodState]):
     """Holds while the looks at the pod say so."""
 
     hears = False
-    kind = POD
     of_cluster = True
     unrecorded = _UNRECORDED
 
-    def __init__(self, path: str, glance: Glance, *, hold_off: float, tasks: Sequence[TaskActive]) -> None:
-        super().__init__(path, POD, glance, hold_off=hold_off, tasks=tasks)
+    def __init__(self, path: str, evaluation: Evaluation, *, hold_off: float, tasks: Sequence[TaskActive]) -> None:
+        super().__init__(path, POD, evaluation, hold_off=hold_off, tasks=tasks)
 
-    def fresh(self, track: Track[PodState]) -> list[PodState]:
+    def fresh(self, track: EvidenceTrack[PodState]) -> list[PodState]:
         """The last look at the pod, once."""
-        found = self._glance.observations.pod()
-        if found is None or found is track.seen or found.received < self._glance.since:
+        found = self._evaluation.observations.pod()
+        if found is None or found is track.seen or found.received < self._evaluation.since:
             return []
         return [found]
 
-    def _limits(self, track: Track[PodState]) -> tuple[float, float]:
-        return super()._limits(track) if self._glance.observations.in_control else (math.inf, math.inf)
+    def _limits(self, track: EvidenceTrack[PodState]) -> tuple[float, float]:
+        return super()._limits(track) if self._evaluation.observations.in_control else (math.inf, math.inf)
 
     def awaited(self) -> str:
         """What must come first."""
@@ -98,7 +97,7 @@ class ConditionLeaf(_LookLeaf):
     def __init__(
         self,
         path: str,
-        glance: Glance,
+        evaluation: Evaluation,
         condition: str,
         status: str = "True",
         *,
@@ -106,17 +105,17 @@ class ConditionLeaf(_LookLeaf):
         tasks: Sequence[TaskActive] = (),
     ) -> None:
         """A leaf over a condition by its type; ``hold_off`` in seconds."""
-        super().__init__(path, glance, hold_off=hold_off, tasks=tasks)
+        super().__init__(path, evaluation, hold_off=hold_off, tasks=tasks)
         self._condition, self._status = condition, status
 
-    def said(self, content: PodState, failed: bool) -> Said:
+    def said(self, content: PodState, failed: bool) -> Finding:
         """What the look says. A condition that the pod hasn't got is unknown (Kubernetes' API conventions)."""
         found = next((one for one in content.conditions if one.type == self._condition), None)
         if (found.status if found is not None else "Unknown") == self._status:
-            return Said(True, "")
+            return Finding(True, "")
         if found is None:
-            return Said(False, "the pod has no such condition")
-        return Said(False, f"it is {found.status}{f', {found.reason}' if found.reason else ''}")
+            return Finding(False, "the pod has no such condition")
+        return Finding(False, f"it is {found.status}{f', {found.reason}' if found.reason else ''}")
 
     def condition(self) -> str:
         """The condition in words."""
@@ -129,7 +128,7 @@ class UsageLeaf(_LookLeaf):
     def __init__(
         self,
         path: str,
-        glance: Glance,
+        evaluation: Evaluation,
         what: str,
         bound: Bound,
         *,
@@ -137,17 +136,17 @@ class UsageLeaf(_LookLeaf):
         tasks: Sequence[TaskActive] = (),
     ) -> None:
         """A leaf over one of RESOURCES; ``hold_off`` in seconds."""
-        super().__init__(path, glance, hold_off=hold_off, tasks=tasks)
+        super().__init__(path, evaluation, hold_off=hold_off, tasks=tasks)
         self._what, self._bound = what, bound
 
-    def said(self, content: PodState, failed: bool) -> Said:
+    def said(self, content: PodState, failed: bool) -> Finding:
         """What the last figures say."""
         if content.usage is None:
-            return Said(True, "")  # being blind is no failure
+            return Finding(True, "")  # being blind is no failure
         taken = getattr(content.usage, self._what)
         if self._bound.holds(taken):
-            return Said(True, "")
-        return Said(False, f"it was {RESOURCES[self._what](taken)}")
+            return Finding(True, "")
+        return Finding(False, f"it was {RESOURCES[self._what](taken)}")
 
     def condition(self) -> str:
         """The condition in words."""
@@ -183,26 +182,25 @@ class RestartsLeaf(Leaf):
     """
 
     hears = False
-    kind = POD
     of_cluster = True
     unrecorded = _UNRECORDED
 
     def __init__(
-        self, path: str, glance: Glance, most: int, window: float, *, tasks: Sequence[TaskActive] = ()
+        self, path: str, evaluation: Evaluation, most: int, window: float, *, tasks: Sequence[TaskActive] = ()
     ) -> None:
         """A leaf that allows ``most`` restarts in ``window`` seconds."""
-        super().__init__(path, POD, glance, tasks)
+        super().__init__(path, POD, evaluation, tasks)
         self._most, self._window = most, window
         self._counted = _Counted(math.nan)
 
     def _followed(self) -> _Counted:
-        """The restarts until the glance's moment."""
-        glance, counted = self._glance, self._counted
-        if counted.since != glance.since:
-            counted = self._counted = _Counted(glance.since, deque(maxlen=self._most + 1))
+        """The restarts until the time of the evaluation."""
+        evaluation, counted = self._evaluation, self._counted
+        if counted.since != evaluation.since:
+            counted = self._counted = _Counted(evaluation.since, deque(maxlen=self._most + 1))
         counted.shift()
-        pod = glance.observations.pod()
-        if pod is None or pod is counted.seen or pod.received < glance.since:
+        pod = evaluation.observations.pod()
+        if pod is None or pod is counted.seen or pod.received < evaluation.since:
             return counted
         # How often an instance was restarted before it took control, or before anybody looked, isn't held against it.
         new = pod.restarts - counted.total if counted.total is not None else 0
@@ -213,31 +211,31 @@ class RestartsLeaf(Leaf):
     def _failing(self) -> tuple[float, float] | None:
         """From when to when it fails if there is no further restart; None where it doesn't."""
         counted = self._followed()
-        if len(counted.times) <= self._most or not self._glance.observations.in_control:
+        if len(counted.times) <= self._most or not self._evaluation.observations.in_control:
             return None
         begin, end = -math.inf, counted.times[0] + self._window
         if self.tasks:
-            found = situation(self.tasks, self._glance)
+            found = task_timing(self.tasks, self._evaluation)
             if found is None or counted.times[0] < found.active:
                 return None
             begin = found.settled
         return (begin, end) if begin < end else None
 
     def state(self) -> State:
-        """The state at the glance's moment."""
+        """The state at the time of the evaluation."""
         failing = self._failing()
-        return "Failed" if failing is not None and failing[0] <= self._glance.now < failing[1] else "Healthy"
+        return "Failed" if failing is not None and failing[0] <= self._evaluation.now < failing[1] else "Healthy"
 
     def healthy_until(self) -> float | None:
         """When it is no longer healthy; None where it isn't healthy. Another restart can be seen at any time."""
         failing = self._failing()
-        if failing is None or self._glance.now >= failing[1]:
+        if failing is None or self._evaluation.now >= failing[1]:
             return math.inf
-        return failing[0] if self._glance.now < failing[0] else None
+        return failing[0] if self._evaluation.now < failing[0] else None
 
     def changes(self) -> list[float]:
-        """The moments after the glance's at which the state may be another with no further restart."""
-        return [moment for moment in self._failing() or () if self._glance.now < moment < math.inf]
+        """The moments after that of the evaluation at which the state may be another with no further restart."""
+        return [moment for moment in self._failing() or () if self._evaluation.now < moment < math.inf]
 
     def last(self) -> float | None:
         """When all was last well: when the restart that was one too many was seen."""
@@ -296,7 +294,9 @@ def _condition(reader: Reader, value: Mapping[str, Any], path: str) -> Make | No
     hold_off = hold_off_of(reader, value, path)
     if condition is None or status is None:
         return None
-    return lambda place, glance, tasks: ConditionLeaf(place, glance, condition, status, hold_off=hold_off, tasks=tasks)
+    return lambda place, evaluation, tasks: ConditionLeaf(
+        place, evaluation, condition, status, hold_off=hold_off, tasks=tasks
+    )
 
 
 def _restarts(reader: Reader, value: Mapping[str, Any], path: str) -> Make | None:
@@ -308,7 +308,7 @@ def _restarts(reader: Reader, value: Mapping[str, Any], path: str) -> Make | Non
     window = reader.given(value, "window", path, duration_of)
     if most is None or window is None:
         return None
-    return lambda place, glance, tasks: RestartsLeaf(place, glance, most, window, tasks=tasks)
+    return lambda place, evaluation, tasks: RestartsLeaf(place, evaluation, most, window, tasks=tasks)
 
 
 def _usage(what: str) -> _Read:
@@ -317,7 +317,9 @@ def _usage(what: str) -> _Read:
         hold_off = hold_off_of(reader, value, path)
         if bound is None:
             return None
-        return lambda place, glance, tasks: UsageLeaf(place, glance, what, bound, hold_off=hold_off, tasks=tasks)
+        return lambda place, evaluation, tasks: UsageLeaf(
+            place, evaluation, what, bound, hold_off=hold_off, tasks=tasks
+        )
 
     return read
 
@@ -355,4 +357,19 @@ def _status(found: object) -> str:
     return status
 
 
-POD_LEAF = LeafKind(("condition", "status", "restarts", "window", *RESOURCES, "for"), _EXAMPLE, _read, of_control=True)
+POD_LEAF = LeafKind(
+    POD,
+    "while the pod of the instance has a condition, is not restarted too often, or uses no more CPU or memory than allowed",
+    (
+        Key("condition", "the type of a condition of the pod, such as Ready"),
+        Key("status", "the status that the condition must have: True, False or Unknown; True if it is not given"),
+        Key("restarts", "how often its containers may be restarted within the window, such as 2", "int"),
+        time_key("window", "the time within which restarts are counted, such as 10m"),
+        Key("cpu", "the cores that its containers may use, such as < 1.5"),
+        Key("memory", "the memory that its containers may use, such as < 200Mi"),
+        time_key("for", "how long it must not hold before that is a failure, such as 10s; not with restarts"),
+    ),
+    _EXAMPLE,
+    _read,
+    active_only=True,
+)

@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from understudy.api.ros_names import ROS_NAME_PATTERN
-from understudy.trees.core.evidence import EvidenceLeaf, Said, Track
+from understudy.trees.core.evidence import EvidenceLeaf, EvidenceTrack, Finding
 from understudy.trees.core.health_tree import WatchedTopic
-from understudy.trees.core.observations import Glance, Publishers
+from understudy.trees.core.observations import Evaluation, Publishers
 from understudy.trees.core.task_activity import TaskActive
-from understudy.trees.leaves.leaf_plan import LeafKind, LeafPlan, hold_off_of, topic_of
+from understudy.trees.leaves.leaf_plan import Key, LeafKind, LeafPlan, hold_off_of, time_key, topic_key, topic_of
 from understudy.trees.source.expressions import Fields
 from understudy.trees.source.value_reader import Reader, whole_number_of
 
@@ -27,7 +27,7 @@ class PublisherLeaf(EvidenceLeaf[Publishers]):
         self,
         path: str,
         topic: str,
-        glance: Glance,
+        evaluation: Evaluation,
         count: int = 1,
         node: str | None = None,
         *,
@@ -35,22 +35,22 @@ class PublisherLeaf(EvidenceLeaf[Publishers]):
         tasks: Sequence[TaskActive] = (),
     ) -> None:
         """A leaf over a topic; ``node`` is fully qualified, ``hold_off`` in seconds."""
-        super().__init__(path, topic, glance, hold_off=hold_off, tasks=tasks)
+        super().__init__(path, topic, evaluation, hold_off=hold_off, tasks=tasks)
         self._count, self._node = count, node
 
-    def fresh(self, track: Track[Publishers]) -> list[Publishers]:
+    def fresh(self, track: EvidenceTrack[Publishers]) -> list[Publishers]:
         """The last look at the ROS graph, once."""
-        found = self._glance.observations.publishers(self.topic)
-        if found is None or found is track.seen or found.received < self._glance.since:
+        found = self._evaluation.observations.publishers(self.topic)
+        if found is None or found is track.seen or found.received < self._evaluation.since:
             return []
         return [found]
 
-    def said(self, content: Publishers, failed: bool) -> Said:
+    def said(self, content: Publishers, failed: bool) -> Finding:
         """What the look says."""
         count = sum(self._node in (None, node) for node in content.nodes)
         if count >= self._count:
-            return Said(True, "")
-        return Said(False, f"there {'is' if count == 1 else 'are'} {count}" if count else "there is none")
+            return Finding(True, "")
+        return Finding(False, f"there {'is' if count == 1 else 'are'} {count}" if count else "there is none")
 
     def condition(self) -> str:
         """The condition in words."""
@@ -80,8 +80,21 @@ def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | 
     return LeafPlan(
         f"{topic.lstrip('/')}.publisher",
         WatchedTopic(topic, None, 0.0, None, heard=False, publishers=True),
-        lambda place, glance, tasks: PublisherLeaf(place, topic, glance, count, node, hold_off=hold_off, tasks=tasks),
+        lambda place, evaluation, tasks: PublisherLeaf(
+            place, topic, evaluation, count, node, hold_off=hold_off, tasks=tasks
+        ),
     )
 
 
-PUBLISHER = LeafKind(("topic", "count", "node", "for"), _EXAMPLE, _read)
+PUBLISHER = LeafKind(
+    "publisher",
+    "while the topic has a publisher",
+    (
+        topic_key("/cmd_vel"),
+        Key("count", "the least number of publishers, such as 1", "int", default="1"),
+        Key("node", "the node that the publishers must be in, such as /controller_server"),
+        time_key("for", "how long there must be fewer before that is a failure, such as 2s"),
+    ),
+    _EXAMPLE,
+    _read,
+)

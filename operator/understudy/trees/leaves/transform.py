@@ -7,13 +7,22 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from understudy.trees.core.evidence import Said, Track
+from understudy.trees.core.evidence import EvidenceTrack, Finding
 from understudy.trees.core.health_tree import WatchedTopic
 from understudy.trees.core.leaf import State, duration
-from understudy.trees.core.observations import Content, Glance, Unreadable
+from understudy.trees.core.observations import Content, Evaluation, Unreadable
 from understudy.trees.core.task_activity import TaskActive
 from understudy.trees.leaves.age import rounded
-from understudy.trees.leaves.leaf_plan import LeafKind, LeafPlan, at_once, hold_off_of, topic_of
+from understudy.trees.leaves.leaf_plan import (
+    Key,
+    LeafKind,
+    LeafPlan,
+    fails_on_arrival,
+    hold_off_of,
+    time_key,
+    topic_key,
+    topic_of,
+)
 from understudy.trees.leaves.message_content import ContentLeaf
 from understudy.trees.source.expressions import Fields
 from understudy.trees.source.value_reader import Reader, duration_of, found_text
@@ -45,7 +54,7 @@ class TransformLeaf(ContentLeaf):
         self,
         path: str,
         topic: str,
-        glance: Glance,
+        evaluation: Evaluation,
         child: str,
         parent: str | None,
         gap: float,
@@ -55,10 +64,10 @@ class TransformLeaf(ContentLeaf):
         tasks: Sequence[TaskActive] = (),
     ) -> None:
         """A leaf over the transform to the frame ``child``, from ``parent`` or whatever its parent is. All times in seconds."""
-        super().__init__(path, topic, glance, hold_off=hold_off, tasks=tasks)
+        super().__init__(path, topic, evaluation, hold_off=hold_off, tasks=tasks)
         self._child, self._parent, self._gap, self._most = child, parent, gap, most
 
-    def said(self, content: Content, failed: bool) -> Said | None:
+    def said(self, content: Content, failed: bool) -> Finding | None:
         """What the message says; None where the transform isn't in it."""
         if not content.mentions(self._child):
             return None
@@ -66,12 +75,12 @@ class TransformLeaf(ContentLeaf):
         if not stamps:
             return None
         if self._most is None:
-            return Said(True, "")
+            return Finding(True, "")
         newest = max(stamps)
         if not newest:
-            return Said(False, "it can't be told: there is no stamp")
+            return Finding(False, "it can't be told: there is no stamp")
         age = content.older(newest)
-        return Said(True, "") if age <= self._most else Said(False, f"it was {rounded(age)}")
+        return Finding(True, "") if age <= self._most else Finding(False, f"it was {rounded(age)}")
 
     def _stamps(self, content: Content) -> Iterator[float]:
         """The stamps of the transform in a message, in Unix seconds."""
@@ -86,11 +95,11 @@ class TransformLeaf(ContentLeaf):
                 stamp = one.header.stamp
                 yield stamp.sec + stamp.nanosec * 1e-9
 
-    def lost(self, track: Track[Content]) -> float:
+    def lost(self, track: EvidenceTrack[Content]) -> float:
         """When it has failed if nothing more arrives: by the gap, or by its age."""
         return min(super().lost(track), self._silent(track))
 
-    def _silent(self, track: Track[Content]) -> float:
+    def _silent(self, track: EvidenceTrack[Content]) -> float:
         """When the gap has failed if nothing more arrives."""
         return max(track.heard if track.heard is not None else -math.inf, self.begun()) + self._gap
 
@@ -107,7 +116,7 @@ class TransformLeaf(ContentLeaf):
 
     def _plain_reason(self, state: State) -> str:
         track = self.followed()
-        if state == "Failed" and track.heard is not None and track.held and self._glance.now >= self._silent(track):
+        if state == "Failed" and track.heard is not None and track.held and self._evaluation.now >= self._silent(track):
             return f"no {self.awaited()} for {duration(self._gap)}"
         if state == "Healthy" and track.heard is not None:
             return f"{self.awaited()} is received"
@@ -145,9 +154,11 @@ def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | 
         return None
     return LeafPlan(
         f"{child}.transform",
-        WatchedTopic(topic, TYPE, 0.0, BURST, contents=KEPT, whole=True, prompt=most is not None and at_once(hold_off)),
-        lambda place, glance, tasks: TransformLeaf(
-            place, topic, glance, child, parent, gap, most=most, hold_off=hold_off, tasks=tasks
+        WatchedTopic(
+            topic, TYPE, 0.0, BURST, contents=KEPT, whole=True, prompt=most is not None and fails_on_arrival(hold_off)
+        ),
+        lambda place, evaluation, tasks: TransformLeaf(
+            place, topic, evaluation, child, parent, gap, most=most, hold_off=hold_off, tasks=tasks
         ),
     )
 
@@ -160,4 +171,17 @@ def _frame(found: object) -> str:
     return found
 
 
-TRANSFORM = LeafKind(("topic", "child", "parent", "gap", "at_most", "for"), _EXAMPLE, _read)
+TRANSFORM = LeafKind(
+    "transform",
+    "while a transform between two frames is received",
+    (
+        topic_key("", "/tf, or another topic of its type", default=TOPIC),
+        Key("child", "the frame that the transform leads to, such as base_link"),
+        Key("parent", "the frame that it leads from, such as odom"),
+        time_key("gap", "how long it may be missing, such as 500ms"),
+        time_key("at_most", "the greatest age of the transform when it arrives, such as 300ms"),
+        time_key("for", "how long it must be older before that is a failure, such as 1s"),
+    ),
+    _EXAMPLE,
+    _read,
+)

@@ -5,13 +5,24 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from understudy.trees.core.evidence import Said
+from understudy.trees.core.evidence import Finding
 from understudy.trees.core.health_tree import WatchedTopic
-from understudy.trees.core.observations import Content, Glance, Unreadable
+from understudy.trees.core.observations import Content, Evaluation, Unreadable
 from understudy.trees.core.task_activity import TaskActive
-from understudy.trees.leaves.leaf_plan import LeafKind, LeafPlan, at_once, hold_off_of, topic_of, type_of
+from understudy.trees.leaves.leaf_plan import (
+    TYPE,
+    Key,
+    LeafKind,
+    LeafPlan,
+    fails_on_arrival,
+    hold_off_of,
+    time_key,
+    topic_key,
+    topic_of,
+    type_of,
+)
 from understudy.trees.leaves.message_content import ContentLeaf
-from understudy.trees.source.expressions import Expression, ExpressionError, Fields, Untold
+from understudy.trees.source.expressions import Expression, ExpressionError, Fields, Undefined
 from understudy.trees.source.value_reader import Reader, found_text
 
 
@@ -25,7 +36,7 @@ class ValueLeaf(ContentLeaf):
         self,
         path: str,
         topic: str,
-        glance: Glance,
+        evaluation: Evaluation,
         holds: Expression,
         recovers: Expression | None = None,
         *,
@@ -33,23 +44,23 @@ class ValueLeaf(ContentLeaf):
         tasks: Sequence[TaskActive] = (),
     ) -> None:
         """A leaf over a topic; ``hold_off`` in seconds."""
-        super().__init__(path, topic, glance, hold_off=hold_off, tasks=tasks)
+        super().__init__(path, topic, evaluation, hold_off=hold_off, tasks=tasks)
         self._holds, self._recovers = holds, recovers
 
-    def said(self, content: Content, failed: bool) -> Said:
+    def said(self, content: Content, failed: bool) -> Finding:
         """What the message says by its values."""
         wanted = self._recovers if failed and self._recovers is not None else self._holds
         try:
             message = content.message()
         except Unreadable as error:
-            return Said(False, f"it can't be told: {error}")
+            return Finding(False, f"it can't be told: {error}")
         try:
             if wanted.holds(message):
-                return Said(True, "")
+                return Finding(True, "")
             values = wanted.values(message).replace(" is ", " was ")
-            return Said(False, values)
-        except Untold as error:
-            return Said(False, f"it can't be told: {error}")
+            return Finding(False, values)
+        except Undefined as error:
+            return Finding(False, f"it can't be told: {error}")
 
     def condition(self) -> str:
         """The condition in words."""
@@ -84,9 +95,23 @@ def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | 
         return None
     return LeafPlan(
         f"{topic.lstrip('/')}.value",
-        WatchedTopic(topic, type_, 0.0, None, contents=1, whole=True, prompt=at_once(hold_off)),
-        lambda place, glance, tasks: ValueLeaf(place, topic, glance, holds, recovers, hold_off=hold_off, tasks=tasks),
+        WatchedTopic(topic, type_, 0.0, None, contents=1, whole=True, prompt=fails_on_arrival(hold_off)),
+        lambda place, evaluation, tasks: ValueLeaf(
+            place, topic, evaluation, holds, recovers, hold_off=hold_off, tasks=tasks
+        ),
     )
 
 
-VALUE = LeafKind(("topic", "type", "holds", "recovers", "for"), _EXAMPLE, _read)
+VALUE = LeafKind(
+    "value",
+    "while a condition over the fields of the messages holds",
+    (
+        topic_key("/battery_state"),
+        TYPE,
+        Key("holds", "the condition that must hold, such as percentage > 0.15"),
+        Key("recovers", "the condition that must hold again after a failure"),
+        time_key("for", "how long the condition must not hold before that is a failure, such as 500ms"),
+    ),
+    _EXAMPLE,
+    _read,
+)

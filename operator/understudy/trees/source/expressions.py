@@ -5,7 +5,7 @@ into a closure of its own, and all else is refused when the expression is read. 
 nothing but the message's own data can be reached. The work that an expression can cause is bounded.
 
 The truth has three values: where a number is NaN, a divisor 0 or an element missing, a comparison can't be told
-(:class:`Untold`). ``and``, ``or``, ``not``, ``any`` and ``all`` then follow Kleene: what one side decides alone is decided.
+(:class:`Undefined`). ``and``, ``or``, ``not``, ``any`` and ``all`` then follow Kleene: what one side decides alone is decided.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class ExpressionError(ValueError):
     """An expression that can't be used; says what was found and what would be right."""
 
 
-class Untold(Exception):
+class Undefined(Exception):
     """Whether a condition holds can't be told of a message; the text says why."""
 
 
@@ -120,7 +120,7 @@ class Expression:
         for name, evaluate in self._shown:
             try:
                 value = evaluate(message, None)
-            except Untold:
+            except Undefined:
                 continue
             if isinstance(value, bool | int | float | str):
                 told.append(f"{name} is {_shown(value)}")
@@ -146,9 +146,9 @@ class Quantity:
         try:
             value = float(self._evaluate(message, None))
         except OverflowError:
-            raise Untold(f"{self.text:.80} is too large") from None
+            raise Undefined(f"{self.text:.80} is too large") from None
         if not math.isfinite(value):
-            raise Untold(f"{self.text:.80} is {value:g}")
+            raise Undefined(f"{self.text:.80} is {value:g}")
         return value
 
 
@@ -303,7 +303,7 @@ class _Compiler:
             try:
                 return _plain(values[index])
             except IndexError:
-                raise Untold(f"{text} has {len(values)} elements, and so no {text}[{index}]") from None
+                raise Undefined(f"{text} has {len(values)} elements, and so no {text}[{index}]") from None
 
         return kind.item or _ANY, evaluate
 
@@ -338,9 +338,9 @@ class _Compiler:
             try:
                 return calculate(left(message, element), right(message, element))
             except ZeroDivisionError:
-                raise Untold(f"{text} divides by 0") from None
+                raise Undefined(f"{text} divides by 0") from None
             except OverflowError:
-                raise Untold(f"{text} is too large") from None
+                raise Undefined(f"{text} is too large") from None
 
         return evaluate
 
@@ -360,13 +360,13 @@ class _Compiler:
             return _comparison(*steps[0], values, texts)
 
         def evaluate(message: Any, element: Any) -> bool:
-            untold: Untold | None = None
+            untold: Undefined | None = None
             found = [_value_or_untold(value, message, element) for value in values]
             for index, (compare, ordered) in enumerate(steps):
                 try:
                     if not _compared(compare, ordered, found[index : index + 2], texts[index : index + 2]):
                         return False
-                except Untold as error:
+                except Undefined as error:
                     untold = untold or error
             if untold is not None:
                 raise untold
@@ -427,7 +427,7 @@ class _Compiler:
         def extreme(message: Any, element: Any) -> float:
             values = _elements(evaluate(message, element), text)
             if not len(values):
-                raise Untold(f"{text} has no elements")
+                raise Undefined(f"{text} has no elements")
             return _extreme(name, [_number(_plain(value), f"an element of {text}") for value in values])
 
         return extreme
@@ -501,7 +501,7 @@ def _field_of(evaluate: _Evaluate, name: str) -> _Evaluate:
             describe = getattr(cls, "get_fields_and_field_types", None)
             known[cls] = describe is not None and name in describe()
         if not known[cls]:
-            raise Untold(f"{cls.__name__} has no field {name}")
+            raise Undefined(f"{cls.__name__} has no field {name}")
         return _plain(getattr(value, name))
 
     return field
@@ -523,13 +523,13 @@ def _array(value: Any, text: str) -> Any:
         return value
     if hasattr(value, "tolist") and getattr(value, "ndim", 0) == 1:
         return value
-    raise Untold(f"{text} is no array")
+    raise Undefined(f"{text} is no array")
 
 
 def _elements(value: Any, text: str) -> Any:
     values = _array(value, text)
     if len(values) > MOST_ELEMENTS:
-        raise Untold(f"{text} has {len(values)} elements; up to {MOST_ELEMENTS} are gone through")
+        raise Undefined(f"{text} has {len(values)} elements; up to {MOST_ELEMENTS} are gone through")
     return values
 
 
@@ -539,13 +539,13 @@ def _length(value: Any, text: str) -> int:
 
 def _number(value: Any, text: str) -> Any:
     if type(value) not in _NUMERIC:
-        raise Untold(f"{text} is no number")
+        raise Undefined(f"{text} is no number")
     return value
 
 
 def _truth(value: object, text: str) -> bool:
     if value is not True and value is not False:
-        raise Untold(f"{text:.80} is neither true nor false")
+        raise Undefined(f"{text:.80} is neither true nor false")
     return value
 
 
@@ -566,9 +566,9 @@ def _root(evaluate: _Evaluate, text: str) -> _Evaluate:
         try:
             return math.sqrt(value)
         except ValueError:
-            raise Untold(f"{text} is of a negative number") from None
+            raise Undefined(f"{text} is of a negative number") from None
         except OverflowError:
-            raise Untold(f"{text} is too large") from None
+            raise Undefined(f"{text} is too large") from None
 
     return root
 
@@ -576,7 +576,7 @@ def _root(evaluate: _Evaluate, text: str) -> _Evaluate:
 def _value_or_untold(evaluate: _Evaluate, message: Any, element: Any) -> Any:
     try:
         return evaluate(message, element)
-    except Untold as error:
+    except Undefined as error:
         return error
 
 
@@ -597,10 +597,10 @@ def _comparison(
 
 def _compared(compare: Callable[[Any, Any], bool], ordered: bool, values: Sequence[Any], texts: Sequence[str]) -> bool:
     for value, text in zip(values, texts, strict=True):
-        if isinstance(value, Untold):
+        if isinstance(value, Undefined):
             raise value
         if isinstance(value, float) and math.isnan(value):
-            raise Untold(f"{text} is NaN")
+            raise Undefined(f"{text} is NaN")
         if ordered:
             _number(value, text)
     first, second = values
@@ -618,12 +618,12 @@ def _all_of(parts: Sequence[_Evaluate], conjunction: bool) -> _Evaluate:
     """``and`` of conditions, or ``or``: the first that decides it does, else it is untold if one of them is."""
 
     def evaluate(message: Any, element: Any) -> bool:
-        untold: Untold | None = None
+        untold: Undefined | None = None
         for part in parts:
             try:
                 if _truth(part(message, element), "a part of it") != conjunction:
                     return not conjunction
-            except Untold as error:
+            except Undefined as error:
                 untold = untold or error
         if untold is not None:
             raise untold
@@ -638,12 +638,12 @@ def _negated(truth: _Evaluate) -> _Evaluate:
 
 def _found(message: Any, values: Iterable[Any], truth: _Evaluate) -> bool:
     """Whether a condition holds for any element."""
-    untold: Untold | None = None
+    untold: Undefined | None = None
     for value in values:
         try:
             if truth(message, _plain(value)):
                 return True
-        except Untold as error:
+        except Undefined as error:
             untold = untold or error
     if untold is not None:
         raise untold

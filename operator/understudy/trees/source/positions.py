@@ -11,7 +11,7 @@ Place = TypeVar("Place")
 
 
 @dataclass(frozen=True)
-class Beginning:
+class TextOffset:
     """Where a text begins in the file that it is part of; its own first character, where it is a file by itself."""
 
     lines: int = 0
@@ -20,7 +20,7 @@ class Beginning:
     """Characters before each of its lines."""
 
 
-ALONE = Beginning()
+WHOLE_FILE = TextOffset()
 
 
 class Malformed(ValueError):

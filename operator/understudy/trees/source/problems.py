@@ -7,7 +7,7 @@ import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-MOST_TOLD = 10
+MOST_LISTED = 10
 """Problems that are told of one tree where not all of them can be."""
 
 _LONGEST_TOLD = 1000
@@ -39,8 +39,8 @@ class TreeError(ValueError):
     def in_short(self) -> str:
         """The first of them, in as much text as a condition can have among others."""
         told = [f"{problem!s:.{_LONGEST_TOLD}}" for problem in self.problems]
-        more = f"; and {len(told) - MOST_TOLD} more" if len(told) > MOST_TOLD else ""
-        return "; ".join(told[:MOST_TOLD]) + more
+        more = f"; and {len(told) - MOST_LISTED} more" if len(told) > MOST_LISTED else ""
+        return "; ".join(told[:MOST_LISTED]) + more
 
 
 def did_you_mean(found: str, known: Iterable[str]) -> str:

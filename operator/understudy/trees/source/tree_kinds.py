@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Subject:
+class TreeKind:
     """A kind of tree."""
 
     one: str
@@ -25,6 +25,6 @@ class Subject:
         return f"{self.one}s"
 
 
-HEALTH = Subject("health tree", named=True)
-PROCEDURE = Subject("procedure", named=False)
-CHECK = Subject("check", named=False)
+HEALTH = TreeKind("health tree", named=True)
+PROCEDURE = TreeKind("procedure", named=False)
+CHECK = TreeKind("check", named=False)

@@ -18,6 +18,9 @@ MOST = 512
 LONGEST = 24 * 3600
 """Seconds that a length of time in a tree may have."""
 
+JSON_PREFIX = "json:"
+"""The prefix of a value that is JSON (basic_types.h of BehaviorTree.CPP 4.6), which may contain braces."""
+
 _NODE_NAME = re.compile(r"[A-Za-z0-9_.-]{1,63}")
 
 

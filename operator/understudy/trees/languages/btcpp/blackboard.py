@@ -6,13 +6,10 @@ from collections.abc import Iterator, Mapping
 
 from understudy.trees.languages.btcpp.xml_elements import Element
 from understudy.trees.source.problems import did_you_mean
-from understudy.trees.source.value_reader import found_text
+from understudy.trees.source.value_reader import JSON_PREFIX, found_text
 
 Board = Mapping[str, str | None]
 """Values by entry; None where one couldn't be read, which was said already."""
-
-JSON = "json:"
-"""What stands before a value that is JSON (basic_types.h of BehaviorTree.CPP 4.6), which may have braces then."""
 
 SAME = "="
 """``{=}`` is the entry that is called like the port."""
@@ -21,7 +18,7 @@ SAME = "="
 def entry(value: str, port: str) -> str | None:
     """The entry that a port's value names, None where it is a plain value. Raises ValueError for a part of a value."""
     text = value.strip()
-    if text.startswith(JSON):
+    if text.startswith(JSON_PREFIX):
         return None
     inner = text[1:-1].strip() if text.startswith("{") and text.endswith("}") else None
     if inner is not None and "{" not in inner and "}" not in inner:

@@ -7,7 +7,7 @@ from understudy.trees.languages.btcpp.library import Library
 from understudy.trees.languages.btcpp.origins import origin
 from understudy.trees.languages.btcpp.port_models import SubTreeModel
 from understudy.trees.languages.btcpp.xml_elements import Element
-from understudy.trees.languages.short_form import Found
+from understudy.trees.languages.text.source_map import LocatedProblem
 from understudy.trees.source.problems import did_you_mean
 from understudy.trees.source.value_reader import found_text
 
@@ -19,7 +19,7 @@ class Document:
     """The parts of a file, and the problems with them."""
 
     def __init__(self, root: Element, path: str, library: Library) -> None:
-        self.problems: list[Found] = []
+        self.problems: list[LocatedProblem] = []
         self.trees: dict[str, Element] = {}
         """By ID."""
         self.models: dict[str, SubTreeModel] = {}

@@ -7,22 +7,10 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from understudy.trees.languages.btcpp import thresholds
-from understudy.trees.leaves import procedure_vocabulary
-from understudy.trees.leaves.action_progress import PROGRESS
-from understudy.trees.leaves.age import AGE
-from understudy.trees.leaves.diagnostics import DIAGNOSTICS
-from understudy.trees.leaves.lifecycle import LIFECYCLE
-from understudy.trees.leaves.log import LOG
-from understudy.trees.leaves.motion import MOTION
-from understudy.trees.leaves.node import NODE
-from understudy.trees.leaves.parameter import PARAMETER
-from understudy.trees.leaves.pod import POD_LEAF
-from understudy.trees.leaves.publisher import PUBLISHER
-from understudy.trees.leaves.registry import ADDED, UNUSABLE
-from understudy.trees.leaves.transform import TRANSFORM
-from understudy.trees.leaves.value import VALUE
+from understudy.trees.leaves import procedure_steps
+from understudy.trees.leaves.registry import LEAVES, REFUSED_PLUGINS
 from understudy.trees.source import tree_kinds
-from understudy.trees.source.tree_kinds import Subject
+from understudy.trees.source.tree_kinds import TreeKind
 
 Category = Literal["Action", "Condition", "Control", "Decorator"]
 
@@ -46,7 +34,7 @@ class Node:
 
 
 def tag_of(key: str) -> str:
-    """What a leaf of procedures, or of another package, is called in XML, such as ``SetLifecycle`` for ``set_lifecycle``."""
+    """Return the name of a leaf or step in XML, such as ``SetLifecycle`` for ``set_lifecycle``."""
     return "".join(part.capitalize() for part in key.split("_"))
 
 
@@ -63,41 +51,9 @@ NODES: Mapping[str, Node] = {
         "while",
         {"action": "while.task_active.action", "type": "while.task_active.type", "settle": "settle"},
     ),
-    "Topic": Node(
-        "Condition",
-        "topic",
-        # `name` is the node's own name in BehaviorTree.CPP, so the topic's can't be.
-        {
-            "topic": "topic.name",
-            "type": "topic.type",
-            "gap": "topic.gap",
-            "rate": "topic.rate",
-            "window": "topic.window",
-        },
-    ),
-    "Value": Node("Condition", "value", {key: f"value.{key}" for key in VALUE.keys}),
-    "Age": Node("Condition", "age", {key: f"age.{key}" for key in AGE.keys}),
-    "Diagnostics": Node(
-        "Condition",
-        "diagnostics",
-        {"status" if key == "name" else key: f"diagnostics.{key}" for key in DIAGNOSTICS.keys},
-    ),
-    "Transform": Node("Condition", "transform", {key: f"transform.{key}" for key in TRANSFORM.keys}),
-    "Publisher": Node("Condition", "publisher", {key: f"publisher.{key}" for key in PUBLISHER.keys}),
-    "Node": Node("Condition", "node", {"node" if key == "name" else key: f"node.{key}" for key in NODE.keys}),
-    "Log": Node("Condition", "log", {key: f"log.{key}" for key in LOG.keys}),
-    "Progress": Node("Condition", "progress", {key: f"progress.{key}" for key in PROGRESS.keys}),
-    "Lifecycle": Node("Condition", "lifecycle", {key: f"lifecycle.{key}" for key in LIFECYCLE.keys}),
-    "Motion": Node("Condition", "motion", {key: f"motion.{key}" for key in MOTION.keys}),
-    "Parameter": Node(
-        "Condition",
-        "parameter",
-        {"parameter" if key == "name" else key: f"parameter.{key}" for key in PARAMETER.keys},
-    ),
-    "Pod": Node("Condition", "pod", {key: f"pod.{key}" for key in POD_LEAF.keys}),
     **{
-        tag_of(kind): Node("Condition", kind, {key: f"{kind}.{key}" for key in leaf.keys})
-        for kind, leaf in ADDED.items()
+        tag_of(kind): Node("Condition", kind, {key.port: f"{kind}.{key.name}" for key in leaf.arguments})
+        for kind, leaf in LEAVES.items()
     },
 }
 
@@ -126,11 +82,11 @@ _CERTAIN = "a verdict that is certain says nothing about the robot; leave it out
 _RECOVERY = "a health tree only judges; what is done after a failure belongs into spec.strategies of the policy"
 _LOOKS = "procedures and checks look once, a health tree watches; write what must hold, such as <Lifecycle> or <Node>"
 
-OF_OTHERS: Mapping[str, str] = {tag_of(name): why for name, why in UNUSABLE.items()}
+REFUSED_PLUGIN_TAGS: Mapping[str, str] = {tag_of(name): why for name, why in REFUSED_PLUGINS.items()}
 """Why leaves of other packages can't be used."""
 
 REFUSED: Mapping[str, str] = {
-    **OF_OTHERS,
+    **REFUSED_PLUGIN_TAGS,
     "SequenceWithMemory": f"{_ANEW} <Sequence>",
     "SequenceStar": f"{_ANEW} <Sequence>",
     "AsyncSequence": f"{_ANEW} <Sequence>",
@@ -179,7 +135,7 @@ REFUSED: Mapping[str, str] = {
 class Library:
     """What trees of one kind can have."""
 
-    subject: Subject
+    subject: TreeKind
     nodes: Mapping[str, Node]
     refused: Mapping[str, str]
     """Why they can't have other nodes, and what is right."""
@@ -196,8 +152,8 @@ HEALTH = Library(
     NODES,
     {
         **REFUSED,
-        **{tag_of(key): _RECOVERY for key in procedure_vocabulary.STEPS},
-        **{tag_of(key): _LOOKS for key in procedure_vocabulary.LOOKS},
+        **{tag_of(key): _RECOVERY for key in procedure_steps.STEPS},
+        **{tag_of(key): _LOOKS for key in procedure_steps.CONDITIONS},
     },
     NO_SCRIPTS,
     "Parallel",

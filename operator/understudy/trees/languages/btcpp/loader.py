@@ -7,10 +7,10 @@ from understudy.trees.languages.btcpp.document import Document
 from understudy.trees.languages.btcpp.library import HEALTH, Library
 from understudy.trees.languages.btcpp.nodes import Nodes
 from understudy.trees.languages.btcpp.xml_elements import parse
-from understudy.trees.languages.short_form import Found, Written
-from understudy.trees.languages.text_loader import Read, load_language
+from understudy.trees.languages.text.loader import Read, load_language
+from understudy.trees.languages.text.source_map import LocatedProblem, ParsedNode
 from understudy.trees.source.expressions import Fields
-from understudy.trees.source.positions import ALONE, Beginning
+from understudy.trees.source.positions import WHOLE_FILE, TextOffset
 
 CALLED = "a BehaviorTree.CPP 4 file"
 """What such a text is."""
@@ -22,7 +22,7 @@ def load_xml(
     path: str = "spec.monitoring.xml",
     grace: float = 30.0,
     fields: Fields | None = None,
-    begins: Beginning = ALONE,
+    begins: TextOffset = WHOLE_FILE,
 ) -> HealthTree:
     """The health tree that a text stands for: that of the short form which says the same.
 
@@ -36,7 +36,7 @@ def load_xml(
 def reader(library: Library) -> Read:
     """Reads trees that can have what is in a library."""
 
-    def read(text: str, path: str, begins: Beginning) -> tuple[Written | None, list[Found]]:
+    def read(text: str, path: str, begins: TextOffset) -> tuple[ParsedNode | None, list[LocatedProblem]]:
         document = Document(parse(text, begins), path, library)
         if document.main is None:
             return None, document.problems

@@ -10,7 +10,7 @@ from understudy.trees.languages.btcpp.document import Document
 from understudy.trees.languages.btcpp.library import EXPLICIT, IGNORED, SCRIPTS
 from understudy.trees.languages.btcpp.origins import origin
 from understudy.trees.languages.btcpp.xml_elements import Element
-from understudy.trees.languages.short_form import ENOUGH, Found, Written
+from understudy.trees.languages.text.source_map import MOST_PROBLEMS, LocatedProblem, ParsedNode
 from understudy.trees.source.problems import did_you_mean
 from understudy.trees.source.value_reader import DEEPEST, MOST, found_text
 
@@ -36,17 +36,17 @@ class Nodes:
     """Turns elements into what was written by them, and collects problems; one that can't be read becomes None."""
 
     def __init__(self, document: Document, path: str) -> None:
-        self.problems: list[Found] = []
+        self.problems: list[LocatedProblem] = []
         self._document, self._path = document, path
         self._library = document.library
         self._count = 0
         self._read: dict[str, set[str] | None] = {}
 
-    def tree(self, main: str) -> Written | None:
+    def tree(self, main: str) -> ParsedNode | None:
         """The tree of this name with all that it uses."""
         return self._tree(main, _Spot({}, (main,), (), 1))
 
-    def _tree(self, name: str, spot: _Spot) -> Written | None:
+    def _tree(self, name: str, spot: _Spot) -> ParsedNode | None:
         element = self._document.trees[name]
         self._no_text(element)
         if len(element.children) != 1:
@@ -54,13 +54,13 @@ class Nodes:
             return None
         return self._node(element.children[0], spot)
 
-    def _node(self, element: Element, spot: _Spot) -> Written | None:
+    def _node(self, element: Element, spot: _Spot) -> ParsedNode | None:
         self._count += 1
         if self._count > MOST:
             if self._count == MOST + 1:
                 self._note(element, f"the tree has more than {MOST} nodes")
             return None
-        if len(self.problems) > ENOUGH:
+        if len(self.problems) > MOST_PROBLEMS:
             return None
         if spot.depth > DEEPEST:
             self._note(element, f"the tree is more than {DEEPEST} levels deep")
@@ -80,7 +80,7 @@ class Nodes:
         node = self._library.nodes[tag]
         ports = {port: where for port, where in node.ports.items() if where}
         name = _name(element, tag) if self._library.subject.named else None
-        return Written(origin(element, spot.uses), key, name, ports, values, children, reads=node.reads)
+        return ParsedNode(origin(element, spot.uses), key, name, ports, values, children, reads=node.reads)
 
     def _tag(self, element: Element) -> str | None:
         """Which of the known nodes it is, in the compact notation or the explicit one."""
@@ -147,7 +147,7 @@ class Nodes:
                 self._note(element, str(error))
         return None
 
-    def _subtree(self, element: Element, spot: _Spot) -> Written | None:
+    def _subtree(self, element: Element, spot: _Spot) -> ParsedNode | None:
         if "ID" not in element.attributes:
             self._note(element, "missing; give the name of a <BehaviorTree>", "ID")
             return None
@@ -168,7 +168,7 @@ class Nodes:
         if tree is None or called is None:
             return tree
         # Its leaves are called by its name, as they are by that of any node that they are in.
-        return Written(origin(element, spot.uses), "parallel", called, children=[tree])
+        return ParsedNode(origin(element, spot.uses), "parallel", called, children=[tree])
 
     def _board(self, element: Element, name: str, above: Board) -> Board:
         """The entries of a subtree: the attributes, what its model says of the others, and all of the tree above if asked for."""

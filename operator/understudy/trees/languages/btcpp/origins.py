@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from understudy.trees.languages.btcpp.xml_elements import Element
-from understudy.trees.languages.short_form import Origin
+from understudy.trees.languages.text.source_map import Origin
 
 
 def origin(element: Element, uses: tuple[int, ...] = ()) -> Origin:

@@ -4,13 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from understudy.trees.languages import step_spelling
 from understudy.trees.languages.btcpp import thresholds
-from understudy.trees.languages.btcpp.library import NODES, OF_OTHERS, REFUSED, Category, Library, Node, tag_of
+from understudy.trees.languages.btcpp.library import (
+    NODES,
+    REFUSED,
+    REFUSED_PLUGIN_TAGS,
+    Category,
+    Library,
+    Node,
+    tag_of,
+)
 from understudy.trees.languages.short.procedure_loader import HEALTH
-from understudy.trees.leaves import procedure_vocabulary
+from understudy.trees.languages.text import step_values
+from understudy.trees.leaves import procedure_steps
+from understudy.trees.leaves.procedure_steps import StepKind
 from understudy.trees.source import tree_kinds
-from understudy.trees.source.tree_kinds import Subject
+from understudy.trees.source.tree_kinds import TreeKind
 from understudy.trees.source.value_reader import found_text
 
 
@@ -21,10 +30,9 @@ def _milliseconds(text: str) -> str:
     return f"{text}ms"
 
 
-def _own(category: Category, key: str, keys: tuple[str, ...]) -> Node:
-    # `name` is the node's own name in BehaviorTree.CPP, so the parameter's can't be.
-    ports = {"parameter" if one == "name" else one: f"{key}.{one}" for one in keys}
-    reads = {port: step_spelling.READS[where] for port, where in ports.items() if where in step_spelling.READS}
+def _own(category: Category, key: str, step: StepKind) -> Node:
+    ports = {one.port: f"{key}.{one.name}" for one in step.arguments}
+    reads = {one.port: step_values.READS[one.type] for one in step.arguments if one.type in step_values.READS}
     return Node(category, key, ports, reads)
 
 
@@ -42,14 +50,12 @@ _DECORATORS: Mapping[str, Node] = {
         "Decorator",
         "retry",
         {"num_attempts": "retry.times", "wait": "retry.wait"},
-        {"num_attempts": step_spelling.READS["retry.times"]},
+        {"num_attempts": step_values.whole_of},
     ),
 }
-_STEPS: Mapping[str, Node] = {
-    tag_of(key): _own("Action", key, keys) for key, keys in procedure_vocabulary.STEPS.items()
-}
+_STEPS: Mapping[str, Node] = {tag_of(key): _own("Action", key, step) for key, step in procedure_steps.STEPS.items()}
 _LOOKS: Mapping[str, Node] = {
-    tag_of(key): _own("Condition", key, keys) for key, keys in procedure_vocabulary.LOOKS.items()
+    tag_of(key): _own("Condition", key, step) for key, step in procedure_steps.CONDITIONS.items()
 }
 _LEAVES: Mapping[str, Node] = {tag: node for tag, node in NODES.items() if node.category == "Condition"}
 _WATCHED: Mapping[str, Node] = {tag: node for tag, node in _LEAVES.items() if node.key in HEALTH}
@@ -72,7 +78,7 @@ _TRIES = ("RetryUntilSuccesful", "RecoveryNode", "RateController", *_LOOPS)
 _ENTRIES = ("SetBlackboard", "UnsetBlackboard", "SkipUnlessUpdated", "WaitValueUpdate", "WasEntryUpdated")
 
 _REFUSED: Mapping[str, str] = {
-    **OF_OTHERS,
+    **REFUSED_PLUGIN_TAGS,
     **{tag: _DRIVING for tag in _LEAVES if tag not in _WATCHED},
     **dict.fromkeys(_SEQUENCES, f"{_IN_ORDER} <Sequence>"),
     **dict.fromkeys(_FALLBACKS, f"{_IN_ORDER} <Fallback>"),
@@ -89,7 +95,7 @@ _REFUSED: Mapping[str, str] = {
 }
 
 
-def _library(subject: Subject, nodes: Mapping[str, Node], refused: Mapping[str, str]) -> Library:
+def _library(subject: TreeKind, nodes: Mapping[str, Node], refused: Mapping[str, str]) -> Library:
     return Library(subject, nodes, refused, _NO_SCRIPTS, "Sequence", thresholds.all_of)
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from xml.parsers import expat
 
 from understudy.api.durations import LONGEST_TEXT
-from understudy.trees.source.positions import ALONE, Beginning, Malformed
+from understudy.trees.source.positions import WHOLE_FILE, Malformed, TextOffset
 
 DEEPEST = 64
 """Elements that may be nested."""
@@ -36,7 +36,7 @@ class Element:
     """What stands between its elements, without what is only white space."""
 
 
-def parse(text: str, begins: Beginning = ALONE) -> Element:
+def parse(text: str, begins: TextOffset = WHOLE_FILE) -> Element:
     """The outermost element, with the lines and columns of the file in which the text ``begins``. Raises Malformed."""
     try:
         return _parsed(text, begins)
@@ -46,7 +46,7 @@ def parse(text: str, begins: Beginning = ALONE) -> Element:
         raise
 
 
-def _parsed(text: str, begins: Beginning) -> Element:
+def _parsed(text: str, begins: TextOffset) -> Element:
     if len(text) > LONGEST_TEXT:
         raise Malformed(f"the text has {len(text)} characters; it may have {LONGEST_TEXT}")
     if (start := text.find(_DOCTYPE)) >= 0:
@@ -56,7 +56,7 @@ def _parsed(text: str, begins: Beginning) -> Element:
 
 
 class _Builder:
-    def __init__(self, begins: Beginning) -> None:
+    def __init__(self, begins: TextOffset) -> None:
         self._begins = begins
         self._open: list[Element] = []
         self._outermost: Element | None = None

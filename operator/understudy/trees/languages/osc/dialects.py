@@ -8,14 +8,14 @@ from dataclasses import dataclass
 from understudy.trees.languages.osc import library, tokens
 from understudy.trees.languages.osc.library import Behavior
 from understudy.trees.source import tree_kinds
-from understudy.trees.source.tree_kinds import Subject
+from understudy.trees.source.tree_kinds import TreeKind
 
 
 @dataclass(frozen=True)
 class Dialect:
     """What trees of one kind can have."""
 
-    subject: Subject
+    subject: TreeKind
     actions: Mapping[str, Behavior]
     modifiers: Mapping[str, Behavior]
     refused: Mapping[str, str]

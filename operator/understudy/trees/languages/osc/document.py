@@ -7,7 +7,7 @@ from understudy.trees.languages.osc.dialects import Dialect
 from understudy.trees.languages.osc.grammar import Part
 from understudy.trees.languages.osc.library import PACKAGE, STANDARD
 from understudy.trees.languages.osc.values import Constant
-from understudy.trees.languages.short_form import Found, Origin
+from understudy.trees.languages.text.source_map import LocatedProblem, Origin
 from understudy.trees.source.problems import did_you_mean
 from understudy.trees.source.value_reader import found_text
 
@@ -18,7 +18,7 @@ class Document:
     """The parts of a file, and the problems with them."""
 
     def __init__(self, file: Part, path: str, dialect: Dialect) -> None:
-        self.problems: list[Found] = []
+        self.problems: list[LocatedProblem] = []
         self.constants: dict[str, Constant] = {}
         """The parameters of the scenario."""
         self.main: Part | None = None

@@ -13,9 +13,9 @@ from typing import Any
 from understudy.api.durations import LONGEST_TEXT
 from understudy.trees.languages.osc import tokens
 from understudy.trees.languages.osc.dialects import Dialect
-from understudy.trees.languages.osc.syntax_errors import Complaints
+from understudy.trees.languages.osc.syntax_errors import FirstErrorListener
 from understudy.trees.languages.osc.tokens import Token
-from understudy.trees.source.positions import ALONE, Beginning, Malformed
+from understudy.trees.source.positions import WHOLE_FILE, Malformed, TextOffset
 
 _EXPRESSIONS = """
 expression implication disjunction conjunction inversion relation sumExpression term factor postfixExp primaryExp valueExp
@@ -52,7 +52,7 @@ class Part:
         return found.text if found is not None else ""
 
 
-def parse(text: str, dialect: Dialect, begins: Beginning = ALONE) -> Part:
+def parse(text: str, dialect: Dialect, begins: TextOffset = WHOLE_FILE) -> Part:
     """The whole of a text that has only the words of a dialect, with the lines and columns of the file in which it ``begins``.
 
     Raises Malformed.
@@ -67,7 +67,7 @@ def parse(text: str, dialect: Dialect, begins: Beginning = ALONE) -> Part:
         raise Malformed("what is in each other is too deep") from error
 
 
-def _parsed(text: str, dialect: Dialect, begins: Beginning) -> Part:
+def _parsed(text: str, dialect: Dialect, begins: TextOffset) -> Part:
     if len(text) > LONGEST_TEXT:
         raise Malformed(f"the text has {len(text)} characters; it may have {LONGEST_TEXT}")
     # Not before they are needed, see above.
@@ -75,7 +75,7 @@ def _parsed(text: str, dialect: Dialect, begins: Beginning) -> Part:
     from scenario_execution.osc2_parsing.OpenSCENARIO2Lexer import OpenSCENARIO2Lexer
     from scenario_execution.osc2_parsing.OpenSCENARIO2Parser import OpenSCENARIO2Parser
 
-    complaints = Complaints()
+    complaints = FirstErrorListener()
     source = InputStream(text if text.endswith("\n") else f"{text}\n")
     lexer = OpenSCENARIO2Lexer(source)
     stream = CommonTokenStream(lexer)
@@ -102,7 +102,7 @@ _SIGNS = {"OPEN_PAREN": "(", "CLOSE_PAREN": ")", "OPEN_BRACK": "[", "CLOSE_BRACK
 class _Parts:
     """Turns what the parser has found into parts."""
 
-    def __init__(self, rules: list[str], source: Any, begins: Beginning) -> None:
+    def __init__(self, rules: list[str], source: Any, begins: TextOffset) -> None:
         self._rules, self._source, self._begins = rules, source, begins
 
     def part(self, found: Any) -> Part:

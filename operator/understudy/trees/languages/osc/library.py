@@ -6,18 +6,13 @@ own ROS library (``topic_name``, ``action_type``) where the key is a word of the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from understudy.trees.languages.btcpp.library import NODES
-from understudy.trees.languages.short.health_loader import TASK_KEYS, TOPIC_KEYS
-from understudy.trees.leaves import procedure_vocabulary
-from understudy.trees.leaves.age import CLOCKS
-from understudy.trees.leaves.diagnostics import LEVELS
-from understudy.trees.leaves.lifecycle import STATES
-from understudy.trees.leaves.log import LEVELS as SEVERITIES
-from understudy.trees.leaves.registry import LEAVES, UNUSABLE
+from understudy.trees.leaves import procedure_steps
+from understudy.trees.leaves.leaf_plan import Key
+from understudy.trees.leaves.registry import LEAVES, REFUSED_PLUGINS
 
 PACKAGE = "osc.understudy"
 """How a policy imports the library."""
@@ -26,10 +21,7 @@ STANDARD = "osc.types"
 """The types of the standard, which the library imports; a policy may too."""
 
 ENUMS: Mapping[str, tuple[str, ...]] = {
-    "level": LEVELS[:3],
-    "severity": tuple(SEVERITIES),
-    "lifecycle_state": STATES,
-    "age_by": CLOCKS,
+    key.type: key.members for leaf in LEAVES.values() for key in leaf.arguments if key.members
 }
 """The members of each enum."""
 
@@ -42,24 +34,6 @@ name associated_actor
 
 WORDS = frozenset(_WORDS.split())
 """The words of the language, and those that scenario-execution keeps for itself, which no argument can be called."""
-
-_TYPES: Mapping[tuple[str, str], str] = {
-    ("age", "most"): "time",
-    ("age", "by"): "age_by",
-    ("transform", "at_most"): "time",
-    ("diagnostics", "worst"): "level",
-    ("log", "level"): "severity",
-    ("log", "quiet"): "time",
-    ("progress", "by"): "float",
-    ("progress", "within"): "time",
-    ("lifecycle", "state"): "lifecycle_state",
-    ("motion", "delay"): "time",
-    ("pod", "restarts"): "int",
-}
-"""What keys are that only some leaves have."""
-
-_SHARED: Mapping[str, str] = {**dict.fromkeys(("gap", "window", "for", "settle"), "time"), "count": "int"}
-"""What keys are that mean the same in all leaves. All others are texts, which the short form reads as well as numbers."""
 
 _SUBJECTS = ("topic", "action", "service")
 
@@ -76,8 +50,6 @@ class Argument:
     """``string``, ``int``, ``float``, a physical type or an enum."""
     where: str
     """Where its value goes in the short form, as a path from the node."""
-    port: str = ""
-    """What it is in XML, where what it is for is said."""
     reads: Callable[[str], Any] | None = None
     """What reads its value, where that is no text in the short form. Raises ValueError."""
 
@@ -90,56 +62,43 @@ class Behavior:
     """What it is in the short form."""
     arguments: Mapping[str, Argument]
     """By name, in the order in which they can be given without it."""
-    tag: str = ""
-    """What it is in XML, where that is known."""
 
 
-def _leaf(kind: str, keys: tuple[str, ...]) -> Behavior:
-    tag = next((tag for tag, node in NODES.items() if node.key == kind and node.category == "Condition"), "")
-    ports = {where: port for port, where in NODES[tag].ports.items()} if tag else {}
-    found = []
+def behavior_of(kind: str, keys: Sequence[Key], reads: Mapping[str, Callable[[str], Any]] | None = None) -> Behavior:
+    """Return the action that a leaf or step with these keys is; ``reads`` has what reads texts, by the type of a key."""
+    found: list[Argument] = []
     for key in keys:
-        where = f"{kind}.{key}"
-        port = ports.get(where, key)
-        if (kind, key) == ("topic", "rate"):
-            found += [Argument(name, "frequency", where, port) for name in RATES]
+        where = f"{kind}.{key.name}"
+        if key.type == "frequency":
+            found += [Argument(name, key.type, where) for name in RATES]
         else:
-            found.append(Argument(_name(kind, port, keys), _type(kind, key), where, port))
-    return Behavior(kind, {argument.name: argument for argument in found}, tag)
+            read = (reads or {}).get(key.type)
+            found.append(Argument(_name(kind, key, keys), "string" if read else key.type, where, read))
+    return Behavior(kind, {argument.name: argument for argument in found})
 
 
-def _type(kind: str, key: str) -> str:
-    return _TYPES.get((kind, key)) or _SHARED.get(key, "string")
+def _name(kind: str, key: Key, keys: Sequence[Key]) -> str:
+    if key.osc:
+        return key.osc
+    if key.port in _SUBJECTS:
+        return f"{key.port}_name"
+    if key.port == "type":
+        return f"{next((one.port for one in keys if one.port in _SUBJECTS), kind)}_type"
+    return f"{kind}_{key.port}" if key.port in WORDS else key.port
 
 
-def _name(kind: str, port: str, keys: tuple[str, ...]) -> str:
-    if port in _SUBJECTS:
-        return f"{port}_name"
-    if port == "type":
-        return f"{next((key for key in keys if key in _SUBJECTS), kind)}_type"
-    return f"{kind}_{port}" if port in WORDS else port
-
-
-ACTIONS: Mapping[str, Behavior] = {
-    "topic": _leaf("topic", TOPIC_KEYS),
-    **{kind: _leaf(kind, leaf.keys) for kind, leaf in LEAVES.items()},
-}
+ACTIONS: Mapping[str, Behavior] = {kind: behavior_of(kind, leaf.arguments) for kind, leaf in LEAVES.items()}
 """The leaves, by name."""
 
 MODIFIERS: Mapping[str, Behavior] = {
-    "inverter": Behavior("inverter", {}, "Inverter"),
+    "inverter": Behavior("inverter", {}),
     "while_task_active": Behavior(
         "while",
         {
-            **{
-                f"action_{'name' if key == 'action' else key}": Argument(
-                    f"action_{'name' if key == 'action' else key}", "string", f"while.task_active.{key}", key
-                )
-                for key in TASK_KEYS
-            },
-            "settle": Argument("settle", _SHARED["settle"], "settle", "settle"),
+            "action_name": Argument("action_name", "string", "while.task_active.action"),
+            "action_type": Argument("action_type", "string", "while.task_active.type"),
+            "settle": Argument("settle", "time", "settle"),
         },
-        "WhileTaskActive",
     ),
 }
 """What is written in the ``with:`` of a node, by name."""
@@ -162,7 +121,7 @@ _NO_PROCESSES = "a health tree starts no processes and reads no files; write wha
 _LOOKS = "procedures and checks look once, a health tree watches; write what must hold, such as lifecycle() or node()"
 
 _OTHERS: Mapping[str, str] = {
-    **UNUSABLE,
+    **REFUSED_PLUGINS,
     **dict.fromkeys(("run_process", "process_log_check"), _NO_PROCESSES),
     **dict.fromkeys(("increment", "decrement", "log"), _STORE),
     "compare": "values of messages are compared by value(); write that",
@@ -178,8 +137,8 @@ _OTHERS: Mapping[str, str] = {
         ("action_call", "service_call", "topic_publish", "set_node_parameter", "kubernetes_delete"), _RECOVERY
     ),
     "kubernetes_patch_network_policy": _RECOVERY,
-    **dict.fromkeys(procedure_vocabulary.STEPS, _RECOVERY),
-    **dict.fromkeys(procedure_vocabulary.LOOKS, _LOOKS),
+    **dict.fromkeys(procedure_steps.STEPS, _RECOVERY),
+    **dict.fromkeys(procedure_steps.CONDITIONS, _LOOKS),
 }
 
 REFUSED: Mapping[str, str] = {name: why for name, why in _OTHERS.items() if name not in ACTIONS}

@@ -7,10 +7,10 @@ from understudy.trees.languages.osc.dialects import HEALTH, Dialect
 from understudy.trees.languages.osc.document import Document
 from understudy.trees.languages.osc.grammar import parse
 from understudy.trees.languages.osc.nodes import Nodes
-from understudy.trees.languages.short_form import Found, Written
-from understudy.trees.languages.text_loader import Read, load_language
+from understudy.trees.languages.text.loader import Read, load_language
+from understudy.trees.languages.text.source_map import LocatedProblem, ParsedNode
 from understudy.trees.source.expressions import Fields
-from understudy.trees.source.positions import ALONE, Beginning
+from understudy.trees.source.positions import WHOLE_FILE, TextOffset
 
 CALLED = "an OpenSCENARIO 2 file"
 """What such a text is."""
@@ -22,7 +22,7 @@ def load_osc(
     path: str = "spec.monitoring.osc",
     grace: float = 30.0,
     fields: Fields | None = None,
-    begins: Beginning = ALONE,
+    begins: TextOffset = WHOLE_FILE,
 ) -> HealthTree:
     """The health tree that a text stands for: that of the short form which says the same.
 
@@ -37,7 +37,7 @@ def load_osc(
 def reader(dialect: Dialect) -> Read:
     """Reads trees that can have what a dialect has."""
 
-    def read(text: str, path: str, begins: Beginning) -> tuple[Written | None, list[Found]]:
+    def read(text: str, path: str, begins: TextOffset) -> tuple[ParsedNode | None, list[LocatedProblem]]:
         document = Document(parse(text, dialect, begins), path, dialect)
         if document.main is None:
             return None, document.problems

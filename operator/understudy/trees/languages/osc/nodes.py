@@ -8,30 +8,30 @@ from understudy.trees.languages.osc import values
 from understudy.trees.languages.osc.document import Document
 from understudy.trees.languages.osc.grammar import Part
 from understudy.trees.languages.osc.library import COMPOSITIONS, RATES, Argument, Behavior
-from understudy.trees.languages.short_form import ENOUGH, Found, Origin, Written
+from understudy.trees.languages.text.source_map import MOST_PROBLEMS, LocatedProblem, Origin, ParsedNode
 from understudy.trees.source.problems import did_you_mean
 from understudy.trees.source.value_reader import DEEPEST, MOST
 
 _Given = dict[str, tuple[str, Part]]
 """By argument, its value as the short form writes it, and where it was written."""
 
-_Read = Callable[[Part, Part | None, int], Written | None]
+_Read = Callable[[Part, Part | None, int], ParsedNode | None]
 
 
 class Nodes:
     """Turns parts into what was written by them, and collects problems; one that can't be read becomes None."""
 
     def __init__(self, document: Document, path: str) -> None:
-        self.problems: list[Found] = []
+        self.problems: list[LocatedProblem] = []
         self._constants, self._path = document.constants, path
         self._dialect = document.dialect
         self._count = 0
 
-    def tree(self, main: Part) -> Written | None:
+    def tree(self, main: Part) -> ParsedNode | None:
         """What a scenario does, with all that is in it."""
         return self._member(main, 1)
 
-    def _member(self, member: Part, depth: int) -> Written | None:
+    def _member(self, member: Part, depth: int) -> ParsedNode | None:
         """A node with its name in front of it."""
         name = member.first("labelName")
         for found in member.parts:
@@ -52,11 +52,11 @@ class Nodes:
             self._note(part, label, f"the tree has more than {MOST} nodes")
         elif depth == DEEPEST + 1:
             self._note(part, label, f"the tree is more than {DEEPEST} levels deep")
-        return self._count <= MOST and depth <= DEEPEST and len(self.problems) <= ENOUGH
+        return self._count <= MOST and depth <= DEEPEST and len(self.problems) <= MOST_PROBLEMS
 
     # -- nodes ------------------------------------------------------------------------------------------------------
 
-    def _composition(self, part: Part, name: Part | None, depth: int) -> Written | None:
+    def _composition(self, part: Part, name: Part | None, depth: int) -> ParsedNode | None:
         operator = part.text_of("compositionOperator")
         origin = Origin(f"{operator}:", part.line, part.column)
         if not self._counted(part, origin.label, depth):
@@ -68,9 +68,9 @@ class Nodes:
         if not children:
             return None
         named = self._named(name)
-        return Written(origin, COMPOSITIONS[operator], _name(named), children=children, places=_places(named))
+        return ParsedNode(origin, COMPOSITIONS[operator], _name(named), children=children, places=_places(named))
 
-    def _action(self, part: Part, name: Part | None, depth: int) -> Written | None:
+    def _action(self, part: Part, name: Part | None, depth: int) -> ParsedNode | None:
         called = part.text_of("behaviorName")
         label = f"{called:.60}()"
         dialect = self._dialect
@@ -79,7 +79,7 @@ class Nodes:
         if called in dialect.actions:
             action = dialect.actions[called]
             given = self._arguments(part, label, action)
-            if given is None or (called == "topic" and not self._rated(part, label, given)):
+            if given is None or (not RATES.keys().isdisjoint(action.arguments) and not self._rated(part, label, given)):
                 return None
             return _written(Origin(label, part.line, part.column), action, given, self._named(name))
         if called in dialect.modifiers:
@@ -95,7 +95,7 @@ class Nodes:
         """The name in front of a node, where such names say something."""
         return name if self._dialect.subject.named else None
 
-    def _modified(self, part: Part, name: Part | None, depth: int, read: _Read) -> Written | None:
+    def _modified(self, part: Part, name: Part | None, depth: int, read: _Read) -> ParsedNode | None:
         """A node in the modifiers that are written with it, the first of them the outermost."""
         block = part.first("behaviorWithDeclaration")
         modifiers = [found for member in block.all("behaviorWithMember") for found in member.parts] if block else []
@@ -192,8 +192,8 @@ class Nodes:
 
 
 def _written(
-    origin: Origin, behavior: Behavior, given: _Given, name: Part | None, children: list[Written] | None = None
-) -> Written:
+    origin: Origin, behavior: Behavior, given: _Given, name: Part | None, children: list[ParsedNode] | None = None
+) -> ParsedNode:
     """A node of the library with what it was given."""
     spelled = {name: value for name, (value, _) in given.items()}
     places = {name: Origin(origin.label, part.line, part.column) for name, (_, part) in given.items()}
@@ -202,7 +202,7 @@ def _written(
     ports = {argument: behavior.arguments[argument].where for argument in named}
     reads = {name: one.reads for name, one in behavior.arguments.items() if one.reads is not None}
     known = {**places, **_places(name)}
-    return Written(origin, behavior.key, _name(name), ports, spelled, children or [], known, reads)
+    return ParsedNode(origin, behavior.key, _name(name), ports, spelled, children or [], known, reads)
 
 
 def _name(name: Part | None) -> str | None:

@@ -4,63 +4,36 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from understudy.trees.languages import step_spelling
-from understudy.trees.languages.btcpp.library import tag_of
 from understudy.trees.languages.osc import tokens
 from understudy.trees.languages.osc.dialects import Dialect
-from understudy.trees.languages.osc.library import ACTIONS, MODIFIERS, STATUS_CHANGES, Argument, Behavior
+from understudy.trees.languages.osc.library import ACTIONS, MODIFIERS, STATUS_CHANGES, Argument, Behavior, behavior_of
 from understudy.trees.languages.short.procedure_loader import HEALTH
-from understudy.trees.leaves import procedure_vocabulary
-from understudy.trees.leaves.registry import UNUSABLE
+from understudy.trees.languages.text import step_values
+from understudy.trees.leaves import procedure_steps
+from understudy.trees.leaves.registry import REFUSED_PLUGINS
 from understudy.trees.source import tree_kinds
 
-_TYPES: Mapping[str, str] = {
-    "set_lifecycle.state": "lifecycle_state",
-    "lifecycle_is.state": "lifecycle_state",
-    "call_service.repeat": "time",
-    "wait_for.within": "time",
+STEPS: Mapping[str, Behavior] = {
+    kind: behavior_of(kind, step.arguments, step_values.READS) for kind, step in procedure_steps.STEPS.items()
 }
-"""What isn't written as text."""
-
-_SUBJECTS = ("topic", "service")
-_NAMES: Mapping[str, str] = {"restore_state.only": "names", "parameter_is.name": "parameter"}
-"""What keys are called that are words of the language."""
-
-
-def _own(kind: str, keys: tuple[str, ...]) -> Behavior:
-    found = []
-    for key in keys:
-        where = f"{kind}.{key}"
-        name = _NAMES.get(where, key)
-        if key in _SUBJECTS:
-            name = f"{key}_name"
-        elif key == "type":
-            name = f"{next(key for key in keys if key in _SUBJECTS)}_type"
-        port = "parameter" if where == "parameter_is.name" else key
-        found.append(Argument(name, _TYPES.get(where, "string"), where, port, step_spelling.READS.get(where)))
-    return Behavior(kind, {argument.name: argument for argument in found}, tag_of(kind))
-
-
-STEPS: Mapping[str, Behavior] = {kind: _own(kind, keys) for kind, keys in procedure_vocabulary.STEPS.items()}
 """What procedures do, by name."""
 
-LOOKS: Mapping[str, Behavior] = {kind: _own(kind, keys) for kind, keys in procedure_vocabulary.LOOKS.items()}
+CONDITIONS: Mapping[str, Behavior] = {
+    kind: behavior_of(kind, step.arguments, step_values.READS) for kind, step in procedure_steps.CONDITIONS.items()
+}
 """What procedures and checks look at once, by name."""
 
 WATCHED: Mapping[str, Behavior] = {name: action for name, action in ACTIONS.items() if action.key in HEALTH}
 """Leaves of health trees that they have too."""
 
-_RETRIES = step_spelling.READS["retry.times"]
-
 DECORATORS: Mapping[str, Behavior] = {
-    "timeout": Behavior("timeout", {"duration": Argument("duration", "time", "timeout.within", "msec")}, "Timeout"),
+    "timeout": Behavior("timeout", {"duration": Argument("duration", "time", "timeout.within")}),
     "retry": Behavior(
         "retry",
         {
-            "count": Argument("count", "int", "retry.times", "num_attempts", _RETRIES),
-            "pause": Argument("pause", "time", "retry.wait", "wait"),
+            "count": Argument("count", "int", "retry.times", step_values.whole_of),
+            "pause": Argument("pause", "time", "retry.wait"),
         },
-        "RetryUntilSuccessful",
     ),
 }
 """What is written in the ``with:`` of a node of a procedure, by name: as scenario-execution has it, but for the pause."""
@@ -76,7 +49,7 @@ _DRIVING = "it says something of the instance that drives, which this one doesn'
 _CLUSTER = "what is done in the cluster is said by the strategies of a policy; leave it out"
 
 _OTHERS: Mapping[str, str] = {
-    **UNUSABLE,
+    **REFUSED_PLUGINS,
     **dict.fromkeys((name for name in ACTIONS if name not in WATCHED), _DRIVING),
     "while_task_active": "a procedure is run whatever the robot works on; leave it out",
     **dict.fromkeys(("run_process", "process_log_check"), _NO_PROCESSES),
@@ -97,14 +70,14 @@ _OTHERS: Mapping[str, str] = {
     **dict.fromkeys(("kubernetes_delete", "kubernetes_patch_network_policy"), _CLUSTER),
 }
 
-_KNOWN = {**STEPS, **LOOKS, **WATCHED, **DECORATORS, **INVERTER}
+_KNOWN = {**STEPS, **CONDITIONS, **WATCHED, **DECORATORS, **INVERTER}
 _REFUSED: Mapping[str, str] = {name: why for name, why in _OTHERS.items() if name not in _KNOWN}
 _LOOKS_ONLY = "a check only looks; it belongs into a procedure"
 _DONE = ("action_call", "service_call", "topic_publish", "set_node_parameter", "wait_for_topics")
 
 PROCEDURES = Dialect(
     tree_kinds.PROCEDURE,
-    {**STEPS, **LOOKS, **WATCHED},
+    {**STEPS, **CONDITIONS, **WATCHED},
     {**INVERTER, **DECORATORS},
     _REFUSED,
     tokens.REFUSED_IN_PROCEDURES,
@@ -116,7 +89,7 @@ PROCEDURES = Dialect(
 
 CHECKS = Dialect(
     tree_kinds.CHECK,
-    {**LOOKS, **WATCHED},
+    {**CONDITIONS, **WATCHED},
     INVERTER,
     {
         **_REFUSED,

@@ -29,7 +29,7 @@ _UNREAD = re.compile(r"token recognition error at: '(.*)'", re.DOTALL)
 _EXPECTED = re.compile(r"(?:expecting|missing) (\{.*?\}|'[^']+'|\w+)( at|$)", re.DOTALL)
 
 
-class Complaints:
+class FirstErrorListener:
     """Ends reading with the first complaint: those that follow are most often its consequences."""
 
     def syntaxError(self, recognizer: Any, symbol: Any, line: int, column: int, message: str, error: Any) -> None:

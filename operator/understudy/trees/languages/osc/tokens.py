@@ -11,7 +11,7 @@ from itertools import pairwise
 
 from understudy.trees.languages.osc.library import WORDS
 from understudy.trees.source.positions import Malformed
-from understudy.trees.source.tree_kinds import Subject
+from understudy.trees.source.tree_kinds import TreeKind
 from understudy.trees.source.value_reader import DEEPEST
 
 MOST = 20_000
@@ -105,7 +105,7 @@ class Token:
     """Both count from 1."""
 
 
-def check(tokens: Sequence[Token], subject: Subject, refused: Mapping[str, str]) -> None:
+def check(tokens: Sequence[Token], subject: TreeKind, refused: Mapping[str, str]) -> None:
     """Refuse what is too much, and all words that trees of a kind don't have. Raises Malformed at the first."""
     if len(tokens) > MOST:
         last = tokens[MOST]
@@ -120,7 +120,7 @@ def check(tokens: Sequence[Token], subject: Subject, refused: Mapping[str, str])
             raise _at(token, message)
 
 
-def _refusal(before: Token, token: Token, after: Token, subject: Subject, refused: Mapping[str, str]) -> str | None:
+def _refusal(before: Token, token: Token, after: Token, subject: TreeKind, refused: Mapping[str, str]) -> str | None:
     """Why a word or sign can't stand where it does."""
     if token.kind == ".":
         return f"there are no actors in {subject.a}, and nothing has fields; leave out the dot and what is before it"

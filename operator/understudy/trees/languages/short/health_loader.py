@@ -14,22 +14,19 @@ from py_trees.decorators import Inverter
 from understudy.api.ros_names import ROS_NAME_PATTERN, ROS_TYPE_PATTERN
 from understudy.trees.core.composites import AnyOf
 from understudy.trees.core.health_tree import Build, HealthTree, WatchedTopic
-from understudy.trees.core.leaf import TopicLeaf, duration
-from understudy.trees.core.observations import Glance
-from understudy.trees.core.rate_window import Band, Window
+from understudy.trees.core.observations import Evaluation
 from understudy.trees.core.task_activity import SETTLE, STATUS_TYPE, TaskActive, While
-from understudy.trees.leaves.leaf_plan import LeafPlan, topic_of, type_of
-from understudy.trees.leaves.registry import LEAVES, UNUSABLE
+from understudy.trees.leaves.leaf_plan import LeafPlan
+from understudy.trees.leaves.registry import LEAVES, REFUSED_PLUGINS
 from understudy.trees.source.expressions import Fields
 from understudy.trees.source.problems import Problem, TreeError, did_you_mean
 from understudy.trees.source.value_reader import Reader, duration_of, found_text
 
 __all__ = ["Problem", "TreeError", "load"]
 
-KINDS = ("parallel", "sequence", "selector", "inverter", "while", "topic", *LEAVES)
+KINDS = ("parallel", "sequence", "selector", "inverter", "while", *LEAVES)
 WHILE_KEYS = ("do", "settle")
 TASK_KEYS = ("action", "type")
-TOPIC_KEYS = ("name", "type", "gap", "rate", "window")
 
 
 def load(
@@ -46,20 +43,20 @@ def load(
     time. Conditions over messages are checked by their types' ``fields``, where these are known. ``called`` says how a
     message names another node of this path, for trees that weren't written in this form. Raises TreeError with all problems.
     """
-    loader = _Loader(Glance(grace), fields, called)
+    loader = _Loader(Evaluation(grace), fields, called)
     build = loader.node(tree, path, [], 1)
     if loader.problems:
         raise TreeError(loader.problems)
     assert build is not None, "a node without problems can be built"
-    return HealthTree(build, loader.glance, list(loader.topics.values()))
+    return HealthTree(build, loader.evaluation, list(loader.topics.values()))
 
 
 class _Loader(Reader):
     """Turns nodes into what builds their behaviours, and collects problems; one with a problem in it becomes None."""
 
-    def __init__(self, glance: Glance, fields: Fields | None, called: Callable[[str], str]) -> None:
+    def __init__(self, evaluation: Evaluation, fields: Fields | None, called: Callable[[str], str]) -> None:
         super().__init__()
-        self.glance = glance
+        self.evaluation = evaluation
         self._fields = fields
         self._called = called
         self.topics: dict[str, WatchedTopic] = {}
@@ -79,8 +76,6 @@ class _Loader(Reader):
         if kind is None:
             return None
         below = [*above, name] if name else above
-        if kind == "topic":
-            return self._topic(value["topic"], f"{path}.topic", above, name)
         if kind in LEAVES:
             return self._leaf(kind, value[kind], f"{path}.{kind}", above, name)
         if kind == "while":
@@ -109,7 +104,7 @@ class _Loader(Reader):
         def build(left_out: Collection[str]) -> Behaviour | None:
             # Whether a task is active can't be told of a topic that isn't watched: then nothing hangs on it.
             node = child(left_out) if task.topic not in left_out else None
-            return While(name, node, task, self.glance) if node is not None else None
+            return While(name, node, task, self.evaluation) if node is not None else None
 
         return build
 
@@ -149,8 +144,8 @@ class _Loader(Reader):
         if key in WHILE_KEYS:
             self.problem(f"{path}.{key}", f"unknown key; {key} belongs beside while")
             return
-        if key in UNUSABLE:
-            self.problem(f"{path}.{key}", UNUSABLE[key])
+        if key in REFUSED_PLUGINS:
+            self.problem(f"{path}.{key}", REFUSED_PLUGINS[key])
             return
         if inside := [kind for kind, keys in _LEAF_KEYS.items() if key in keys]:
             kinds = " or ".join(filter(None, (", ".join(inside[:-1]), inside[-1])))
@@ -171,33 +166,6 @@ class _Loader(Reader):
             return None
         return _composite(lambda nodes: _COMPOSITES[kind](name, nodes), children)
 
-    def _topic(self, value: object, path: str, above: list[str], name: str | None) -> Build | None:
-        before = len(self.problems)
-        if not isinstance(value, Mapping):
-            self.problem(path, f"found {found_text(value)}; topic is a mapping with name and with gap or rate")
-            return None
-        self.known(value, TOPIC_KEYS, path)
-        topic = topic_of(self, value, path, "/cmd_vel", key="name")
-        type_ = type_of(self, value, path)
-        gap = self.given(value, "gap", path, duration_of)
-        band = self.given(value, "rate", path, _band)
-        length = self.given(value, "window", path, duration_of)
-        if "gap" not in value and "rate" not in value:
-            self.problem(path, "neither gap nor rate is given; give gap, such as 500ms, or rate, such as '> 8 Hz'")
-        if "window" in value and "rate" not in value:
-            self.problem(f"{path}.window", "a window is only for a rate; give rate, or leave window out")
-        window = self._window(band, length, path) if band is not None else None
-        if topic is None or len(self.problems) > before:
-            return None
-        rate = window.band.expected if window else None
-        watched = WatchedTopic(topic, type_, window.length if window else 0.0, rate)
-        plan = LeafPlan(
-            topic.lstrip("/"),
-            watched,
-            lambda place, glance, tasks: TopicLeaf(place, topic, glance, gap=gap, window=window, tasks=tasks),
-        )
-        return self._placed(plan, path, above, name)
-
     def _leaf(self, kind: str, value: object, path: str, above: list[str], name: str | None) -> Build | None:
         """A leaf that looks into messages."""
         before, known = len(self.problems), LEAVES[kind]
@@ -208,9 +176,9 @@ class _Loader(Reader):
         plan = known.read(self, value, path, self._fields)
         if plan is None or len(self.problems) > before:
             return None
-        return self._placed(plan, path, above, name)
+        return self._placed(kind, plan, path, above, name)
 
-    def _placed(self, plan: LeafPlan, path: str, above: list[str], name: str | None) -> Build | None:
+    def _placed(self, kind: str, plan: LeafPlan, path: str, above: list[str], name: str | None) -> Build | None:
         """What builds a leaf at its place, under the nodes ``above`` and with the name that it was given, if it was."""
         leaf_path = "/".join([*above, name or plan.name])
         if leaf_path in self._leaf_paths:
@@ -228,21 +196,13 @@ class _Loader(Reader):
             tasks, needed = (*tasks, plan.task), {*needed, plan.task.topic}
 
         def build(left_out: Collection[str]) -> Behaviour | None:
-            blind = not needed.isdisjoint(left_out)
-            return plan.make(leaf_path, self.glance, tasks) if not blind else None
+            if not needed.isdisjoint(left_out):
+                return None
+            leaf = plan.make(leaf_path, self.evaluation, tasks)
+            leaf.kind = kind
+            return leaf
 
         return _unless(leaf_path, build)
-
-    def _window(self, band: Band, length: float | None, path: str) -> Window | None:
-        shortest = band.shortest_window()
-        if length is not None and length < shortest:
-            self.problem(
-                f"{path}.window",
-                f"{duration(length)} is too short to tell whether a rate is {band}: a window counts whole messages; "
-                f"give at least {duration(shortest)}",
-            )
-            return None
-        return Window(band, length if length is not None else band.default_window())
 
     def _watch(self, wanted: WatchedTopic, path: str) -> bool:
         """Note that a topic is needed; False, with a problem, where two leaves differ about its type."""
@@ -265,7 +225,7 @@ class _Loader(Reader):
         return True
 
 
-_LEAF_KEYS = {"topic": TOPIC_KEYS, **{kind: leaf.keys for kind, leaf in LEAVES.items()}}
+_LEAF_KEYS = {kind: leaf.keys for kind, leaf in LEAVES.items()}
 
 _WHILE = "{task_active: {action: /navigate_to_pose}}"
 
@@ -289,9 +249,3 @@ def _composite(make: Callable[[list[Behaviour]], Behaviour], children: list[Buil
 def _unless(path: str, build: Build) -> Build:
     """Builds the leaf of a path, unless that one is left out."""
     return lambda left_out: build(left_out) if path not in left_out else None
-
-
-def _band(value: object) -> Band:
-    if not isinstance(value, str):
-        raise ValueError(f"found {found_text(value)}; write '> 8 Hz', '>= 8 Hz', '< 20 Hz', '<= 20 Hz' or '9 to 11 Hz'")
-    return Band.parse(value)

@@ -24,28 +24,28 @@ from understudy.trees.core.health_tree import HealthTree, WatchedTopic
 from understudy.trees.core.procedure_steps import (
     OVERTIME,
     Actions,
-    Limit,
+    ProcedureRun,
     Retry,
-    Run,
     Step,
-    Within,
+    TimeLimit,
+    Timeout,
     Work,
     reasons,
     unfinished,
 )
 from understudy.trees.languages.short.health_loader import load
-from understudy.trees.leaves import procedure_vocabulary
-from understudy.trees.leaves.registry import LEAVES, UNUSABLE
+from understudy.trees.leaves import procedure_steps
+from understudy.trees.leaves.registry import LEAVES, REFUSED_PLUGINS
 from understudy.trees.source.problems import TreeError, did_you_mean
 from understudy.trees.source.value_reader import Reader, duration_of, found_text
 
 COMPOSITES = ("sequence", "parallel", "selector")
 DECORATORS = ("timeout", "retry", "inverter")
-HEALTH = ("topic", *(kind for kind, leaf in LEAVES.items() if not leaf.of_control))
+HEALTH = tuple(kind for kind, leaf in LEAVES.items() if not leaf.active_only)
 """Conditions that are leaves of a health tree."""
 
 CONDITIONS = ("lifecycle_is", *HEALTH, "node_present", "service_present", "parameter_is")
-STEPS = tuple(procedure_vocabulary.STEPS)
+STEPS = tuple(procedure_steps.STEPS)
 STATES = ("unconfigured", "inactive", "active", "finalized")
 """States in which a managed node rests."""
 
@@ -57,7 +57,7 @@ TICK = 0.05
 SETTLE = 0.05
 """Seconds between two looks at a topic that is still starting."""
 
-Make = Callable[[Run, Sequence[Limit]], Behaviour]
+Make = Callable[[ProcedureRun, Sequence[TimeLimit]], Behaviour]
 """Makes a node for one run, under ends of time."""
 
 
@@ -89,7 +89,7 @@ class ProcedureTree:
 
         Raises ProcedureFailed.
         """
-        run, limit = Run(actions), Limit()
+        run, limit = ProcedureRun(actions), TimeLimit()
         limit.until = run.clock() + within
         root = self._make(run, [limit])
         try:
@@ -193,8 +193,8 @@ class _Loader(Reader):
                 continue
             if key in (*STEPS, *DECORATORS):
                 self.problem(f"{path}.{key}", f"a check only looks; {key} belongs into a procedure")
-            elif key in UNUSABLE:
-                self.problem(f"{path}.{key}", UNUSABLE[key])
+            elif key in REFUSED_PLUGINS:
+                self.problem(f"{path}.{key}", REFUSED_PLUGINS[key])
             elif key in ("do", "within", "times", "wait"):
                 self.problem(f"{path}.{key}", f"unknown key; {key} belongs inside timeout or retry")
             else:
@@ -216,7 +216,7 @@ class _Loader(Reader):
         if len(children) < len(made):
             return None
 
-        def make(run: Run, limits: Sequence[Limit]) -> Behaviour:
+        def make(run: ProcedureRun, limits: Sequence[TimeLimit]) -> Behaviour:
             nodes = [child(run, limits) for child in children]
             if kind == "sequence":
                 return Ordered(path, memory=True, children=nodes)
@@ -247,9 +247,9 @@ class _Loader(Reader):
 
         called = self._called(path)
 
-        def make(run: Run, limits: Sequence[Limit]) -> Behaviour:
-            limit = Limit()
-            return Within(called, child(run, [*limits, limit]), run, within, limit, limits)
+        def make(run: ProcedureRun, limits: Sequence[TimeLimit]) -> Behaviour:
+            limit = TimeLimit()
+            return Timeout(called, child(run, [*limits, limit]), run, within, limit, limits)
 
         return make
 
@@ -464,12 +464,11 @@ _FIELDS = {
     "restore_state": "nothing ({}) or only",
     "resend_goals": "nothing ({})",
     "lifecycle_is": "node and state",
-    "topic": "name and gap or rate",
     "node_present": "node",
     "service_present": "service",
     "parameter_is": "node, name and value",
 }
-_KEYS = {**procedure_vocabulary.STEPS, **procedure_vocabulary.LOOKS}
+_KEYS = {key: step.keys for key, step in (*procedure_steps.STEPS.items(), *procedure_steps.CONDITIONS.items())}
 _EXAMPLES = {"node": "map_server", "service": "controller_server/get_state", "topic": "initialpose"}
 _TYPES = {"srv": "std_srvs/srv/Trigger", "msg": "geometry_msgs/msg/Twist"}
 

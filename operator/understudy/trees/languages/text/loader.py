@@ -7,13 +7,13 @@ from typing import Any, TypeVar
 
 from understudy.trees.core.health_tree import HealthTree
 from understudy.trees.languages.short.health_loader import load
-from understudy.trees.languages.short_form import Found, SourceMap, Written, refusal
+from understudy.trees.languages.text.source_map import LocatedProblem, ParsedNode, SourceMap, refusal
 from understudy.trees.source.expressions import Fields
-from understudy.trees.source.positions import Beginning, Malformed
+from understudy.trees.source.positions import Malformed, TextOffset
 from understudy.trees.source.problems import Problem, TreeError
 from understudy.trees.source.value_reader import found_text
 
-Read = Callable[[str, str, Beginning], tuple[Written | None, list[Found]]]
+Read = Callable[[str, str, TextOffset], tuple[ParsedNode | None, list[LocatedProblem]]]
 """What was written in a text (None where that can't be told) and what is wrong with it; given its path and where it begins.
 Raises Malformed."""
 
@@ -21,7 +21,7 @@ Loaded = TypeVar("Loaded")
 
 
 def load_language(
-    text: object, read: Read, *, called: str, path: str, grace: float, fields: Fields | None, begins: Beginning
+    text: object, read: Read, *, called: str, path: str, grace: float, fields: Fields | None, begins: TextOffset
 ) -> HealthTree:
     """The health tree that a text stands for: that of the short form which says the same.
 
@@ -31,17 +31,17 @@ def load_language(
     def loaded(node: dict[str, Any], source: SourceMap) -> HealthTree:
         return load(node, path=path, grace=grace, fields=fields, called=source.called)
 
-    return translated(text, read, loaded, called=called, path=path, begins=begins)
+    return load_translated(text, read, loaded, called=called, path=path, begins=begins)
 
 
-def translated(
+def load_translated(
     text: object,
     read: Read,
     loaded: Callable[[dict[str, Any], SourceMap], Loaded],
     *,
     called: str,
     path: str,
-    begins: Beginning,
+    begins: TextOffset,
 ) -> Loaded:
     """What is ``loaded`` from the node of the short form that a text stands for, with all problems at their places in it.
 

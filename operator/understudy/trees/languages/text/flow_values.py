@@ -14,8 +14,7 @@ from typing import Any, NoReturn
 import yaml
 from yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
-from understudy.trees.languages.btcpp.blackboard import JSON
-from understudy.trees.source.value_reader import found_text
+from understudy.trees.source.value_reader import JSON_PREFIX, found_text
 from understudy.trees.source.yaml_scalars import SCALARS, TAG, plain
 
 LONGEST = 16384
@@ -31,8 +30,8 @@ def structure_of(text: str) -> Any:
         raise ValueError(f"has {len(text)} characters; it may have {LONGEST}")
     stripped = text.strip()
     try:
-        if stripped.startswith(JSON):
-            return _checked(_json(stripped.removeprefix(JSON)), 0)
+        if stripped.startswith(JSON_PREFIX):
+            return _checked(_json(stripped.removeprefix(JSON_PREFIX)), 0)
         return _checked(_yaml(stripped), 0)
     except RecursionError as error:
         raise ValueError(_TOO_DEEP) from error

@@ -12,15 +12,15 @@ from understudy.trees.source.problems import Problem, TreeError
 LONGEST_MESSAGE = 500
 """Characters of a message; some repeat what was found."""
 
-ENOUGH = 100
+MOST_PROBLEMS = 100
 """Mistakes after which no more are looked for: one in a subtree is found at each of its uses."""
 
-AROUND: Mapping[str, str] = {"while": "do", "inverter": "inverter", "timeout": "timeout.do", "retry": "retry.do"}
+WRAPPED: Mapping[str, str] = {"while": "do", "inverter": "inverter", "timeout": "timeout.do", "retry": "retry.do"}
 """Where the node is that a node of these kinds is around, as a path from it."""
 
 
 @dataclass(frozen=True)
-class Found:
+class LocatedProblem:
     """A problem and where it is, by which it is put in order."""
 
     line: int
@@ -45,14 +45,16 @@ class Origin:
         by = f" (used in line {', '.join(map(str, self.uses))})" if self.uses else ""
         return f"line {self.line}, column {self.column}{by}"
 
-    def problem(self, path: str, message: str, attribute: str = "") -> Found:
+    def problem(self, path: str, message: str, attribute: str = "") -> LocatedProblem:
         """A problem here, or with an attribute that is here."""
         what = f"{self.label} {attribute:.60}" if attribute else self.label
-        return Found(self.line, self.column, Problem(f"{path}, {self.place}", f"{what}: {message:.{LONGEST_MESSAGE}}"))
+        return LocatedProblem(
+            self.line, self.column, Problem(f"{path}, {self.place}", f"{what}: {message:.{LONGEST_MESSAGE}}")
+        )
 
 
 @dataclass(frozen=True)
-class Written:
+class ParsedNode:
     """A node that could be read, with those of its values and children that could be."""
 
     origin: Origin
@@ -63,7 +65,7 @@ class Written:
     """By port, where its value goes in the short form."""
     values: Mapping[str, str] = field(default_factory=dict)
     """By port, what it was given."""
-    children: list[Written] = field(default_factory=list)
+    children: list[ParsedNode] = field(default_factory=list)
     places: Mapping[str, Origin] = field(default_factory=dict)
     """By port, where its value was written, where that is known better than by the node."""
     reads: Mapping[str, Callable[[str], Any]] = field(default_factory=dict)
@@ -79,10 +81,10 @@ class SourceMap:
         self._unread: set[str] = set()
         self.nodes: dict[str, Origin] = {}
         """By path from the tree, with its kind behind it, where each node was written."""
-        self.problems: list[Found] = []
+        self.problems: list[LocatedProblem] = []
         """Values that can't be read."""
 
-    def short_form(self, written: Written) -> dict[str, Any]:
+    def short_form(self, written: ParsedNode) -> dict[str, Any]:
         """The node of the short form. The places of all that is in it are noted."""
         return self._node(written, self._path)
 
@@ -91,7 +93,7 @@ class SourceMap:
         origin, _ = self._find(path)
         return f"{origin.label} in {origin.place}"
 
-    def problem(self, found: Problem) -> Found:
+    def problem(self, found: Problem) -> LocatedProblem:
         """A problem with the short form as one of the text."""
         origin, port = self._find(found.path)
         return origin.problem(self._path, found.message, port)
@@ -100,7 +102,7 @@ class SourceMap:
         """Whether a problem with the short form is with a value that couldn't be read, which was said already."""
         return found.path in self._unread
 
-    def _node(self, written: Written, path: str) -> dict[str, Any]:
+    def _node(self, written: ParsedNode, path: str) -> dict[str, Any]:
         self._places[path] = (written.origin, "")
         self.nodes[f"{path}.{written.key}".removeprefix(f"{self._path}.")] = written.origin
         self._places[f"{path}.name"] = (written.places.get("name", written.origin), "name")
@@ -113,12 +115,12 @@ class SourceMap:
                 inner = inner.setdefault(key, {})
             if port in written.values:
                 inner[last] = self._value(written, port, f"{path}.{where}")
-        if written.key in AROUND:
-            *above, last = AROUND[written.key].split(".")
+        if written.key in WRAPPED:
+            *above, last = WRAPPED[written.key].split(".")
             inner = node
             for key in above:
                 inner = inner.setdefault(key, {})
-            inner[last] = self._node(written.children[0], f"{path}.{AROUND[written.key]}")
+            inner[last] = self._node(written.children[0], f"{path}.{WRAPPED[written.key]}")
         elif written.children:
             node[written.key] = [
                 self._node(child, f"{path}.{written.key}[{index}]") for index, child in enumerate(written.children)
@@ -127,7 +129,7 @@ class SourceMap:
             node.setdefault(written.key, {})  # a leaf that is given nothing
         return node
 
-    def _value(self, written: Written, port: str, path: str) -> Any:
+    def _value(self, written: ParsedNode, port: str, path: str) -> Any:
         text = written.values[port]
         try:
             return written.reads[port](text) if port in written.reads else text
@@ -140,11 +142,11 @@ class SourceMap:
         return nearest(self._places, path) or self._places[self._path]
 
 
-def refusal(found: Iterable[Found], path: str) -> TreeError:
+def refusal(found: Iterable[LocatedProblem], path: str) -> TreeError:
     """The error of a text with these problems, in the order of the text."""
     # A subtree that is used twice has its mistakes once.
     listed = sorted(dict.fromkeys(found), key=lambda one: (one.line, one.column))
-    problems = [one.problem for one in listed[:ENOUGH]]
-    if len(listed) > ENOUGH:
-        problems.append(Problem(path, f"and {len(listed) - ENOUGH} more"))
+    problems = [one.problem for one in listed[:MOST_PROBLEMS]]
+    if len(listed) > MOST_PROBLEMS:
+        problems.append(Problem(path, f"and {len(listed) - MOST_PROBLEMS} more"))
     return TreeError(problems)

@@ -1,4 +1,4 @@
-"""The lease's state machine: every event in every state, and how long silence may last."""
+"""The permit's state machine: every event in every state, and how long silence may last."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from collections.abc import Callable
 import pytest
 
 from understudy.agent import permit
-from understudy.agent.permit import HELD, Lease, State
+from understudy.agent.permit import FROZEN, Permit, State
 
 NOW = 1000.0
 
 
-def lease(state: State) -> Lease:
+def permit_in(state: State) -> Permit:
     """In a state, with somebody's last answer just now."""
-    return Lease(state=state, answered_at=NOW, looked_at=NOW)
+    return Permit(state=state, answered_at=NOW, looked_at=NOW)
 
 
 def pass_time(
-    found: Lease, seconds: float, *, since: float = NOW, answer: Callable[[float], bool] | None = None
+    found: Permit, seconds: float, *, since: float = NOW, answer: Callable[[float], bool] | None = None
 ) -> float:
     """Look and ask as often as is due for so many seconds; when it ended."""
     now = since
@@ -30,23 +30,23 @@ def pass_time(
     return now
 
 
-def silence(found: Lease) -> None:
+def silence(found: Permit) -> None:
     pass_time(found, 3.0)
 
 
-def answer(found: Lease) -> None:
+def answer(found: Permit) -> None:
     found.answered(NOW + 1)
 
 
-def go(found: Lease) -> None:
+def go(found: Permit) -> None:
     found.word("Go", NOW + 1)
 
 
-def stay(found: Lease) -> None:
+def stay(found: Permit) -> None:
     found.word("Stay", NOW + 1)
 
 
-def apiserver_alone(found: Lease) -> None:
+def apiserver_alone(found: Permit) -> None:
     """The API server answers for longer than is waited for a monitor; nobody else does."""
 
     def reached(now: float) -> bool:
@@ -69,11 +69,11 @@ EVENTS = [silence, answer, go, stay, apiserver_alone]
 
 @pytest.mark.parametrize("state", TABLE)
 @pytest.mark.parametrize("event", EVENTS, ids=lambda event: event.__name__)
-def test_every_event_in_every_state(state: State, event: Callable[[Lease], None]) -> None:
-    found = lease(state)
+def test_every_event_in_every_state(state: State, event: Callable[[Permit], None]) -> None:
+    found = permit_in(state)
     event(found)
     assert found.state == TABLE[state][EVENTS.index(event)]
-    assert found.held is (found.state in HELD)
+    assert found.held is (found.state in FROZEN)
 
 
 def test_the_table_has_every_state() -> None:
@@ -82,7 +82,7 @@ def test_the_table_has_every_state() -> None:
 
 @pytest.mark.parametrize("phase", [step / 100 for step in range(13)])
 def test_silence_is_acted_upon_within_half_a_second_whenever_it_begins(phase: float) -> None:
-    found, cut = lease("Running"), NOW + 5 + phase
+    found, cut = permit_in("Running"), NOW + 5 + phase
     now = NOW
     while not found.held:
         now += found.wait
@@ -90,17 +90,17 @@ def test_silence_is_acted_upon_within_half_a_second_whenever_it_begins(phase: fl
         if found.ask(now) != "Nobody" and now < cut:
             found.answered(now)
         assert now < cut + 2
-    assert permit.PATIENCE - permit.PERIOD <= now - cut <= 0.5
+    assert permit.PATIENCE - permit.RENEW_PERIOD <= now - cut <= 0.5
 
 
 def test_a_shorter_silence_is_not() -> None:
-    found = lease("Running")
+    found = permit_in("Running")
     pass_time(found, 60, answer=lambda now: now % 1.0 > 0.2)
     assert found.state == "Running"
 
 
 def test_one_is_asked_while_it_answers_and_everybody_when_it_does_not() -> None:
-    found = lease("Running")
+    found = permit_in("Running")
     assert found.ask(NOW) == "One"
     assert found.ask(NOW + 0.1) == "Everybody"
     assert found.ask(NOW + 0.2) == "Everybody"
@@ -109,7 +109,7 @@ def test_one_is_asked_while_it_answers_and_everybody_when_it_does_not() -> None:
 
 
 def test_a_process_that_was_stalled_asks_anew_before_it_judges() -> None:
-    found = lease("Running")
+    found = permit_in("Running")
     found.ask(NOW)
     found.ask(NOW + 0.1)
     found.ask(NOW + 0.2)
@@ -123,11 +123,11 @@ def test_a_process_that_was_stalled_asks_anew_before_it_judges() -> None:
 
 
 def test_nobody_is_asked_for_one_that_was_replaced() -> None:
-    assert lease("Replaced").ask(NOW) == "Nobody"
+    assert permit_in("Replaced").ask(NOW) == "Nobody"
 
 
 def test_the_api_server_must_be_reached_all_the_time() -> None:
-    found = lease("Back")
+    found = permit_in("Back")
 
     def now_and_then(now: float) -> bool:
         found.apiserver(now, (now - NOW) % 20 > 1)
@@ -138,7 +138,7 @@ def test_the_api_server_must_be_reached_all_the_time() -> None:
 
 
 def test_one_that_is_cut_off_again_waits_for_another_word() -> None:
-    found = lease("Running")
+    found = permit_in("Running")
     silence(found)
     found.answered(NOW + 4)
     found.word("Go", NOW + 4)
@@ -148,7 +148,7 @@ def test_one_that_is_cut_off_again_waits_for_another_word() -> None:
 
 
 def test_the_monitors_last_word_counts() -> None:
-    found = lease("Back")
+    found = permit_in("Back")
     found.word("Stay", NOW)
     assert found.state == "Replaced"
     found.word("Go", NOW)

@@ -18,8 +18,8 @@ import pytest
 
 from tests.unit.agent.conftest import PACKAGE, Pod, eventually
 from understudy.agent import isolation
-from understudy.agent.control_channel import Operation, Peer, Refused, Sessions
-from understudy.agent.isolation import Address, Fence, Questions
+from understudy.agent.control_channel import ControlChannel, Operation, Peer, Refused
+from understudy.agent.isolation import Address, ConnectionAttempts, Isolation
 from understudy.api import names
 from understudy.api.protocol import agent_messages as wire
 from understudy.api.protocol import freeze_script as script
@@ -66,7 +66,7 @@ def silent() -> Iterator[socket.socket]:
 
 
 async def answers(address: Address, within: float) -> bool:
-    questions = Questions()
+    questions = ConnectionAttempts()
     begun = time.monotonic()
     questions.ask(address, begun)
     while not (found := questions.answers(begun)):
@@ -159,52 +159,52 @@ class Session:
         self.aborted += 1
 
 
-def running(fence: Fence) -> asyncio.Task[None]:
-    return asyncio.create_task(fence.run())
+def running(isolation: Isolation) -> asyncio.Task[None]:
+    return asyncio.create_task(isolation.run())
 
 
 async def test_it_is_held_while_nobody_answers_and_goes_on_with_the_monitors_word(
     application: Application, silent: socket.socket, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     changes: list[str] = []
-    fence = Fence(application.folder, ["drive"], on_change=lambda: changes.append(fence.reason))
-    fence.contacts = session = Session()
+    isolation = Isolation(application.folder, ["drive"], on_change=lambda: changes.append(isolation.reason))
+    isolation.contacts = session = Session()
     host, port = silent.getsockname()
     monkeypatch.setattr(names, "PROBE_PORT", port)
     peer = Peer("w", "", host)
-    await fence.lease({"witnesses": []}, peer)
-    assert "nobody has answered" in fence.unfenced
-    task = running(fence)
+    await isolation.renew({"witnesses": []}, peer)
+    assert "nobody has answered" in isolation.unfenced
+    task = running(isolation)
     await application.goes_on()
-    assert fence.since is None, "nobody has ever answered: silence says nothing"
+    assert isolation.since is None, "nobody has ever answered: silence says nothing"
 
     with socket.socket() as closed:  # whose kernel refuses
         closed.bind((host, 0))
         monkeypatch.setattr(names, "PROBE_PORT", closed.getsockname()[1])
-        await fence.lease({"witnesses": ["127.0.0.2"]}, peer)
-        await eventually(lambda: not fence.unfenced, 25)
+        await isolation.renew({"witnesses": ["127.0.0.2"]}, peer)
+        await eventually(lambda: not isolation.unfenced, 25)
         await application.goes_on()
-        assert fence.since is None
+        assert isolation.since is None
 
         monkeypatch.setattr(names, "PROBE_PORT", port)
-        await fence.lease({"witnesses": []}, peer)
-        await eventually(lambda: fence.since is not None, 25)
+        await isolation.renew({"witnesses": []}, peer)
+        await eventually(lambda: isolation.since is not None, 25)
         await application.is_held()
-        assert "cut off since" in fence.reason
+        assert "cut off since" in isolation.reason
         assert not session.aborted
-        again = Fence(application.folder, ["drive"])
+        again = Isolation(application.folder, ["drive"])
         assert again.since is not None, "an agent that is restarted meanwhile knows"
 
         monkeypatch.setattr(names, "PROBE_PORT", closed.getsockname()[1])
-        await fence.lease({"witnesses": []}, peer)
-        await eventually(lambda: "waits for the monitor's word" in fence.reason, 25)
+        await isolation.renew({"witnesses": []}, peer)
+        await eventually(lambda: "waits for the monitor's word" in isolation.reason, 25)
         assert session.aborted == 1, "for a fresh session"
         await application.is_held()
-        await fence.lease({"witnesses": [], "word": "Stay"}, peer)
-        assert "was replaced" in fence.reason
+        await isolation.renew({"witnesses": [], "word": "Stay"}, peer)
+        assert "was replaced" in isolation.reason
         await application.is_held()
-        await fence.lease({"witnesses": [], "word": "Go"}, peer)
-        assert (fence.reason, fence.since) == ("", None)
+        await isolation.renew({"witnesses": [], "word": "Go"}, peer)
+        assert (isolation.reason, isolation.since) == ("", None)
         await application.goes_on()
     task.cancel()
     assert [bool(reason) for reason in changes] == [False, True, True, True, False]
@@ -213,18 +213,18 @@ async def test_it_is_held_while_nobody_answers_and_goes_on_with_the_monitors_wor
 async def test_a_witness_that_answers_is_enough(
     application: Application, silent: socket.socket, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    fence = Fence(application.folder, ["drive"])
+    isolation = Isolation(application.folder, ["drive"])
     host, port = silent.getsockname()
     with socket.socket() as closed:
         closed.bind(("127.0.0.2", port))  # the same port at another address, where nobody listens
         monkeypatch.setattr(names, "PROBE_PORT", port)
-        await fence.lease({"witnesses": ["127.0.0.2"]}, Peer("w", "", host))
-        task = running(fence)
-        await eventually(lambda: not fence.unfenced, 25)
+        await isolation.renew({"witnesses": ["127.0.0.2"]}, Peer("w", "", host))
+        task = running(isolation)
+        await eventually(lambda: not isolation.unfenced, 25)
         end = time.monotonic() + 1.5
         while time.monotonic() < end:
             await application.goes_on()
-            assert fence.since is None
+            assert isolation.since is None
         task.cancel()
 
 
@@ -238,13 +238,13 @@ async def test_a_witness_that_answers_is_enough(
 )
 async def test_nonsense_is_refused(tmp_path: Path, body: dict[str, object], words: str) -> None:
     with pytest.raises(Refused, match=words):
-        await Fence(tmp_path, ["drive"]).lease(body, Peer("w", "", "127.0.0.1"))
+        await Isolation(tmp_path, ["drive"]).renew(body, Peer("w", "", "127.0.0.1"))
 
 
 def test_containers_that_cannot_be_held_are_said(tmp_path: Path) -> None:
-    fence = Fence(tmp_path, ["drive"], unfenced=["lamp"])
-    assert fence.unfenced == "container lamp has no command in the template"
-    assert Fence(tmp_path, []).unfenced == "", "and nothing is where nothing has to be"
+    isolation = Isolation(tmp_path, ["drive"], unfenced=["lamp"])
+    assert isolation.unfenced == "container lamp has no command in the template"
+    assert Isolation(tmp_path, []).unfenced == "", "and nothing is where nothing has to be"
 
 
 def test_the_init_container_makes_what_they_are_held_by(tmp_path: Path) -> None:
@@ -320,7 +320,7 @@ class Pretending:
 
 
 async def test_a_session_shows_whether_the_other_side_has_what_was_sent_and_ends_at_once() -> None:
-    sessions = Sessions(Pretending())
+    sessions = ControlChannel(Pretending())
     server = await sessions.serve(0, host="127.0.0.1")
     reader, writer = await asyncio.open_connection(*server.sockets[0].getsockname(), limit=1024)
     assert not sessions.taken_in(), "there is none"
@@ -342,29 +342,29 @@ async def test_a_session_shows_whether_the_other_side_has_what_was_sent_and_ends
 async def test_an_error_of_looking_ends_no_holding_and_who_can_ask_nobody_is_held(
     application: Application, silent: socket.socket, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    fence = Fence(application.folder, ["drive"])
+    isolation = Isolation(application.folder, ["drive"])
     host, _ = silent.getsockname()
-    answers, failing = Questions.answers, [0]
+    answers, failing = ConnectionAttempts.answers, [0]
 
-    def seldom(questions: Questions, now: float) -> list[tuple[Address, float, bool]]:
+    def seldom(questions: ConnectionAttempts, now: float) -> list[tuple[Address, float, bool]]:
         if failing[0]:
             failing[0] -= 1
             raise RuntimeError("out of the blue")
         return answers(questions, now)
 
-    monkeypatch.setattr(Questions, "answers", seldom)
+    monkeypatch.setattr(ConnectionAttempts, "answers", seldom)
     with socket.socket() as closed:  # whose kernel refuses
         closed.bind((host, 0))
         monkeypatch.setattr(names, "PROBE_PORT", closed.getsockname()[1])
-        await fence.lease({"witnesses": []}, Peer("w", "", host))
-        task = running(fence)
-        await eventually(lambda: not fence.unfenced, 25)
+        await isolation.renew({"witnesses": []}, Peer("w", "", host))
+        task = running(isolation)
+        await eventually(lambda: not isolation.unfenced, 25)
         failing[0] = 1
         await eventually(lambda: not failing[0], 25)
         await asyncio.sleep(0.6)
-        assert fence.since is None, "it goes on and is answered"
+        assert isolation.since is None, "it goes on and is answered"
         failing[0] = 1_000_000
-        await eventually(lambda: fence.since is not None, 25)
+        await eventually(lambda: isolation.since is not None, 25)
         await application.is_held()
         assert not task.done()
         task.cancel()
@@ -373,13 +373,13 @@ async def test_an_error_of_looking_ends_no_holding_and_who_can_ask_nobody_is_hel
 async def test_a_witness_that_has_no_address_is_one_that_does_not_answer(
     application: Application, silent: socket.socket, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    fence = Fence(application.folder, ["drive"])
+    isolation = Isolation(application.folder, ["drive"])
     host, port = silent.getsockname()
     with socket.socket() as closed:
         closed.bind(("127.0.0.2", port))
         monkeypatch.setattr(names, "PROBE_PORT", port)
-        await fence.lease({"witnesses": ["a\0b", "127.0.0.2"]}, Peer("w", "", host))
-        task = running(fence)
-        await eventually(lambda: not fence.unfenced, 25)
+        await isolation.renew({"witnesses": ["a\0b", "127.0.0.2"]}, Peer("w", "", host))
+        task = running(isolation)
+        await eventually(lambda: not isolation.unfenced, 25)
         assert not task.done()
         task.cancel()

@@ -1,0 +1,275 @@
+"""The leaf ``topic``: whether messages of a topic are received often enough."""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from understudy.trees.core.health_tree import WatchedTopic
+from understudy.trees.core.leaf import Leaf, State, duration
+from understudy.trees.core.observations import Evaluation, TopicRecord
+from understudy.trees.core.rate_window import Band, Window, hertz
+from understudy.trees.core.task_activity import TaskActive, TaskTiming, task_timing
+from understudy.trees.leaves.leaf_plan import TYPE, Key, LeafKind, LeafPlan, time_key, topic_of, type_of
+from understudy.trees.source.expressions import Fields
+from understudy.trees.source.value_reader import Reader, duration_of, found_text
+
+
+class TopicLeaf(Leaf):
+    """Holds while a topic is received often enough.
+
+    - Gap: failed from the moment at which the last sample is that old.
+    - Rate: failed while the count in a full window is outside the band.
+
+    Before the first sample, and for a rate until the band has held for the first time, it is starting, for as long as
+    the grace lasts; and in any case until a window has passed since the first sample.
+    """
+
+    def __init__(
+        self,
+        path: str,
+        topic: str,
+        evaluation: Evaluation,
+        *,
+        gap: float | None = None,
+        window: Window | None = None,
+        tasks: Sequence[TaskActive] = (),
+    ) -> None:
+        """A leaf over a topic; ``gap`` in seconds. At least one of gap and window is given."""
+        super().__init__(path, topic, evaluation, tasks)
+        self.gap = gap
+        self.window = window
+        self._held: float | None = None
+        """The instance (its ``since``) whose rate has been in the band once."""
+
+    def state(self) -> State:
+        """The state at the time of the evaluation."""
+        if self.tasks:
+            found = task_timing(self.tasks, self._evaluation)
+            return self._task_state(found) if found is not None else "Healthy"
+        states = [self._gap_state()] if self.gap is not None else []
+        if self.window is not None:
+            states.append(self._rate_state(self.window))
+        if "Failed" in states:
+            return "Failed"
+        return "Starting" if "Starting" in states else "Healthy"
+
+    def remember(self) -> None:
+        """Note that the instance has been healthy here: a rate has no more grace then."""
+        self._held = self._evaluation.since
+
+    def healthy_until(self) -> float | None:
+        """When it is no longer healthy; None where it isn't healthy."""
+        if self.tasks:
+            return self._task_healthy_until()
+        record, now, since = (
+            self._evaluation.observations.topic(self.topic),
+            self._evaluation.now,
+            self._evaluation.since,
+        )
+        if record is None or record.last is None or record.last < since:
+            return None
+        until = record.last + self.gap if self.gap is not None else math.inf
+        if self.window is not None:
+            arrivals = self._arrivals(record)
+            if now < self.window.leaves(arrivals[0]) or self.window.exceeded(arrivals, now):
+                return None
+            until = min(until, self.window.until(arrivals))
+        return until if now < until else None
+
+    def changes(self) -> list[float]:
+        """The moments after that of the evaluation at which the state may be another with no further message."""
+        record = self._record()
+        moments = [self._evaluation.in_time]
+        if self.tasks and (found := task_timing(self.tasks, self._evaluation)) is not None:
+            moments += [found.settled]
+            moments += [self._gap_limit(found, record)] if self.gap is not None else []
+            moments += [self._judged_from(found, self.window)] if self.window is not None else []
+        if record is not None and record.last is not None:
+            if self.gap is not None:
+                moments.append(record.last + self.gap)
+            if self.window is not None:
+                arrivals = self._arrivals(record)
+                moments.append(self.window.leaves(arrivals[0]))
+                moments.extend(self.window.changes(arrivals))
+        return [moment for moment in moments if moment > self._evaluation.now]
+
+    def last(self) -> float | None:
+        """When all was last well: when the instance's last sample was received, or its task became active, in Unix seconds."""
+        record = self._record()
+        return self._last_with_task(record.last if record is not None else None)
+
+    def _plain_reason(self, state: State) -> str:
+        record = self._record()
+        if record is None:
+            return self._unheard(state, self.topic)
+        if state == "Healthy":
+            return f"{self.topic} is received"
+        gap_failed = (
+            self._task_gap_failed(record) if self.tasks else self.gap is not None and self._gap_state() == "Failed"
+        )
+        if self.gap is not None and gap_failed:
+            return f"no {self.topic} for {duration(self.gap)}"
+        assert self.window is not None, "a gap alone fails by the gap"
+        if state == "Starting":
+            return f"{self.topic} has not been at {self.window.band} for {duration(self.window.length)} yet"
+        return self._rate_reason(self.window, self._arrivals(record))
+
+    def _gap_state(self) -> State:
+        record, evaluation = self._record(), self._evaluation
+        if record is None or record.last is None:
+            return "Starting" if evaluation.now < evaluation.in_time else "Failed"
+        assert self.gap is not None
+        return "Healthy" if evaluation.now < record.last + self.gap else "Failed"
+
+    # -- for a task -------------------------------------------------------------------------------------------------
+
+    def _task_state(self, found: TaskTiming) -> State:
+        evaluation, record = self._evaluation, self._record()
+        in_grace = evaluation.now < evaluation.in_time
+        failed: list[bool] = []
+        if self.gap is not None:
+            failed.append(evaluation.now >= self._gap_limit(found, record))
+        if self.window is not None:
+            arrivals = self._task_arrivals(found, record)
+            unjudged = evaluation.now < self._judged_from(found, self.window)
+            failed.append(not unjudged and not self.window.holds(arrivals, evaluation.now))
+        if not any(failed):
+            return "Healthy"
+        # Grace is for an instance that hasn't been healthy yet.
+        fresh = record is None or (self.window is not None and failed[-1] and self._held != evaluation.since)
+        return "Starting" if in_grace and fresh else "Failed"
+
+    def _task_healthy_until(self) -> float | None:
+        found = task_timing(self.tasks, self._evaluation)
+        if found is None:
+            return math.inf
+        if self._task_state(found) != "Healthy":
+            return None
+        record, until = self._record(), math.inf
+        if self.gap is not None:
+            until = self._gap_limit(found, record)
+        if self.window is not None:
+            arrivals, judged = self._task_arrivals(found, record), self._judged_from(found, self.window)
+            if self._evaluation.now < judged and self.window.exceeded(arrivals, judged):
+                return min(until, judged)
+            until = min(until, max(judged, self.window.until(arrivals)))
+        return until
+
+    def _task_gap_failed(self, record: TopicRecord | None) -> bool:
+        found = task_timing(self.tasks, self._evaluation)
+        return found is not None and self.gap is not None and self._evaluation.now >= self._gap_limit(found, record)
+
+    def _gap_limit(self, found: TaskTiming, record: TopicRecord | None) -> float:
+        """When a gap fails if nothing more arrives. An instance that took over an active task has the grace instead."""
+        assert self.gap is not None
+        last = record.last if record is not None and record.last is not None else -math.inf
+        begun = found.active if found.active >= self._evaluation.since else -math.inf
+        return max(found.settled, max(last, begun) + self.gap)
+
+    def _judged_from(self, found: TaskTiming, window: Window) -> float:
+        """When a rate is judged first: a window after what it counts could have started."""
+        return window.leaves(max(found.settled, found.active, self._evaluation.since))
+
+    def _task_arrivals(self, found: TaskTiming, record: TopicRecord | None) -> Sequence[float]:
+        """The instance's arrivals since the task became active."""
+        if record is None:
+            return ()
+        arrivals = list(record.arrivals)
+        return arrivals[bisect_left(arrivals, max(found.active, self._evaluation.since)) :]
+
+    def _rate_state(self, window: Window) -> State:
+        record, evaluation = self._record(), self._evaluation
+        in_grace = evaluation.now < evaluation.in_time
+        if record is None:
+            if in_grace:
+                return "Starting"
+            return "Failed" if window.least else "Healthy"
+        arrivals = self._arrivals(record)
+        if evaluation.now < window.leaves(arrivals[0]):
+            return "Starting"
+        if window.holds(arrivals, evaluation.now):
+            return "Healthy"
+        return "Starting" if in_grace and self._held != evaluation.since else "Failed"
+
+    def _rate_reason(self, window: Window, arrivals: Sequence[float]) -> str:
+        now, band = self._evaluation.now, window.band
+        exceeded = window.exceeded(arrivals, now)
+        rate, bound = window.rate(arrivals, now), (band.high if exceeded else band.low) or 0
+        where = "above" if exceeded else "below"
+        if rate == bound:  # A strict bound, just met: "below 8 Hz" would be wrong of 8 Hz.
+            where = "not below" if exceeded else "not above"
+        return f"{self.topic} at {hertz(rate)}, {where} {hertz(bound)} over {duration(window.length)}"
+
+    def _record(self) -> TopicRecord | None:
+        """The topic's record, None without a sample of this instance."""
+        record = self._evaluation.observations.topic(self.topic)
+        if record is None or record.last is None or record.last < self._evaluation.since:
+            return None
+        return record
+
+    def _arrivals(self, record: TopicRecord) -> Sequence[float]:
+        """The instance's arrivals, at least one."""
+        arrivals = record.arrivals
+        if arrivals[0] >= self._evaluation.since:
+            return arrivals
+        return list(arrivals)[bisect_left(arrivals, self._evaluation.since) :]
+
+
+# -- how it is written ------------------------------------------------------------------------------------------------
+
+
+def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | None) -> LeafPlan | None:
+    before = len(reader.problems)
+    topic = topic_of(reader, value, path, "/cmd_vel", key="name")
+    type_ = type_of(reader, value, path)
+    gap = reader.given(value, "gap", path, duration_of)
+    band = reader.given(value, "rate", path, _band)
+    length = reader.given(value, "window", path, duration_of)
+    if "gap" not in value and "rate" not in value:
+        reader.problem(path, "neither gap nor rate is given; give gap, such as 500ms, or rate, such as '> 8 Hz'")
+    if "window" in value and "rate" not in value:
+        reader.problem(f"{path}.window", "a window is only for a rate; give rate, or leave window out")
+    window = _window(reader, band, length, path) if band is not None else None
+    if topic is None or len(reader.problems) > before:
+        return None
+    return LeafPlan(
+        topic.lstrip("/"),
+        WatchedTopic(topic, type_, window.length if window else 0.0, window.band.expected if window else None),
+        lambda place, evaluation, tasks: TopicLeaf(place, topic, evaluation, gap=gap, window=window, tasks=tasks),
+    )
+
+
+def _band(value: object) -> Band:
+    if not isinstance(value, str):
+        raise ValueError(f"found {found_text(value)}; write '> 8 Hz', '>= 8 Hz', '< 20 Hz', '<= 20 Hz' or '9 to 11 Hz'")
+    return Band.parse(value)
+
+
+def _window(reader: Reader, band: Band, length: float | None, path: str) -> Window | None:
+    shortest = band.shortest_window()
+    if length is not None and length < shortest:
+        reader.problem(
+            f"{path}.window",
+            f"{duration(length)} is too short to tell whether a rate is {band}: a window counts whole messages; "
+            f"give at least {duration(shortest)}",
+        )
+        return None
+    return Window(band, length if length is not None else band.default_window())
+
+
+TOPIC = LeafKind(
+    "topic",
+    "while the topic is received often enough",
+    (
+        Key("name", "the topic, fully qualified, such as /cmd_vel", xml="topic"),
+        TYPE,
+        time_key("gap", "the longest silence, such as 500ms"),
+        Key("rate", "a band, such as > 8 Hz or 9 to 11 Hz", "frequency"),
+        time_key("window", "the time over which a rate is counted, such as 2s"),
+    ),
+    "{name: /cmd_vel, gap: 500ms}",
+    _read,
+)
