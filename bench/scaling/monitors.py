@@ -107,12 +107,12 @@ class Monitor:
         client, namespace = self._client, self.robot.namespace
         async with asyncio.TaskGroup() as group:
             view = View(client, namespace, self.robot.name, self.wakeups)
-            view.waiting_gates = Borrowed(self._waiting, client, NETWORK_POLICIES, namespace, labels=names.WAITS_FOR)
+            view.waiting_gates = [Borrowed(self._waiting, client, NETWORK_POLICIES, namespace, labels=names.WAITS_FOR)]
             await view.run(group)
             crash_points = CrashPoints(self._state)
             self.fleet = Fleet(client, view, crash_points)
             probes = Probes(self.application)
-            self.gate = probes.gate = GateControl(client, view, self.fleet, cast(Any, probes), crash_points)
+            self.gate = probes.gate = GateControl(client, view, self.fleet, probes, crash_points)
             recorder = Recorder(client, "understudy-monitor", "bench")
             self.reporter = Recording(client, namespace, self.robot.name, recorder)
             self.reporter.robot = self.robot.key
@@ -125,7 +125,7 @@ class Monitor:
                 roles=InstanceRoles(view, self.gate, self.current),
                 sidecars=cast(Any, Sidecars(self.application)),
                 sight=cast(Any, Sight(self.application)),
-                probes=cast(Any, probes),
+                probes=probes,
                 reporter=self.reporter,
                 journal=Journal(self._state / "recovery.json"),
                 crash_points=crash_points,

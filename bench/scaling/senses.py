@@ -14,6 +14,7 @@ from understudy.api.protocol.agent_messages import AgentStatus
 from understudy.api.protocol.kept_state import KeptState, RestoreReport
 from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import Gate, Instance
+from understudy.kube.gates.base import Proof
 from understudy.trees.core.health_tree import Verdict
 
 STARTUP = 0.1
@@ -108,7 +109,7 @@ class Outputs:
         return 0.0, ""
 
 
-class Probes:
+class Probes(Proof):
     """Enforced at once: there is no network."""
 
     def __init__(self, application: Application) -> None:

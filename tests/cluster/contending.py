@@ -18,7 +18,8 @@ from dataclasses import asdict, dataclass, field
 from understudy.api import names
 from understudy.kube import claims
 from understudy.kube.client import NETWORK_POLICIES, PODS, WORKLOADS, Access, ApiError, Client, Object
-from understudy.kube.gates import network_policy
+from understudy.kube.gates.base import GateRecord
+from understudy.kube.gates.network_policy import GATE
 
 
 @dataclass
@@ -41,14 +42,14 @@ class Contender:
     def __init__(self, client: Client, namespace: str, robot: str) -> None:
         self._client, self._namespace, self._robot = client, namespace, robot
         self._uid = ""
-        self._gate: network_policy.GateRecord | None = None
+        self._gate: GateRecord | None = None
         self._free: list[Object] = []
 
     async def read(self, pool: str) -> None:
         """Read what there is; all that follows goes by it, however old it has become."""
         client, namespace = self._client, self._namespace
         self._uid = (await client.get(WORKLOADS, namespace, self._robot))["metadata"]["uid"]
-        self._gate = network_policy.read(await client.get(NETWORK_POLICIES, namespace, names.gate(self._robot)))
+        self._gate = GateRecord.of(await client.get(NETWORK_POLICIES, namespace, names.gate(self._robot)))
         found = await client.list(PODS, namespace, labels=f"{names.POOL}={pool},{names.HELD}=true")
         self._free = sorted(found["items"], key=lambda pod: str(pod["metadata"]["name"]))
 
@@ -74,7 +75,7 @@ class Contender:
         assert self._gate is not None, "it has read first"
         name, uid = pod["metadata"]["name"], pod["metadata"]["uid"]
         try:
-            await network_policy.commit(
+            await GATE.commit(
                 self._client, self._namespace, self._robot, over=self._gate, active=name, active_uid=uid, recovery=""
             )
         except ApiError as error:

@@ -12,7 +12,8 @@ import pytest
 from understudy.api import names
 from understudy.kube import claims
 from understudy.kube.client import NAMESPACES, NETWORK_POLICIES, PODS, Access, ApiError, Client
-from understudy.kube.gates import network_policy
+from understudy.kube.gates.base import GateRecord
+from understudy.kube.gates.network_policy import GATE
 
 pytestmark = pytest.mark.cluster
 
@@ -81,11 +82,11 @@ async def test_of_many_commits_at_one_epoch_exactly_one_wins(client: Client, spa
     workload = "robot"
     policy = await client.create(NETWORK_POLICIES, space, gates_body(workload))
     for epoch in range(5):
-        record = network_policy.read(policy)
+        record = GateRecord.of(policy)
         assert record.epoch == epoch
         outcomes = await asyncio.gather(
             *(
-                network_policy.commit(
+                GATE.commit(
                     client, space, workload, over=record, active=f"robot-{i}", active_uid=f"uid-{i}", recovery=""
                 )
                 for i in range(CONTENDERS)
@@ -95,10 +96,10 @@ async def test_of_many_commits_at_one_epoch_exactly_one_wins(client: Client, spa
         won = [o for o in outcomes if isinstance(o, dict)]
         assert len(won) == 1
         policy = await client.get(NETWORK_POLICIES, space, names.gate(workload))
-        after = network_policy.read(policy)
+        after = GateRecord.of(policy)
         assert after.epoch == epoch + 1
-        assert after.active == network_policy.read(won[0]).active
-        assert network_policy.selected(policy) == (after.active,), "selector and record say the same"
+        assert after.active == GateRecord.of(won[0]).active
+        assert GATE.let_through(policy) == (after.active,), "selector and record say the same"
 
 
 async def test_a_standby_is_let_through_beside_the_one_in_control_until_the_next_commit(
@@ -106,37 +107,33 @@ async def test_a_standby_is_let_through_beside_the_one_in_control_until_the_next
 ) -> None:
     gate = await client.create(NETWORK_POLICIES, space, gates_body("robot"))
     with pytest.raises(ValueError, match="closed"):
-        await network_policy.admit(
-            client, space, "robot", over=network_policy.read(gate), admitted="robot-b", admitted_uid="uid-b"
-        )
-    opened = await network_policy.commit(
-        client, space, "robot", over=network_policy.read(gate), active="robot-a", active_uid="uid-a", recovery=""
+        await GATE.admit(client, space, "robot", over=GateRecord.of(gate), admitted="robot-b", admitted_uid="uid-b")
+    opened = await GATE.commit(
+        client, space, "robot", over=GateRecord.of(gate), active="robot-a", active_uid="uid-a", recovery=""
     )
-    before = network_policy.read(opened)
-    both = await network_policy.admit(client, space, "robot", over=before, admitted="robot-b", admitted_uid="uid-b")
-    assert network_policy.selected(both) == ("robot-a", "robot-b")
-    assert (network_policy.read(both).epoch, network_policy.read(both).active) == (before.epoch, "robot-a"), (
+    before = GateRecord.of(opened)
+    both = await GATE.admit(client, space, "robot", over=before, admitted="robot-b", admitted_uid="uid-b")
+    assert GATE.let_through(both) == ("robot-a", "robot-b")
+    assert (GateRecord.of(both).epoch, GateRecord.of(both).active) == (before.epoch, "robot-a"), (
         "control is where it was"
     )
     with pytest.raises(ApiError) as refused:
-        await network_policy.admit(client, space, "robot", over=before, admitted="robot-c", admitted_uid="uid-c")
+        await GATE.admit(client, space, "robot", over=before, admitted="robot-c", admitted_uid="uid-c")
     assert refused.value.status == 409, "what was seen before another write doesn't count"
-    without = await network_policy.admit(
-        client, space, "robot", over=network_policy.read(both), admitted="", admitted_uid=""
+    without = await GATE.admit(client, space, "robot", over=GateRecord.of(both), admitted="", admitted_uid="")
+    assert GATE.let_through(without) == ("robot-a",)
+    again = await GATE.admit(
+        client, space, "robot", over=GateRecord.of(without), admitted="robot-b", admitted_uid="uid-b"
     )
-    assert network_policy.selected(without) == ("robot-a",)
-    again = await network_policy.admit(
-        client, space, "robot", over=network_policy.read(without), admitted="robot-b", admitted_uid="uid-b"
+    switched = await GATE.commit(
+        client, space, "robot", over=GateRecord.of(again), active="robot-b", active_uid="uid-b", recovery=""
     )
-    switched = await network_policy.commit(
-        client, space, "robot", over=network_policy.read(again), active="robot-b", active_uid="uid-b", recovery=""
+    assert GATE.let_through(switched) == ("robot-b",), "one write fences the one and leaves the other"
+    assert GateRecord.of(switched).admitted == ""
+    closed = await GATE.commit(
+        client, space, "robot", over=GateRecord.of(switched), active="", active_uid="", recovery=""
     )
-    assert network_policy.selected(switched) == ("robot-b",), "one write fences the one and leaves the other"
-    assert network_policy.read(switched).admitted == ""
-    closed = await network_policy.commit(
-        client, space, "robot", over=network_policy.read(switched), active="", active_uid="", recovery=""
-    )
-    assert network_policy.selected(closed) == ()
+    assert GATE.let_through(closed) == ()
 
 
 async def test_the_gates_of_those_that_wait_for_a_pod_are_found_by_their_label(client: Client, space: str) -> None:
@@ -147,12 +144,10 @@ async def test_the_gates_of_those_that_wait_for_a_pod_are_found_by_their_label(c
         return [item["metadata"]["name"] for item in found["items"]]
 
     assert await waiting() == []
-    closed = await network_policy.commit(
-        client, space, "robot", over=network_policy.read(gate), active="", active_uid="", recovery="", waits_for="spare"
+    closed = await GATE.commit(
+        client, space, "robot", over=GateRecord.of(gate), active="", active_uid="", recovery="", waits_for="spare"
     )
     assert closed["metadata"]["labels"][names.WAITS_FOR] == "spare"
     assert await waiting() == [names.gate("robot")]
-    await network_policy.commit(
-        client, space, "robot", over=network_policy.read(closed), active="", active_uid="", recovery=""
-    )
+    await GATE.commit(client, space, "robot", over=GateRecord.of(closed), active="", active_uid="", recovery="")
     assert await waiting() == []

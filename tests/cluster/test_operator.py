@@ -38,7 +38,8 @@ from understudy.controller.runtime import kopf_handlers, watches
 from understudy.controller.runtime import process as running
 from understudy.kube import claims
 from understudy.kube.client import Access, Client
-from understudy.kube.gates import network_policy
+from understudy.kube.gates.base import GateRecord
+from understudy.kube.gates.network_policy import GATE
 
 APPS, CORE, NETWORK, RBAC = "apps/v1", "v1", "networking.k8s.io/v1", "rbac.authorization.k8s.io/v1"
 POLICY = "policy/v1"
@@ -196,9 +197,9 @@ class Fleet:
 
         async def run() -> None:
             async with Client(Access.from_kubeconfig(str(self.cluster.kubeconfig))) as client:
-                record = network_policy.read(self.gate(workload))
+                record = GateRecord.of(self.gate(workload))
                 active, uid = (pod["metadata"]["name"], pod["metadata"]["uid"]) if pod else ("", "")
-                await network_policy.commit(
+                await GATE.commit(
                     client, self.namespace, workload, over=record, active=active, active_uid=uid, recovery=""
                 )
 

@@ -139,6 +139,9 @@ PROFILES_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 POD_VARIABLE = "UNDERSTUDY_POD"
 """The name of the pod, in the environment of an instance's containers; Fast DDS puts it into the profiles."""
 
+GATE_KIND_VARIABLE = "UNDERSTUDY_GATE_KIND"
+"""The kind of a workload's gate (``spec.gate.kind``), for its monitor."""
+
 MONITOR_IMAGE_VARIABLE = "UNDERSTUDY_MONITOR_IMAGE"
 """What monitors are made of, for the operator; what it's made of, for a monitor."""
 
@@ -151,12 +154,12 @@ STRENGTH_VARIABLE = "UNDERSTUDY_STRENGTH"
 
 
 def gate(workload: str) -> str:
-    """The NetworkPolicy whose selector is the commit point."""
+    """The gate object of a workload: its commit point."""
     return f"{workload}-gate"
 
 
 def standby(workload: str) -> str:
-    """The NetworkPolicy under which every instance lives."""
+    """The object under which every instance is kept from the robot, unless the gate lets it through."""
     return f"{workload}-standby"
 
 
@@ -211,7 +214,7 @@ def agent_secret(workload: str) -> str:
 
 
 def held(pool: str) -> str:
-    """NetworkPolicy of a pool's held pods."""
+    """The object that isolates a pool's unclaimed pods."""
     return f"{pool}-held"
 
 

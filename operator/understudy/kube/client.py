@@ -90,6 +90,11 @@ class Resource:
     version: str
     plural: str
 
+    @property
+    def qualified(self) -> str:
+        """Its name as ``kubectl`` takes it, such as ``deployments.apps``."""
+        return f"{self.plural}.{self.group}" if self.group else self.plural
+
     def path(self, namespace: str | None, name: str | None = None, subresource: str | None = None) -> str:
         """The URL path of the collection, an object or its subresource."""
         root = f"/apis/{self.group}/{self.version}" if self.group else f"/api/{self.version}"

@@ -19,7 +19,7 @@ from understudy.failover.journal import Journal
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.failover.strategies import Means
 from understudy.failover.switchover import Prepared
-from understudy.kube.gates.probes import ProbeReceiver
+from understudy.kube.gates.base import Proof
 from understudy.monitor.act.abandonment import GivingUp
 from understudy.monitor.act.cluster import Cluster
 from understudy.monitor.act.garbage_collection import Leftovers
@@ -74,7 +74,7 @@ class Parts:
     roles: InstanceRoles
     sidecars: Sidecars
     sight: Sight
-    probes: ProbeReceiver
+    probes: Proof
     reporter: Reporter
     journal: Journal
     crash_points: CrashPoints

@@ -20,7 +20,7 @@ from understudy.api.kinds.robot_workload import MonitorStatus
 from understudy.failover.journal import Journal
 from understudy.kube.client import Access, Client
 from understudy.kube.events import Recorder
-from understudy.kube.gates.probes import ProbeReceiver
+from understudy.kube.gates import registry
 from understudy.kube.warm_connections import keep_warm
 from understudy.monitor.act.action_proxy_link import TaskLink
 from understudy.monitor.act.cluster import Cluster
@@ -83,19 +83,19 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
     async with Client(Access.default()) as client, asyncio.TaskGroup() as group:
         client.listener = monitor_metrics.TRAFFIC
         wakeups = Wakeups()
-        view = View(client, namespace, workload, wakeups)
+        gate_kind = registry.KINDS[os.environ.get(names.GATE_KIND_VARIABLE, registry.DEFAULT.kind)]
+        view = View(client, namespace, workload, wakeups, gate_kind)
         pages: dict[str, Page] = {
             "/healthz": lambda: (200, "ok\n"),
             "/ready": lambda: (200, "ok\n") if alive["ready"] else (503, "starting\n"),
             "/metrics": lambda: (200, generate_latest(REGISTRY).decode()),
         }
         await serve(pages, names.METRICS_PORT)
-        probes = ProbeReceiver()
-        await probes.listen(port=names.PROBE_PORT)
+        proof = await gate_kind.proof()
         await view.run(group)
         crash_points = CrashPoints(state)
         fleet = Fleet(client, view, crash_points)
-        gate = GateControl(client, view, fleet, probes, crash_points)
+        gate = GateControl(client, view, fleet, proof, crash_points)
         recorder = Recorder(client, "understudy-monitor", os.environ.get("HOSTNAME", "monitor"))
         reporter = Reporter(client, namespace, workload, recorder)
         item = view.object
@@ -119,7 +119,7 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
             roles=roles,
             sidecars=sidecars,
             sight=sight,
-            probes=probes,
+            probes=proof,
             reporter=reporter,
             journal=Journal(state / "recovery.json"),
             crash_points=crash_points,

@@ -9,8 +9,8 @@ import pytest
 from tests.unit.controller.world import IMAGES, TEMPLATE, hot, pod, policy, spare
 from understudy.api import names
 from understudy.api.kinds.robot_workload import Ros
-from understudy.controller.desired import discovery_server, gate_policies, monitor_deployment, ros_environment
-from understudy.controller.observed import selectors, workload_reference
+from understudy.controller.desired import discovery_server, monitor_deployment, ros_environment
+from understudy.controller.observed import workload_reference
 from understudy.controller.observed.pod_diagnosis import trouble
 from understudy.controller.pods import instance_pod, pod_placement
 from understudy.controller.status import policy_status
@@ -99,74 +99,6 @@ class TestInstances:
         assert found is not None
         assert found.startswith("spec.template.spec")
         assert word in found
-
-
-class TestGates:
-    def test_everything_but_the_gated_ports_is_open_to_all_but_the_own_instances(self) -> None:
-        (found,) = gate_policies.standby_policies("w", ["192.168.7.0/24"], None)
-        spec = found["spec"]
-        assert spec["podSelector"] == {"matchLabels": {names.WORKLOAD: "w"}}
-        assert [(p["protocol"], p["port"], p["endPort"]) for p in spec["egress"][0]["ports"]] == [
-            ("TCP", 1, 65535),
-            ("UDP", 1, 7949),
-            ("UDP", 8150, 65535),
-        ]
-        pods, robot = spec["egress"][0]["to"]
-        assert pods["namespaceSelector"] == {}
-        assert pods["podSelector"]["matchExpressions"] == [
-            {"key": names.WORKLOAD, "operator": "NotIn", "values": ["w"]}
-        ]
-        assert robot == {"ipBlock": {"cidr": "192.168.7.0/24"}}
-        assert "ports" not in spec["ingress"][0]
-
-    def test_the_gate_allows_everything_to_the_one_it_names(self) -> None:
-        spec = gate_policies.closed_gate("w", epoch=0)["spec"]
-        assert (spec["policyTypes"], spec["egress"]) == (["Egress"], [{}])
-
-
-class TestSelectors:
-    @pytest.mark.parametrize(
-        ("selector", "labels", "matched"),
-        [
-            ({}, {}, True),
-            ({"matchLabels": {"a": "1"}}, {"a": "1", "b": "2"}, True),
-            ({"matchLabels": {"a": "1"}}, {"a": "2"}, False),
-            ({"matchExpressions": [{"key": "a", "operator": "NotIn", "values": ["1"]}]}, {}, True),
-            ({"matchExpressions": [{"key": "a", "operator": "In", "values": ["1", "2"]}]}, {"a": "2"}, True),
-            ({"matchExpressions": [{"key": "a", "operator": "Exists"}]}, {"b": ""}, False),
-            ({"matchExpressions": [{"key": "a", "operator": "DoesNotExist"}]}, {"b": ""}, True),
-        ],
-    )
-    def test_matching(self, selector: Object, labels: dict[str, str], matched: bool) -> None:
-        assert selectors.matches(selector, labels) is matched
-
-    @pytest.mark.parametrize("labels", [{}, {"a": "1"}, {"a": "2"}, {"b": "1"}, {"a": "1", "b": "x"}])
-    def test_the_opposite_holds_exactly_where_it_does_not(self, labels: dict[str, str]) -> None:
-        for requirement in selectors.requirements(
-            {
-                "matchLabels": {"a": "1"},
-                "matchExpressions": [
-                    {"key": "a", "operator": "NotIn", "values": ["2"]},
-                    {"key": "b", "operator": "Exists"},
-                    {"key": "b", "operator": "DoesNotExist"},
-                ],
-            }
-        ):
-            is_so = selectors.matches({"matchExpressions": [requirement]}, labels)
-            is_not = selectors.matches({"matchExpressions": [selectors.opposite(requirement)]}, labels)
-            assert is_so is not is_not
-
-    def test_text(self) -> None:
-        selector = {
-            "matchLabels": {"a": "1"},
-            "matchExpressions": [
-                {"key": "b", "operator": "In", "values": ["x", "y"]},
-                {"key": "c", "operator": "DoesNotExist"},
-                {"key": "d", "operator": "NotIn", "values": ["z"]},
-                {"key": "e", "operator": "Exists"},
-            ],
-        }
-        assert selectors.as_text(selector) == "a=1,b in (x,y),!c,d notin (z),e"
 
 
 class TestPolicies:

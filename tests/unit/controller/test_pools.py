@@ -448,7 +448,8 @@ class TestNumbers:
         driving, own = standby_pod("w-s", of=item), source_pod("w-a", ready=False)
         ready = source_pod("w-a")
         ready["metadata"]["resourceVersion"] = "99"
-        for resource, found in ((PODS, driving), (PODS, own), (NETWORK_POLICIES, gate(item, active=driving, epoch=2))):
+        opened = gate(item, active=driving, epoch=2)
+        for resource, found in ((WORKLOADS, item), (PODS, driving), (PODS, own), (NETWORK_POLICIES, opened)):
             store.put(resource, found)
         seen: list[set[change_index.Key]] = []
         store.noticed = lambda sight: seen.append(change_index.keys(sight, store))

@@ -190,11 +190,11 @@ def claimed_pod(name: str, *, of: Object, by: Object, **more: Any) -> Object:
 
 
 def gate(of: Object, *, active: Object | None = None, epoch: int = 0) -> Object:
-    from understudy.controller.desired import gate_policies
     from understudy.controller.observed import ownership
+    from understudy.kube.gates import registry
 
     made = ownership.ours(
-        gate_policies.closed_gate(kube_objects.name(of), epoch=epoch), kube_objects.owner("RobotWorkload", of), of
+        registry.of(of).closed(kube_objects.name(of), epoch=epoch), kube_objects.owner("RobotWorkload", of), of
     )
     made["metadata"] |= {"uid": "uid-gate", "resourceVersion": "20"}
     if active is not None:

@@ -34,7 +34,7 @@ from understudy.controller.runtime.workers import Operator
 from understudy.failover.journal import Journal
 from understudy.kube.client import NETWORK_POLICIES, NODES, PODS, ApiError, Expired, Object, Resource
 from understudy.kube.events import Recorder
-from understudy.kube.gates import network_policy
+from understudy.kube.gates.base import GateRecord
 from understudy.kube.leader_election import LeadershipLost, Lease, Timing
 from understudy.monitor.act.cluster import Cluster
 from understudy.monitor.act.gate_control import GateControl
@@ -131,7 +131,7 @@ class Monitor:
             view = self._view = View(client, NAMESPACE, self.workload, self.wakeups)
             await view.run(group)
             fleet = Fleet(client, view, self.fuse)
-            probes: Any = self._make_probes()
+            probes = self._make_probes()
             gate = GateControl(client, view, fleet, probes, self.fuse)
             reporter = self.reporter = Reporter(client, NAMESPACE, self.workload, Silent())
             if (item := view.object) is not None:
@@ -165,7 +165,7 @@ class Monitor:
             return
         old, new = (int(found["metadata"]["resourceVersion"]) for found in (before, gate))
         if new < old:
-            epochs = [network_policy.read(found).epoch for found in (before, gate)]
+            epochs = [GateRecord.of(found).epoch for found in (before, gate)]
             self._broken(f"{self.process} knew epoch {epochs[0]} of its gate, and then {epochs[1]}")
 
     def mistaken(self, server: ApiServer) -> Iterator[str]:

@@ -16,7 +16,8 @@ from understudy.failover import progress as recoveries
 from understudy.failover.progress import Committed
 from understudy.kube.apply import controller_of
 from understudy.kube.client import Object
-from understudy.kube.gates import network_policy
+from understudy.kube.gates.base import GateRecord
+from understudy.kube.gates.network_policy import GATE
 
 KNOWN = 70.0
 """Seconds within which an operator knows of a pool's new size: two of its lists, and their longest waits."""
@@ -85,12 +86,12 @@ class Invariants:
 
     def _gate(self, old: Object | None, new: Object) -> None:
         """Each commit is of the next epoch, and lets exactly the pod through that it names."""
-        after = network_policy.read(new)
-        through = network_policy.selected(new)
+        after = GateRecord.of(new)
+        through = GATE.let_through(new)
         if through != self._named(after):
             self._broken(f"{_name(new)} lets {through} through and names {after.active!r}")
         if old is not None:
-            before = network_policy.read(old)
+            before = GateRecord.of(old)
             changed = self._control(old) != self._control(new)
             if after.epoch != before.epoch + changed and (changed or after.epoch != before.epoch + 1):
                 self._broken(f"{_name(new)} went from epoch {before.epoch} to {after.epoch}")
@@ -103,13 +104,13 @@ class Invariants:
         if len(routed) > self.most_through:
             self._broken(f"{_name(new)} lets several through at once: {', '.join(routed)}")
 
-    def _named(self, record: network_policy.GateRecord) -> tuple[str, ...]:
+    def _named(self, record: GateRecord) -> tuple[str, ...]:
         """The instances that a gate names."""
         return (record.active,) if record.active else ()
 
     def _control(self, gate: Object) -> object:
         """What another epoch is needed for to change."""
-        return network_policy.read(gate).active_uid, network_policy.selected(gate)
+        return GateRecord.of(gate).active_uid, GATE.let_through(gate)
 
     def _routed(self, workload: str, through: tuple[str, ...]) -> list[str]:
         found = []
@@ -174,7 +175,7 @@ class Invariants:
     def _undriven(self) -> Iterator[str]:
         for (namespace, workload), _ in sorted(self._server.items["robotworkloads"].items()):
             gate = self._server.get("networkpolicies", (namespace, names.gate(workload)))
-            uid = network_policy.read(gate).active_uid if gate is not None else ""
+            uid = GateRecord.of(gate).active_uid if gate is not None else ""
             found = self._robots.running.get(uid)
             if found is None or not found.through:
                 yield f"{workload} isn't driven"
@@ -183,7 +184,7 @@ class Invariants:
         """Recoveries that those who depend on a workload take to be under way, and that nobody goes on with."""
         for (namespace, workload), item in sorted(self._server.items["robotworkloads"].items()):
             gate = self._server.get("networkpolicies", (namespace, names.gate(workload)))
-            found = recoveries.beside(network_policy.read(gate).recovery) if gate is not None else None
+            found = recoveries.beside(GateRecord.of(gate).recovery) if gate is not None else None
             if found is None:
                 continue
             status = RobotWorkloadStatus.model_validate(item.get("status") or {})
@@ -278,9 +279,7 @@ class Invariants:
 
     def _in_control(self) -> set[str]:
         policies = self._server.items["networkpolicies"]
-        return {
-            network_policy.read(policy).active_uid for (_, name), policy in policies.items() if name.endswith("-gate")
-        }
+        return {GateRecord.of(policy).active_uid for (_, name), policy in policies.items() if name.endswith("-gate")}
 
     def _leaked(self) -> Iterator[str]:
         in_control = self._in_control()

@@ -29,7 +29,7 @@ from understudy.agent import prepare
 from understudy.api import names
 from understudy.api.kinds.robot_workload import Reflex
 from understudy.api.protocol import ownership_strength
-from understudy.kube.gates import network_policy
+from understudy.kube.gates.base import GateRecord
 
 FIRST = 1_000_000
 """From this seed on runs are of the reflex."""
@@ -152,7 +152,7 @@ class Reflexive(Simulation):
     def _standby(self, workload: str) -> str:
         """The standby that is let through, or else any."""
         gate = self.server.get("networkpolicies", (NAMESPACE, names.gate(workload)))
-        if gate is not None and (admitted := network_policy.read(gate).admitted_uid):
+        if gate is not None and (admitted := GateRecord.of(gate).admitted_uid):
             return admitted
         others = [
             uid for uid, r in self.robots.running.items() if r.robot == workload and uid != self._active(workload)

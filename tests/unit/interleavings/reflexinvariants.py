@@ -29,7 +29,7 @@ from understudy.api import names
 from understudy.api.base import seconds
 from understudy.failover.progress import Progress
 from understudy.kube.client import Object
-from understudy.kube.gates import network_policy
+from understudy.kube.gates.base import GateRecord
 
 ENFORCED = 0.05
 """Seconds in which nodes follow a gate."""
@@ -71,17 +71,17 @@ class ReflexInvariants(Invariants):
 
     # -- gates ------------------------------------------------------------------------------------------------------
 
-    def _named(self, record: network_policy.GateRecord) -> tuple[str, ...]:
+    def _named(self, record: GateRecord) -> tuple[str, ...]:
         return (*super()._named(record), *((record.admitted,) if record.admitted else ()))
 
     def _control(self, gate: Object) -> object:
-        return network_policy.read(gate).active_uid
+        return GateRecord.of(gate).active_uid
 
     def _gate(self, old: Object | None, new: Object) -> None:
         super()._gate(old, new)
-        record = network_policy.read(new)
+        record = GateRecord.of(new)
         workload = new["metadata"]["name"].removesuffix("-gate")
-        before = network_policy.read(old) if old is not None else None
+        before = GateRecord.of(old) if old is not None else None
         if record.admitted_uid and record.admitted_uid == record.active_uid:
             self._broken(f"{names.gate(workload)} names {record.active} twice")
         if before is not None and before.active_uid != record.active_uid and record.admitted:
@@ -97,9 +97,9 @@ class ReflexInvariants(Invariants):
         """Note how gates are when a run begins."""
         for (_, name), gate in self._server.items["networkpolicies"].items():
             if name.endswith("-gate"):
-                self._note(name.removesuffix("-gate"), network_policy.read(gate))
+                self._note(name.removesuffix("-gate"), GateRecord.of(gate))
 
-    def _note(self, workload: str, record: network_policy.GateRecord) -> None:
+    def _note(self, workload: str, record: GateRecord) -> None:
         """Who is let through from now on, and who no more."""
         before, let = self._let.get(workload, ("", "")), (record.active_uid, record.admitted_uid)
         shut = self._shut_out.setdefault(workload, {})
@@ -109,7 +109,7 @@ class ReflexInvariants(Invariants):
         if before != let:
             self._let[workload], self._let_since[workload] = let, self.robots.now
 
-    def _recovering(self, workload: str, record: network_policy.GateRecord) -> None:
+    def _recovering(self, workload: str, record: GateRecord) -> None:
         """A recovery has committed: what the reflex did is built upon."""
         taken = Progress.model_validate_json(record.recovery).taken_over
         if taken is None:
@@ -122,7 +122,7 @@ class ReflexInvariants(Invariants):
         if all(reader.driver == taken.uid for reader in (self.robots.reader_of(workload), *watching)):
             self._broken(f"{workload} took {taken.name} by the reflex, and its gate names {record.active or 'nobody'}")
 
-    def _admitted(self, record: network_policy.GateRecord) -> None:
+    def _admitted(self, record: GateRecord) -> None:
         """A standby is let through: its process is weaker than the one in control, unless that one was restarted just now."""
         active, standby = (self.robots.agents.get(uid) for uid in (record.active_uid, record.admitted_uid))
         self.robots.seen["let through"] += 1

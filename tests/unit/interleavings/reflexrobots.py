@@ -25,7 +25,7 @@ from understudy.agent.writer_strength import WriterStrengths
 from understudy.api import names
 from understudy.api.base import seconds
 from understudy.api.kinds.robot_workload import Reflex
-from understudy.kube.gates import network_policy
+from understudy.kube.gates.network_policy import GATE
 from understudy.ros.dds import exclusive_ownership
 
 ADDRESS = ROBOTS.partition("/")[0]
@@ -311,7 +311,7 @@ class ReflexRobots(Robots):
     def _enforce_at(self, node: str, workload: str) -> None:
         if self.reaches(node, "API server") and node not in self._stale:
             policy = self.server.get("networkpolicies", (NAMESPACE, names.gate(workload)))
-            self._enforced[node, workload] = network_policy.selected(policy) if policy is not None else ()
+            self._enforced[node, workload] = GATE.let_through(policy) if policy is not None else ()
             self._route(workload)
 
     def _catch_up(self, node: str) -> None:

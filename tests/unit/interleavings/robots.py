@@ -13,7 +13,7 @@ from tests.unit.interleavings.scheduling import Process, VirtualLoop
 from understudy.api import names
 from understudy.kube.apply import controller_of
 from understudy.kube.client import Object
-from understudy.kube.gates import network_policy
+from understudy.kube.gates.network_policy import GATE
 
 BY = "the cluster"
 NODES = ("a", "b", "c")
@@ -372,7 +372,7 @@ class Robots:
         policy = next(
             (p for (_, n), p in self.server.items["networkpolicies"].items() if n == names.gate(workload)), None
         )
-        self.let_through[workload] = network_policy.selected(policy) if policy is not None else ()
+        self.let_through[workload] = GATE.let_through(policy) if policy is not None else ()
         self._route(workload)
 
     def _route(self, robot: str) -> None:

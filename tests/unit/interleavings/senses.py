@@ -11,6 +11,7 @@ from understudy.api.protocol.agent_messages import AgentStatus
 from understudy.api.protocol.kept_state import KeptState, RestoreReport
 from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import Instance, NotVerified
+from understudy.kube.gates.base import Proof
 from understudy.trees.core.health_tree import Verdict
 
 GAP = 0.5
@@ -104,7 +105,7 @@ class Outputs:
         return (last, name) if last > 0 else (0.0, "")
 
 
-class Probes:
+class Probes(Proof):
     """What gets through the gate, whether the application sends or not."""
 
     def __init__(self, robots: Robots, workload: str) -> None:

@@ -33,7 +33,7 @@ from understudy.controller.observed import kube_objects
 from understudy.failover import progress
 from understudy.kube import apply, leader_election
 from understudy.kube.client import Object
-from understudy.kube.gates import network_policy
+from understudy.kube.gates.base import GateRecord
 from understudy.monitor import loop as supervising
 
 REPLICAS = ("a", "b")
@@ -355,7 +355,7 @@ class Simulation:
 
     def _active(self, workload: str) -> str:
         gate = self.server.get("networkpolicies", (NAMESPACE, names.gate(workload)))
-        return network_policy.read(gate).active_uid if gate is not None else ""
+        return GateRecord.of(gate).active_uid if gate is not None else ""
 
     def _break(self, uid: str, how: str) -> None:
         found = self.robots.running.get(uid)

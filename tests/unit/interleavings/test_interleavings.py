@@ -23,7 +23,8 @@ from understudy.controller.pods.expectations import Expectations
 from understudy.controller.reconcile.executor import Executor
 from understudy.kube import apply, claims
 from understudy.kube.client import Client, Object
-from understudy.kube.gates import network_policy
+from understudy.kube.gates.base import GateRecord
+from understudy.kube.gates.network_policy import GATE
 from understudy.kube.leader_election import Lease
 from understudy.monitor.act.abandonment import GivingUp
 from understudy.monitor.act.garbage_collection import Leftovers
@@ -115,29 +116,29 @@ def test_a_claim_without_its_precondition_is_found() -> None:
 
 
 def test_a_commit_without_its_precondition_is_found() -> None:
-    commit = network_policy.commit
+    commit = GATE.commit
 
     async def careless(client: Client, *rest: Any, **more: Any) -> Object:
         with mock.patch.object(client, "patch", without("resourceVersion").__get__(client)):
             return await commit(client, *rest, **more)
 
-    with mock.patch.object(network_policy, "commit", careless):
+    with mock.patch.object(GATE, "commit", careless):
         assert found("went from epoch", EXECUTING, "second_monitor", "all_fail")
 
 
 def test_a_gate_that_is_opened_before_the_failed_pod_is_fenced_is_found() -> None:
-    commit, selector = network_policy.commit, network_policy._selector
+    commit, routing = GATE.commit, GATE.routing
     before: dict[str, str] = {}
 
-    async def careless(client: Client, *rest: Any, over: network_policy.GateRecord, active: str, **more: Any) -> Object:
+    async def careless(client: Client, *rest: Any, over: GateRecord, active: str, **more: Any) -> Object:
         before[rest[1]] = over.active if active else ""
         return await commit(client, *rest, over=over, active=active, **more)
 
     def both(workload: str, active: str, admitted: str = "") -> Object:
-        return selector(workload, active, admitted or before.get(workload, ""))
+        return routing(workload, active, admitted or before.get(workload, ""))
 
     # Both for the whole test: a monitor that is killed ends no context that it is in.
-    with mock.patch.object(network_policy, "commit", careless), mock.patch.object(network_policy, "_selector", both):
+    with mock.patch.object(GATE, "commit", careless), mock.patch.object(GATE, "routing", both):
         assert found("through and names", EXECUTING, "all_fail")
 
 

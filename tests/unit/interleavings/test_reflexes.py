@@ -24,7 +24,7 @@ from understudy.api.protocol.ownership_strength import STRONGEST
 from understudy.failover import reflex
 from understudy.failover.interfaces import Instance
 from understudy.kube.client import Client, Object
-from understudy.kube.gates import network_policy
+from understudy.kube.gates.network_policy import GATE
 from understudy.monitor.act import permits
 from understudy.monitor.act.reflex_guard import Reflexes
 
@@ -176,13 +176,13 @@ def test_a_standby_that_is_stronger_than_who_drives_is_found() -> None:
 
 
 def test_a_standby_that_is_let_through_over_another_write_is_found() -> None:
-    admit = network_policy.admit
+    admit = GATE.admit
 
     async def careless(client: Client, *rest: Any, **more: Any) -> Object:
         with mock.patch.object(client, "patch", without("resourceVersion").__get__(client)):
             return await admit(client, *rest, **more)
 
-    with mock.patch.object(network_policy, "admit", careless):
+    with mock.patch.object(GATE, "admit", careless):
         assert found("lets ", ALONE, "active_hangs", "standby_hangs", "second_monitor", weather=3.0, within=200)
 
 

@@ -21,7 +21,7 @@ from understudy.api import names
 from understudy.api.protocol.monitor_settings import WorkloadSettings
 from understudy.controller.observed import kube_objects
 from understudy.kube.client import Object
-from understudy.kube.gates import network_policy
+from understudy.kube.gates.base import GateRecord
 from understudy.monitor.observe.context_detection import Seen
 
 FIRST, RUNS = 500_016, 16
@@ -73,8 +73,8 @@ class Situated(Simulation):
     def _written(self, plural: str, old: Object | None, new: Object | None, by: str) -> None:
         super()._written(plural, old, new, by)
         if plural == "networkpolicies" and old is not None and new is not None:
-            found = self.robots.running.get(uid := network_policy.read(new).active_uid)
-            if found is not None and network_policy.read(old).active_uid != uid:
+            found = self.robots.running.get(uid := GateRecord.of(new).active_uid)
+            if found is not None and GateRecord.of(old).active_uid != uid:
                 self.seen["took over"] += (
                     _labels(self.server.get("pods", found.place) or {"metadata": {}}).get(names.POOL) == "hot"
                 )

@@ -17,7 +17,7 @@ from tests.unit.interleavings.simulation import SCENES, Outcome, Simulation
 from understudy.api import names
 from understudy.failover.progress import Progress
 from understudy.kube.client import Object
-from understudy.kube.gates import network_policy
+from understudy.kube.gates.base import GateRecord
 
 FIRST, RUNS = 300_000, 36
 """Runs of one test."""
@@ -53,13 +53,13 @@ class Asked(Simulation):
 
     def _written(self, plural: str, old: Object | None, new: Object | None, by: str) -> None:
         super()._written(plural, old, new, by)
-        if plural != "networkpolicies" or new is None or not (record := network_policy.read(new)).recovery:
+        if plural != "networkpolicies" or new is None or not (record := GateRecord.of(new)).recovery:
             return
         kind = Progress.model_validate_json(record.recovery).switchover
         if kind is None:
             return
-        self.switched[kind] += old is not None and network_policy.read(old).active_uid != record.active_uid
-        if old is not None and network_policy.read(old).recovery != record.recovery and not record.active:
+        self.switched[kind] += old is not None and GateRecord.of(old).active_uid != record.active_uid
+        if old is not None and GateRecord.of(old).recovery != record.recovery and not record.active:
             self._broken(f"a switchover has closed the gate {new['metadata']['name']}")
 
     def _mistaken(self) -> Iterator[str]:
@@ -70,7 +70,7 @@ class Asked(Simulation):
             workload = name.removesuffix("-in-control")
             gate = self.server.get("networkpolicies", (NAMESPACE, names.gate(workload)))
             selected = budget["spec"]["selector"]["matchLabels"][names.INSTANCE]
-            if gate is not None and network_policy.read(gate).active != selected:
+            if gate is not None and GateRecord.of(gate).active != selected:
                 yield f"evictions of {selected} wait, which doesn't drive {workload}"
         for (_, name), item in sorted(self.server.items["robotworkloads"].items()):
             asked = (item["metadata"].get("annotations") or {}).get(names.SWITCHOVER)

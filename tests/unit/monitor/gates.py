@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -10,9 +11,20 @@ from tests.unit.kube.memory import MemoryClient
 from understudy.api import names
 from understudy.failover.interfaces import Instance
 from understudy.kube.client import NETWORK_POLICIES, Object
+from understudy.kube.gates.base import Proof
 from understudy.monitor.act.gate_control import GateControl
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.observe.cluster_view import View
+
+
+class Packets(Proof):
+    """Packets that got through, as a test gives them: the last one of each pod by its UID."""
+
+    def __init__(self, last: Mapping[str, float]) -> None:
+        self._last = last
+
+    def last(self, uid: str) -> float | None:
+        return self._last.get(uid)
 
 
 async def gate(client: MemoryClient, found: View, tmp_path: Path, active: Instance | None = None) -> GateControl:

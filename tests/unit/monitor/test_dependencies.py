@@ -117,7 +117,7 @@ class Watching:
     def committed(self, progress: Progress, now: float = NOW) -> None:
         """Its gate is committed by a recovery."""
         notes = {names.RECOVERY: progress.model_dump_json(), names.EPOCH: "7"}
-        reflector = self.dependencies._watched["localization"].gates
+        reflector = self.dependencies._watched["localization"].gates[0]
         self._put(reflector, names.gate("localization"), {"metadata": {"annotations": notes}})
         self.dependencies.look(now)
 
@@ -440,7 +440,7 @@ class TestBetweenMonitors:
         world.said("Healthy")
         world.dependencies.notice(NOW - 0.5, NOW)
         await switch.commit(None, recovery("r1", onset=NOW - 0.52, result="Running"))
-        reflector = world.dependencies._watched["localization"].gates
+        reflector = world.dependencies._watched["localization"].gates[0]
         reflector.put(await client.get(NETWORK_POLICIES, "fleet", names.gate("localization")))
         world.dependencies.look(NOW + 0.05)
         world.dependencies.hold("no /plan for 500 ms", NOW - 0.5, NOW + 0.05)

@@ -8,6 +8,7 @@ from typing import Any, cast
 
 import pytest
 
+from tests.unit.monitor.gates import Packets
 from tests.unit.monitor.test_trying_again import Told
 from understudy.failover.interfaces import GateState, Instance
 from understudy.monitor.judge import gate_enforcement
@@ -82,7 +83,7 @@ def test_it_is_judged_anew_after_the_gate_lets_another_pod_through_and_said_once
 ) -> None:
     gate: Any = SimpleNamespace(state=GateState(epoch=3, active="w-1", active_uid="uid-w-1"))
     last = {"uid-w-1": NOW, "uid-w-2": NOW}
-    probes: Any = SimpleNamespace(last=last.get)
+    probes = Packets(last)
     told: Any = Told()
     clock = [NOW]
     monkeypatch.setattr(gate_enforcement, "time", SimpleNamespace(time=lambda: clock[0]))
@@ -107,7 +108,7 @@ def test_a_reader_that_the_gate_does_not_reach_counts_as_not_enforced_whatever_p
 ) -> None:
     gate: Any = SimpleNamespace(state=GateState(epoch=3, active="w-1", active_uid="uid-w-1"))
     last = {"uid-w-1": NOW + SETTLE}
-    probes: Any = SimpleNamespace(last=last.get)
+    probes = Packets(last)
     clock = [NOW]
     monkeypatch.setattr(gate_enforcement, "time", SimpleNamespace(time=lambda: clock[0]))
     told: Any = Told()
@@ -128,7 +129,7 @@ def test_a_reader_that_the_gate_does_not_reach_counts_as_not_enforced_whatever_p
 def test_after_the_clock_was_set_back_it_is_judged_as_before(monkeypatch: pytest.MonkeyPatch) -> None:
     gate: Any = SimpleNamespace(state=GateState(epoch=1, active="w-1", active_uid="uid-w-1"))
     last = {"uid-w-1": NOW + 3600, "uid-w-2": NOW + 3600}  # the standby's is of when it was let through
-    probes: Any = SimpleNamespace(last=last.get)
+    probes = Packets(last)
     clock = [NOW + 3600.0]
     monkeypatch.setattr(time, "time", lambda: clock[0])
     enforced = Enforcement(gate, probes, cast(Any, SimpleNamespace()))

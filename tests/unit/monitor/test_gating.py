@@ -12,7 +12,8 @@ from tests.unit.monitor.gates import gate as open_gate
 from understudy.failover.interfaces import Instance, Superseded
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.kube.client import NETWORK_POLICIES, Object
-from understudy.kube.gates import network_policy
+from understudy.kube.gates.base import GateRecord
+from understudy.kube.gates.network_policy import GATE
 from understudy.monitor.observe.cluster_view import View
 from understudy.monitor.observe.wakeups import Wakeups
 
@@ -34,10 +35,10 @@ async def by_another(
 
     The recovery that stands beside the gate is ``kept`` by who knows of epochs only.
     """
-    over = network_policy.read(await client.get(NETWORK_POLICIES, "fleet", "w-gate"))
+    over = GateRecord.of(await client.get(NETWORK_POLICIES, "fleet", "w-gate"))
     name, uid = (pod.name, pod.uid) if pod else ("", "")
     beside = over.recovery if kept else ""
-    policy = await network_policy.commit(client, "fleet", "w", over=over, active=name, active_uid=uid, recovery=beside)
+    policy = await GATE.commit(client, "fleet", "w", over=over, active=name, active_uid=uid, recovery=beside)
     if noticed:
         found.gates.put(policy)
 
@@ -98,16 +99,16 @@ async def test_a_commit_that_was_carried_out_without_an_answer_is_its_own(
     client: MemoryClient, found: View, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     gate, progress = await open_gate(client, found, tmp_path, FAILED), recovery()
-    real = network_policy.commit
+    real = GATE.commit
 
     async def unanswered(*arguments: Any, **named: Any) -> Object:
         found.gates.put(await real(*arguments, **named))
         raise RuntimeError("given up in its time")
 
-    monkeypatch.setattr(network_policy, "commit", unanswered)
+    monkeypatch.setattr(GATE, "commit", unanswered)
     with pytest.raises(RuntimeError):
         await gate.commit(None, progress)
-    monkeypatch.setattr(network_policy, "commit", real)
+    monkeypatch.setattr(GATE, "commit", real)
     await gate.commit(STANDBY, progress)
     assert (gate.state.active, gate.state.epoch) == (STANDBY.name, 6)
 

@@ -27,7 +27,8 @@ from understudy.failover.progress import LASTS, PodIdentity, Progress, beside, t
 from understudy.failover.protocol import Choice
 from understudy.failover.strategies import Means, Strategy
 from understudy.kube.client import NETWORK_POLICIES, ApiError, Object
-from understudy.kube.gates import network_policy
+from understudy.kube.gates.base import GateRecord
+from understudy.kube.gates.network_policy import GATE
 from understudy.monitor.act import abandonment
 from understudy.monitor.act.abandonment import GivingUp
 from understudy.monitor.act.gate_control import GateControl
@@ -143,7 +144,7 @@ class Monitor:
 
     def seen(self) -> Seen:
         """What those that depend on it make of its gate and of its status, once that says that it is well."""
-        recovery = beside(network_policy.read(self.policy).recovery)
+        recovery = beside(GateRecord.of(self.policy).recovery)
         return Seen.of(RobotWorkloadStatus(health="Healthy", recoveries=self.recoveries), recovery)
 
     @property
@@ -199,10 +200,10 @@ async def test_one_that_an_error_stops_after_its_commit_is_under_way_for_nobody_
     progress = await monitor.recover(None, last, DENIED)
     assert monitor.ended == ["stopped"]
     assert monitor.seen().failing, "as long as nobody has said otherwise"
-    epoch, selector = network_policy.read(monitor.policy).epoch, monitor.policy["spec"]
+    epoch, selector = GateRecord.of(monitor.policy).epoch, monitor.policy["spec"]
     await monitor.look()
     assert not monitor.seen().failing
-    record = network_policy.read(monitor.policy)
+    record = GateRecord.of(monitor.policy)
     found = beside(record.recovery)
     assert found is not None
     assert (found.id, found.result, found.failed) == (progress.id, "Failed", progress.failed)
@@ -233,7 +234,7 @@ async def test_those_that_wait_for_the_same_pool_do_not_wait_for_it(monitor: Mon
     await monitor.recover(None, DENIED, progress=progress)
     assert monitor.policy["metadata"]["labels"] == {"app": "w", names.WAITS_FOR: "spare"}
     await monitor.look()
-    found = beside(network_policy.read(monitor.policy).recovery)
+    found = beside(GateRecord.of(monitor.policy).recovery)
     assert found is not None
     assert found.waiting is None
     assert monitor.policy["metadata"]["labels"] == {"app": "w"}
@@ -262,7 +263,7 @@ async def test_nothing_waits_for_its_answer_and_one_is_asked_at_a_time(
     monitor: Monitor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     await monitor.recover(None, DENIED)
-    asked, answered, real = 0, asyncio.Event(), network_policy.end_recovery
+    asked, answered, real = 0, asyncio.Event(), GATE.end_recovery
 
     async def slow(*arguments: Any, **named: Any) -> Object:
         nonlocal asked
@@ -270,7 +271,7 @@ async def test_nothing_waits_for_its_answer_and_one_is_asked_at_a_time(
         await answered.wait()
         return await real(*arguments, **named)
 
-    monkeypatch.setattr(network_policy, "end_recovery", slow)
+    monkeypatch.setattr(GATE, "end_recovery", slow)
     for _ in range(3):
         monitor.giving_up.look()
         await asyncio.sleep(0)
@@ -280,7 +281,7 @@ async def test_nothing_waits_for_its_answer_and_one_is_asked_at_a_time(
         await monitor.gate.commit(THIRD, next_one)  # while it is under way
     answered.set()
     await monitor.look()
-    found = beside(network_policy.read(monitor.policy).recovery)
+    found = beside(GateRecord.of(monitor.policy).recovery)
     assert found is not None
     assert (found.id, found.result, monitor.gate.state.active) == (next_one.id, "Running", THIRD.name)
 
@@ -292,9 +293,9 @@ async def test_a_commit_that_it_was_faster_than_is_carried_out_all_the_same(moni
     monitor.view.gates.items = known  # its answer has not come yet, nor has the watch told
     next_one = begun()
     await monitor.gate.commit(STANDBY, next_one)
-    found = beside(network_policy.read(monitor.policy).recovery)
+    found = beside(GateRecord.of(monitor.policy).recovery)
     assert found is not None
-    assert (found.id, found.result, network_policy.read(monitor.policy).epoch) == (next_one.id, "Running", 6)
+    assert (found.id, found.result, GateRecord.of(monitor.policy).epoch) == (next_one.id, "Running", 6)
 
 
 @pytest.mark.parametrize("noticed", [True, False])
@@ -307,7 +308,7 @@ async def test_the_record_of_a_newer_recovery_is_not_written_over(
     if noticed:
         put(monitor)
     await monitor.look()
-    found = beside(network_policy.read(monitor.policy).recovery)
+    found = beside(GateRecord.of(monitor.policy).recovery)
     assert found is not None
     assert (found.id, found.result) == (newer.id, "Running")
     put(monitor)
@@ -328,7 +329,7 @@ async def test_one_that_another_monitor_has_taken_up_under_the_same_id_is_that_o
     await other.gate.commit(STANDBY, taken_up)
     put(monitor)
     await monitor.look()
-    found = beside(network_policy.read(monitor.policy).recovery)
+    found = beside(GateRecord.of(monitor.policy).recovery)
     assert found is not None
     assert (found.resumed, found.result) == (True, "Running")
 
@@ -364,14 +365,14 @@ async def test_one_that_a_new_monitor_had_taken_up_and_was_stopped_at_before_it_
 async def test_a_commit_that_is_carried_out_after_its_recovery_was_stopped_is_found(
     monitor: Monitor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    real = network_policy.commit
+    real = GATE.commit
     late: list[Callable[[], Any]] = []
 
     async def unanswered(*arguments: Any, **named: Any) -> Object:
         late.append(lambda: real(*arguments, **named))
         raise DENIED  # by somebody in between, such as a proxy
 
-    monkeypatch.setattr(network_policy, "commit", unanswered)
+    monkeypatch.setattr(GATE, "commit", unanswered)
     await monitor.recover(None)
     await monitor.look()
     assert not monitor.seen().failing
@@ -402,15 +403,13 @@ async def test_an_earlier_one_that_stands_there_still_is_not_forgotten_for_the_n
 async def test_what_somebody_fenced_by_hand_is_not_opened_by_saying_it(monitor: Monitor) -> None:
     progress = begun()
     await monitor.gate.commit(STANDBY, progress)
-    over = network_policy.read(monitor.policy)
-    await network_policy.commit(
-        monitor.client, "fleet", "w", over=over, active="", active_uid="", recovery=over.recovery
-    )
+    over = GateRecord.of(monitor.policy)
+    await GATE.commit(monitor.client, "fleet", "w", over=over, active="", active_uid="", recovery=over.recovery)
     put(monitor)
     await monitor.recover(DENIED, progress=progress)
     await monitor.look()
-    record = network_policy.read(monitor.policy)
-    assert (record.epoch, record.active, network_policy.selected(monitor.policy)) == (6, "", ())
+    record = GateRecord.of(monitor.policy)
+    assert (record.epoch, record.active, GATE.let_through(monitor.policy)) == (6, "", ())
     assert not monitor.seen().failing
 
 
@@ -467,7 +466,7 @@ class TestWhatAnotherMonitorHasLeft:
         clock.now = 100.0 + LASTS
         await later.look()
         assert not later.seen().failing
-        assert network_policy.read(later.policy).active == STANDBY.name
+        assert GateRecord.of(later.policy).active == STANDBY.name
 
     @pytest.mark.parametrize("health", ["Failed", "Starting", "Unknown", "Recovering"])
     async def test_while_the_robot_is_not_driven_somebody_may_be_at_it(
@@ -493,7 +492,7 @@ class TestWhatAnotherMonitorHasLeft:
         assert later.seen().failing
 
     async def test_what_the_status_tells_of_is_left_as_it_is(self, later: Monitor, clock: SimpleNamespace) -> None:
-        found = beside(network_policy.read(later.policy).recovery)
+        found = beside(GateRecord.of(later.policy).recovery)
         assert found is not None
         later.reporter.told = told_in([found.model_copy(update={"result": "Recovered"}).to_recovery(1)])
         before = written(later.client)
@@ -509,7 +508,7 @@ class TestWhatAnotherMonitorHasLeft:
         put(later)
         for clock.now in (100.0, 200.0, 300.0):
             await later.look()
-        found = beside(network_policy.read(later.policy).recovery)
+        found = beside(GateRecord.of(later.policy).recovery)
         assert found is not None
         assert found.result == "Running"
 
@@ -526,5 +525,5 @@ async def test_one_that_is_superseded_leaves_what_the_other_monitor_has_committe
         await monitor.gate.commit(THIRD, mine)
     monitor.giving_up.note(mine)
     await monitor.look()
-    assert network_policy.read(monitor.policy).active == STANDBY.name
+    assert GateRecord.of(monitor.policy).active == STANDBY.name
     assert monitor.giving_up.ids == set()

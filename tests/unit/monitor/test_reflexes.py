@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from tests.unit.monitor.gates import Packets
 from understudy.api.kinds.robot_workload import Output, Reflex
 from understudy.api.protocol.agent_messages import AgentStatus
 from understudy.failover.interfaces import GateState, Instance
@@ -59,7 +60,7 @@ class World:
             "sight": SimpleNamespace(
                 arrivals=lambda topic, pod: self.arrivals.get(pod, []), ambiguous=lambda pod: pod in self.twins
             ),
-            "probes": SimpleNamespace(last=self.probes.get),
+            "probes": Packets(self.probes),
             "reporter": SimpleNamespace(condition=self._condition, event=lambda *_: None),
         }
         self.reflexes = Reflexes(**parts)

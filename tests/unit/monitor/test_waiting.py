@@ -121,7 +121,7 @@ async def test_others_are_those_that_wait_for_the_same_pool_each_by_its_own_gate
         noted("c-gate", place("a", priority=1000)),  # nobody speaks for another
         noted("d-gate", place("d"), **{names.RECOVERY: "{"}),
     ):
-        found.waiting_gates.put(item)
+        found.waiting_gates[0].put(item)
     line = Line(found, Said())
     assert [(w.workload, w.priority) for w in line.others("spare")] == [("a", 7)]
 

@@ -193,7 +193,7 @@ class Monitor:
         if resource is PODS:
             _watched(self.view.pods, item, selected=labels.get(names.WORKLOAD) == self.workload)
         if resource is NETWORK_POLICIES:
-            _watched(self.view.waiting_gates, item, selected=names.WAITS_FOR in labels)
+            _watched(self.view.waiting_gates[0], item, selected=names.WAITS_FOR in labels)
             if name == names.gate(self.workload):
                 self.view.gates.put(item)
 

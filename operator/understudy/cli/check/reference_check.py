@@ -13,8 +13,9 @@ from understudy.cli.check import situation_check
 from understudy.cli.manifests.check_findings import Finding
 from understudy.cli.manifests.manifest_reader import Manifest
 from understudy.controller.desired import strategy_selection
-from understudy.controller.observed import dependency_graph, kube_objects, selectors
+from understudy.controller.observed import dependency_graph, kube_objects
 from understudy.controller.status.policy_status import shared, unshared
+from understudy.kube import selectors
 from understudy.trees.core.health_tree import HealthTree
 from understudy.trees.languages.notations import load_monitoring
 from understudy.trees.source.problems import TreeError

@@ -20,7 +20,7 @@ from understudy.cli.common.errors import CommandError
 from understudy.cli.common.recovery_under_way import UnderWay, under_way
 from understudy.cli.common.wording import counted, listed
 from understudy.controller.status.protection import LIMITED
-from understudy.kube.gates import network_policy
+from understudy.kube.gates.base import GateRecord
 
 Object = Mapping[str, Any]
 
@@ -181,7 +181,7 @@ def robot(item: Object, gate: dict[str, Any] | None = None, now: float = 0.0) ->
     recovering = under_way(status, gate, now) if not unwatched else None
     active, epoch = status.active or "", status.gate.epoch if status.gate is not None else 0
     if recovering is not None and gate is not None:
-        record = network_policy.read(gate)
+        record = GateRecord.of(gate)
         active, epoch = record.active, record.epoch
     health = "Recovering" if recovering is not None else status.health or "Unknown"
     return Robot(

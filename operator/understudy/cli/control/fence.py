@@ -15,7 +15,8 @@ from understudy.cli.common.robots import UNWATCHED, robot, status_of
 from understudy.cli.common.wording import wrapped
 from understudy.cli.control import signature
 from understudy.kube.client import Object
-from understudy.kube.gates import network_policy
+from understudy.kube.gates import registry
+from understudy.kube.gates.base import GateKind, GateRecord
 
 FENCED, UNSURE, CANT = 0, 1, 2
 """Exit statuses."""
@@ -30,8 +31,6 @@ LOOK = 0.3
 
 TRIES = 10
 """Times that the gate is written to where others write to it too."""
-
-_POLICIES = "networkpolicies.networking.k8s.io"
 
 
 def main(arguments: list[str]) -> int:
@@ -51,14 +50,14 @@ def main(arguments: list[str]) -> int:
 
 
 def _fence(kubectl: Kubectl, item: Object, pause: Pause) -> int:
-    name = item["metadata"]["name"]
+    name, kind = item["metadata"]["name"], registry.of(item)
     # The pause goes first: a monitor opens a gate that is closed for no reason that it knows.
     kubectl.patch(WORKLOADS, name, {"spec": {"pause": pause.to_wire() | {"until": None}}})
-    shut_out, epoch = _close(kubectl, name)
+    shut_out, epoch = _close(kubectl, name, kind)
     where = f"{item['metadata']['namespace']}/{name}"
     _say(f"{where}: gate closed at epoch {epoch} (shut out: {', '.join(shut_out) or 'nobody was in control'}).")
-    heard = robot(item).health == UNWATCHED or _heard(kubectl, name)
-    _close(kubectl, name)
+    heard = robot(item).health == UNWATCHED or _heard(kubectl, name, kind)
+    _close(kubectl, name, kind)
     _say(
         f"It is {pause.words}. No command is sent to the robot instead: see that it stands. understudy resume {name} lets an instance in "
         "again, and the robot is driven on at once."
@@ -77,35 +76,32 @@ def _say(text: str) -> None:
     print("\n".join(wrapped(text, terminal.columns(sys.stdout), indent=0)), flush=True)
 
 
-def _close(kubectl: Kubectl, name: str) -> tuple[tuple[str, ...], int]:
+def _close(kubectl: Kubectl, name: str, kind: GateKind) -> tuple[tuple[str, ...], int]:
     """Close the gate where it isn't; who was let through, and its epoch then. Raises CommandError."""
+    resource, what = kind.resource.qualified, f"{kind.object_kind} {names.gate(name)}"
     for _ in range(TRIES):
-        policy = kubectl.find(_POLICIES, names.gate(name))
-        if policy is None:
-            raise CommandError(
-                f"NetworkPolicy {names.gate(name)} isn't there, so nobody is let through: understudy explain {name}"
-            )
-        record, let_in = network_policy.read(policy), network_policy.selected(policy)
+        gate = kubectl.find(resource, names.gate(name))
+        if gate is None:
+            raise CommandError(f"{what} does not exist, so no instance is let through: see understudy explain {name}")
+        record, let_in = GateRecord.of(gate), kind.let_through(gate)
         if not let_in and not record.active:
             return (), record.epoch
         try:
-            kubectl.patch(_POLICIES, names.gate(name), network_policy.commitment(name, over=record))
+            kubectl.patch(resource, names.gate(name), kind.commitment(name, over=record))
         except CommandError:
-            found = kubectl.find(_POLICIES, names.gate(name))
-            if found is None or network_policy.read(found).version == record.version:
+            found = kubectl.find(resource, names.gate(name))
+            if found is None or GateRecord.of(found).version == record.version:
                 raise
             continue  # another writer was first
         return let_in, record.epoch + 1
-    raise CommandError(
-        f"NetworkPolicy {names.gate(name)} is written to by others all the time: delete the pod that drives"
-    )
+    raise CommandError(f"others write {what} all the time: delete the pod in control")
 
 
-def _heard(kubectl: Kubectl, name: str) -> bool:
+def _heard(kubectl: Kubectl, name: str, kind: GateKind) -> bool:
     """Wait until the monitor says that it leaves the workload alone, with the gate kept closed; whether it did."""
     end = time.monotonic() + HEARD_WITHIN
     while time.monotonic() < end:
-        _close(kubectl, name)
+        _close(kubectl, name, kind)
         said = status_of(kubectl.get(WORKLOADS, name)).conditions or []
         if any((one.type, one.status) == ("Paused", "True") and "fenced: " in one.message for one in said):
             return True

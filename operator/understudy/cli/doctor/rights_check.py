@@ -11,6 +11,7 @@ from understudy.cli.doctor.findings import Finding
 from understudy.cli.doctor.installation_check import Installed
 from understudy.controller.desired import monitor_deployment
 from understudy.kube.client import Object
+from understudy.kube.gates import registry
 
 _REVIEWS = "/apis/authorization.k8s.io/v1"
 
@@ -45,27 +46,29 @@ def _each(group: str, resource: str, verbs: str, use: str) -> list[Right]:
     return [Right(group, resource, verb, use) for verb in verbs.split()]
 
 
-_POLICIES = "networking.k8s.io"
+def _fencing(verbs: str, use: str = "") -> list[Right]:
+    return [right for one in registry.FENCING_RESOURCES for right in _each(one.group, one.plural, verbs, use)]
+
 
 OURS = (
     *_each(names.GROUP, "robotworkloads", "get list watch", "status"),
     *_each(names.GROUP, "fallbackpools", "list", "status"),
     *_each(names.GROUP, "failurepolicies", "list", "explain"),
     *_each("", "pods", "list", "explain"),
-    *_each(_POLICIES, "networkpolicies", "list", "status, explain"),
-    *_each(_POLICIES, "networkpolicies", "watch", "status"),
+    *_fencing("list", "status, explain"),
+    *_fencing("watch", "status"),
     *_each("", "events", "list", "explain"),
     *_each("", "pods/portforward", "create", "tree"),
     *_each(names.GROUP, "robotworkloads", "patch", "pause, resume, failover, failback"),
-    *_each(_POLICIES, "networkpolicies", "get", "status NAME, fence, doctor"),
-    *_each(_POLICIES, "networkpolicies", "patch", "fence, doctor"),
+    *_fencing("get", "status NAME, fence, doctor"),
+    *_fencing("patch", "fence, doctor"),
     *_each("", "configmaps", "get", "robot-profile"),
     *_each("", "pods", "get delete", "inject, doctor"),
     *_each("", "pods/exec", "create", "inject, doctor"),
     *_each("", "pods/ephemeralcontainers", "patch", "inject partition"),
     *_each("", "pods/log", "get", "inject partition"),
     *_each("", "pods", "create", "doctor"),
-    *_each(_POLICIES, "networkpolicies", "create delete", "doctor"),
+    *_fencing("create delete", "doctor"),
 )
 """What the verbs of this command need."""
 
@@ -81,7 +84,7 @@ def operators() -> Iterator[Right]:
         ("", "pods", "create patch delete"),
         ("apps", "replicasets", "create patch delete"),
         ("apps", "deployments", "create patch delete"),
-        (_POLICIES, "networkpolicies", "create patch delete"),
+        *((one.group, one.plural, "create patch delete") for one in registry.FENCING_RESOURCES),
         ("policy", "poddisruptionbudgets", "create patch delete"),
         ("", "services", "create patch delete"),
         ("", "configmaps", "create patch delete"),

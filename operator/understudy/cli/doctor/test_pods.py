@@ -24,13 +24,13 @@ from understudy.cli.common.kubectl_proxy import Answer, Api
 from understudy.cli.common.pod_session import Session, session
 from understudy.cli.common.wording import unix
 from understudy.cli.doctor import pod_program
-from understudy.controller.desired import gate_policies
 from understudy.controller.desired.plan import Images, pull_secrets
 from understudy.controller.observed import kube_objects
 from understudy.controller.observed.pod_diagnosis import trouble
 from understudy.controller.pods.instance_pod import HARDENED
 from understudy.controller.pods.pod_placement import away_from
-from understudy.kube.client import MERGE, NETWORK_POLICIES, PODS, Object
+from understudy.kube.client import MERGE, PODS, Object, Resource
+from understudy.kube.gates import registry
 
 LABEL = f"{names.GROUP}/doctor"
 """On everything that is made, with the name of the run. Not the labels of instances, which operator and monitors would look after."""
@@ -48,7 +48,9 @@ LOOK = 0.3
 """Seconds between two looks whether they have."""
 
 _CONTAINER = "doctor"
-_KINDS = "pods,networkpolicies"
+_GATE = registry.DEFAULT
+
+_KINDS = ",".join(["pods", *(resource.plural for resource in registry.FENCING_RESOURCES)])
 
 
 @dataclass(frozen=True)
@@ -69,31 +71,44 @@ class Pods:
             yield made
 
     def fence(self) -> Answer:
-        """Put the sender under the policies of an instance whose gate is closed; the answer to the last write."""
-        standby, *others = gate_policies.standby_policies(self.run, [], None)
-        assert not others, "there is no reference"
-        self._write("POST", None, as_the_doctors(gate_policies.closed_gate(self.run, epoch=0), self.run))
-        return self._write("POST", None, as_the_doctors(standby, self.run))
+        """Put the sender behind the closed gate of an instance; the answer to the last write."""
+        answer = self._write("POST", _GATE.resource, None, self._as_the_doctors(_GATE.closed(self.run, epoch=0)))
+        for resource, companion in self._companions:
+            answer = self._write("POST", resource, None, self._as_the_doctors(companion))
+        return answer
 
     def open_gate(self) -> Answer:
         """Let the sender through the gate."""
-        return self._gate(kube_objects.name(self.sender))
+        return self._commit(kube_objects.name(self.sender))
 
     def close_gate(self) -> Answer:
         """Let nobody through the gate."""
-        return self._gate(names.GATE_CLOSED)
+        return self._commit("")
 
     def lift(self) -> Answer:
-        """Take the policies away; the answer to the last write."""
-        self._write("DELETE", names.gate(self.run))
-        return self._write("DELETE", names.standby(self.run))
+        """Delete the gate and what belongs to it; the answer to the last write."""
+        answer = self._write("DELETE", _GATE.resource, names.gate(self.run))
+        for resource, companion in self._companions:
+            answer = self._write("DELETE", resource, kube_objects.name(companion))
+        return answer
 
-    def _gate(self, selected: str) -> Answer:
-        body = {"spec": {"podSelector": {"matchLabels": {_INSTANCE: selected}}}}
-        return self._write("PATCH", names.gate(self.run), body, kind=MERGE)
+    @property
+    def _companions(self) -> list[tuple[Resource, Object]]:
+        return _GATE.companions(self.run, [], None)
 
-    def _write(self, method: str, name: str | None, body: Any = None, *, kind: str = "application/json") -> Answer:
-        return self.api.request(method, NETWORK_POLICIES.path(self.kubectl.namespace, name), body, kind=kind)
+    def _commit(self, active: str) -> Answer:
+        patch = relabelled(_GATE.routing(self.run, active))
+        return self._write("PATCH", _GATE.resource, names.gate(self.run), patch, kind=MERGE)
+
+    def _as_the_doctors(self, item: Object) -> Object:
+        made = relabelled(item)
+        made["metadata"]["labels"] = {LABEL: self.run}
+        return made
+
+    def _write(
+        self, method: str, resource: Resource, name: str | None, body: Any = None, *, kind: str = "application/json"
+    ) -> Answer:
+        return self.api.request(method, resource.path(self.kubectl.namespace, name), body, kind=kind)
 
 
 @contextlib.contextmanager
@@ -161,11 +176,10 @@ def _started(api: Api, namespace: str, run: str) -> tuple[Object, Object]:
         time.sleep(LOOK)
 
 
-def as_the_doctors(policy: Object, run: str) -> Object:
-    """A policy as the operator makes it for a workload, for what has the doctor's labels instead of an instance's."""
-    text = json.dumps(policy).replace(f'"{names.WORKLOAD}"', f'"{_WORKLOAD}"')
+def relabelled(item: Object) -> Object:
+    """What the operator creates for a workload, for pods with the labels of this check instead of an instance's."""
+    text = json.dumps(item).replace(f'"{names.WORKLOAD}"', f'"{_WORKLOAD}"')
     made: Object = json.loads(text.replace(f'"{names.INSTANCE}"', f'"{_INSTANCE}"'))
-    made["metadata"]["labels"] = {LABEL: run}
     return made
 
 

@@ -15,15 +15,16 @@ from understudy.controller.reconcile import change_index
 from understudy.controller.reconcile.observer import Observer, Reader
 from understudy.controller.runtime.object_store import Store
 from understudy.controller.status import health_tree_sources
-from understudy.kube.client import CONFIG_MAPS, NETWORK_POLICIES, PODS, POLICIES, POOLS, WORKLOADS, Object, Resource
+from understudy.kube.client import CONFIG_MAPS, PODS, POLICIES, POOLS, WORKLOADS, Object, Resource
+from understudy.kube.gates import registry
 
 _KINDS = {
     "RobotWorkload": WORKLOADS,
     "FailurePolicy": POLICIES,
     "FallbackPool": POOLS,
     "Pod": PODS,
-    "NetworkPolicy": NETWORK_POLICIES,
     "ConfigMap": CONFIG_MAPS,
+    **registry.OBJECT_KINDS,
 }
 
 
@@ -37,26 +38,26 @@ class Around:
     workloads: Sequence[Object] = ()
     """The workloads of its namespace."""
     gates: Mapping[str, Object] = field(default_factory=dict)
-    """The NetworkPolicies of its namespace by their names: the gates are among them."""
+    """By their names the objects of its namespace that keep instances from robots: the gate objects are among them."""
 
 
 def around(kubectl: Kubectl, name: str) -> Around:
     """What is so around a workload now. Raises CommandError."""
-    item = kubectl.get(_word(WORKLOADS), name)
-    kinds = (POLICIES, POOLS, WORKLOADS, PODS, NETWORK_POLICIES)
-    items = kubectl.get(",".join(map(_word, kinds)))["items"]
+    item = kubectl.get(WORKLOADS.qualified, name)
+    kinds = (POLICIES, POOLS, WORKLOADS, PODS, *registry.FENCING_RESOURCES)
+    items = kubectl.get(",".join(kind.qualified for kind in kinds))["items"]
     policy = change_index.used_policy(item)
     used = [i for i in items if i["kind"] == "FailurePolicy" and i["metadata"]["name"] == policy]
     if any(situation_strategies.has_some(i) for i in used):
         # Which of them is in force depends on which was: the monitor was told.
-        told = kubectl.find(_word(CONFIG_MAPS), names.settings(name))
+        told = kubectl.find(CONFIG_MAPS.qualified, names.settings(name))
         items += [told] if told is not None else []
     if any(health_tree_sources.reference(i) for i in used):
-        items += kubectl.get(_word(CONFIG_MAPS), "-l", f"{names.HEALTH_TREE}=true")["items"]
+        items += kubectl.get(CONFIG_MAPS.qualified, "-l", f"{names.HEALTH_TREE}=true")["items"]
     selector = f"involvedObject.kind=RobotWorkload,involvedObject.name={name}"
     events = kubectl.get("events", "--field-selector", selector)["items"]
     others = [one for one in items if one["kind"] == "RobotWorkload"]
-    gates = {one["metadata"]["name"]: one for one in items if one["kind"] == "NetworkPolicy"}
+    gates = {one["metadata"]["name"]: one for one in items if one["kind"] in registry.OBJECT_KINDS}
     return Around(observed_from(item, items, Asked(kubectl)), events, others, gates)
 
 
@@ -76,14 +77,10 @@ class Asked:
 
     async def find(self, resource: Resource, namespace: str | None, name: str) -> Object | None:
         """An object, or None where it isn't there."""
-        found: Object | None = self._kubectl.find(_word(resource), name)
+        found: Object | None = self._kubectl.find(resource.qualified, name)
         return found
 
     async def list(self, resource: Resource, namespace: str | None = None, *, labels: str | None = None) -> Object:
         """A collection: ``items``."""
-        found: Object = self._kubectl.get(_word(resource), *(["-l", labels] if labels else []))
+        found: Object = self._kubectl.get(resource.qualified, *(["-l", labels] if labels else []))
         return found
-
-
-def _word(resource: Resource) -> str:
-    return f"{resource.plural}.{resource.group}" if resource.group else resource.plural

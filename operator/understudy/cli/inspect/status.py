@@ -21,13 +21,14 @@ from understudy.cli.inspect import status_screen
 from understudy.cli.inspect.status_screen import Look
 from understudy.controller.observed import kube_objects
 from understudy.kube.client import Object
+from understudy.kube.gates import registry
 
 PROTECTED, NOT_PROTECTED, CANT = 0, 1, 2
 """Exit statuses."""
 
 WORKLOADS, POOLS = "robotworkloads.understudy.dev", "fallbackpools.understudy.dev"
 
-GATES = "networkpolicies.networking.k8s.io"
+GATES = ",".join(resource.qualified for resource in registry.GATE_RESOURCES)
 OURS = ["-l", ",".join(f"{key}={value}" for key, value in kube_objects.MANAGED_BY.items())]
 """Which of them: the gates are among those that the operator has made."""
 
@@ -228,7 +229,7 @@ def _parser() -> argparse.ArgumentParser:
         prog="understudy status",
         description="Shows the robots of a namespace: who is in control, which standbys are ready, the last recovery, and what is "
         "wrong; and the pools. All of it is what operator and monitors have said in the objects' status; that a robot is being recovered "
-        "its gate tells sooner, where you may read NetworkPolicies. It acts on nothing.",
+        "its gate tells sooner, if you may read it. It acts on nothing.",
         epilog="Exit status: 0 where every robot that is shown is protected and healthy (or degraded, which is driven too), 1 where "
         "one isn't, 2 where it can't be told or there is none.",
     )

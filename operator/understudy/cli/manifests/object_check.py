@@ -19,6 +19,7 @@ from understudy.cli.manifests.manifest_reader import Manifest
 from understudy.cli.manifests.schema_validation import validate
 from understudy.controller.desired import reflex_validation
 from understudy.controller.pods import instance_pod
+from understudy.kube.gates import registry
 from understudy.trees.languages.notations import FORMS, TEXTS, load_health
 from understudy.trees.languages.procedure_notations import compose
 from understudy.trees.source.positions import WHOLE_FILE, TextOffset
@@ -223,7 +224,11 @@ def _followed(kind: Kind, spec: Mapping[str, Any]) -> Iterator[Problem]:
     told: list[str | None] = []
     if isinstance(parsed, RobotWorkloadSpec):
         if parsed.template is not None:
-            told.append(instance_pod.problem(parsed.template, held=False, path="spec.template"))
+            told.append(
+                instance_pod.problem(
+                    parsed.template, held=False, path="spec.template", gate=registry.KINDS[parsed.gate.kind]
+                )
+            )
         told.append(reflex_validation.problem(parsed, parsed.template or {}))
     elif isinstance(parsed, FallbackPoolSpec) and parsed.template is not None:
         told.append(instance_pod.problem(parsed.template, held=True, path="spec.template"))

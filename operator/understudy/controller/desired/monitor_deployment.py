@@ -15,6 +15,8 @@ from understudy.controller.pods.instance_pod import HARDENED
 from understudy.controller.pods.pod_placement import away_from
 from understudy.kube.apply import digest
 from understudy.kube.client import Object
+from understudy.kube.gates import registry
+from understudy.kube.gates.base import GateKind
 
 STATE_DIR = "/var/lib/understudy"
 # Of a busy node's processors it gets its share by this, and in a recovery it needs more at once than what it uses (15m).
@@ -48,17 +50,20 @@ def deployment(
     environment: Mapping[str, str],
     profiles: str,
     *,
+    gate: str,
     tasks: bool = False,
     claim: str | None = None,
 ) -> Object:
     """The monitor. Its readers have the gated ports, so that it sees what the robot sees.
 
-    ``profiles`` is the text of the profile file: when that changes, a process that has read it must start anew.
-    ``tasks`` is whether there is a task proxy beside it, ``claim`` the PersistentVolumeClaim for kept state.
+    ``profiles`` is the text of the profile file: when that changes, a process that has read it must start again.
+    ``gate`` is the kind of the workload's gate, ``tasks`` whether there is a task proxy beside it, ``claim`` the PersistentVolumeClaim
+    for kept state.
     """
     fixed = {
         "UNDERSTUDY_WORKLOAD": workload,
         "UNDERSTUDY_NAMESPACE": namespace,
+        names.GATE_KIND_VARIABLE: gate,
         names.MONITOR_IMAGE_VARIABLE: settings.image or images.monitor,
         "HOME": STATE_DIR,
         "ROS_LOG_DIR": f"{STATE_DIR}/log",
@@ -201,12 +206,13 @@ def access(
     policy: str | None,
     pools: Sequence[str],
     upstream: Sequence[str] = (),
+    gate: GateKind = registry.DEFAULT,
 ) -> list[tuple[str, Object]]:
     """The monitor's account, role and binding, each with its kind.
 
     ``source`` is kind and name of the controller that replaces pods; ``policy`` the FailurePolicy that it reads, None for one that
     doesn't ask by name (asks_by_name); ``pools`` are the shared pools whose agents it may command; ``upstream`` the workloads that it
-    depends on, of which it may read how they are.
+    depends on, of which it may read how they are; ``gate`` is the kind of its gate.
     """
     source_kind, source_name = source
     tokens = [names.agent_secret(workload), *(names.pool_secret(pool) for pool in sorted(pools))]
@@ -214,7 +220,7 @@ def access(
     rules = [
         _rule("", ["pods"], [*watch, "patch", "delete"]),
         _rule("metrics.k8s.io", ["pods"], ["list"]),
-        _rule("networking.k8s.io", ["networkpolicies"], [*watch, "patch"], [names.gate(workload)]),
+        *gate.monitor_rules(workload),
         _rule(GROUP, ["robotworkloads"], watch, [workload, *sorted(upstream)]),
         _rule(GROUP, ["robotworkloads/status"], ["patch"], [workload]),
         _rule(GROUP, ["failurepolicies"], watch, [policy] if policy is not None else None),
@@ -224,7 +230,8 @@ def access(
         _rule("", ["events"], ["list", "create", "patch"]),
     ]
     if pools or policy is None:
-        rules.append(_rule("networking.k8s.io", ["networkpolicies"], ["list", "watch"]))  # who else waits for a pod
+        # The gates of others tell who else waits for a pod of a shared pool.
+        rules += [_rule(one.group, [one.plural], ["list", "watch"]) for one in registry.GATE_RESOURCES]
     if source_kind == "ReplicaSet":
         rules.append(_rule("apps", ["replicasets/scale"], ["get", "patch"], [source_name]))
     metadata = {"name": names.monitor(workload), "labels": labels(workload)}

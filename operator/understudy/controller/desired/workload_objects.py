@@ -14,7 +14,6 @@ from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.controller.desired import (
     action_proxy_container,
     discovery_server,
-    gate_policies,
     monitor_config,
     monitor_deployment,
     node_drain,
@@ -31,7 +30,6 @@ from understudy.kube.client import (
     CONFIG_MAPS,
     DEPLOYMENTS,
     DISRUPTION_BUDGETS,
-    NETWORK_POLICIES,
     REPLICA_SETS,
     ROLE_BINDINGS,
     ROLES,
@@ -41,6 +39,7 @@ from understudy.kube.client import (
     Object,
     Resource,
 )
+from understudy.kube.gates import registry
 
 _BY_KIND: dict[str, Resource] = {"ServiceAccount": SERVICE_ACCOUNTS, "Role": ROLES, "RoleBinding": ROLE_BINDINGS}
 
@@ -120,15 +119,14 @@ def _gate(made: Plan, observed: Observed, spec: RobotWorkloadSpec) -> None:
     selector = None
     if observed.reference is not None and observed.reference.controller is not None:
         selector = observed.reference.controller["spec"]["selector"]
-    for policy in gate_policies.standby_policies(name, spec.gate.robots, selector):
-        made.writes.append(_ours(observed, NETWORK_POLICIES, policy))
-    gate = observed.gate
+    kind, gate = registry.of(workload), observed.gate
+    for resource, body in kind.companions(name, spec.gate.robots, selector):
+        made.writes.append(_ours(observed, resource, body))
     if gate is None:
         epoch = ((workload.get("status") or {}).get("gate") or {}).get("epoch") or 0
-        body = ownership.ours(gate_policies.closed_gate(name, epoch=epoch), owner, workload)
-        made.writes.append(Create(NETWORK_POLICIES, body))
-    elif repair := gate_policies.gate_repair(gate, owner=owner, labels=kube_objects.MANAGED_BY):
-        made.writes.append(Patch(NETWORK_POLICIES, gate, repair))
+        made.writes.append(Create(kind.resource, ownership.ours(kind.closed(name, epoch=epoch), owner, workload)))
+    elif repair := kind.repair(gate, owner=owner, labels=kube_objects.MANAGED_BY):
+        made.writes.append(Patch(kind.resource, gate, repair))
 
 
 def _hold(made: Plan, observed: Observed, understanding: Understanding) -> None:
@@ -183,6 +181,7 @@ def _monitor(
         images,
         environment,
         profiles,
+        gate=spec.gate.kind,
         tasks=action_proxy_container.proxied(spec),
         claim=claim,
     )
@@ -192,6 +191,7 @@ def _monitor(
         policy=spec.failure_policy_ref.name if monitor_deployment.asks_by_name(observed.workload, live, body) else None,
         pools=_commanded(observed, understanding),
         upstream=[one.name for one in dependency_graph.upstream(observed.dependencies, name)],
+        gate=registry.of(observed.workload),
     ):
         made.writes.append(_ours(observed, _BY_KIND[kind], granted))
     made.writes.append(_ours(observed, DEPLOYMENTS, body))

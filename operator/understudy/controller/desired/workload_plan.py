@@ -18,6 +18,7 @@ from understudy.controller.observed.observation import Observed
 from understudy.controller.pods import instance_pod
 from understudy.controller.status import policy_status
 from understudy.kube.client import Object
+from understudy.kube.gates import registry
 from understudy.trees.languages.procedure_notations import composed
 
 
@@ -67,7 +68,7 @@ def understand(observed: Observed, images: Images) -> Understanding:
         template = referred.controller["spec"]["template"]
         path = f"{spec.workload_ref.kind} {spec.workload_ref.name}: spec.template"
         stripped = workload_reference.label_keys(referred)
-    if words := instance_pod.problem(template, held=False, path=path):
+    if words := instance_pod.problem(template, held=False, path=path, gate=registry.KINDS[spec.gate.kind]):
         return refuse(Problem("TemplateInvalid", words))
     if words := reflex_validation.problem(spec, template):
         return refuse(Problem("ReflexUnsafe", words))

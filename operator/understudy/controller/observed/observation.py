@@ -16,6 +16,7 @@ from understudy.controller.observed import committed_recovery, kube_objects, wor
 from understudy.controller.pods import pool_pods as pools
 from understudy.controller.status import policy_status as policies
 from understudy.kube.client import CONFIG_MAPS, Object
+from understudy.kube.gates import registry
 
 WAITING = ("Initialized", "Executing")
 """The readinesses at which a standby of a workload's own waits."""
@@ -109,8 +110,9 @@ class Observed:
 
     @property
     def gate(self) -> Object | None:
-        """The gate's policy."""
-        return self.owned.get(("networkpolicies", names.gate(kube_objects.name(self.workload))))
+        """The gate object."""
+        resource = registry.of(self.workload).resource
+        return self.owned.get((resource.plural, names.gate(kube_objects.name(self.workload))))
 
     @property
     def active(self) -> Object | None:

@@ -20,6 +20,8 @@ from understudy.controller.pods import pod_placement, template_shape
 from understudy.kube import claims
 from understudy.kube.apply import digest
 from understudy.kube.client import Object
+from understudy.kube.gates import registry
+from understudy.kube.gates.base import GateKind
 
 AGENT_REQUESTS = {"cpu": "20m", "memory": "64Mi"}
 
@@ -85,19 +87,16 @@ class Recipe:
         return {**(self.environment or ros_environment.COMMON), **profiles}
 
 
-def problem(template: Mapping[str, Any], *, held: bool, path: str) -> str | None:
+def problem(template: Mapping[str, Any], *, held: bool, path: str, gate: GateKind = registry.DEFAULT) -> str | None:
     """Why no instance can be made from a template, beyond what the API server says itself; None if one can.
 
-    ``path`` is where the template stands, such as ``spec.template``.
+    ``path`` is where the template stands, such as ``spec.template``; ``gate`` is the kind of the workload's gate.
     """
     if words := template_shape.problem(template, path):
         return words
     spec = template.get("spec") or {}
-    if spec.get("hostNetwork"):
-        return (
-            f"{path}.spec.hostNetwork is true: no NetworkPolicy holds for a pod in its node's network, so its outputs "
-            f"can't be gated. Set it to false"
-        )
+    if words := gate.ungateable(spec):
+        return f"{path}.spec.{words}"
     containers = spec.get("containers") or []
     if not containers:
         return f"{path}.spec.containers is empty: give at least one container"

@@ -9,8 +9,8 @@ from collections.abc import Mapping, Sequence
 
 from understudy.api import names
 from understudy.api.base import API_VERSION
-from understudy.controller.observed import selectors
 from understudy.controller.observed.pod_diagnosis import trouble
+from understudy.kube import selectors
 from understudy.kube.apply import controller_of
 from understudy.kube.client import Object
 

@@ -9,15 +9,16 @@ from typing import Any
 
 from understudy.api import names
 from understudy.api.kinds.fallback_pool import FallbackPoolSpec
-from understudy.controller.desired import gate_policies as gates
 from understudy.controller.desired.plan import Apply, Create, Delete, Images, Plan, Problem
-from understudy.controller.observed import kube_objects, leaving_nodes, ownership, selectors
+from understudy.controller.observed import kube_objects, leaving_nodes, ownership
 from understudy.controller.pods import claim_tokens, instance_pod, pod_counts, pool_evictions, pool_size
 from understudy.controller.pods.pool_size import Sized
 from understudy.controller.status import policy_status
 from understudy.failover.pool_queue import Waiter, in_order
 from understudy.failover.progress import waiter
-from understudy.kube.client import DISRUPTION_BUDGETS, NETWORK_POLICIES, PODS, Object
+from understudy.kube import selectors
+from understudy.kube.client import DISRUPTION_BUDGETS, PODS, Object
+from understudy.kube.gates import isolation
 
 MOVING = "Moving"
 """The condition that is there while pods are replaced elsewhere."""
@@ -179,8 +180,8 @@ def plan(observed: Observed, understanding: Understanding, fresh: Fresh) -> Plan
     want = pool_size.wanted(spec, understanding.sized)
     update = _update(spec, want)
     # Which pods may be claimed is said before others go.
-    policy = gates.held_policy(name, pod_counts.claimable(living, present, update))
-    made.writes.append(Apply(NETWORK_POLICIES, ownership.ours(policy, owner, pool)))
+    policy = isolation.held_pods(name, pod_counts.claimable(living, present, update))
+    made.writes.append(Apply(isolation.RESOURCE, ownership.ours(policy, owner, pool)))
     change = pod_counts.change(
         held,
         want=want,

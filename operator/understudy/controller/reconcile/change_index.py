@@ -18,7 +18,6 @@ from understudy.kube.client import (
     CONFIG_MAPS,
     DEPLOYMENTS,
     DISRUPTION_BUDGETS,
-    NETWORK_POLICIES,
     NODES,
     PODS,
     POLICIES,
@@ -29,6 +28,7 @@ from understudy.kube.client import (
     Object,
     Resource,
 )
+from understudy.kube.gates import isolation, registry
 
 
 class Key(NamedTuple):
@@ -90,7 +90,7 @@ def _keys(sight: Sight, store: Store, plenty: Collection[str]) -> Iterator[Key]:
             yield from _after_health(sight, store, namespace)
     elif plural == PODS.plural:
         yield from _after_pod(sight, store, namespace, plenty)
-    elif plural == NETWORK_POLICIES.plural:
+    elif sight.resource in registry.FENCING_RESOURCES:
         yield from _after_policy(found, store, namespace)
         yield from _after_commit(sight, store, namespace)
     elif plural == CONFIG_MAPS.plural:
@@ -206,7 +206,8 @@ def _after_pod(sight: Sight, store: Store, namespace: str, plenty: Collection[st
 
 def _stood_in_for(workload: str, store: Store, namespace: str) -> Iterator[Key]:
     """The pool for which a pod of a workload's own controller waits, while a pod of that pool drives."""
-    gate = store.get(NETWORK_POLICIES, namespace, names.gate(workload))
+    item = store.get(WORKLOADS, namespace, workload)
+    gate = store.gate(item) if item is not None else None
     if not kube_objects.active(gate)[1]:
         return
     pool = stand_ins.displaced(gate, store.labelled(PODS, namespace, names.WORKLOAD, workload))
@@ -233,7 +234,7 @@ def _has_plenty(name: str, held: Object, store: Store, namespace: str) -> bool:
     if pool is None:
         return False
     reserved = ((pool.get("spec") or {}).get("reserve") or {}).get("pods") or 0
-    allowed = pool_pods.claimable_hash(store.get(NETWORK_POLICIES, namespace, names.held(name)))
+    allowed = pool_pods.claimable_hash(store.get(isolation.RESOURCE, namespace, names.held(name)))
     others = (
         pod
         for pod in store.labelled(PODS, namespace, names.POOL, name)

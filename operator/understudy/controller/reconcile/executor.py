@@ -15,7 +15,8 @@ from understudy.controller.runtime import operator_metrics
 from understudy.controller.runtime.object_store import Store
 from understudy.kube import apply
 from understudy.kube.apply import Taken
-from understudy.kube.client import NETWORK_POLICIES, PODS, REPLICA_SETS, ApiError, Client, Object, Resource
+from understudy.kube.client import PODS, REPLICA_SETS, ApiError, Client, Object, Resource
+from understudy.kube.gates import registry
 from understudy.kube.leader_election import LeadershipLost
 
 _logger = logging.getLogger(__name__)
@@ -127,8 +128,8 @@ class Executor:
         stamp = wanted["metadata"]["annotations"][apply.APPLIED]
         contended = live is not None and self._contention.wait(place, stamp)
         if (
-            contended and resource.plural != NETWORK_POLICIES.plural
-        ):  # by which standbys are held back: never left as it is
+            contended and resource not in registry.FENCING_RESOURCES
+        ):  # what keeps standbys from the robot is never left as it is
             raise Contended(_told(wanted, apply.differences(live, wanted)))
         operator_metrics.WRITES.labels(resource.plural, "apply").inc()
         try:

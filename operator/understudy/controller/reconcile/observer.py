@@ -12,7 +12,6 @@ from understudy.controller.observed import (
     dependency_graph,
     kube_objects,
     leaving_nodes,
-    selectors,
     stand_ins,
     workload_reference,
 )
@@ -23,11 +22,11 @@ from understudy.controller.reconcile import change_index
 from understudy.controller.reconcile.change_index import Key
 from understudy.controller.runtime.object_store import Store
 from understudy.controller.status import policy_status, workload_status
+from understudy.kube import selectors
 from understudy.kube.client import (
     CONFIG_MAPS,
     DEPLOYMENTS,
     DISRUPTION_BUDGETS,
-    NETWORK_POLICIES,
     NODES,
     PODS,
     POLICIES,
@@ -40,6 +39,7 @@ from understudy.kube.client import (
     Object,
     Resource,
 )
+from understudy.kube.gates import isolation
 
 
 class Reader(Protocol):
@@ -76,7 +76,7 @@ class Observer:
             held_policies={
                 pool: policy
                 for pool in serving
-                if (policy := store.get(NETWORK_POLICIES, namespace, names.held(pool))) is not None
+                if (policy := store.get(isolation.RESOURCE, namespace, names.held(pool))) is not None
             },
             owned=store.owned(kube_objects.uid(item)),
             # In one moment with the next: a pod that comes while something is waited for must be in one of the two.
@@ -130,9 +130,7 @@ class Observer:
             or not any(action.resize for action in degraded_measures.actions(policy))
         ):
             return None
-        name, uid = kube_objects.active(
-            self._store.get(NETWORK_POLICIES, namespace, names.gate(kube_objects.name(item)))
-        )
+        name, uid = kube_objects.active(self._store.gate(item))
         pod = await self._client.find(PODS, namespace, name) if name else None
         return pod if pod is not None and kube_objects.uid(pod) == uid and kube_objects.alive(pod) else None
 
@@ -189,7 +187,7 @@ class Observer:
         found = store.in_namespace(WORKLOADS, namespace)
         template, selector = await self._source(item, found)
         secret = await self._token(item)
-        gates = [store.get(NETWORK_POLICIES, namespace, names.gate(workload)) for workload in found]
+        gates = [store.gate(workload) for workload in found.values()]
         now = time.time()
         made = store.labelled(PODS, namespace, names.POOL, name)
         active = frozenset(uid for gate in gates if (uid := kube_objects.active(gate)[1]))
@@ -252,7 +250,7 @@ class Observer:
                 continue
             policy = self._store.get(POLICIES, namespace, change_index.used_policy(workload))
             if stand_ins.may_stand_in(workload, policy):
-                gate = self._store.get(NETWORK_POLICIES, namespace, names.gate(name))
+                gate = self._store.gate(workload)
                 its = self._store.labelled(PODS, namespace, names.WORKLOAD, name)
                 found += stand_ins.standing_in(kube_objects.name(pool), gate, its)
         return found

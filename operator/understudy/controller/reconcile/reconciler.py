@@ -28,7 +28,6 @@ from understudy.controller.runtime.object_store import Store
 from understudy.controller.status import policy_status, pool_status, storm_detection, workload_status
 from understudy.kube.client import (
     CONFIG_MAPS,
-    NETWORK_POLICIES,
     PODS,
     POLICIES,
     POOLS,
@@ -265,7 +264,7 @@ class Reconciler:
             operator_metrics.storm(namespace, kube_objects.name(policy), None)
             return None, None
         found = self._store.in_namespace(WORKLOADS, namespace)
-        fleet = [(found[name], self._store.get(NETWORK_POLICIES, namespace, names.gate(name))) for name in users]
+        fleet = [(found[name], self._store.gate(found[name])) for name in users]
         said, again = storm_detection.judge(policy, guard, fleet, time.time())
         operator_metrics.storm(namespace, kube_objects.name(policy), said.status == "True")
         return said, again

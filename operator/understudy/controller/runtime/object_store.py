@@ -16,6 +16,7 @@ from understudy.api import names
 from understudy.controller.runtime.interning import Sharing
 from understudy.kube.apply import controller_of
 from understudy.kube.client import Object, Resource
+from understudy.kube.gates import registry
 
 REMEMBERED_SECONDS = 300.0
 """How long a deleted object is remembered, so that a list from before its deletion doesn't bring it back."""
@@ -53,6 +54,11 @@ class Store:
     def get(self, resource: Resource, namespace: str, name: str) -> Object | None:
         """An object, or None."""
         return self._items[resource.plural].get((namespace, name))
+
+    def gate(self, workload: Object) -> Object | None:
+        """The gate object of a RobotWorkload, or None."""
+        metadata = workload["metadata"]
+        return self.get(registry.of(workload).resource, metadata.get("namespace", ""), names.gate(metadata["name"]))
 
     def knows(self, resource: Resource, item: Object) -> bool:
         """Whether an object of that name is in the store."""
@@ -203,7 +209,8 @@ def slim(resource: Resource, item: Object) -> Object:
 
 
 _WITHOUT_STATUS = frozenset(
-    {"nodes", "deployments", "replicasets", "services", "networkpolicies", "poddisruptionbudgets"}
+    {"nodes", "deployments", "replicasets", "services", "poddisruptionbudgets"}
+    | {resource.plural for resource in registry.FENCING_RESOURCES}
 )
 """Of these only what they say is looked at: what became of it is seen by their pods."""
 

@@ -24,7 +24,6 @@ from understudy.kube.client import (
     CONFIG_MAPS,
     DEPLOYMENTS,
     DISRUPTION_BUDGETS,
-    NETWORK_POLICIES,
     NODES,
     PODS,
     POLICIES,
@@ -40,6 +39,7 @@ from understudy.kube.client import (
     Object,
     Resource,
 )
+from understudy.kube.gates import registry
 
 _logger = logging.getLogger(__name__)
 
@@ -69,7 +69,7 @@ LISTED: tuple[tuple[Resource, tuple[str | None, ...]], ...] = (
     (REPLICA_SETS, (_OURS,)),
     (DEPLOYMENTS, (_OURS,)),
     (SERVICES, (_OURS,)),
-    (NETWORK_POLICIES, (_OURS,)),
+    *((resource, (_OURS,)) for resource in registry.FENCING_RESOURCES),
     (DISRUPTION_BUDGETS, (None,)),
     (NODES, (None,)),
     (CONFIG_MAPS, (_OURS, TREES)),
@@ -90,7 +90,7 @@ WATCHED = frozenset(
         REPLICA_SETS,
         DEPLOYMENTS,
         SERVICES,
-        NETWORK_POLICIES,
+        *registry.FENCING_RESOURCES,
         DISRUPTION_BUDGETS,
         NODES,
     )

@@ -20,7 +20,6 @@ from understudy.kube.client import (
     CONFIG_MAPS,
     DEPLOYMENTS,
     DISRUPTION_BUDGETS,
-    NETWORK_POLICIES,
     NODES,
     PODS,
     REPLICA_SETS,
@@ -32,6 +31,7 @@ from understudy.kube.client import (
     Object,
     Resource,
 )
+from understudy.kube.gates import registry
 from understudy.kube.watched_collection import RETRY_FIRST, RETRY_MOST
 
 _logger = logging.getLogger(__name__)
@@ -41,7 +41,7 @@ WATCHED: tuple[tuple[Resource, str | None], ...] = (
     (REPLICA_SETS, None),
     (DEPLOYMENTS, None),
     (STATEFUL_SETS, None),
-    (NETWORK_POLICIES, None),
+    *((resource, None) for resource in registry.FENCING_RESOURCES),
     (SERVICES, None),
     (DISRUPTION_BUDGETS, None),
     (NODES, None),

@@ -10,12 +10,14 @@ from understudy.api import names
 from understudy.api.conditions import Condition, condition
 from understudy.api.kinds.fallback_pool import FallbackPoolSpec
 from understudy.controller.desired.plan import UNANSWERED, Problem
-from understudy.controller.observed import kube_objects, leaving_nodes, selectors
+from understudy.controller.observed import kube_objects, leaving_nodes
 from understudy.controller.observed.pod_diagnosis import trouble
 from understudy.controller.pods import instance_pod, pod_counts, pool_pods, pool_size
 from understudy.controller.pods.pool_size import Sized
 from understudy.controller.status import policy_status
+from understudy.kube import selectors
 from understudy.kube.client import Object
+from understudy.kube.gates import isolation
 
 _MOST_NAMED = 3
 
@@ -35,7 +37,7 @@ def count(observed: pool_pods.Observed, spec: FallbackPoolSpec, sized: Sized | N
     living = [pod for pod in observed.pods if kube_objects.alive(pod)]
     if spec.readiness == "Uninitialized":
         held = _held(observed)
-        policy = observed.owned.get(("networkpolicies", names.held(kube_objects.name(observed.pool))))
+        policy = observed.owned.get((isolation.RESOURCE.plural, names.held(kube_objects.name(observed.pool))))
         return Counts(
             replicas=len(held),
             desired=pool_size.wanted(spec, sized),

@@ -1,4 +1,5 @@
-"""The gates, each of which decides whose outputs reach a robot.
+"""Gates: what decides which instance's outputs reach a robot, and the isolation of pods that may not reach it.
 
-The failover protocol does not know which kind is in use.
+base.py says what a gate is; each other kind is one module. The failover protocol, the monitor, the operator and the command ask
+through the registry and know no kind.
 """

@@ -1,148 +1,115 @@
-"""The gate of a workload as a NetworkPolicy: what it says, and the patches that change it, each one atomic write."""
+"""The gate kind ``NetworkPolicy``: the gate object is a policy that lets the pod it selects send to the robot's gated ports.
+
+Two policies make this gate, both on a workload's instances and never on the robot's pods. Policies add up, so patching the selector of the
+gate object is the whole switch:
+
+- ``W-standby`` selects every instance, and allows all traffic with pods of other workloads except UDP to the gated ports.
+- ``W-gate``, the gate object, selects the one instance in control, and allows all that it sends.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from understudy.api import names
-from understudy.kube.client import NETWORK_POLICIES, Client, Object
+from understudy.kube import selectors
+from understudy.kube.client import NETWORK_POLICIES, Object, Resource
+from understudy.kube.gates.base import GateKind
+from understudy.kube.gates.isolation import network_policy
+from understudy.kube.gates.probes import ProbeReceiver
+
+_LAST_PORT = 65535
+
+_OPEN: Object = {"policyTypes": ["Egress"], "egress": [{}]}
 
 
-@dataclass(frozen=True)
-class GateRecord:
-    """What a gate's policy says."""
+class NetworkPolicyGate(GateKind):
+    """Fences packets where they leave their pod. The cluster's network must enforce NetworkPolicies."""
 
-    epoch: int
-    active: str
-    active_uid: str
-    recovery: str
-    """JSON of the recovery that committed it, or empty."""
-    version: str
-    admitted: str = ""
-    """The standby that is let through too, for the reflex."""
-    admitted_uid: str = ""
+    kind = object_kind = "NetworkPolicy"
+    resource = NETWORK_POLICIES
 
+    def routing(self, workload: str, active: str, admitted: str = "") -> Object:
+        """Merge patch fields of the pod selector. Each of its two forms removes the other."""
+        if admitted:
+            among = {"key": names.INSTANCE, "operator": "In", "values": [active, admitted]}
+            labels = {names.WORKLOAD: workload, names.INSTANCE: None}
+            return {"spec": {"podSelector": {"matchLabels": labels, "matchExpressions": [among]}}}
+        labels = {names.WORKLOAD: workload, names.INSTANCE: active or names.GATE_CLOSED}
+        return {"spec": {"podSelector": {"matchLabels": labels, "matchExpressions": None}}}
 
-def read(policy: Object) -> GateRecord:
-    """The record in a gate's annotations."""
-    annotations = policy["metadata"].get("annotations") or {}
-    epoch = annotations.get(names.EPOCH, "0")
-    return GateRecord(
-        epoch=int(epoch) if epoch.isdigit() else 0,
-        active=annotations.get(names.ACTIVE, ""),
-        active_uid=annotations.get(names.ACTIVE_UID, ""),
-        recovery=annotations.get(names.RECOVERY, ""),
-        version=policy["metadata"]["resourceVersion"],
-        admitted=annotations.get(names.ADMITTED, ""),
-        admitted_uid=annotations.get(names.ADMITTED_UID, ""),
-    )
+    def let_through(self, gate: Object) -> tuple[str, ...]:
+        """Names of the instances that the policy selects."""
+        selector = gate["spec"].get("podSelector") or {}
+        values = [(selector.get("matchLabels") or {}).get(names.INSTANCE)]
+        for expression in selector.get("matchExpressions") or []:
+            if (expression["key"], expression["operator"]) == (names.INSTANCE, "In"):
+                values += expression["values"]
+        return tuple(value for value in values if value and value != names.GATE_CLOSED)
 
+    def ungateable(self, pod_spec: Mapping[str, Any]) -> str:
+        """Why no policy applies to such pods."""
+        if pod_spec.get("hostNetwork"):
+            return (
+                "hostNetwork is true: NetworkPolicies do not apply to a pod in its node's network, so its outputs cannot be gated. "
+                "Set it to false"
+            )
+        return ""
 
-def selected(policy: Object) -> tuple[str, ...]:
-    """The instances that a gate's selector really lets through, whatever the annotations say."""
-    selector = policy["spec"].get("podSelector") or {}
-    values = [(selector.get("matchLabels") or {}).get(names.INSTANCE)]
-    for expression in selector.get("matchExpressions") or []:
-        if (expression["key"], expression["operator"]) == (names.INSTANCE, "In"):
-            values += expression["values"]
-    return tuple(value for value in values if value and value != names.GATE_CLOSED)
+    def closed(self, workload: str, *, epoch: int) -> Object:
+        """A policy that selects no pod."""
+        selector = {"matchLabels": {names.WORKLOAD: workload, names.INSTANCE: names.GATE_CLOSED}}
+        policy = network_policy(names.gate(workload), selector, _OPEN)
+        record = {names.EPOCH: str(epoch), names.ACTIVE: "", names.ACTIVE_UID: "", names.RECOVERY: ""}
+        policy["metadata"]["annotations"] = record
+        return policy
 
+    def spec_repair(self, gate: Object) -> Object:
+        """Merge patch fields that restore the rules of the policy."""
+        spec = gate.get("spec") or {}
+        if all(spec.get(key) == value for key, value in _OPEN.items()) and not spec.get("ingress"):
+            return {}
+        return {"spec": {**_OPEN, "ingress": None}}
 
-def _selector(workload: str, active: str, admitted: str = "") -> Object:
-    """As merge patches need it: each shape removes the other."""
-    if admitted:
-        among = {"key": names.INSTANCE, "operator": "In", "values": [active, admitted]}
-        return {"matchLabels": {names.WORKLOAD: workload, names.INSTANCE: None}, "matchExpressions": [among]}
-    return {
-        "matchLabels": {names.WORKLOAD: workload, names.INSTANCE: active or names.GATE_CLOSED},
-        "matchExpressions": None,
-    }
+    def companions(
+        self, workload: str, robots: Sequence[str], reference: Mapping[str, Any] | None
+    ) -> list[tuple[Resource, Object]]:
+        """The policies under which every instance lives: all traffic, except with each other and to the robot's gated ports.
 
-
-async def commit(
-    client: Client,
-    namespace: str,
-    workload: str,
-    *,
-    over: GateRecord,
-    active: str,
-    active_uid: str,
-    recovery: str,
-    waits_for: str = "",
-) -> Object:
-    """Name the one pod that may reach the robot (none if ``active`` is empty), over exactly the record given.
-
-    ``waits_for`` is the shared pool that the workload waits for a pod of, if it does.
-
-    One atomic write fences the old pod and routes the new one; a standby that was admitted beside it is let through no
-    longer. Raises ApiError: 409 when another commit was first.
-    """
-    body = commitment(workload, over=over, active=active, active_uid=active_uid, recovery=recovery, waits_for=waits_for)
-    return await client.patch(NETWORK_POLICIES, namespace, names.gate(workload), body)
-
-
-def commitment(
-    workload: str,
-    *,
-    over: GateRecord,
-    active: str = "",
-    active_uid: str = "",
-    recovery: str = "",
-    waits_for: str = "",
-) -> Object:
-    """The merge patch of :func:`commit`; of a gate that is to be closed where nothing more is given."""
-    return {
-        "metadata": {
-            "resourceVersion": over.version,
-            "labels": {names.WAITS_FOR: waits_for or None},
-            "annotations": {
-                names.EPOCH: str(over.epoch + 1),
-                names.ACTIVE: active,
-                names.ACTIVE_UID: active_uid,
-                names.RECOVERY: recovery,
-                names.ADMITTED: "",
-                names.ADMITTED_UID: "",
-            },
-        },
-        "spec": {"podSelector": _selector(workload, active)},
-    }
-
-
-async def end_recovery(client: Client, namespace: str, workload: str, *, over: GateRecord, recovery: str) -> Object:
-    """Have what stands beside it say that nobody goes on with the recovery that committed it last, over exactly the record.
-
-    ``recovery`` is its JSON from then on. Control doesn't change, and so the epoch stays; for a pod of a shared pool it waits no
-    longer. Raises ApiError: 409 when another write was first.
-    """
-    body = {
-        "metadata": {
-            "resourceVersion": over.version,
-            "labels": {names.WAITS_FOR: None},
-            "annotations": {names.RECOVERY: recovery},
+        "Not of this workload" means to lack its label and not to match the selector of a referenced controller.
+        """
+        ours = {"key": names.WORKLOAD, "operator": "NotIn", "values": [workload]}
+        others: list[list[Object]] = (
+            [[ours, selectors.opposite(requirement)] for requirement in selectors.requirements(reference)]
+            if reference
+            else [[ours]]
+        )
+        peers: list[Object] = [
+            {"namespaceSelector": {}, "podSelector": {"matchExpressions": expressions}} for expressions in others
+        ]
+        peers += [{"ipBlock": {"cidr": cidr}} for cidr in robots]
+        first, last = names.GATE_RANGE
+        ports = [
+            {"protocol": "TCP", "port": 1, "endPort": _LAST_PORT},
+            {"protocol": "UDP", "port": 1, "endPort": first - 1},
+            {"protocol": "UDP", "port": last + 1, "endPort": _LAST_PORT},
+        ]
+        rules: Object = {
+            "policyTypes": ["Ingress", "Egress"],
+            "ingress": [{"from": peers}],
+            "egress": [{"to": peers, "ports": ports}],
         }
-    }
-    return await client.patch(NETWORK_POLICIES, namespace, names.gate(workload), body)
+        found = [network_policy(names.standby(workload), {"matchLabels": {names.WORKLOAD: workload}}, rules)]
+        if reference:
+            found.append(network_policy(names.standby_reference(workload), dict(reference), rules))
+        return [(NETWORK_POLICIES, policy) for policy in found]
+
+    async def proof(self) -> ProbeReceiver:
+        """Receive the datagrams that the agents send to a gated port of the monitor's pod."""
+        receiver = ProbeReceiver()
+        await receiver.listen(port=names.PROBE_PORT)
+        return receiver
 
 
-async def admit(
-    client: Client, namespace: str, workload: str, *, over: GateRecord, admitted: str, admitted_uid: str
-) -> Object:
-    """Let a standby through beside the pod in control (only that one if ``admitted`` is empty), over exactly the record.
-
-    Control doesn't change, and so the epoch stays. Raises ApiError: 409 when another write was first; ValueError when
-    the gate is closed, since then nobody may reach the robot.
-    """
-    if not over.active:
-        raise ValueError(f"NetworkPolicy {names.gate(workload)} is closed: no standby can be let through")
-    return await client.patch(
-        NETWORK_POLICIES,
-        namespace,
-        names.gate(workload),
-        {
-            "metadata": {
-                "resourceVersion": over.version,
-                "annotations": {names.ADMITTED: admitted, names.ADMITTED_UID: admitted_uid},
-            },
-            "spec": {"podSelector": _selector(workload, over.active, admitted)},
-        },
-    )
+GATE = NetworkPolicyGate()

@@ -193,6 +193,11 @@ class ProbeReceiver:
     ARRIVALS = 4096
     """Arrivals remembered for each pod: four seconds of a burst."""
 
+    leak_hint = (
+        "The cluster's network does not enforce NetworkPolicies for UDP with endPort. Use a network plugin that does."
+    )
+    block_hint = "Look for other NetworkPolicies that select it, or for a network that does not carry its traffic."
+
     def __init__(self) -> None:
         self._arrivals: OrderedDict[str, deque[float]] = OrderedDict()
         self._socket: socket.socket | None = None

@@ -15,9 +15,8 @@ from understudy.failover.abandoned import GivenUp, ended
 from understudy.failover.interfaces import GateState, Instance, Superseded
 from understudy.failover.progress import Progress, beside
 from understudy.kube import claims
-from understudy.kube.client import NETWORK_POLICIES, ApiError, Client
-from understudy.kube.gates import network_policy
-from understudy.kube.gates.probes import ProbeReceiver
+from understudy.kube.client import ApiError, Client
+from understudy.kube.gates.base import GateRecord, Proof
 from understudy.monitor.act.pod_control import Fleet
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.observe.cluster_view import View
@@ -32,22 +31,20 @@ WAKING = 15.0
 
 
 class GateControl:
-    """Implements :class:`understudy.failover.interfaces.Gate` with the workload's NetworkPolicy."""
+    """Implements :class:`understudy.failover.interfaces.Gate` for one workload, over its kind of gate."""
 
-    def __init__(
-        self, client: Client, view: View, fleet: Fleet, probes: ProbeReceiver, crash_points: CrashPoints
-    ) -> None:
+    def __init__(self, client: Client, view: View, fleet: Fleet, probes: Proof, crash_points: CrashPoints) -> None:
         self._client, self._view, self._fleet, self._probes = client, view, fleet, probes
-        self._crash_points = crash_points
+        self._crash_points, self._kind = crash_points, view.gate_kind
         self._cached: tuple[int, GateState] = (-1, GateState())
         self._own: tuple[str, int, str] = ("", 0, "")
         """The recovery that committed last from here: its id, the epoch of that, and the text that was sent along."""
 
     @property
-    def record(self) -> network_policy.GateRecord | None:
+    def record(self) -> GateRecord | None:
         """What it says, as last seen or committed; None where there is none."""
         policy = self._view.gates.items.get(names.gate(self._view.workload))
-        return network_policy.read(policy) if policy else None
+        return GateRecord.of(policy) if policy else None
 
     @property
     def exists(self) -> bool:
@@ -86,7 +83,7 @@ class GateControl:
         """
         begun = self.record
         if begun is None:
-            raise Superseded(f"NetworkPolicy {names.gate(self._view.workload)} is gone")
+            raise Superseded(f"{self._kind.object_kind} {names.gate(self._view.workload)} is gone")
         self._still_ours(begun, progress)
         if (instance := target) is not None:
             await claims.answered(lambda: self._fleet.label(instance))
@@ -100,7 +97,7 @@ class GateControl:
         asked = time.monotonic()
         while True:
             try:
-                policy = await network_policy.commit(
+                policy = await self._kind.commit(
                     self._client,
                     self._view.namespace,
                     self._view.workload,
@@ -133,7 +130,7 @@ class GateControl:
         self._crash_points.step("after commit")
         return self.state
 
-    def _still_ours(self, begun: network_policy.GateRecord, progress: Progress | None) -> None:
+    def _still_ours(self, begun: GateRecord, progress: Progress | None) -> None:
         """Raise Superseded where a recovery under way would undo what somebody else has done: another monitor, or who fences by hand.
 
         Of what isn't gone on with, only the record is kept: whoever opens the gate then does so over anything.
@@ -164,7 +161,7 @@ class GateControl:
         try:
             if standby is not None:
                 await self._fleet.label(standby)
-            policy = await network_policy.admit(
+            policy = await self._kind.admit(
                 self._client,
                 self._view.namespace,
                 self._view.workload,
@@ -189,7 +186,7 @@ class GateControl:
             return None
         return GivenUp(id=recovery, epoch=record.epoch, sent=record.recovery)
 
-    async def end_recovery(self, over: network_policy.GateRecord) -> None:
+    async def end_recovery(self, over: GateRecord) -> None:
         """Say that nobody goes on with the recovery that this record tells of, if that is still what it says.
 
         It is tried once, as :meth:`admit` is, and for the same reason.
@@ -198,7 +195,7 @@ class GateControl:
         if found is None:
             return
         try:
-            policy = await network_policy.end_recovery(
+            policy = await self._kind.end_recovery(
                 self._client,
                 self._view.namespace,
                 self._view.workload,
@@ -211,15 +208,13 @@ class GateControl:
         _logger.info("beside the gate it is said that recovery %s isn't gone on with", found.id)
         self._view.gates.put(policy)
 
-    async def _reread(
-        self, begun: network_policy.GateRecord, uid: str, recovery: str
-    ) -> network_policy.GateRecord | None:
+    async def _reread(self, begun: GateRecord, uid: str, recovery: str) -> GateRecord | None:
         """The gate as it is, after a refused or unanswered commit; our own commit may have been carried out."""
         try:
-            policy = await self._client.get(NETWORK_POLICIES, self._view.namespace, names.gate(self._view.workload))
+            policy = await self._client.get(self._kind.resource, self._view.namespace, names.gate(self._view.workload))
         except (ApiError, aiohttp.ClientError, TimeoutError, OSError):
             return None
-        record = network_policy.read(policy)
+        record = GateRecord.of(policy)
         ours = record.epoch == begun.epoch + 1 and record.active_uid == uid and record.recovery == recovery
         if record.epoch != begun.epoch and not ours:
             self._view.gates.put(policy)
@@ -229,8 +224,8 @@ class GateControl:
 
     async def lets_through(self, instance: Instance) -> bool:
         """Whether it lets an instance through as the API server has it now. Raises what a request raises."""
-        policy = await self._client.get(NETWORK_POLICIES, self._view.namespace, names.gate(self._view.workload))
-        record = network_policy.read(policy)
+        policy = await self._client.get(self._kind.resource, self._view.namespace, names.gate(self._view.workload))
+        record = GateRecord.of(policy)
         return instance.uid in (record.active_uid, record.admitted_uid)
 
     async def enforced(self, target: Instance, *, since: float) -> float:

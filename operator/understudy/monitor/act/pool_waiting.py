@@ -6,6 +6,7 @@ import logging
 import time
 from collections.abc import Sequence
 from datetime import UTC, datetime
+from itertools import chain
 
 from understudy.api import names
 from understudy.failover.pool_queue import Waiter
@@ -43,7 +44,7 @@ class Line:
     def others(self, pool: str) -> Sequence[Waiter]:
         """The other workloads that say that they wait for a pod of a pool."""
         found = []
-        for name, gate in self._view.waiting_gates.items.items():
+        for name, gate in chain.from_iterable(one.items.items() for one in self._view.waiting_gates):
             metadata = gate["metadata"]
             if (metadata.get("labels") or {}).get(names.WAITS_FOR) != pool:
                 continue
@@ -84,7 +85,7 @@ class Line:
 
     async def changed(self, pool: str) -> None:
         """Return when unclaimed pods, or who waits, may be others than before."""
-        await any_changed((self._view.unclaimed(pool), self._view.waiting_gates))
+        await any_changed((self._view.unclaimed(pool), *self._view.waiting_gates))
 
 
 def _clock(moment: float) -> str:

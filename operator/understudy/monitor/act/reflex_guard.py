@@ -22,7 +22,7 @@ from understudy.failover.interfaces import Instance
 from understudy.failover.progress import PodIdentity
 from understudy.failover.reflex import TakenOver, longest_gap, measured, switched
 from understudy.kube.client import ApiError
-from understudy.kube.gates.probes import ProbeReceiver
+from understudy.kube.gates.base import Proof
 from understudy.monitor.act.gate_control import GateControl
 from understudy.monitor.act.pod_control import Fleet
 from understudy.monitor.judge.gate_enforcement import SETTLE, SILENT
@@ -61,7 +61,7 @@ class Reflexes:
         gate: GateControl,
         sidecars: Sidecars,
         sight: Sight,
-        probes: ProbeReceiver,
+        probes: Proof,
         reporter: Reporter,
     ) -> None:
         self._view, self._fleet, self._gate = view, fleet, gate
@@ -200,8 +200,7 @@ class Reflexes:
             return (
                 "False",
                 "Blocked",
-                f"Packets of {standby.name} don't reach gated ports although the gate lets it through: look for other "
-                "NetworkPolicies that select it.",
+                f"Packets of {standby.name} do not get through although the gate admits it. {self._probes.block_hint}",
             )
         status = self._sidecars.status(active)
         unfenced = f" It won't be held if its node is cut off: {status.unfenced}." if status and status.unfenced else ""

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from typing import Literal
 
 from understudy.failover.interfaces import Gate, Instance
-from understudy.kube.gates.probes import ProbeReceiver
+from understudy.kube.gates.base import Proof
 from understudy.monitor.report.reporter import Reporter
 
 SETTLE = 3.0
@@ -34,12 +34,14 @@ def judge(
     now: float,
     since: float,
     admitted_uid: str = "",
+    leak_hint: str = "",
+    block_hint: str = "",
 ) -> Judgement:
     """Status, reason and message of the condition GateEnforced.
 
     ``last`` has the time of the last probe of each pod, by UID; ``since`` is when the gate last changed, in Unix seconds;
-    ``admitted_uid`` is that of a standby that it lets through too. Reason Admitted: there's nobody left to be seen held
-    back, so what was seen before that one was let through still stands.
+    ``admitted_uid`` is that of a standby that it lets through too; the hints are those of the gate's proof. Reason Admitted: no standby
+    is left that could be seen to be held back, so what was seen before that one was admitted still holds.
     """
     probing = [i for i in instances if i.has_agent and i.running and not i.terminating and not i.held]
     if now - since < SETTLE:
@@ -54,9 +56,8 @@ def judge(
         return (
             "False",
             "NotEnforced",
-            f"Packets of {', '.join(leaking)} reach gated ports although the gate doesn't name it: the cluster's "
-            "network doesn't enforce NetworkPolicies for UDP with endPort. Two instances could drive the robot. "
-            "Use a network plugin that does.",
+            f"Packets of {', '.join(leaking)} get through although the gate does not name it. Two instances could drive the robot. "
+            f"{leak_hint}".rstrip(),
         )
     active = next((i for i in probing if i.uid == active_uid), None)
     if active is None:
@@ -65,8 +66,7 @@ def judge(
         return (
             "False",
             "Blocked",
-            f"Packets of {active.name} don't reach gated ports although the gate names it: look for other "
-            "NetworkPolicies that select it, or for a network that doesn't carry its traffic.",
+            f"Packets of {active.name} do not get through although the gate names it. {block_hint}".rstrip(),
         )
     if admitted_uid and all(i.uid in (active_uid, admitted_uid) for i in probing):
         return "Unknown", "Admitted", "The only standby is let through too, for the reflex."
@@ -82,7 +82,7 @@ def judge(
 class Enforcement:
     """Whether the gate of one workload is enforced. Times are unix seconds."""
 
-    def __init__(self, gate: Gate, probes: ProbeReceiver, reporter: Reporter, ungated: Callable[[], str] = str) -> None:
+    def __init__(self, gate: Gate, probes: Proof, reporter: Reporter, ungated: Callable[[], str] = str) -> None:
         """``ungated`` tells of readers of the robot that the gate doesn't reach; empty for none."""
         self._gate, self._probes, self._reporter, self._ungated = gate, probes, reporter, ungated
         self._changed = time.time()
@@ -107,6 +107,8 @@ class Enforcement:
             now=time.time(),
             since=self._changed,
             admitted_uid=state.admitted_uid,
+            leak_hint=self._probes.leak_hint,
+            block_hint=self._probes.block_hint,
         )
         if judged[0] != "False" and judged[1] != "Settling" and (ungated := self._ungated()):
             return "False", UNGATED, ungated

@@ -13,7 +13,9 @@ from understudy.api.kinds.failure_policy import FailurePolicySpec, following, in
 from understudy.api.kinds.procedure_spec import Procedure
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.api.protocol.monitor_settings import WorkloadSettings
-from understudy.kube.client import CONFIG_MAPS, NETWORK_POLICIES, PODS, POLICIES, WORKLOADS, Client, Object
+from understudy.kube.client import CONFIG_MAPS, PODS, POLICIES, WORKLOADS, Client, Object
+from understudy.kube.gates import registry
+from understudy.kube.gates.base import GateKind
 from understudy.kube.watched_collection import Reflector, any_changed
 from understudy.monitor.observe.unclaimed_pods import Unclaimed
 from understudy.monitor.observe.wakeups import Wakeups
@@ -46,9 +48,18 @@ def _only(name: str) -> str:
 class View:
     """Local copies of everything the monitor decides by."""
 
-    def __init__(self, client: Client, namespace: str, workload: str, wakeups: Wakeups) -> None:
+    def __init__(
+        self,
+        client: Client,
+        namespace: str,
+        workload: str,
+        wakeups: Wakeups,
+        gate: GateKind = registry.DEFAULT,
+    ) -> None:
+        """``gate`` is the kind of its gate."""
         self.client, self.namespace, self.workload = client, namespace, workload
         self._wakeups = wakeups
+        self.gate_kind = gate
 
         self.workloads = Reflector(client, WORKLOADS, namespace, fields=_only(workload), on_change=self._refer)
         self.policies = self._watching_policy("")
@@ -56,18 +67,20 @@ class View:
         self.settings_maps = Reflector(
             client, CONFIG_MAPS, namespace, fields=_only(names.settings(workload)), on_change=self._queue
         )
-        self.gates = Reflector(client, NETWORK_POLICIES, namespace, fields=_only(names.gate(workload)))
+        self.gates = Reflector(client, gate.resource, namespace, fields=_only(names.gate(workload)))
         self.pods = Reflector(
             client, PODS, namespace, labels=f"{names.WORKLOAD}={workload}", on_change=wakeups.pod_changed
         )
         self._unclaimed: dict[str, Unclaimed] = {}
-        self.waiting_gates = Reflector(client, NETWORK_POLICIES, namespace, labels=names.WAITS_FOR)
-        """The gates whose workloads wait for a pod of a shared pool: mostly none. Watched where this one could wait for one too."""
+        self.waiting_gates = [
+            Reflector(client, resource, namespace, labels=names.WAITS_FOR) for resource in registry.GATE_RESOURCES
+        ]
+        """The gates whose workloads wait for a pod of a shared pool: mostly none. Watched if this one could wait for one too."""
         self.source_pods: Reflector | None = None
         self._group: asyncio.TaskGroup | None = None
         self._referred = ""
         self._policy_watch: asyncio.Task[None] | None = None
-        self._waiting_watch: asyncio.Task[None] | None = None
+        self._waiting_watches: list[asyncio.Task[None]] = []
         self._policy: FailurePolicySpec | None = None
         self._policy_version = ""
         self._followed: tuple[FailurePolicySpec | None, WorkloadSettings | None, FailurePolicySpec | None] = (None,) * 3
@@ -124,11 +137,12 @@ class View:
         if self._group is None or settings is None:
             return
         shared = any(pool.readiness == "Uninitialized" for pool in settings.pools)
-        if shared and self._waiting_watch is None:
-            self._waiting_watch = self._group.create_task(self.waiting_gates.run())
-        elif not shared and self._waiting_watch is not None:
-            self._waiting_watch.cancel()
-            self._waiting_watch = None
+        if shared and not self._waiting_watches:
+            self._waiting_watches = [self._group.create_task(one.run()) for one in self.waiting_gates]
+        elif not shared:
+            for watch in self._waiting_watches:
+                watch.cancel()
+            self._waiting_watches = []
 
     @property
     def pods_revision(self) -> tuple[int, int]:

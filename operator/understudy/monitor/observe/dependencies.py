@@ -22,8 +22,9 @@ from understudy.failover.interfaces import Instance
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.failover.protocol import Choice
 from understudy.failover.strategies import Reinitialize, Restart
-from understudy.kube.client import NETWORK_POLICIES, WORKLOADS, Resource
-from understudy.kube.gates import network_policy
+from understudy.kube.client import WORKLOADS, Resource
+from understudy.kube.gates import registry
+from understudy.kube.gates.base import GateRecord
 from understudy.kube.watched_collection import Reflector
 from understudy.monitor.observe.cluster_view import View
 from understudy.monitor.observe.wakeups import Wakeups
@@ -52,13 +53,13 @@ class _Watched:
             return Reflector(view.client, resource, view.namespace, fields=only, on_change=wakeups.dependency_changed)
 
         self.statuses = reflector(WORKLOADS, name)
-        self.gates = reflector(NETWORK_POLICIES, names.gate(name))
+        self.gates = [reflector(resource, names.gate(name)) for resource in registry.GATE_RESOURCES]
         self._tasks: list[asyncio.Task[None]] = []
         self._seen: tuple[tuple[int, int], Seen] = ((-1, -1), Seen())
 
     def begin(self) -> None:
         """Start the watches."""
-        self._tasks = [asyncio.create_task(one.run()) for one in (self.statuses, self.gates)]
+        self._tasks = [asyncio.create_task(one.run()) for one in (self.statuses, *self.gates)]
 
     def end(self) -> None:
         """Stop them."""
@@ -73,7 +74,7 @@ class _Watched:
     @property
     def seen(self) -> Seen:
         """How it is, as far as it has said."""
-        revision = (self.statuses.revision, self.gates.revision)
+        revision = (self.statuses.revision, sum(one.revision for one in self.gates))
         if self._seen[0] != revision:
             self._seen = (revision, self._read())
         return self._seen[1]
@@ -82,10 +83,11 @@ class _Watched:
         item = self.statuses.items.get(self._name)
         if item is None:
             return Seen()
-        policy = self.gates.items.get(names.gate(self._name))
+        gates = (one.items.get(names.gate(self._name)) for one in self.gates)
+        gate = next((one for one in gates if one is not None), None)
         try:
             status = RobotWorkloadStatus.model_validate(item.get("status") or {})
-            text = network_policy.read(policy).recovery if policy is not None else ""
+            text = GateRecord.of(gate).recovery if gate is not None else ""
             return Seen.of(status, Progress.model_validate_json(text) if text else None)
         except ValidationError as error:
             _logger.warning("what RobotWorkload %s says can't be read: %s", self._name, error)

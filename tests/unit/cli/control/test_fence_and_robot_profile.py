@@ -17,7 +17,8 @@ from understudy.api import names
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.cli.control import fence, robot_profile
 from understudy.controller.desired import ros_environment
-from understudy.kube.gates import network_policy
+from understudy.kube.gates import registry
+from understudy.kube.gates.base import GateRecord
 
 ROBOT = "robot-17-navigation"
 GATE = names.gate(ROBOT)
@@ -43,11 +44,11 @@ def quickly(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_gate_is_closed_and_kept_so_by_a_pause(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
     item = heard(fleet.well())
     stand.tell(fleet.around(item))
-    before = network_policy.read(stand.item(GATE))
+    before = GateRecord.of(stand.item(GATE))
     assert fence.main([ROBOT, *REASON, "--yes"]) == 0
-    after = network_policy.read(stand.item(GATE))
+    after = GateRecord.of(stand.item(GATE))
     assert (after.epoch, after.active, after.active_uid, after.recovery) == (before.epoch + 1, "", "", "")
-    assert network_policy.selected(stand.item(GATE)) == ()
+    assert registry.DEFAULT.let_through(stand.item(GATE)) == ()
     pause = RobotWorkloadSpec.model_validate(stand.item(ROBOT)["spec"]).pause
     assert pause is not None
     assert (pause.reason, pause.owner, pause.until) == ("fenced: it is in the wrong aisle", "ann", None)
@@ -70,7 +71,7 @@ def test_a_gate_that_is_closed_already_is_left_as_it_is(stand: FakeKubectl, caps
 def test_where_the_monitor_says_nothing_that_is_told(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
     stand.tell(fleet.around(fleet.well()))
     assert fence.main([ROBOT, *REASON, "--yes"]) == 1
-    assert network_policy.selected(stand.item(GATE)) == (), "it is closed all the same"
+    assert registry.DEFAULT.let_through(stand.item(GATE)) == (), "it is closed all the same"
     assert "its monitor hasn't said within 0.5 s that it leaves it alone" in capsys.readouterr().err
 
 
@@ -114,7 +115,7 @@ def test_a_yes_in_a_terminal_is_enough(stand: FakeKubectl, monkeypatch: pytest.M
 def test_where_there_is_no_gate_that_is_told(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
     stand.tell([fleet.well()])
     assert fence.main([ROBOT, *REASON, "--yes"]) == 2
-    assert f"NetworkPolicy {GATE} isn't there, so nobody is let through: understudy explain" in capsys.readouterr().err
+    assert f"{GATE} does not exist" in capsys.readouterr().err
 
 
 # -- robot-profile ----------------------------------------------------------------------------------------------------

@@ -35,10 +35,10 @@ from understudy.cli.doctor.command import said_by_monitors
 from understudy.cli.doctor.findings import Finding
 from understudy.cli.doctor.installation_check import Installed
 from understudy.cli.doctor.packet_check import Seen
-from understudy.controller.desired import gate_policies
 from understudy.controller.desired.plan import Images
 from understudy.failover.progress import rfc3339
 from understudy.kube.client import Object
+from understudy.kube.gates import registry
 
 ENFORCED = Seen(
     ("n1", "n2"), before=True, established=0.03, fresh=False, others=True, opened=0.02, closed=0.01, lifted=0.04
@@ -303,13 +303,12 @@ def test_the_pods_are_nothing_that_operator_and_monitors_look_after() -> None:
 
 def test_the_policies_are_the_operator_s_own_with_other_labels() -> None:
     labels = test_pods.pod("doctor-1", "sender", Images("i"))["metadata"]["labels"]
-    (theirs,) = gate_policies.standby_policies("doctor-1", [], None)
-    ours = test_pods.as_the_doctors(theirs, "doctor-1")
+    ((_, theirs),) = registry.DEFAULT.companions("doctor-1", [], None)
+    ours = test_pods.relabelled(theirs)
     assert ours["spec"]["egress"][0]["ports"] == theirs["spec"]["egress"][0]["ports"]
     selector = ours["spec"]["podSelector"]["matchLabels"]
     assert selector.items() <= labels.items()
     assert names.WORKLOAD not in json.dumps(ours)
-    assert ours["metadata"]["labels"] == {test_pods.LABEL: "doctor-1"}
 
 
 # -- clocks -----------------------------------------------------------------------------------------------------------

@@ -1,0 +1,231 @@
+"""What a gate is: the interface that every kind of gate implements.
+
+A gate decides which instance's outputs reach a robot. Each workload has one. Its commit point is one object of the Kubernetes API, the gate
+object, and the annotations of that object hold the record: who is in control, the epoch, and the recovery that made the last commit. The
+record is the same for every kind, so reading it takes no kind. Every change is one merge patch with the resourceVersion of the record on
+which it was decided, so of two writers one is refused.
+
+A kind (:class:`GateKind`) says what the gate object does with the instances that the record names, which further objects the gate needs,
+and how it is proven that it works (:class:`Proof`). A kind that routes at the robot does so by orders that carry the epoch of the record.
+
+To add a kind, name it in ``Gate.kind`` (api/kinds/robot_workload.py), and add a module of that name in snake case to this folder, with the
+kind as its ``GATE``.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Protocol
+
+from understudy.api import names
+from understudy.kube.client import Client, Object, Resource
+
+
+@dataclass(frozen=True)
+class GateRecord:
+    """The record in a gate object's annotations, for every kind of gate."""
+
+    epoch: int
+    """Grows by one with every commit. Whoever acts on an older one is refused."""
+    active: str
+    """The pod in control; empty while the gate is closed."""
+    active_uid: str
+    recovery: str
+    """JSON of the recovery that made the last commit, or empty."""
+    version: str
+    """The resourceVersion of the gate object."""
+    admitted: str = ""
+    """The standby that may reach the robot beside the pod in control, for the reflex."""
+    admitted_uid: str = ""
+
+    @classmethod
+    def of(cls, gate: Object) -> GateRecord:
+        """Read the record of a gate object."""
+        annotations = gate["metadata"].get("annotations") or {}
+        epoch = annotations.get(names.EPOCH, "0")
+        return cls(
+            epoch=int(epoch) if epoch.isdigit() else 0,
+            active=annotations.get(names.ACTIVE, ""),
+            active_uid=annotations.get(names.ACTIVE_UID, ""),
+            recovery=annotations.get(names.RECOVERY, ""),
+            version=gate["metadata"]["resourceVersion"],
+            admitted=annotations.get(names.ADMITTED, ""),
+            admitted_uid=annotations.get(names.ADMITTED_UID, ""),
+        )
+
+
+class Proof(Protocol):
+    """Evidence of whose packets get through the gate, seen at its far side and not read from the API."""
+
+    leak_hint: str = ""
+    """A sentence: the likely cause if packets of an instance get through that the gate does not name, and what to do."""
+    block_hint: str = ""
+    """A sentence: what to look for if packets of an instance do not get through although the gate names it."""
+
+    def last(self, uid: str) -> float | None:
+        """When a packet of a pod last got through, in Unix seconds; None if none did."""
+
+    async def wait(self, uid: str, after: float) -> float:
+        """Wait for a packet of a pod; when the first one at or after a time got through, in Unix seconds."""
+
+
+class GateKind(ABC):
+    """A kind of gate. It has no state: the gate objects have it."""
+
+    kind: ClassVar[str]
+    """Value of ``spec.gate.kind``."""
+    object_kind: ClassVar[str]
+    """Kind of the gate object."""
+    resource: ClassVar[Resource]
+    """Of the gate object. The operator watches the objects of this resource that it has made."""
+
+    # -- What the gate object does ------------------------------------------------------------------------------------
+
+    @abstractmethod
+    def routing(self, workload: str, active: str, admitted: str = "") -> Object:
+        """Merge patch fields that let these instances through and nobody else. Without ``active`` the gate is closed."""
+
+    @abstractmethod
+    def let_through(self, gate: Object) -> tuple[str, ...]:
+        """Names of the instances that a gate object lets through, whatever its record says."""
+
+    @abstractmethod
+    def ungateable(self, pod_spec: Mapping[str, Any]) -> str:
+        """Why this kind cannot gate the outputs of pods with this spec, beginning with the field; empty if it can."""
+
+    # -- What the operator creates ------------------------------------------------------------------------------------
+
+    @abstractmethod
+    def closed(self, workload: str, *, epoch: int) -> Object:
+        """A gate object that lets nobody through. From its creation on, only the monitor commits to it.
+
+        ``epoch`` is the last one known, so that the commits of a gate that somebody deleted do not become valid again.
+        """
+
+    @abstractmethod
+    def spec_repair(self, gate: Object) -> Object:
+        """Merge patch fields that restore what a gate object says besides routing and record; empty if nothing differs."""
+
+    @abstractmethod
+    def companions(
+        self, workload: str, robots: Sequence[str], reference: Mapping[str, Any] | None
+    ) -> list[tuple[Resource, Object]]:
+        """The other objects that the gate of a workload needs, each with its resource.
+
+        ``robots`` are the addresses of robots outside the cluster, as CIDRs. ``reference`` is the pod selector of a referenced
+        controller, whose pods are instances before they have the operator's labels.
+        """
+
+    # -- How it is proven -----------------------------------------------------------------------------------------------
+
+    @abstractmethod
+    async def proof(self) -> Proof:
+        """Start to collect evidence of whose packets get through, in the monitor's pod. Raises OSError."""
+
+    # -- The same for every kind ----------------------------------------------------------------------------------------
+
+    def repair(self, gate: Object, *, owner: Object, labels: Mapping[str, str]) -> Object | None:
+        """A merge patch that restores a gate object except routing and record, which are the monitor's; None if nothing differs."""
+        metadata, patch = gate["metadata"], self.spec_repair(gate)
+        fields: Object = {}
+        present = metadata.get("labels") or {}
+        if missing := {key: value for key, value in labels.items() if present.get(key) != value}:
+            fields["labels"] = missing
+        owners = metadata.get("ownerReferences") or []
+        if owner not in owners:
+            fields["ownerReferences"] = [*(one for one in owners if one.get("uid") != owner["uid"]), owner]
+        return (patch | ({"metadata": fields} if fields else {})) or None
+
+    def monitor_rules(self, workload: str) -> list[Object]:
+        """RBAC rules by which a monitor reads and commits its workload's gate, and no other."""
+        return [
+            {
+                "apiGroups": [self.resource.group],
+                "resources": [self.resource.plural],
+                "verbs": ["get", "list", "watch", "patch"],
+                "resourceNames": [names.gate(workload)],
+            }
+        ]
+
+    def commitment(
+        self,
+        workload: str,
+        *,
+        over: GateRecord,
+        active: str = "",
+        active_uid: str = "",
+        recovery: str = "",
+        waits_for: str = "",
+    ) -> Object:
+        """The merge patch of :meth:`commit`. It closes the gate if nothing but the record is given."""
+        return {
+            "metadata": {
+                "resourceVersion": over.version,
+                "labels": {names.WAITS_FOR: waits_for or None},
+                "annotations": {
+                    names.EPOCH: str(over.epoch + 1),
+                    names.ACTIVE: active,
+                    names.ACTIVE_UID: active_uid,
+                    names.RECOVERY: recovery,
+                    names.ADMITTED: "",
+                    names.ADMITTED_UID: "",
+                },
+            },
+            **self.routing(workload, active),
+        }
+
+    async def commit(
+        self,
+        client: Client,
+        namespace: str,
+        workload: str,
+        *,
+        over: GateRecord,
+        active: str,
+        active_uid: str,
+        recovery: str,
+        waits_for: str = "",
+    ) -> Object:
+        """Name the one pod that may reach the robot (none if ``active`` is empty) over exactly this record; the gate object then.
+
+        One atomic write fences the old pod, and an admitted standby with it, and routes the new one. ``waits_for`` is the shared pool
+        of which the workload waits for a pod. Raises ApiError, with status 409 if another write came first.
+        """
+        patch = self.commitment(
+            workload, over=over, active=active, active_uid=active_uid, recovery=recovery, waits_for=waits_for
+        )
+        return await client.patch(self.resource, namespace, names.gate(workload), patch)
+
+    async def end_recovery(
+        self, client: Client, namespace: str, workload: str, *, over: GateRecord, recovery: str
+    ) -> Object:
+        """Record over exactly this record that the recovery of the last commit has ended; ``recovery`` is its JSON from then on.
+
+        Control does not change, so the epoch stays. The workload no longer waits for a pod of a shared pool. Raises ApiError, with
+        status 409 if another write came first.
+        """
+        metadata = {
+            "resourceVersion": over.version,
+            "labels": {names.WAITS_FOR: None},
+            "annotations": {names.RECOVERY: recovery},
+        }
+        return await client.patch(self.resource, namespace, names.gate(workload), {"metadata": metadata})
+
+    async def admit(
+        self, client: Client, namespace: str, workload: str, *, over: GateRecord, admitted: str, admitted_uid: str
+    ) -> Object:
+        """Let a standby through beside the pod in control (none if ``admitted`` is empty) over exactly this record.
+
+        Control does not change, so the epoch stays. Raises ApiError, with status 409 if another write came first; ValueError if the gate
+        is closed, because then nobody may reach the robot.
+        """
+        if not over.active:
+            raise ValueError(f"{self.object_kind} {names.gate(workload)} is closed: no standby can be let through")
+        metadata = {
+            "resourceVersion": over.version,
+            "annotations": {names.ADMITTED: admitted, names.ADMITTED_UID: admitted_uid},
+        }
+        patch = {"metadata": metadata, **self.routing(workload, over.active, admitted)}
+        return await client.patch(self.resource, namespace, names.gate(workload), patch)

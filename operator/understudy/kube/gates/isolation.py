@@ -1,0 +1,39 @@
+"""The network isolation of unclaimed pods, whatever the kind of the gates."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from understudy.api import names
+from understudy.kube.client import NETWORK_POLICIES, Object
+
+RESOURCE = NETWORK_POLICIES
+"""Of the objects that isolate."""
+
+KIND = "NetworkPolicy"
+
+
+def held_pods(pool: str, claimable: str) -> Object:
+    """The policy of a pool's unclaimed pods: their agents can be reached, and nothing else can be received or sent.
+
+    Its annotation holds the hash of the template whose pods may be claimed.
+    """
+    agent = [{"protocol": "TCP", "port": port} for port in (names.AGENT_PORT, names.AGENT_HEALTH_PORT)]
+    policy = network_policy(
+        names.held(pool),
+        {"matchLabels": {names.POOL: pool, names.HELD: "true"}},
+        {"policyTypes": ["Ingress", "Egress"], "ingress": [{"ports": agent}]},
+    )
+    policy["metadata"]["annotations"] = {names.TEMPLATE_HASH: claimable}
+    return policy
+
+
+def network_policy(name: str, selector: Mapping[str, Any], rules: Object) -> Object:
+    """A NetworkPolicy with these rules for the pods that a selector matches."""
+    return {
+        "apiVersion": "networking.k8s.io/v1",
+        "kind": "NetworkPolicy",
+        "metadata": {"name": name},
+        "spec": {"podSelector": dict(selector), **rules},
+    }

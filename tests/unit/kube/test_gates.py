@@ -1,0 +1,171 @@
+"""What every kind of gate must do, and the rules of the NetworkPolicy gate."""
+
+from __future__ import annotations
+
+from typing import get_args
+
+import pytest
+
+from tests.unit.kube.memory import MemoryClient
+from understudy.api import names
+from understudy.api.kinds.robot_workload import Gate
+from understudy.kube.client import ApiError, Object
+from understudy.kube.gates import registry
+from understudy.kube.gates.base import GateKind, GateRecord
+from understudy.kube.gates.network_policy import GATE
+
+OWNER = {"apiVersion": f"{names.GROUP}/v1alpha1", "kind": "RobotWorkload", "name": "w", "uid": "uid-w"}
+
+every_kind = pytest.mark.parametrize("kind", registry.KINDS.values(), ids=registry.KINDS)
+
+
+class Opened:
+    """A gate in an API server in memory."""
+
+    def __init__(self, kind: GateKind) -> None:
+        self.kind, self.client = kind, MemoryClient()
+
+    async def create(self, epoch: int = 0) -> None:
+        await self.client.create(self.kind.resource, "fleet", self.kind.closed("w", epoch=epoch))
+
+    async def read(self) -> Object:
+        return await self.client.get(self.kind.resource, "fleet", names.gate("w"))
+
+    async def record(self) -> GateRecord:
+        return GateRecord.of(await self.read())
+
+    async def commit(self, active: str, over: GateRecord | None = None, **more: str) -> Object:
+        return await self.kind.commit(
+            self.client,
+            "fleet",
+            "w",
+            over=over or await self.record(),
+            active=active,
+            active_uid=f"uid-{active}" if active else "",
+            recovery=more.pop("recovery", ""),
+            **more,
+        )
+
+    async def admit(self, standby: str, over: GateRecord | None = None) -> Object:
+        over = over or await self.record()
+        uid = f"uid-{standby}" if standby else ""
+        return await self.kind.admit(self.client, "fleet", "w", over=over, admitted=standby, admitted_uid=uid)
+
+
+def test_each_kind_that_a_workload_may_ask_for_is_there_under_its_own_name() -> None:
+    assert set(registry.KINDS) == set(get_args(Gate.model_fields["kind"].annotation))
+    assert all(name == kind.kind for name, kind in registry.KINDS.items())
+    assert registry.DEFAULT is registry.of({"metadata": {"name": "w"}})
+
+
+@every_kind
+async def test_a_new_gate_is_closed_at_the_epoch_it_is_given(kind: GateKind) -> None:
+    gate = Opened(kind)
+    await gate.create(epoch=41)
+    record = await gate.record()
+    assert (record.epoch, record.active, kind.let_through(await gate.read())) == (41, "", ())
+
+
+@every_kind
+async def test_a_commit_lets_through_one_instance_and_no_other(kind: GateKind) -> None:
+    gate = Opened(kind)
+    await gate.create()
+    for epoch, active in enumerate(["a", "b", ""], start=1):
+        committed = await gate.commit(active)
+        assert kind.let_through(committed) == ((active,) if active else ())
+        assert (GateRecord.of(committed).epoch, GateRecord.of(committed).active) == (epoch, active)
+
+
+@every_kind
+async def test_of_two_commits_over_the_same_record_one_is_refused(kind: GateKind) -> None:
+    gate = Opened(kind)
+    await gate.create()
+    before = await gate.record()
+    await gate.commit("a", over=before)
+    with pytest.raises(ApiError) as refused:
+        await gate.commit("b", over=before)
+    assert refused.value.status == 409
+    assert kind.let_through(await gate.read()) == ("a",)
+
+
+@every_kind
+async def test_an_admitted_standby_is_let_through_at_the_same_epoch_until_the_next_commit(kind: GateKind) -> None:
+    gate = Opened(kind)
+    await gate.create()
+    await gate.commit("a")
+    admitted = await gate.admit("b")
+    assert (set(kind.let_through(admitted)), GateRecord.of(admitted).epoch) == ({"a", "b"}, 1)
+    assert kind.let_through(await gate.admit("")) == ("a",)
+    await gate.admit("b")
+    committed = await gate.commit("c")
+    assert (kind.let_through(committed), GateRecord.of(committed).admitted) == (("c",), "")
+
+
+@every_kind
+async def test_a_closed_gate_admits_no_standby(kind: GateKind) -> None:
+    gate = Opened(kind)
+    await gate.create()
+    with pytest.raises(ValueError, match="is closed"):
+        await gate.admit("b")
+
+
+@every_kind
+async def test_the_end_of_a_recovery_changes_no_control_and_ends_the_wait_for_a_pool(kind: GateKind) -> None:
+    gate = Opened(kind)
+    await gate.create()
+    waiting = await gate.commit("a", recovery="{}", waits_for="spare")
+    assert waiting["metadata"]["labels"][names.WAITS_FOR] == "spare"
+    over = GateRecord.of(waiting)
+    ended = await kind.end_recovery(gate.client, "fleet", "w", over=over, recovery="ended")
+    record = GateRecord.of(ended)
+    assert (record.recovery, record.epoch, kind.let_through(ended)) == ("ended", 1, ("a",))
+    assert names.WAITS_FOR not in ended["metadata"]["labels"]
+
+
+@every_kind
+async def test_repair_restores_owner_and_labels_and_leaves_control_alone(kind: GateKind) -> None:
+    gate = Opened(kind)
+    await gate.create()
+    await gate.commit("a")
+    patch = kind.repair(await gate.read(), owner=OWNER, labels={"app": "w"})
+    assert patch is not None
+    repaired = await gate.client.patch(kind.resource, "fleet", names.gate("w"), patch)
+    assert (repaired["metadata"]["ownerReferences"], repaired["metadata"]["labels"]["app"]) == ([OWNER], "w")
+    assert (GateRecord.of(repaired).active, kind.let_through(repaired)) == ("a", ("a",))
+    assert kind.repair(repaired, owner=OWNER, labels={"app": "w"}) is None
+
+
+@every_kind
+def test_a_monitor_may_change_its_own_gate_only(kind: GateKind) -> None:
+    for rule in kind.monitor_rules("w"):
+        assert "patch" not in rule["verbs"] or rule["resourceNames"] == [names.gate("w")]
+
+
+def test_instances_reach_everything_but_gated_ports_and_each_other() -> None:
+    ((_, found),) = GATE.companions("w", ["192.168.7.0/24"], None)
+    spec = found["spec"]
+    assert spec["podSelector"] == {"matchLabels": {names.WORKLOAD: "w"}}
+    assert [(p["protocol"], p["port"], p["endPort"]) for p in spec["egress"][0]["ports"]] == [
+        ("TCP", 1, 65535),
+        ("UDP", 1, 7949),
+        ("UDP", 8150, 65535),
+    ]
+    pods, robot = spec["egress"][0]["to"]
+    assert pods["namespaceSelector"] == {}
+    assert pods["podSelector"]["matchExpressions"] == [{"key": names.WORKLOAD, "operator": "NotIn", "values": ["w"]}]
+    assert robot == {"ipBlock": {"cidr": "192.168.7.0/24"}}
+    assert "ports" not in spec["ingress"][0]
+
+
+def test_the_policy_of_the_gate_allows_all_that_the_selected_pod_sends() -> None:
+    spec = GATE.closed("w", epoch=0)["spec"]
+    assert (spec["policyTypes"], spec["egress"]) == (["Egress"], [{}])
+
+
+@pytest.mark.parametrize("wrong", [{"egress": []}, {"policyTypes": ["Ingress"]}, {"ingress": [{}]}])
+def test_rules_that_somebody_changed_are_restored(wrong: Object) -> None:
+    gate = GATE.closed("w", epoch=0)
+    gate["spec"] |= wrong
+    patch = GATE.repair(gate, owner=OWNER, labels={})
+    assert patch is not None
+    assert patch["spec"] == {"policyTypes": ["Egress"], "egress": [{}], "ingress": None}
