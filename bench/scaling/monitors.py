@@ -28,7 +28,7 @@ from understudy.failover.interfaces import Instance
 from understudy.failover.journal import Journal
 from understudy.failover.pool_queue import LOOK
 from understudy.failover.progress import Progress
-from understudy.failover.strategies import UninitializedFallback
+from understudy.failover.strategies.uninitialized import UninitializedFallback
 from understudy.kube.client import NETWORK_POLICIES, Access, ApiError
 from understudy.kube.events import Recorder
 from understudy.kube.warm_connections import keep_warm

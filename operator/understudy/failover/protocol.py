@@ -14,7 +14,7 @@ from typing import Literal
 from understudy.api.kinds.robot_workload import Attempt
 from understudy.failover.interfaces import Instance, NotAvailable, NotVerified, Overtaken, Superseded
 from understudy.failover.progress import Progress
-from understudy.failover.strategies import Means, Strategy
+from understudy.failover.strategies.base import Means, Strategy
 
 _logger = logging.getLogger(__name__)
 

@@ -14,7 +14,8 @@ from itertools import pairwise
 
 from understudy.failover.interfaces import Instance, NotAvailable
 from understudy.failover.progress import PodIdentity, Progress
-from understudy.failover.strategies import PROBE_SECONDS, Means, Strategy
+from understudy.failover.strategies.base import Means, Strategy
+from understudy.failover.strategies.steps import PROBE_SECONDS
 
 FENCE_QUIET = 0.03
 """Seconds without a packet of the loser, whose agent sends one every ten milliseconds at least, before it counts as fenced."""

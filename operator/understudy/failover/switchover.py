@@ -18,7 +18,8 @@ from understudy.api.kinds.robot_workload import Attempt
 from understudy.failover.interfaces import Instance, NotAvailable, NotVerified, Superseded
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.failover.protocol import Choice, alone, retire, unless_lost
-from understudy.failover.strategies import Means, Unfit, open_for, wait_enforced
+from understudy.failover.strategies.base import Means, Unfit
+from understudy.failover.strategies.steps import open_for, wait_enforced
 
 _logger = logging.getLogger(__name__)
 

@@ -17,7 +17,7 @@ from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.failover import reflex, switchover
 from understudy.failover.journal import Journal
 from understudy.failover.progress import PodIdentity, Progress
-from understudy.failover.strategies import Means
+from understudy.failover.strategies.base import Means
 from understudy.failover.switchover import Prepared
 from understudy.kube.gates.base import Proof
 from understudy.monitor.act.abandonment import GivingUp

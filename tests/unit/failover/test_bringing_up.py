@@ -12,7 +12,10 @@ from understudy.api.kinds.procedure_spec import Procedure
 from understudy.api.protocol.kept_state import KeptSample, KeptState
 from understudy.failover.bring_up import BringUp
 from understudy.failover.protocol import Choice, recover
-from understudy.failover.strategies import ExecutingFallback, InitializedFallback, Restart, UninitializedFallback
+from understudy.failover.strategies.executing import ExecutingFallback
+from understudy.failover.strategies.initialized import InitializedFallback
+from understudy.failover.strategies.restart import Restart
+from understudy.failover.strategies.uninitialized import UninitializedFallback
 
 ACTIVATE = Procedure(yaml={"set_lifecycle": {"node": "/amcl", "state": "active"}}, within="10s")
 RESTORING = Procedure(yaml={"sequence": [{"restore_state": {}}, ACTIVATE.yaml]})

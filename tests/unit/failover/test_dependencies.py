@@ -18,7 +18,9 @@ from understudy.failover.interfaces import GateState
 from understudy.failover.limits.escalation import Takeover, first_strategy
 from understudy.failover.progress import PodIdentity, Progress, rfc3339
 from understudy.failover.protocol import Choice, recover
-from understudy.failover.strategies import Reinitialize, Restart, Strategy
+from understudy.failover.strategies.base import Strategy
+from understudy.failover.strategies.reinitialize import Reinitialize
+from understudy.failover.strategies.restart import Restart
 
 NOW = 1_700_000_000.0
 

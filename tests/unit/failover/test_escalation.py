@@ -12,7 +12,8 @@ from tests.unit.failover.world import Store, World
 from understudy.failover.limits.escalation import Takeover, first_strategy
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.failover.protocol import Choice, recover
-from understudy.failover.strategies import Restart, UninitializedFallback
+from understudy.failover.strategies.restart import Restart
+from understudy.failover.strategies.uninitialized import UninitializedFallback
 
 LONG = 60.0
 DELAY = 2.0

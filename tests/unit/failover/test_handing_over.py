@@ -9,7 +9,9 @@ from understudy.api.protocol.kept_state import KeptSample, KeptState, NotRestore
 from understudy.failover.interfaces import GateState
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.failover.protocol import Choice, recover
-from understudy.failover.strategies import ExecutingFallback, Restart, UninitializedFallback
+from understudy.failover.strategies.executing import ExecutingFallback
+from understudy.failover.strategies.restart import Restart
+from understudy.failover.strategies.uninitialized import UninitializedFallback
 
 ONSET = -0.5
 
@@ -90,7 +92,7 @@ async def test_a_pod_without_an_agent_takes_over_and_is_told_to_have_been_given_
         ("/amcl_pose", False),
         ("/controller (parameters)", False),
     ]
-    assert done.state[1].message == "pod w-9 has no agent, since a referred controller made it"
+    assert "pod w-9 has no agent" in done.state[1].message
 
 
 async def test_a_state_that_can_not_be_given_is_recorded_and_keeps_nobody_from_taking_over() -> None:

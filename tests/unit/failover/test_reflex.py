@@ -13,7 +13,8 @@ from understudy.failover.interfaces import GateState
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.failover.protocol import Choice, recover
 from understudy.failover.reflex import ReflexFallback, TakenOver, longest_gap, measured, switched
-from understudy.failover.strategies import ExecutingFallback, Restart
+from understudy.failover.strategies.executing import ExecutingFallback
+from understudy.failover.strategies.restart import Restart
 
 DEADLINE = 0.1
 W1, W2 = PodIdentity(name="w-1", uid="uid-w-1"), PodIdentity(name="w-2", uid="uid-w-2")

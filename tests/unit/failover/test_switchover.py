@@ -15,13 +15,11 @@ from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import GateState, Instance, NotAvailable, Superseded
 from understudy.failover.progress import Progress
 from understudy.failover.protocol import Choice
-from understudy.failover.strategies import (
-    ExecutingFallback,
-    InitializedFallback,
-    Restart,
-    Strategy,
-    UninitializedFallback,
-)
+from understudy.failover.strategies.base import Strategy
+from understudy.failover.strategies.executing import ExecutingFallback
+from understudy.failover.strategies.initialized import InitializedFallback
+from understudy.failover.strategies.restart import Restart
+from understudy.failover.strategies.uninitialized import UninitializedFallback
 from understudy.failover.switchover import Prepared, prepare, settle, switch
 
 BRING_UP = BringUp("bringUp", {}, 0.2, "digest", False)

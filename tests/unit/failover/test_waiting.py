@@ -17,7 +17,8 @@ from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.pool_queue import YIELD, YIELD_MOST, Waiter, before, due, in_order, left_by
 from understudy.failover.progress import Progress, waiter
 from understudy.failover.protocol import Choice, recover
-from understudy.failover.strategies import Restart, UninitializedFallback, apart
+from understudy.failover.strategies.restart import Restart
+from understudy.failover.strategies.uninitialized import UninitializedFallback, apart
 
 POOL = "spare"
 

@@ -13,7 +13,7 @@ from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import ClaimLost, GateState, Instance, NotVerified, Superseded
 from understudy.failover.pool_queue import Waiter
 from understudy.failover.progress import Progress
-from understudy.failover.strategies import Means
+from understudy.failover.strategies.base import Means
 
 PERIOD = 0.005  # seconds between commands of a live instance
 

@@ -16,10 +16,12 @@ from understudy.api.protocol.agent_messages import AgentStatus
 from understudy.api.protocol.kept_state import KeptState, RestoreReport
 from understudy.api.protocol.monitor_settings import PoolChoice, WorkloadSettings
 from understudy.failover.interfaces import Instance, NotVerified
-from understudy.failover.strategies import ExecutingFallback, InitializedFallback, Restart
+from understudy.failover.strategies.executing import ExecutingFallback
+from understudy.failover.strategies.initialized import InitializedFallback
+from understudy.failover.strategies.registry import choices
+from understudy.failover.strategies.restart import Restart
 from understudy.monitor.act import standby_lifecycle
 from understudy.monitor.act.standby_lifecycle import Bringing
-from understudy.monitor.decide.strategy_list import choices
 from understudy.monitor.observe import agent_connections
 from understudy.monitor.observe.current_recovery import CurrentRecovery
 from understudy.monitor.observe.instance_roles import InstanceRoles, Role, managed, role_of

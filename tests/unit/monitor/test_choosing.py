@@ -11,8 +11,8 @@ from understudy.api import names
 from understudy.failover.interfaces import GateState
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.failover.protocol import Choice, recover
+from understudy.failover.strategies.registry import choices
 from understudy.kube.client import Object
-from understudy.monitor.decide.strategy_list import choices
 from understudy.monitor.observe.cluster_view import View
 from understudy.monitor.observe.wakeups import Wakeups
 

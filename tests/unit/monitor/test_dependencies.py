@@ -22,8 +22,8 @@ from understudy.api.protocol.monitor_settings import WorkloadSettings
 from understudy.failover.dependency import Due
 from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.progress import PodIdentity, Progress, rfc3339
+from understudy.failover.strategies.registry import choices
 from understudy.kube.client import NETWORK_POLICIES, Object
-from understudy.monitor.decide.strategy_list import choices
 from understudy.monitor.loop import Supervisor
 from understudy.monitor.observe.dependencies import Dependencies, following
 from understudy.monitor.observe.wakeups import Wakeups

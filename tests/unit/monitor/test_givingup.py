@@ -25,7 +25,7 @@ from understudy.failover.journal import Journal
 from understudy.failover.pool_queue import Waiter
 from understudy.failover.progress import LASTS, PodIdentity, Progress, beside, told_in
 from understudy.failover.protocol import Choice
-from understudy.failover.strategies import Means, Strategy
+from understudy.failover.strategies.base import Means, Strategy
 from understudy.kube.client import NETWORK_POLICIES, ApiError, Object
 from understudy.kube.gates.base import GateRecord
 from understudy.kube.gates.network_policy import GATE

@@ -10,7 +10,9 @@ import pytest
 
 from tests.unit.monitor.test_limiting import World
 from understudy.api.conditions import condition
-from understudy.failover.strategies import ExecutingFallback, Restart, UninitializedFallback
+from understudy.failover.strategies.executing import ExecutingFallback
+from understudy.failover.strategies.restart import Restart
+from understudy.failover.strategies.uninitialized import UninitializedFallback
 from understudy.monitor.decide import strategy_options
 from understudy.monitor.judge.failure_detection import Failure
 

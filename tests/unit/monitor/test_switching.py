@@ -18,7 +18,9 @@ from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.failover.protocol import Choice
-from understudy.failover.strategies import ExecutingFallback, InitializedFallback, Strategy
+from understudy.failover.strategies.base import Strategy
+from understudy.failover.strategies.executing import ExecutingFallback
+from understudy.failover.strategies.initialized import InitializedFallback
 from understudy.failover.switchover import Prepared
 from understudy.monitor.act import planned_switchover
 from understudy.monitor.act.planned_switchover import Switching

@@ -18,9 +18,9 @@ from understudy.api.protocol.monitor_settings import PoolChoice, WorkloadSetting
 from understudy.failover.interfaces import Instance
 from understudy.failover.pool_queue import Waiter
 from understudy.failover.progress import Progress
+from understudy.failover.strategies.registry import choices
 from understudy.kube.client import NETWORK_POLICIES, ApiError, Object
 from understudy.monitor.act.pool_waiting import Line
-from understudy.monitor.decide.strategy_list import choices
 from understudy.monitor.observe.cluster_view import View
 from understudy.monitor.observe.wakeups import Wakeups
 from understudy.monitor.report.reporter import Reporter, describe

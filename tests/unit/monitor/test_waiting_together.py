@@ -22,7 +22,8 @@ from understudy.failover import pool_queue
 from understudy.failover.interfaces import Instance
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.failover.protocol import Choice, recover
-from understudy.failover.strategies import Means, UninitializedFallback
+from understudy.failover.strategies.base import Means
+from understudy.failover.strategies.uninitialized import UninitializedFallback
 from understudy.kube import claims
 from understudy.kube.client import NETWORK_POLICIES, PODS, Object, Resource
 from understudy.kube.watched_collection import Reflector

@@ -21,7 +21,8 @@ from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import Gate, Instance
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.failover.protocol import Choice
-from understudy.failover.strategies import Means, Restart
+from understudy.failover.strategies.base import Means
+from understudy.failover.strategies.restart import Restart
 from understudy.failover.switchover import Prepared
 from understudy.monitor.act.garbage_collection import Leftovers
 from understudy.monitor.act.pod_control import Fleet

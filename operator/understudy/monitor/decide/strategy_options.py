@@ -7,9 +7,9 @@ import time
 from collections.abc import Callable, Sequence
 
 from understudy.failover.protocol import Choice
-from understudy.failover.strategies import Means, Strategy
+from understudy.failover.strategies.base import Means, Strategy
+from understudy.failover.strategies.registry import choices
 from understudy.kube.client import ApiError
-from understudy.monitor.decide.strategy_list import choices
 from understudy.monitor.observe.cluster_view import View
 from understudy.monitor.observe.storm_condition import Storms
 

@@ -21,7 +21,8 @@ from understudy.failover.dependency import Due, Held, Outage, Seen, due, held, o
 from understudy.failover.interfaces import Instance
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.failover.protocol import Choice
-from understudy.failover.strategies import Reinitialize, Restart
+from understudy.failover.strategies.reinitialize import Reinitialize
+from understudy.failover.strategies.restart import Restart
 from understudy.kube.client import WORKLOADS, Resource
 from understudy.kube.gates import registry
 from understudy.kube.gates.base import GateRecord

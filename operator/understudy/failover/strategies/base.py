@@ -1,0 +1,75 @@
+"""What a strategy is, and what it works with.
+
+Every strategy fences before it routes: either both in one commit (an executing standby), or the gate closes first, the
+understudy is brought up behind it, and the gate then opens for it (the failover protocol, step 4).
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from understudy.api.protocol.kept_state import KeptState
+from understudy.failover.interfaces import Agents, Gate, Instance, Instances, NotAvailable, Outputs
+from understudy.failover.pool_queue import Queue
+from understudy.failover.progress import Progress
+
+Unfit = Callable[[Instance], str | None]
+"""Returns why an instance may not take over in a planned switchover, for example because of its node; None if it may."""
+
+
+@dataclass(frozen=True)
+class Means:
+    """What a strategy works with."""
+
+    gate: Gate
+    instances: Instances
+    agents: Agents
+    outputs: Outputs
+    queue: Queue
+    clock: Callable[[], float]
+    save: Callable[[Progress], None]
+    workload_uid: str
+    kept: Callable[[float], KeptState] = lambda onset: KeptState()
+    """Returns the state for the instance that takes over, given the onset of the failure (unix seconds)."""
+    restore_within: float = 5.0
+    """Seconds that restoring state may take."""
+    holds: Callable[[Strategy], str | None] = lambda strategy: None
+    """Returns why a strategy is not tried now although it is available; None if it is tried."""
+
+
+class Strategy(ABC):
+    """One way to put an instance in control."""
+
+    name: str
+    pool: str = ""
+    standing = False
+    """Whether the instance runs for this robot already, so that trying it takes no pod from other robots."""
+
+    @abstractmethod
+    async def prepare(self, progress: Progress, means: Means, *, within: float) -> Instance:
+        """Bring an understudy to where it can drive, and open the gate for it. Raises NotAvailable."""
+
+    async def make_ready(self, progress: Progress, means: Means, *, within: float, unfit: Unfit) -> Instance:
+        """Bring an understudy to where it can drive while another instance drives, and leave the gate alone.
+
+        It becomes the target of the progress before anything is done to it. Raises NotAvailable, NotVerified.
+        """
+        raise NotAvailable(f"{self.name} cannot prepare an understudy while another instance drives")
+
+    async def wait(self, progress: Progress, means: Means) -> None:
+        """Wait for the resources that it needs, for as long as the policy allows. Raises NotAvailable."""
+        return
+
+    @abstractmethod
+    def available(self, means: Means, progress: Progress | None = None) -> str | None:
+        """Return why it cannot run now; None if it can."""
+
+    def outlook(self, means: Means) -> str | None:
+        """Return the same by what is known without a request to the API server, while nothing has failed."""
+        return self.available(means)
+
+    async def look(self, means: Means, progress: Progress | None = None) -> None:
+        """Request what ``available`` needs, if that is not known yet."""
+        return

@@ -1,0 +1,112 @@
+"""The fallback to a standby that runs in full: one patch of the gate puts it in control."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+from understudy.failover.bring_up import BringUp
+from understudy.failover.interfaces import Instance, NotAvailable
+from understudy.failover.progress import PodIdentity, Progress
+from understudy.failover.strategies.base import Means, Strategy, Unfit
+from understudy.failover.strategies.steps import (
+    bring_up_and_open,
+    close,
+    committed_target,
+    loop_time,
+    make_drivable,
+    open_for,
+    wait_enforced,
+)
+
+
+class ExecutingFallback(Strategy):
+    """A standby that runs in full and receives everything; the gate drops its outputs. One patch makes it active."""
+
+    name = "Fallback/Executing"
+    standing = True
+
+    def __init__(
+        self, pool: str, *, recovery: BringUp | None = None, others: Collection[str] = (), with_source: bool = True
+    ) -> None:
+        """``others`` are the pools whose standbys are not candidates. ``with_source`` is whether those that the workload's own
+        controller creates are.
+        """
+        self.pool, self._recovery = pool, recovery
+        self._others, self._with_source = frozenset(others), with_source
+
+    def _is_standby(self, instance: Instance) -> bool:
+        return instance.pool not in self._others and (self._with_source or not instance.from_source)
+
+    def _candidates(self, means: Means, progress: Progress | None) -> list[Instance]:
+        active = means.gate.state.active_uid
+        return [
+            i
+            for i in means.instances.of_workload()
+            if i.usable
+            and i.has_agent
+            and not i.held
+            and i.uid != active
+            and not (progress and progress.has_failed(i.uid))
+            and self._is_standby(i)
+            and means.agents.is_ready(i)[0]
+        ]
+
+    def available(self, means: Means, progress: Progress | None = None) -> str | None:
+        if self._candidates(means, progress):
+            return None
+        active = means.gate.state.active_uid
+        others = [
+            i for i in means.instances.of_workload() if i.uid != active and not i.terminating and self._is_standby(i)
+        ]
+        if not others:
+            return f"pool {self.pool} has no standby for this workload"
+        return "; ".join(f"{i.name}: {means.agents.is_ready(i)[1] or 'not running'}" for i in others)
+
+    async def prepare(self, progress: Progress, means: Means, *, within: float) -> Instance:
+        target = committed_target(progress, means)
+        if target is None:
+            candidates = self._candidates(means, progress)
+            if not candidates:
+                raise NotAvailable(self.available(means, progress) or "no standby is ready")
+            if self._recovery is not None:
+                return await self._behind_the_gate(candidates, progress, means, within)
+            # Readers with exclusive ownership may follow the admitted standby already. Otherwise a pod of the pool comes first:
+            # the workload's own controller may be about to replace its pod.
+            target = self._best(candidates, means)
+            await open_for(target, progress, means)
+        await wait_enforced(target, progress, means)
+        return target
+
+    async def make_ready(self, progress: Progress, means: Means, *, within: float, unfit: Unfit) -> Instance:
+        target = self._fitting(progress, means, unfit)
+        if self._recovery is not None:
+            await make_drivable(target, progress, means, self._recovery, within=within)
+        return target
+
+    def _best(self, candidates: Collection[Instance], means: Means) -> Instance:
+        admitted = means.gate.state.admitted_uid
+        return min(candidates, key=lambda i: (i.uid != admitted, i.pool != self.pool, i.created, i.name))
+
+    def _fitting(self, progress: Progress, means: Means, unfit: Unfit) -> Instance:
+        """Return the best standby for a planned switchover. Raises NotAvailable."""
+        candidates = self._candidates(means, progress)
+        if not candidates:
+            raise NotAvailable(self.available(means, progress) or "no standby is ready")
+        reasons = [(i, unfit(i)) for i in candidates]
+        if fitting := [i for i, reason in reasons if reason is None]:
+            return self._best(fitting, means)
+        raise NotAvailable("; ".join(f"{i.name} {reason}" for i, reason in reasons))
+
+    async def _behind_the_gate(
+        self, candidates: list[Instance], progress: Progress, means: Means, within: float
+    ) -> Instance:
+        """Close the gate, bring a standby up, open the gate for it."""
+        end = loop_time() + within
+        begun = progress.target.uid if progress.target is not None else ""  # by a monitor that is gone
+        target = min(candidates, key=lambda i: (i.uid != begun, i.pool != self.pool, i.created, i.name))
+        await close(progress, means)
+        progress.target = PodIdentity(name=target.name, uid=target.uid)
+        progress.charge("cluster", means.clock())
+        means.save(progress)
+        await bring_up_and_open(target, progress, means, self._recovery, end=end)
+        return target

@@ -1,0 +1,35 @@
+"""The fallback to a standby that is configured and does not drive yet."""
+
+from __future__ import annotations
+
+from understudy.failover.interfaces import Instance, NotAvailable
+from understudy.failover.progress import Progress
+from understudy.failover.strategies.base import Means, Unfit
+from understudy.failover.strategies.executing import ExecutingFallback
+from understudy.failover.strategies.steps import committed_target, make_drivable, wait_enforced
+
+
+class InitializedFallback(ExecutingFallback):
+    """A standby that is up and configured: it gets the last state, is brought up behind a closed gate, and is then routed."""
+
+    name = "Fallback/Initialized"
+
+    async def prepare(self, progress: Progress, means: Means, *, within: float) -> Instance:
+        target = committed_target(progress, means)
+        if target is not None:
+            await wait_enforced(target, progress, means)
+            return target
+        candidates = [*self._begun(progress, means), *self._candidates(means, progress)]
+        if not candidates:
+            raise NotAvailable(self.available(means, progress) or "no standby is ready")
+        return await self._behind_the_gate(candidates, progress, means, within)
+
+    async def make_ready(self, progress: Progress, means: Means, *, within: float, unfit: Unfit) -> Instance:
+        target = self._fitting(progress, means, unfit)
+        await make_drivable(target, progress, means, self._recovery, within=within)
+        return target
+
+    def _begun(self, progress: Progress, means: Means) -> list[Instance]:
+        """Return the standby that an interrupted run of this recovery began to bring up. It is no longer a candidate."""
+        uid = progress.target.uid if progress.target is not None else ""
+        return [i for i in means.instances.of_workload() if i.uid == uid and i.usable and not progress.has_failed(uid)]

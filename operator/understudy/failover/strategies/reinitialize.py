@@ -1,0 +1,55 @@
+"""The reaction to the recovery of a dependency: the active instance is brought up again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from understudy.api.protocol.kept_state import KeptState
+from understudy.failover.bring_up import BringUp
+from understudy.failover.interfaces import Instance, NotAvailable
+from understudy.failover.progress import Progress
+from understudy.failover.strategies.base import Means, Strategy
+from understudy.failover.strategies.steps import (
+    bring_up_and_open,
+    close,
+    committed_target,
+    kept,
+    loop_time,
+    wait_enforced,
+)
+
+
+class Reinitialize(Strategy):
+    """The active instance stays and is brought up again behind a closed gate, because a workload that it depends on was replaced."""
+
+    def __init__(self, name: str, procedures: Sequence[BringUp]) -> None:
+        """``procedures`` run one after the other; there is at least one."""
+        self.name, self._procedures = name, procedures
+
+    def available(self, means: Means, progress: Progress | None = None) -> str | None:
+        if progress is None or self._standing(progress, means) is None:
+            return "the instance that was active is gone"
+        return None
+
+    def _standing(self, progress: Progress, means: Means) -> Instance | None:
+        uid = progress.target.uid if progress.target is not None else ""
+        found = (i for i in means.instances.of_workload() if i.uid == uid and i.usable)
+        return next((i for i in found if not progress.has_failed(i.uid)), None)
+
+    async def prepare(self, progress: Progress, means: Means, *, within: float) -> Instance:
+        target = committed_target(progress, means)
+        if target is not None:
+            await wait_enforced(target, progress, means)
+            return target
+        target, end = self._standing(progress, means), loop_time() + within
+        if target is None:
+            raise NotAvailable(self.available(means, progress) or "")
+        await close(progress, means)
+        progress.charge("cluster", means.clock())
+        means.save(progress)
+        *before, last = self._procedures
+        for procedure in before:
+            state = kept(progress, means) if procedure.restores_state else KeptState()
+            await means.agents.bring_up(target, procedure, within=procedure.within, state=state)
+        await bring_up_and_open(target, progress, means, last, end=end)
+        return target

@@ -1,0 +1,73 @@
+"""The restart: a new pod of the workload itself."""
+
+from __future__ import annotations
+
+from understudy.failover.bring_up import BringUp
+from understudy.failover.interfaces import Instance, NotAvailable, NotVerified
+from understudy.failover.progress import PodIdentity, Progress
+from understudy.failover.strategies.base import Means, Strategy, Unfit
+from understudy.failover.strategies.steps import (
+    bring_up_and_open,
+    close,
+    committed_target,
+    loop_time,
+    make_drivable,
+    started,
+    wait_enforced,
+)
+
+
+class Restart(Strategy):
+    """The pod is deleted, and the workload's own controller starts another one."""
+
+    name = "Restart"
+
+    def __init__(self, *, recovery: BringUp | None = None) -> None:
+        self._recovery = recovery
+
+    def available(self, means: Means, progress: Progress | None = None) -> str | None:
+        return None
+
+    async def prepare(self, progress: Progress, means: Means, *, within: float) -> Instance:
+        target = committed_target(progress, means)
+        if target is not None:
+            await wait_enforced(target, progress, means)
+            return target
+        end = loop_time() + within
+        await close(progress, means)
+        for instance in means.instances.of_workload():
+            # The kubelet restarts a crash-looping container less and less often; a new pod starts at once.
+            if instance.from_source and instance.crashing and not means.agents.is_ready(instance)[0]:
+                progress.fail(PodIdentity(name=instance.name, uid=instance.uid))
+        await means.instances.replace([i for i in means.instances.of_workload() if progress.has_failed(i.uid)])
+        target = await means.instances.wait(lambda i: i.from_source and i.usable and not progress.has_failed(i.uid))
+        progress.target = PodIdentity(name=target.name, uid=target.uid)
+        progress.charge("cluster", means.clock())
+        means.save(progress)
+        await started(target, progress, means)
+        await bring_up_and_open(target, progress, means, self._recovery, end=end)
+        return target
+
+    async def make_ready(self, progress: Progress, means: Means, *, within: float, unfit: Unfit) -> Instance:
+        """Possible only while a pod of a pool is active: then the workload's own controller can run a pod beside it."""
+        end, active = loop_time() + within, means.gate.state.active_uid
+        instances = means.instances.of_workload()
+        if any(i.from_source for i in instances if i.uid == active):
+            raise NotAvailable(
+                "its own controller runs one pod, which is active: another one cannot be started beside it"
+            )
+        own = [i for i in instances if i.from_source and i.usable and not progress.has_failed(i.uid)]
+        if reasons := [f"{i.name} {reason}" for i in own if (reason := unfit(i)) is not None]:
+            raise NotAvailable("; ".join(reasons))
+        if not own:
+            await means.instances.replace([])
+        target = await means.instances.wait(lambda i: i.from_source and i.usable and not progress.has_failed(i.uid))
+        progress.target = PodIdentity(name=target.name, uid=target.uid)
+        if (reason := unfit(target)) is not None:
+            raise NotVerified(f"{target.name} {reason}")
+        if not own:
+            await started(target, progress, means)
+        # A pod that has run for a while was brought up already (monitor/act/standby_lifecycle.py).
+        standing = bool(own) and means.agents.is_ready(target)[0]
+        await make_drivable(target, progress, means, None if standing else self._recovery, within=end - loop_time())
+        return target

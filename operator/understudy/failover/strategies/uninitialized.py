@@ -1,0 +1,220 @@
+"""The fallback to a pod of a shared pool."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+from collections.abc import Sequence
+
+from understudy.failover.bring_up import BringUp
+from understudy.failover.interfaces import ClaimLost, Instance, NotAvailable, Overtaken
+from understudy.failover.pool_queue import YIELD_MOST, Waiter, at_once, before, in_order, left_by, turn
+from understudy.failover.progress import PodIdentity, Progress
+from understudy.failover.strategies.base import Means, Strategy, Unfit
+from understudy.failover.strategies.steps import (
+    both,
+    bring_up_and_open,
+    claim_of,
+    close,
+    committed_target,
+    join,
+    loop_time,
+    make_drivable,
+    started,
+    wait_enforced,
+)
+
+
+class UninitializedFallback(Strategy):
+    """A pod whose processes wait for a robot: claimed, started with this robot's settings behind a closed gate, routed."""
+
+    name = "Fallback/Uninitialized"
+
+    def __init__(self, pool: str, *, recovery: BringUp | None = None, wait_for: float = 0.0, reserved: int = 0) -> None:
+        """``wait_for`` is how many seconds to wait if the pool has no pod; ``reserved`` ready pods are kept for other workloads."""
+        self.pool, self._recovery, self._wait_for, self._reserved = pool, recovery, wait_for, reserved
+        self._lost: set[str] = set()
+        """UIDs of pods that other workloads claimed. The watch may not show this yet."""
+
+    def available(self, means: Means, progress: Progress | None = None) -> str | None:
+        free = self._free(progress, means)
+        waiting = in_order(means.queue.others(self.pool), self.pool, means.clock())
+        if len(free) > len(waiting):
+            return None
+        if free:
+            return f"pool {self.pool} has {len(free)} ready, for which others wait: {', '.join(w.workload for w in waiting[:3])}"
+        if unclaimed := len(self._unclaimed(progress, means)):
+            return f"pool {self.pool} keeps its last {unclaimed} ready for workloads with a higher poolPriority"
+        if self._lost:
+            return f"every ready pod of pool {self.pool} was claimed by another workload first"
+        return f"pool {self.pool} has no unclaimed pod that is ready"
+
+    def outlook(self, means: Means) -> str | None:
+        return None if means.instances.stocked(self.pool) else f"pool {self.pool} has no pod that it could claim"
+
+    async def look(self, means: Means, progress: Progress | None = None) -> None:
+        # If some pods are reserved, or other workloads wait, the number of pods matters.
+        if not self._reserved and not means.queue.others(self.pool):
+            await means.instances.look(self.pool, part=True)
+            if self._free(progress, means):
+                return
+        await means.instances.look(self.pool)
+
+    def _unclaimed(self, progress: Progress | None, means: Means) -> list[Instance]:
+        found = (i for i in means.instances.unclaimed(self.pool) if i.uid not in self._lost)
+        return [i for i in found if not (progress and progress.has_failed(i.uid))]
+
+    def _free(self, progress: Progress | None, means: Means) -> list[Instance]:
+        """Return the pods that this workload may take if no other workload is ahead of it."""
+        unclaimed = self._unclaimed(progress, means)
+        return unclaimed[: max(0, len(unclaimed) - self._reserved)]
+
+    async def wait(self, progress: Progress, means: Means) -> None:
+        if committed_target(progress, means) is not None or self._claimed(progress, means) is not None:
+            return
+        await self.look(means, progress)
+        if progress.planned:  # nothing failed: it takes no pod that other robots need
+            if (reason := self.available(means, progress)) is not None:
+                raise NotAvailable(reason)
+            return
+        me = self._place(progress, means)
+        free = len(self._free(progress, means))
+        if at_once(me, means.queue.others(self.pool), free, means.clock()):
+            return
+
+        def needless() -> bool:
+            means.agents.follow(means.instances.of_workload())  # also those that appear while it waits
+            return self._restarted(progress, means) is not None
+
+        try:
+            within = max(0.0, me.until - means.clock()) + 2 * YIELD_MOST
+            async with asyncio.timeout(within), means.instances.followed(self.pool):
+                served = await turn(
+                    me,
+                    means.queue,
+                    free=lambda: [i.uid for i in self._free(progress, means)],
+                    clock=means.clock,
+                    join=lambda: join(me, progress, means),
+                    needless=needless,
+                )
+        except TimeoutError:  # the API server does not answer, so no pod can be claimed
+            served = False
+        if served:
+            return
+        told = [self.available(means, progress) or f"pool {self.pool} could not be claimed from"]
+        if (restarted := self._restarted(progress, means)) is not None and self._wait_for:
+            told.append(f"{restarted.name} is up already")
+        elif progress.waiting is not None:
+            told.append(f"it got none in {self._wait_for:g} s")
+        if progress.waiting is not None:
+            means.queue.gave_up(me)
+        progress.waiting = None
+        raise NotAvailable("; ".join(told))
+
+    def _restarted(self, progress: Progress, means: Means) -> Instance | None:
+        """Return an instance that the workload's own controller created meanwhile and that can drive: then no pod is waited for."""
+        own = (
+            i for i in means.instances.of_workload() if i.from_source and i.usable and not progress.has_failed(i.uid)
+        )
+        return next((i for i in own if (means.agents.is_ready(i)[0] if i.has_agent else i.ready)), None)
+
+    def _place(self, progress: Progress, means: Means) -> Waiter:
+        """Return its place in the queue, which it keeps if the monitor is replaced."""
+        since = progress.moments.get("queued", means.clock())
+        return Waiter(
+            workload=means.queue.workload,
+            pool=self.pool,
+            priority=means.queue.priority,
+            since=since,
+            until=since + self._wait_for,
+        )
+
+    async def prepare(self, progress: Progress, means: Means, *, within: float) -> Instance:
+        target = committed_target(progress, means)
+        if target is not None:
+            await wait_enforced(target, progress, means)
+            return target
+        end = loop_time() + within
+        target = await self._claimed_or_claim(progress, means)
+        progress.moments["claimed"] = means.clock()
+        progress.target = PodIdentity(name=target.name, uid=target.uid)
+        progress.charge("cluster", means.clock())
+        waited, progress.waiting = progress.waiting, None
+        means.save(progress)
+        if waited is None:
+            await means.agents.start(target)
+        else:
+            means.queue.served(waited, target.name)
+            # Other workloads in the queue learn from the gate that this one no longer waits; meanwhile the processes start.
+            await both(means.agents.start(target), means.gate.commit(None, progress))
+        await started(target, progress, means)
+        await bring_up_and_open(target, progress, means, self._recovery, end=end)
+        return target
+
+    async def make_ready(self, progress: Progress, means: Means, *, within: float, unfit: Unfit) -> Instance:
+        end = loop_time() + within
+        await means.instances.look(self.pool)
+        if (reason := self.available(means, progress)) is not None:
+            raise NotAvailable(reason)
+        reasons = [(i, unfit(i)) for i in self._free(progress, means)]
+        if reasons and all(reason is not None for _, reason in reasons):
+            raise NotAvailable("; ".join(f"{i.name} {reason}" for i, reason in reasons))
+        target = await self._claim(progress, means, unfit)
+        if target is None:
+            raise NotAvailable(f"every ready pod of pool {self.pool} was claimed by another workload first")
+        progress.target = PodIdentity(name=target.name, uid=target.uid)
+        progress.moments["claimed"] = means.clock()
+        await means.agents.start(target)
+        await started(target, progress, means)
+        await make_drivable(target, progress, means, self._recovery, within=end - loop_time())
+        return target
+
+    def _claimed(self, progress: Progress, means: Means) -> Instance | None:
+        """Return the pod that an interrupted run of this recovery claimed."""
+        claim = claim_of(progress, means)
+        found = (i for i in means.instances.of_workload() if i.claim == claim and i.usable)
+        return next((i for i in found if not progress.has_failed(i.uid)), None)
+
+    async def _claimed_or_claim(self, progress: Progress, means: Means) -> Instance:
+        if (claimed := self._claimed(progress, means)) is not None:
+            await close(progress, means)
+            return claimed
+        means.save(progress)  # the claim has its id, so that a new monitor finds the pod
+        # Wait for both even if the claim fails: the next commit needs the epoch of this one.
+        closing, target = await asyncio.gather(
+            close(progress, means), self._claim(progress, means), return_exceptions=True
+        )
+        if isinstance(closing, BaseException):
+            raise closing
+        if isinstance(target, BaseException):
+            raise target
+        if target is None:
+            raise Overtaken(f"every ready pod of pool {self.pool} was claimed by another workload first")
+        return target
+
+    async def _claim(self, progress: Progress, means: Means, unfit: Unfit = lambda instance: None) -> Instance | None:
+        """Claim one of the pods that it may take; return None if other workloads claimed all of them first."""
+        while candidates := [i for i in self._candidates(progress, means) if unfit(i) is None]:
+            try:
+                return await means.instances.claim(candidates[0], claim_of(progress, means))
+            except ClaimLost:
+                # Other workloads claim too. A read is cheaper than another claim that is lost.
+                self._lost.add(candidates[0].uid)
+                await self.look(means, progress)
+        return None
+
+    def _candidates(self, progress: Progress, means: Means) -> Sequence[Instance]:
+        """Return the pods that it may take, in the order in which it tries to claim them."""
+        others = means.queue.others(self.pool)
+        ahead = before(self._place(progress, means), others, means.clock())
+        candidates = left_by(ahead, self._free(progress, means))
+        if progress.waiting is None and not others:
+            # If many robots fail at once, each starts with another pod: otherwise all but one would lose the race for the first
+            # pod, and again for the second. Workloads that wait have an order instead.
+            return apart(candidates, means.workload_uid)
+        return candidates
+
+
+def apart(pods: Sequence[Instance], workload_uid: str) -> list[Instance]:
+    """Return pods in an order that differs between workloads and is stable for each (rendezvous hashing)."""
+    return sorted(pods, key=lambda pod: hashlib.sha256(f"{workload_uid}/{pod.uid}".encode()).digest())
